@@ -13,6 +13,7 @@
 #include "curve.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
+#include "driven.hpp"
 #include "elimination.hpp"
 #include "energy_balance.hpp"
 #include "error_control.hpp"
@@ -209,6 +210,10 @@ const Entry entries[] = {
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
+  entry<follow_drives>(
+    "follow_drives",
+    "follow_drives(model, work, manifold, drives, kept, unit, anchors, open, begin, values, q, "
+    "position, velocity, acceleration): poses reached, share of the way to the next one"),
   released<run_batch>(
     "run_batch",
     "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, scratch, "

@@ -11,13 +11,16 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .assemblies import Assemblies, find_assemblies
 from .data import Numbers, vector
+from .driven import BranchEndError, driven_mechanism, DrivenKinematics
 from .errors import AssemblyError
 from .evaluation import Evaluation
 from .key_paths import changed, resolve
 from .named_array import frozen
 from .names import Names
 from .readings import Readings
+from .redundancy import geometry_of
 from .scene_records import Scene
 from .state import State
 from ..integration.evaluation import Evaluator
@@ -82,6 +85,8 @@ class Model(Names):
         super().__init__(scene)
         self._work = _Workspace(scene)
         self._lock = RLock()
+        # By what is driven.
+        self._driven: Dict[Any, DrivenKinematics] = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':
         """
@@ -189,6 +194,8 @@ class Model(Names):
         nothing = np.zeros((*batch, self._work.own_states))
         given = State(time, place, rates, nothing if own is None else own, self.coordinates)
         self._work.require_state(given)
+        if not (len(self.coordinates.balls) or own is None and self._work.own_states):
+            return given
         each = given.each
         if len(self.coordinates.balls):
             each = [State(one.time, self.coordinates.unit(one.q), one.qd, one.own,
@@ -197,6 +204,84 @@ class Model(Names):
             with self._lock:
                 each = [self._work.begun(one.time, one.q, one.qd) for one in each]
         return each[0] if not given.is_batch else State.stack(each) if each else given
+
+    def solve(self, drives: Optional[Mapping[str, ArrayLike]] = None,
+              points: Optional[Mapping[str, ArrayLike]] = None,
+              branch: Optional[State] = None) -> State:
+        """
+        Return the state, at rest, in which driven joints and points have given values.
+
+        From pose to pose the straight line of the driven values is followed on one branch, which
+        is never left: forward kinematics of the actuated joints, inverse kinematics of a point.
+
+        Parameters
+        ----------
+        drives : mapping of str to float, or to array_like of shape (n,), optional
+            Values of joints, and of freedoms of cut joints [rad or m].
+        points : mapping of str to array_like, shape (2,) or (n, 2), in space 3, optional
+            Places of named points [m]; coordinates that are NaN are left to the mechanism. As
+            many values as there are degrees of freedom are driven, points and joints together.
+        branch : State, optional
+            Closing the loops; where the way begins, and on which branch. The scene's start when
+            not given.
+
+        Raises
+        ------
+        BranchEndError
+            Where the branch ends before a pose; its ``end`` says where and why.
+        ValueError
+            For unknown names, other shapes, numbers that are not finite, and more or fewer values
+            than there are degrees of freedom.
+
+        """
+        count, mechanism, values = driven_mechanism(self.mechanism, drives, points)
+        with self._lock:
+            start = self._start_of(branch)
+            if mechanism.motions not in self._driven:
+                self._driven[mechanism.motions] = DrivenKinematics(mechanism, start)
+            kinematics = self._driven[mechanism.motions]
+            kinematics.start_at(start)
+            motion = kinematics.follow(values)
+        if motion.end is not None:
+            raise BranchEndError(motion.end, len(motion.position), count is not None)
+        return self.state(motion.position[0] if count is None else motion.position)
+
+    def assemblies(self, drives: Optional[Mapping[str, float]] = None,
+                   points: Optional[Mapping[str, ArrayLike]] = None) -> Assemblies:
+        """
+        Return all states, at rest, in which driven joints and points have given values.
+
+        In the plane they are proved to be all where joints and cut joints lead to polynomial
+        equations that can be solved, and no two of their solutions coincide; otherwise those
+        found from random starts are returned, which may not be all.
+
+        Parameters
+        ----------
+        drives, points
+            As for ``solve``, for one pose; here two points of a body may be given whole.
+
+        Raises
+        ------
+        ValueError
+            As ``solve`` does.
+
+        """
+        count, mechanism, values = driven_mechanism(self.mechanism, drives, points)
+        if count is not None:
+            raise ValueError(f'expected one pose, got {count}')
+        found = find_assemblies(
+            mechanism, geometry_of(mechanism).equations, values[0], self._start_of(None))
+        nq = self.coordinates.nq
+        return Assemblies(self.state(np.array(found.positions).reshape(-1, nq)), *found[1:])
+
+    def _start_of(self, branch: Optional[State]) -> np.ndarray:
+        """Return the position that a branch begins with."""
+        if branch is None:
+            return self._work.start().q
+        self._work.require_state(branch)
+        if branch.is_batch:
+            raise ValueError(f'branch: expected one state, got a batch of {len(branch)}')
+        return branch.q
 
     # What follows from a state.
 
@@ -222,6 +307,21 @@ class Model(Names):
         self._work.require_state(state)
         with self._lock:
             return self._work.evaluated(state, torque)
+
+    def readings(self, state: State, torque: Optional[Numbers] = None) -> Readings:
+        """
+        Return what tells all of a single state, until another one is asked for.
+
+        Parameters
+        ----------
+        state, torque
+            As for ``evaluate``.
+
+        """
+        self._work.require_state(state)
+        readings = self._work.at(state)
+        readings.system.tau[:] = readings.joint_torques(torque)
+        return readings
 
     def inverse(self, state: State, acceleration: ArrayLike) -> InverseDynamicsResult:
         """

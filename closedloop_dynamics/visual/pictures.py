@@ -206,6 +206,28 @@ def deviations(result, title):
     return figure
 
 
+def over_drive(curves, label, title):
+    """
+    Draw curves over what is driven, a panel a quantity.
+
+    Parameters
+    ----------
+    curves : dict of str to dict of str to tuple of 2 ndarrays, shape (n,)
+        By the quantity with its unit and by name: driven values and what belongs to them.
+    label : str
+        What is driven, with its unit.
+
+    """
+    figure, rows = _panels(len(curves), title)
+    for axes, (quantity, values) in zip(rows[:, 0], curves.items()):
+        for k, (name, (x, y)) in enumerate(values.items()):
+            axes.plot(x, y, label=name, **_style(k))
+        axes.set_ylabel(quantity)
+        _legend_beside(axes)
+    rows[-1, 0].set_xlabel(label)
+    return figure
+
+
 def spread_positions(poses, count):
     """
     Choose positions that differ most from each other; the last one is always among them.

@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop kinematics``: motion, drive torques and joint forces of a driven mechanism."""
+
+from argparse import ArgumentTypeError
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from .command import (
+    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, reading, require_free,
+    UsageError, with_numbers)
+from ..recording.kinematics import assemblies, by_name, Drive, DrivenRun
+from ..recording.rows import write_scene
+from ..simulation.driven import BranchEndError
+from ..simulation.errors import AssemblyError
+from ..simulation.scene import load_scene
+from ..visual.progress import announced, progress_to
+from ..visual.tables import text_table, write_csv
+
+UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
+# Units of quantities, of angles and of lengths.
+QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
+              'acceleration': ('rad/s^2', 'm/s^2')}
+
+
+def add_drive(parser):
+    """Add the options of drives, to be read by ``driven_run``."""
+    parser.add_argument('--drive', type=_drive, action='append', default=[], required=True,
+                        metavar='JOINT=FROM:TO:COUNT',
+                        help='drive a joint, or a coordinate of a point (tool.x), through COUNT '
+                             'values, such as crank_joint=0:360deg:361; units deg, rad, mm, m, a '
+                             'unit after one of both counts for both (default: rad and m). '
+                             'JOINT=VALUE holds it. As many as there are degrees of freedom')
+    parser.add_argument('--speed', type=positive, default=1.0, metavar='RATE',
+                        help='constant speed of the first drive that moves [rad/s or m/s]; the '
+                             'others take the same time (default: 1)')
+    parser.add_argument('--branch', type=_branch, metavar='N',
+                        help='number of the assembly at the first pose, as --assemblies lists '
+                             "them (default: the branch of the scene's start, followed to there)")
+
+
+def driven_run(arguments, scene):
+    """
+    Return the driven run that a command line asks for.
+
+    Raises
+    ------
+    UsageError
+
+    """
+    drives, count = drives_of(arguments)
+    try:
+        return DrivenRun(scene, drives, count, arguments.speed, arguments.branch)
+    except BranchEndError as error:
+        raise UsageError(f'--drive: {error}') from None
+    except AssemblyError as error:
+        raise UsageError(f'{scene.name}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--{"" if str(error).startswith("branch") else "drive: "}{error}') \
+            from None
+
+
+def drives_of(arguments):
+    """Return the drives by name, and how many poses they have."""
+    given = mapping(arguments.drive, '--drive')
+    counts = {name: count for name, (_, count) in given.items() if count is not None}
+    if len(set(counts.values())) != 1:
+        raise UsageError('--drive: expected the same COUNT in all that move, got ' + (
+            ', '.join(f'{count} of {name}' for name, count in counts.items()) or 'none that does'))
+    return {name: drive for name, (drive, _) in given.items()}, next(iter(counts.values()))
+
+
+def _drive(text):
+    """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE``."""
+    name, equals, course = text.partition('=')
+    parts = course.split(':')
+    values = [_value(part) for part in parts[:2]]
+    if not (name and equals and None not in values and (
+            len(parts) == 1 or len(parts) == 3 and parts[2].isdecimal()
+            and 2 <= int(parts[2]) <= 10**7)):
+        raise ArgumentTypeError(
+            f'expected NAME=FROM:TO:COUNT with COUNT from 2 on, or NAME=VALUE, got {text!r}')
+    units = [unit for _, unit in values if unit]
+    start, *end = (number * UNITS[unit or (units or ['rad'])[0]] for number, unit in values)
+    return name, (Drive(start, *(end or [start])), int(parts[2]) if end else None)
+
+
+def _value(text):
+    """Return a number and its unit, None where there is none; None for what is no number."""
+    unit = next((unit for unit in UNITS if text.endswith(unit)), None)
+    try:
+        number = float(text.removesuffix(unit) if unit else text)
+    except ValueError:
+        return None
+    return (number, unit) if math.isfinite(number) else None
+
+
+def _branch(text):
+    if not (text.isdecimal() and int(text) > 0):
+        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
+    return int(text)
+
+
+def _add_arguments(parser):
+    add_scene(parser)
+    add_reading(parser)
+    add_drive(parser)
+    add_set(parser)
+    parser.add_argument('--assemblies', action='store_true',
+                        help='only list all assemblies at the first pose')
+    parser.add_argument('--output', metavar='FILE.csv', type=Path,
+                        help='where to write a row for each pose')
+    parser.add_argument('--picture', metavar='FILE.png', type=Path,
+                        help='where to draw it over the drive')
+    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
+
+
+def _run(arguments):
+    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
+        if path is not None:
+            require_free(arguments, path, option)
+    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    if arguments.assemblies:
+        return _list_assemblies(arguments, scene)
+    with announced('Following the branch ...'):
+        run = driven_run(arguments, scene)
+    with progress_to(max(len(run.time) - 1, 1), 'poses', scene.name) as show:
+        table = run.table(show)
+    if arguments.output is not None:
+        write_scene(arguments.output, run.scene)
+        write_csv(arguments.output, *table)
+    if arguments.picture is not None:
+        _draw(arguments.picture, run, table)
+    print(summary(run, table))
+    for path in (arguments.output, arguments.picture):
+        if path is not None:
+            print(f'  output    {path}')
+    if run.end is not None:
+        print(f'{arguments.prog}: pose {len(run.time)}: {run.end.reason}', file=sys.stderr)
+        return FAILED
+    return 0
+
+
+def _list_assemblies(arguments, scene):
+    drives, _ = drives_of(arguments)
+    try:
+        found = assemblies(scene, drives)
+    except AssemblyError as error:
+        raise UsageError(f'{scene.name}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--drive: {error}') from None
+    header = ('branch', *(name.removeprefix('position.')
+                          for name in scene.mechanism.coordinates.columns('position')))
+    rows = [[str(number), *(f'{value:.6g}' for value in position)]
+            for number, position in enumerate(found.positions, 1)]
+    print(f'{scene.name}: assemblies {found}: {found.reason}')
+    print(text_table(header, rows))
+    return 0
+
+
+def summary(run, table):
+    """Return the largest torques and forces of a driven run, with their places, as text."""
+    column = by_name(table)
+    (name, values), *_ = [(name, values) for name, values in run.driven.items()
+                          if np.ptp(values) > 0.0] or run.driven.items()
+    lines = [f'{run.scene.name}: {len(run.time)} poses, {name} from {values[0]:.6g} to '
+             f'{values[-1]:.6g} in {run.time[-1]:.6g} s; loops closed to '
+             f'{column["closure"].max():.2g} m or rad']
+    for what, torque in torques(run, column).items():
+        place = int(np.abs(torque).argmax())
+        lines.append(f'  torque    {what}: at most {torque[place]:.6g} N m or N at {name} = '
+                     f'{values[place]:.6g}, rms {np.sqrt(np.mean(torque ** 2)):.6g}')
+    for what, force in forces(column).items():
+        place = int(force.argmax())
+        lines.append(f'  force     {what}: at most {force[place]:.6g} N at {name} = '
+                     f'{values[place]:.6g}')
+    return '\n'.join(lines)
+
+
+def torques(run, column):
+    """Return what the drives exert, by joint or driven coordinate, shape (n,) [N m or N]."""
+    if run.mechanism.motions:
+        return {name: column[f'motion.{motion.name}.force'] for name, motion in zip(
+            run.driven, run.mechanism.motions)}
+    return {name: column[f'effort.{name}'] for name in run.mechanism.actuated_joints}
+
+
+def forces(column):
+    """Return the magnitudes of the forces in all joints, by name, shape (n,) [N]."""
+    names = dict.fromkeys(name.split('.', 1)[1].rpartition('.')[0] for name in column
+                          if name.startswith('force.'))
+    return {name: np.linalg.norm([column[f'force.{name}.{axis}'] for axis in 'xyz'
+                                  if f'force.{name}.{axis}' in column], axis=0) for name in names}
+
+
+def curves(run, table):
+    """Return what is drawn over the drive, by quantity and name, each shape (n,)."""
+    column, coordinates = by_name(table), run.mechanism.coordinates
+    names = coordinates.names
+    found = {}
+    for quantity, units in QUANTITIES.items():
+        for unit, length in zip(units, (False, True)):
+            shown = {name: column[f'{quantity}.{name}'] for k, name in enumerate(names)
+                     if bool(coordinates.lengths[k]) is length and f'{quantity}.{name}' in column}
+            if shown:
+                found[f'{quantity} [{unit}]'] = shown
+    found['drive torque [N m], force [N]'] = torques(run, column)
+    found['joint force [N]'] = forces(column)
+    return found
+
+
+def drive_axis(run):
+    """Return the values of the first drive that moves, in degrees or metres, and their label."""
+    name, values = next((name, values) for name, values in run.driven.items()
+                        if len(values) < 2 or np.ptp(values) > 0.0)
+    for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates):
+        if name in coordinates.names and not coordinates.lengths[coordinates.names.index(name)]:
+            return np.degrees(values), f'{name} [deg]'
+    return values, f'{name} [m]'
+
+
+def _draw(path, run, table):
+    # Only here, as it takes long to load.
+    from ..visual.pictures import over_drive
+    values, label = drive_axis(run)
+    shown = {quantity: {name: (values, each) for name, each in lines.items()}
+             for quantity, lines in curves(run, table).items()}
+    over_drive(shown, label, f'{run.scene.name}: driven').savefig(path)
+
+
+COMMAND = Command(
+    name='kinematics',
+    summary='motion, drive torques and joint forces over a driven motion',
+    description="""\
+Drive joints, or coordinates of points, through values at constant speed, and write
+positions, velocities, accelerations, the torques that the drives exert, and the forces
+in all joints, against the drive and the time. The branch of the start is followed and
+never left: where it ends, it is said where and why (a dead centre, the edge of what can
+be reached, a change point), the rows before it are written, and the exit code is 1.
+
+Driven joints exert what the motion takes (columns motion.drive_JOINT.force and .power,
+and effort.JOINT); where points are driven, the actuated joints do (effort.JOINT). All
+columns are those of `closedloop simulate --forces all`. Beside FILE.csv is written
+FILE.csv.scene.json, the scene with all overrides: plot, animate and view show it.
+""",
+    epilog="""\
+examples:
+  closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --speed 10 --output turn.csv
+  closedloop kinematics four_bar --drive rocker_joint=90:160deg:71
+  closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png
+  closedloop kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7
+  closedloop kinematics four_bar --drive crank_joint=0:1:2 --assemblies
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,255 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "driven.hpp"
+
+#include <Eigen/Dense>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "recursion.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using DenseMatrix = Eigen::MatrixXd;
+using DenseVector = Eigen::VectorXd;
+
+// Between two positions the Jacobian changes by less than this share of itself, measured by its
+// inverse: where the share is less than 1 it is regular on all the way, no other branch is met,
+// and by Newton and Kantorovich's theorem no second solution is as near.
+constexpr double SAME_BRANCH = 0.4;
+// Scaled corrections: shorter ones are rounding, longer ones lead elsewhere; where they no longer
+// become shorter, these will do.
+constexpr double ROUNDING = 1e-15, LONGEST = 0.5, STALLED = 1e-11;
+constexpr int MOST_CORRECTIONS = 20;
+// Shares of the way between two poses: the shortest that is tried.
+constexpr double SHORTEST = 1e-13;
+
+/// One position of a branch, and what leads on from it.
+class Follower
+{
+public:
+  Follower(
+    const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+    Indices kept, Values unit, Table anchors, double open)
+  : model_(model), work_(work), manifold_(manifold), drives_(drives), kept_(kept), unit_(unit),
+    open_(open), column_(model.cut_point.columns - cut::MOTION_COLUMNS),
+    jac_(model.equations(), unit.size), matrix_(unit.size, unit.size),
+    inverse_(unit.size, unit.size), next_(unit.size, unit.size), change_(unit.size),
+    right_(unit.size), closure_(model.equations()), still_(DenseVector::Zero(unit.size)),
+    lu_(unit.size)
+  {
+    matrix_.bottomRows(anchors.rows) =
+      Eigen::Map<RowMatrix>(anchors.data, anchors.rows, anchors.columns);
+  }
+
+  /// Take a position, which closes the loops; false where it is singular.
+  bool begin(Values q)
+  {
+    outward(model_, q, view(still_), work_);
+    return invert(inverse_);
+  }
+
+  /// Move from the driven values `from` on to `to`; false, and `q` of no meaning, where that is
+  /// too far.
+  bool step(const DenseVector & from, const DenseVector & to, Values q)
+  {
+    drive(to);
+    // The tangent, then corrections by the Jacobian there.
+    right_.setZero();
+    for (Index row = 0; row < kept_.size; ++row) {
+      const Index number = kept_[row] - first_drive();
+      right_[row] = number >= 0 ? to[number] - from[number] : 0.0;
+    }
+    change_.noalias() = inverse_ * right_;
+    if (!move_by_change(q)) {
+      return false;
+    }
+    outward(model_, q, view(still_), work_);
+    fill_matrix();
+    lu_.compute(matrix_);
+    return converge(q) && stays();
+  }
+
+  /// Rates and accelerations in the position taken last, into rows.
+  void complete(Table values, Values q, Values velocity, Values acceleration)
+  {
+    for (Index k = 0; k < drives_.size; ++k) {
+      model_.cut_point(drives_[k], column_ + 1) = values(k, 1);
+      model_.cut_point(drives_[k], column_ + 2) = values(k, 2);
+    }
+    outward(model_, q, view(still_), work_);
+    update(model_, work_, Responses::NONE);
+    solve(work_.closure_rate, velocity);
+    outward(model_, q, velocity, work_);
+    update(model_, work_, Responses::NONE);
+    solve(work_.bias, acceleration);
+  }
+
+  /// Set driven values, at rest.
+  void drive(const DenseVector & values)
+  {
+    for (Index k = 0; k < drives_.size; ++k) {
+      model_.cut_point(drives_[k], column_) = values[k];
+      model_.cut_point(drives_[k], column_ + 1) = 0.0;
+      model_.cut_point(drives_[k], column_ + 2) = 0.0;
+    }
+  }
+
+private:
+  static Values view(DenseVector & from) {return {from.data(), from.size()};}
+
+  /// The driving equations are the last ones.
+  Index first_drive() const {return model_.equations() - drives_.size;}
+
+  void fill_matrix()
+  {
+    constraint_jacobian(model_, work_, {jac_.data(), jac_.rows(), jac_.cols()});
+    for (Index row = 0; row < kept_.size; ++row) {
+      for (Index k = 0; k < unit_.size; ++k) {
+        matrix_(row, k) = jac_(kept_[row], k) * unit_[k];
+      }
+    }
+  }
+
+  bool invert(DenseMatrix & to)
+  {
+    fill_matrix();
+    lu_.compute(matrix_);
+    to = lu_.inverse();
+    return to.allFinite();
+  }
+
+  /// Whether the position is on the branch of the last one; takes it if so.
+  bool stays()
+  {
+    fill_matrix();
+    next_.noalias() = inverse_ * matrix_;
+    next_.diagonal().array() -= 1.0;
+    if (!(next_.norm() < SAME_BRANCH)) {
+      return false;
+    }
+    lu_.compute(matrix_);
+    inverse_ = lu_.inverse();
+    return inverse_.allFinite();
+  }
+
+  bool move_by_change(Values q)
+  {
+    if (!(change_.cwiseAbs().maxCoeff() < LONGEST)) {
+      return false;
+    }
+    for (Index k = 0; k < unit_.size; ++k) {
+      change_[k] *= unit_[k];
+    }
+    move(manifold_, q, view(change_), 1.0);
+    return true;
+  }
+
+  bool converge(Values q)
+  {
+    double last = std::numeric_limits<double>::infinity();
+    for (int n = 0; n < MOST_CORRECTIONS; ++n) {
+      update(model_, work_, Responses::NONE);
+      collect(work_.closure);
+      change_ = lu_.solve(-right_);
+      const double size = change_.cwiseAbs().maxCoeff();
+      const bool stalled = size > 0.5 * last;
+      if (!stalled && !move_by_change(q)) {
+        return false;
+      }
+      if (stalled || size <= ROUNDING) {
+        return (size <= ROUNDING || size < STALLED) && largest(work_.closure) <= open_;
+      }
+      outward(model_, q, view(still_), work_);
+      last = size;
+    }
+    return false;
+  }
+
+  /// The numbers of the kept equations among those of all, in elimination order, into `right_`.
+  void collect(Values ordered)
+  {
+    to_user_order(model_, ordered, view(closure_));
+    right_.setZero();
+    for (Index row = 0; row < kept_.size; ++row) {
+      right_[row] = closure_[kept_[row]];
+    }
+  }
+
+  /// Displacements that take what the kept equations are off by away.
+  void solve(Values ordered, Values out)
+  {
+    collect(ordered);
+    change_.noalias() = inverse_ * right_;
+    for (Index k = 0; k < unit_.size; ++k) {
+      out[k] = -unit_[k] * change_[k];
+    }
+  }
+
+  const Model & model_;
+  const Workspace & work_;
+  const Manifold & manifold_;
+  Indices drives_, kept_;
+  Values unit_;
+  double open_;
+  Index column_;
+  RowMatrix jac_;
+  DenseMatrix matrix_, inverse_, next_;
+  DenseVector change_, right_, closure_, still_;
+  Eigen::PartialPivLU<DenseMatrix> lu_;
+};
+}  // namespace
+
+std::pair<double, double> follow_drives(
+  const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  Indices kept, Values unit, Table anchors, double open, Values begin, Cube<double> values,
+  Values q, Table position, Table velocity, Table acceleration)
+{
+  Follower follower(model, work, manifold, drives, kept, unit, anchors, open);
+  DenseVector from = Eigen::Map<DenseVector>(begin.data, begin.size), way(begin.size), to, next;
+  DenseVector tried(q.size);
+  const Values trial{tried.data(), tried.size()};
+  follower.drive(from);
+  if (!follower.begin(q)) {
+    return {0.0, 0.0};
+  }
+  double share = 1.0;
+  for (Index k = 0; k < values.pages; ++k) {
+    to = from;
+    for (Index n = 0; n < begin.size; ++n) {
+      way[n] = values[k](n, 0) - from[n];
+    }
+    double done = 0.0;
+    while (done < 1.0) {
+      const double ahead = std::min(1.0, done + share);
+      next = from + ahead * way;
+      copy(q, trial);
+      if (follower.step(to, next, trial)) {
+        copy(trial, q);
+        to = next;
+        done = ahead;
+        share = std::min(1.0, 2.0 * share);
+      } else {
+        share *= 0.5;
+        if (share < SHORTEST) {
+          return {static_cast<double>(k), done};
+        }
+      }
+    }
+    from = to;
+    copy(q, position[k]);
+    follower.complete(values[k], q, velocity[k], acceleration[k]);
+  }
+  return {static_cast<double>(values.pages), 0.0};
+}
+
+}  // namespace closedloop

@@ -1,0 +1,33 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__DRIVEN_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__DRIVEN_HPP_
+
+#include <utility>
+
+#include "model.hpp"
+
+// Kinematics of a mechanism whose degrees of freedom are all driven: positions, rates and
+// accelerations that the driving equations and the closure equations determine.
+
+namespace closedloop
+{
+
+/// Move through driven values one after the other, from a position on a branch, and stay on it.
+///
+/// `drives`: rows of the driving equations among the cuts; `kept`: the equations to solve, as many
+/// as there are rates less the rows of `anchors`, which are directions of scaled displacements
+/// without effect (idle spins) that are left as they are; `unit`: of the displacements, shape
+/// (nv,); `open` is the closure error that is taken for zero; `begin`: the driven values of `q`;
+/// `values`: driven values, rates and accelerations, shape (n, drives, 3). `q` becomes the last
+/// position of the branch. Returned are how many of the n were reached and the share of the way
+/// to the next one at which the branch ends.
+std::pair<double, double> follow_drives(
+  const Model &, const Workspace &, const Manifold &, Indices drives, Indices kept, Values unit,
+  Table anchors, double open, Values begin, Cube<double> values, Values q, Table position,
+  Table velocity, Table acceleration);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__DRIVEN_HPP_

@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Motion, drive torques and joint forces of a mechanism that is driven at constant rates."""
+
+from dataclasses import replace
+from typing import Dict, NamedTuple
+
+import numpy as np
+
+from .run import columns, row
+from ..effects.prescribed_motion import PrescribedMotion
+from ..mechanism.fields import at, FieldError
+from ..simulation.assemblies import find_assemblies
+from ..simulation.assembly import Assembler
+from ..simulation.driven import BranchEndError, DrivenKinematics
+from ..simulation.errors import SimulationError
+from ..simulation.motions import with_motions
+from ..simulation.redundancy import geometry_of
+
+# Behind the dot of a driven point.
+AXES = 'xyz'
+
+
+class Drive(NamedTuple):
+    """
+    What is driven from where to where.
+
+    Attributes
+    ----------
+    start, end : float
+        [rad or m]; the same where it is held.
+
+    """
+
+    start: float
+    end: float
+
+
+class DrivenRun:
+    """
+    A mechanism that is driven from value to value.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        Whose start is on the branch.
+    drives : mapping of str to Drive
+        By joint, or by point and axis, as ``tool.x``; as many as there are degrees of freedom.
+        What drives the same joints in the scene is left out.
+    count : int
+        Of poses, 2 or more.
+    speed : float
+        Of the first drive that moves [rad/s or m/s]; the others take the same time.
+    branch : int, optional
+        Number of the assembly at the first pose, from 1 on, as ``assemblies`` lists them; the
+        branch of the scene's start when not given.
+
+    Attributes
+    ----------
+    scene : scene_records.Scene
+        Where joints alone are driven, with these motions prescribed: it begins at the first pose.
+    mechanism : mechanism.mechanism.Mechanism
+    time : ndarray, shape (n,)
+        Of the poses [s]; n is less than ``count`` where the branch ends.
+    position, velocity, acceleration : ndarray, shape (n, nq), (n, nv), (n, nv)
+    driven : dict of str to ndarray, shape (n,)
+        Driven values, by name [rad or m].
+    end : simulation.driven.BranchEnd or None
+        Where the branch ends.
+
+    Raises
+    ------
+    BranchEndError
+        Where the first pose is not reached from the scene's start.
+    AssemblyError
+        Where the loops cannot be closed there.
+    ValueError
+        For unknown names, and more or fewer drives than there are degrees of freedom.
+
+    """
+
+    def __init__(self, scene, drives, count, speed, branch=None):
+        """Follow the branch."""
+        moves = [abs(drive.end - drive.start) for drive in drives.values()
+                 if drive.end != drive.start]
+        if not moves:
+            raise ValueError('expected a drive that moves, got '
+                             f'{", ".join(drives) or "none"} at rest')
+        duration = moves[0] / speed
+        self._by_joints = all(name.rpartition('.')[2] not in AXES or _is_freedom(scene, name)
+                              for name in drives)
+        moved = _driven_scene(scene, drives, duration)
+        mechanism = with_motions(moved)
+        if len(mechanism.motions) != len(drives):
+            raise ValueError('expected a scene that prescribes no motions of its own, got '
+                             f'{", ".join(one.name for one in mechanism.motions)}')
+        start = _start(scene)
+        if branch is not None:
+            start = _assembly(mechanism, start, [each.start for each in drives.values()], branch)
+        kinematics = DrivenKinematics(mechanism, start)
+        shares, rates = np.linspace(0.0, 1.0, count), np.array(
+            [(drive.end - drive.start) / duration for drive in drives.values()])
+        values = np.zeros((count, len(drives), 3))
+        values[..., 0] = [[(1.0 - share) * drive.start + share * drive.end
+                           for drive in drives.values()] for share in shares]
+        values[..., 1] = rates
+        try:
+            kinematics.go_to(values[0, :, 0])
+        except BranchEndError as error:
+            raise BranchEndError(error.end._replace(reason=(
+                f"On the way from the scene's start to the first pose: {error}")), 0) from None
+        motion = kinematics.follow(values)
+        self.position, self.velocity, self.acceleration, self.end = motion
+        found = len(self.position)
+        self.time = duration * shares[:found]
+        self.driven = {name: values[:found, k, 0] for k, name in enumerate(drives)}
+        begun = replace(moved.initial, position=tuple(self.position[0].tolist()),
+                        velocity=tuple(self.velocity[0].tolist()), hold=())
+        self.scene = replace(moved if self._by_joints else scene, initial=begun)
+        self.mechanism = with_motions(self.scene)
+
+    def table(self, show=None):
+        """
+        Return what ``simulate --forces all`` writes, for every pose.
+
+        Parameters
+        ----------
+        show : callable, optional
+            Called with the number of each pose.
+
+        Returns
+        -------
+        names : list of str
+        rows : ndarray, shape (n, number of columns)
+
+        Raises
+        ------
+        SimulationError
+            Where the actuated joints cannot move a driven point so.
+
+        """
+        model = self.scene.model()
+        names, rows = None, []
+        for k, time in enumerate(self.time):
+            state = model.state(self.position[k], self.velocity[k], time=time)
+            torque = None
+            if not self._by_joints:
+                try:
+                    torque = model.inverse(state, self.acceleration[k]).torque
+                except SimulationError as error:
+                    raise SimulationError(f'pose {k}: {error}') from None
+            readings = model.readings(state, torque)
+            names = names or columns(readings, True)
+            rows.append(row(readings, float(time), True))
+            if show is not None:
+                show(k)
+        return names, np.array(rows)
+
+
+def assemblies(scene, drives):
+    """
+    Return the assemblies at the first pose, a ``simulation.assemblies.Assembled``.
+
+    Parameters
+    ----------
+    scene, drives
+        As for ``DrivenRun``.
+
+    """
+    mechanism = with_motions(_driven_scene(scene, drives, 1.0))
+    return _assembled(mechanism, _start(scene), [each.start for each in drives.values()])
+
+
+def _start(scene):
+    """Return the position of a scene's start, assembled."""
+    assembler = Assembler(scene.mechanism, geometry_of(scene.mechanism).equations)
+    return assembler.positions(scene.initial.position, scene.initial.hold)
+
+
+def _assembled(mechanism, start, values):
+    return find_assemblies(mechanism, geometry_of(mechanism).equations, values, start)
+
+
+def _assembly(mechanism, start, values, number):
+    """Return the position of one of the assemblies."""
+    found = _assembled(mechanism, start, values)
+    if not 1 <= number <= len(found.positions):
+        raise ValueError(f'branch: expected the number of an assembly, got {number} of {found}')
+    return found.positions[number - 1]
+
+
+def by_name(table) -> Dict[str, np.ndarray]:
+    """Return the columns of ``DrivenRun.table`` by name."""
+    names, rows = table
+    return dict(zip(names, rows.T))
+
+
+def _is_freedom(scene, name):
+    """Return whether a name is that of a joint or a freedom of a cut joint."""
+    mechanism = scene.mechanism
+    return any(name in coordinates.names for coordinates in (
+        mechanism.coordinates, mechanism.cut_coordinates))
+
+
+def _driven_scene(scene, drives, duration):
+    """Return a scene that prescribes motions at constant rates."""
+    # What drives these joints in the scene is replaced by the motion.
+    effects = {key: record for key, record in scene.effects.items() if not (
+        getattr(record, 'joint', None) in drives and (record.drive() or record.COMMANDS))}
+    mechanism = scene.mechanism
+    size = 2 if mechanism.planar else 3
+    points = [point.name for point in mechanism.points]
+    for name, drive in drives.items():
+        point, _, axis = name.rpartition('.')
+        course = {'offset': drive.start, 'speed': (drive.end - drive.start) / duration}
+        if _is_freedom(scene, name):
+            course['joint'] = name
+        elif point in points and axis in AXES[:size]:
+            course.update(point=point, direction=tuple(
+                float(axis == other) for other in AXES[:size]))
+        else:
+            joints = [*mechanism.coordinates.names, *mechanism.cut_coordinates.names]
+            raise ValueError(
+                f'{name}: expected a joint ({", ".join(joints)}) or a point with its axis'
+                f'{"".join(f", {one}.x" for one in points[:1])} ({", ".join(points) or "none"})')
+        key = f'drive_{name.replace(".", "_")}'
+        while key in effects:
+            key += '_'
+        try:
+            with at('effects', key):
+                effects[key] = PrescribedMotion('constant_speed', **course)
+                effects[key].fit(mechanism)
+        except FieldError as error:
+            raise ValueError(str(error)) from None
+    return replace(scene, effects=effects)
