@@ -7,11 +7,13 @@ import json
 import math
 
 from closedloop_dynamics import load_scene
+from closedloop_dynamics.recording import design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
 import numpy as np
 import pytest
 from scipy.integrate import simpson
 
+from .reference.designs import closed, four_bar
 from .test_cli import call, read
 
 
@@ -137,3 +139,139 @@ def test_units_of_drives(capsys, tmp_path):
         assert code == 0, errors
         found.append(read(path)['position.crank_joint'])
     np.testing.assert_allclose(found, [found[2]] * 4, atol=1e-14)
+
+
+def driven_turn(scene, start=0.0, end=2.0 * math.pi, count=361, speed=1.0):
+    run = DrivenRun(scene, {'crank_joint': Drive(start, end)}, count, speed)
+    assert run.end is None
+    return run
+
+
+def test_transmission_angles_of_a_textbook(tmp_path, capsys):
+    # Norton, Design of Machinery: links of 2, 7, 9 on a base of 6.
+    scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
+    run = driven_turn(scene)
+    angle = np.degrees(design.transmission_angle(run.mechanism, run.position, 'crank_joint'))
+    np.testing.assert_allclose(angle[[0, 180]], [25.2088, 58.4119], atol=5e-5)
+    assert angle.argmin() in (0, 360) and angle.max() <= 90.0
+    code, text, errors = call(
+        capsys, 'report', tmp_path / 'scene.yaml', '--output', tmp_path / 'page.html')
+    assert code == 0, errors
+    assert 'least  25.2088  0 deg' in text and 'crank-rocker (Grashof)' in text
+    page = (tmp_path / 'page.html').read_text()
+    for words in ('Transmission angle', '25.2088', 'time ratio', 'Shaking force', 'worst case',
+                  'data:image/png;base64,', 'base 6 m, input 2 m, coupler 7 m, output 9 m'):
+        assert words in page, words
+    # Nothing is loaded from elsewhere.
+    assert 'http' not in page and 'src="data:' in page and '<script' not in page
+
+
+def test_hoekens_point_moves_along_a_line(tmp_path):
+    scene = four_bar(tmp_path, 1.0, 2.5, 2.5, 2.0, angle=math.pi, point=(5.0, 0.0))
+    run = driven_turn(scene, 0.5 * math.pi, 1.5 * math.pi, 721)
+    found = design.outputs(run, run.table())
+    x, y = (found[f'point.tool.{axis}'] for axis in 'xy')
+    np.testing.assert_allclose([x.least.value, x.most.value], [0.0, 4.0], atol=1e-12)
+    np.testing.assert_allclose([y.least.value, y.most.value], [4.0, 4.009754], atol=5e-7)
+
+
+@pytest.mark.parametrize('speed', [1.0, 30.0])
+def test_a_balanced_four_bar_shakes_by_its_moment_alone(tmp_path, speed):
+    lengths, (m2, m3, m4) = (1.0, 4.0, 3.0, 3.5), (2.0, 1.5, 3.0)
+    # Berkof and Lowen (1969): half of the coupler's mass at each of its pins.
+    centers = [(-0.5 * m3 / m2 * lengths[0], 0.0), (0.5 * lengths[1], 0.0),
+               (-0.5 * m3 / m4 * lengths[2], 0.0)]
+    balanced = design.shaking(driven_turn(four_bar(
+        tmp_path, *lengths, masses=(m2, m3, m4), centers=centers), speed=speed))
+    plain = design.shaking(driven_turn(four_bar(
+        tmp_path, *lengths, masses=(m2, m3, m4)), speed=speed))
+    size = np.abs(plain[0]).max()
+    assert size > 0.5 * speed ** 2
+    assert np.abs(balanced[0]).max() < 1e-8 * size
+    assert np.abs(balanced[1]).max() > 0.1 * speed ** 2
+
+
+def test_shaking_is_what_the_joints_exert_on_the_ground(tmp_path):
+    run = driven_turn(four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0), speed=3.0)
+    column = by_name(run.table())
+    force, moment = design.shaking(run)
+    for k, axis in enumerate('xy'):
+        joints = column[f'force.crank_joint.{axis}'] + column[f'force.rocker_joint.{axis}']
+        np.testing.assert_allclose(force[:, k], -joints, atol=1e-7 * np.abs(joints).max())
+    about = (column['force.crank_joint.torque'] + column['force.rocker_joint.torque']
+             + 6.0 * column['force.rocker_joint.y'])
+    np.testing.assert_allclose(moment, -about, atol=1e-7 * np.abs(about).max())
+
+
+@pytest.mark.parametrize('lengths, kind, grashof', [
+    ((6.0, 2.0, 7.0, 9.0), 'crank-rocker', 'Grashof'),
+    ((6.0, 9.0, 7.0, 2.0), 'rocker-crank', 'Grashof'),
+    ((2.0, 6.0, 7.0, 9.0), 'double crank (drag link)', 'Grashof'),
+    ((6.0, 7.0, 2.0, 9.0), 'double rocker', 'Grashof'),
+    ((7.5, 5.0, 4.0, 6.0), 'triple rocker', 'non-Grashof'),
+    ((3.0, 1.0, 3.0, 1.0), 'change-point linkage', 'change point')])
+def test_grashof_class_and_limits(tmp_path, lengths, kind, grashof):
+    base, crank, coupler, rocker = lengths
+    angle = {'double rocker': 1.2, 'rocker-crank': 0.9}.get(kind, 1.0)
+    scene = four_bar(tmp_path, crank, coupler, rocker, base, angle=angle)
+    found = design.four_bar(scene.mechanism, 'crank_joint')
+    np.testing.assert_allclose(found.lengths, lengths)
+    assert (found.kind, found.grashof) == (kind, grashof)
+    if grashof != 'change point':
+        drive, = design.cycle(scene).values()
+        turns = kind in ('crank-rocker', 'double crank (drag link)')
+        assert turns == (abs(drive.end - drive.start - 2.0 * math.pi) < 1e-12)
+        if not turns:
+            # From limit to limit, a hundredth of the way short of each.
+            short = (drive.end - drive.start) / 98.0
+            for limit in (drive.start - short, drive.end + short):
+                assert min(abs(abs(np.angle(np.exp(1j * limit))) - abs(one))
+                           for one in found.limits) < 1e-9
+
+
+def test_time_ratio_is_that_of_the_dead_centres(tmp_path):
+    crank, coupler, rocker, base = 2.0, 7.0, 9.0, 6.0
+    run = driven_turn(four_bar(tmp_path, crank, coupler, rocker, base), count=1441)
+    ratio = design.outputs(run, run.table())['rocker_joint'].time_ratio
+    # Crank and coupler in line: stretched and folded.
+    one, other = (math.acos((reach ** 2 + base ** 2 - rocker ** 2) / (2.0 * reach * base))
+                  for reach in (coupler + crank, coupler - crank))
+    share = 0.5 + (other - one) / (2.0 * math.pi)
+    expected = max(share, 1.0 - share) / min(share, 1.0 - share)
+    np.testing.assert_allclose(ratio, expected, rtol=1e-5)
+
+
+def test_sensitivities_are_those_of_two_circles(tmp_path):
+    lengths = np.array([2.0, 7.0, 9.0, 6.0])
+    scene = four_bar(tmp_path, *lengths.tolist())
+    run = driven_turn(scene, 0.3, 2.3, 21)
+    keys = design.length_keys(scene)
+    assert set(keys) == {f'parameters.{name}' for name in ('crank', 'coupler', 'rocker', 'base')}
+    keys = tuple(f'parameters.{name}' for name in ('crank', 'coupler', 'rocker', 'base'))
+    found = design.sensitivity(scene, run, keys)
+    place = found.outputs.index('rocker_joint')
+    step = 1e-6
+    for k in range(4):
+        for pose, angle in ((0, 0.3), (20, 2.3)):
+            ends = [closed(*(lengths + sign * step * np.eye(4)[k]), angle)[1]
+                    for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(
+                found.derivatives[pose, place, k], np.diff(ends[::-1])[0] / (2.0 * step),
+                rtol=1e-6, atol=1e-8)
+    derivatives = np.abs(found.derivatives[:, place])
+    np.testing.assert_allclose(found.worst(0.01)[place], 0.01 * derivatives.sum(axis=1).max())
+    np.testing.assert_allclose(
+        found.sigma(0.03)[place], 0.01 * np.sqrt((derivatives ** 2).sum(axis=1)).max())
+
+
+def test_report_refuses_what_it_cannot_drive(capsys, tmp_path):
+    page = tmp_path / 'page.html'
+    code, _, errors = call(capsys, 'report', 'three_rrr', '--output', page)
+    assert code == 2 and 'one actuated joint, which turns; got theta_1, theta_6, theta_7' in errors
+    page.write_text('mine')
+    code, _, errors = call(capsys, 'report', 'four_bar', '--output', page)
+    assert code == 2 and 'add --overwrite' in errors and page.read_text() == 'mine'
+    code, _, errors = call(capsys, 'report', 'four_bar', '--output', tmp_path, '--overwrite')
+    assert code == 2 and 'expected a file' in errors
+    code, _, errors = call(capsys, 'report', 'four_bar', '--tolerance', 0, '--output', page)
+    assert code == 2 and 'expected a finite number > 0' in errors

@@ -13,6 +13,7 @@ import numpy as np
 from .command import (
     add_reading, add_scene, add_set, Command, FAILED, mapping, positive, reading, require_free,
     UsageError, with_numbers)
+from ..recording.design import cycle, POSES
 from ..recording.kinematics import assemblies, by_name, Drive, DrivenRun
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
@@ -27,14 +28,15 @@ QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
               'acceleration': ('rad/s^2', 'm/s^2')}
 
 
-def add_drive(parser):
-    """Add the options of drives, to be read by ``driven_run``."""
-    parser.add_argument('--drive', type=_drive, action='append', default=[], required=True,
+def add_drive(parser, default=''):
+    """Add the options of drives, to be read by ``driven_run``; without a default they are due."""
+    parser.add_argument('--drive', type=_drive, action='append', default=[], required=not default,
                         metavar='JOINT=FROM:TO:COUNT',
                         help='drive a joint, or a coordinate of a point (tool.x), through COUNT '
                              'values, such as crank_joint=0:360deg:361; units deg, rad, mm, m, a '
                              'unit after one of both counts for both (default: rad and m). '
-                             'JOINT=VALUE holds it. As many as there are degrees of freedom')
+                             'JOINT=VALUE holds it. As many as there are degrees of freedom'
+                             f'{default}')
     parser.add_argument('--speed', type=positive, default=1.0, metavar='RATE',
                         help='constant speed of the first drive that moves [rad/s or m/s]; the '
                              'others take the same time (default: 1)')
@@ -52,13 +54,15 @@ def driven_run(arguments, scene):
     UsageError
 
     """
-    drives, count = drives_of(arguments)
     try:
+        drives, count = drives_of(arguments) if arguments.drive else (cycle(scene), POSES)
         return DrivenRun(scene, drives, count, arguments.speed, arguments.branch)
     except BranchEndError as error:
         raise UsageError(f'--drive: {error}') from None
     except AssemblyError as error:
         raise UsageError(f'{scene.name}: {error}') from None
+    except UsageError:
+        raise
     except ValueError as error:
         raise UsageError(f'--{"" if str(error).startswith("branch") else "drive: "}{error}') \
             from None

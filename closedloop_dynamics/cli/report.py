@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop report``: what a designer asks of a mechanism, on one page."""
+
+from base64 import b64encode
+from html import escape
+from io import BytesIO
+import math
+from pathlib import Path
+import sys
+import time
+
+import numpy as np
+from scipy.integrate import trapezoid
+
+from .command import (
+    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, reading, require_free,
+    UsageError, with_numbers)
+from .kinematics import add_drive, curves, drive_axis, driven_run, forces, torques
+from ..recording import design
+from ..recording.kinematics import by_name
+from ..simulation.scene import load_scene
+from ..visual.motion import from_rows
+from ..visual.progress import announced, progress_to
+
+STYLE = """
+body {font: 15px/1.45 sans-serif; max-width: 62em; margin: 2em auto; padding: 0 1em; color: #222}
+h1 {font-size: 1.5em} h2 {font-size: 1.15em; margin-top: 1.8em; border-bottom: 1px solid #ccc}
+table {border-collapse: collapse; margin: .6em 0}
+th, td {text-align: left; padding: .15em 1.2em .15em 0; vertical-align: top}
+th {font-weight: normal; color: #555; border-bottom: 1px solid #ddd}
+td.number {font-variant-numeric: tabular-nums} img {max-width: 100%} p.note {color: #555}
+@media print {h2 {break-after: avoid} img, table {break-inside: avoid}}
+"""
+
+
+def _add_arguments(parser):
+    add_scene(parser)
+    add_reading(parser)
+    add_drive(parser, ' (default: one turn of the one actuated joint, or from limit to limit)')
+    add_set(parser)
+    parser.add_argument('--tolerance', type=positive, default=1e-4, metavar='LENGTH',
+                        help='of every length, plus or minus [m]; three standard deviations '
+                             '(default: 1e-4)')
+    parser.add_argument('--output', metavar='FILE.html', type=Path, required=True,
+                        help='where to write the page')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+
+
+def _run(arguments):
+    require_free(arguments, arguments.output)
+    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    begin = time.process_time()
+    with announced('Following the branch ...'):
+        run = driven_run(arguments, scene)
+    if len(run.time) < 3:
+        raise UsageError(f'--drive: expected a branch with three poses or more; {run.end.reason}')
+    with progress_to(len(run.time) - 1, 'poses', scene.name) as show:
+        table = run.table(show)
+    spent = time.process_time() - begin
+    with announced('Changing lengths and drawing ...'):
+        sections = _sections(arguments, scene, run, table, spent)
+        arguments.output.write_text(_page(arguments, scene, sections), encoding='utf-8')
+    for title, rows, _ in sections:
+        for row in rows[1:] if title in IN_SHORT else []:
+            print('  '.join([f'{title}:', *row]).rstrip())
+    print(arguments.output)
+    if run.end is not None:
+        print(f'{arguments.prog}: pose {len(run.time)}: {run.end.reason}', file=sys.stderr)
+        return FAILED
+    return 0
+
+
+# Sections that are printed, too.
+IN_SHORT = ('Mechanism', 'Transmission angle', 'Drive', 'Energy')
+
+
+def _sections(arguments, scene, run, table, spent):
+    """Return title, rows of a table with its header, and pictures or notes, of each section."""
+    column = by_name(table)
+    name, values = design.drive_values(run)
+    at = _drive_shown(run)
+    found = [_mechanism(scene, run, table, at)]
+    found.append(('Motion', [
+        ('', 'least', 'at', 'most', 'at', 'stroke', 'dwell', 'time ratio'),
+        *((what, f'{one.least.value:.6g}', at(one.least.drive), f'{one.most.value:.6g}',
+           at(one.most.drive), f'{one.most.value - one.least.value:.6g}', at(one.dwell),
+           '-' if math.isnan(one.time_ratio) else f'{one.time_ratio:.4g}')
+          for what, one in design.outputs(run, table).items())],
+        [f'<p class="note">Joints [rad or m] and points [m] over {escape(name)}. Dwell: the '
+         'longest part of the drive over which a quantity stays within '
+         f'{design.DWELL:.0%} of its stroke. Time ratio: of the slower stroke to the quicker '
+         'one over a whole turn.</p>']))
+    angle = design.transmission_angle(run.mechanism, run.position, name)
+    if angle is not None:
+        found.append(('Transmission angle', [
+            ('', 'angle [deg]', 'at'),
+            *((what, f'{math.degrees(one.value):.4f}', at(one.drive)) for what, one in (
+                ('least', design.extreme(angle, values, np.argmin)),
+                ('most', design.extreme(angle, values))))], []))
+    found += _loads(run, column, values, at)
+    found.append(_tolerances(arguments, scene, run))
+    found.append(('Accuracy', [
+        ('', ''), ('largest error of the loops', f'{column["closure"].max():.2g} m or rad'),
+        ('CPU time', f'{spent:.3g} s for {len(run.time)} poses')], [
+        '<p class="note">Positions, rates and accelerations solve the closure equations to '
+        'rounding: nothing is integrated.</p>']))
+    return found
+
+
+def _mechanism(scene, run, table, at):
+    name, _ = design.drive_values(run)
+    joint = name if name in scene.mechanism.coordinates.names else None
+    rows = [('', ''), ('degrees of freedom', str(
+        design.degrees_of_freedom(scene, run.position[0]))),
+        ('drive', ', '.join(f'{one} from {at(each[0]) if one == name else f"{each[0]:.6g}"} to '
+                            f'{at(each[-1]) if one == name else f"{each[-1]:.6g}"}'
+                            for one, each in run.driven.items())
+         + f' in {run.time[-1]:.6g} s, {len(run.time)} poses')]
+    bars = joint and design.four_bar(scene.mechanism, joint)
+    if bars:
+        base, crank, coupler, rocker = bars.lengths
+        rows += [('lengths', f'base {base:.6g} m, input {crank:.6g} m, coupler {coupler:.6g} m, '
+                             f'output {rocker:.6g} m'),
+                 ('Grashof', f'{bars.kind} ({bars.grashof})'),
+                 ('folds at', ', '.join(f'+-{math.degrees(one):.6g} deg between input link and '
+                                        'base' for one in bars.limits) or
+                  'no position: the input turns round')]
+    if run.end is not None:
+        rows.append(('end of the branch', run.end.reason))
+    return 'Mechanism', rows, _pictures(run, table)
+
+
+def _loads(run, column, values, at):
+    exerted, power = torques(run, column), 0.0
+    rows = [('', 'largest', 'at', 'rms', 'largest power [W]', 'at')]
+    for what, torque in exerted.items():
+        rate = column[f'velocity.{what}'] if f'velocity.{what}' in column else (
+            np.ptp(run.driven[what]) / run.time[-1] * np.sign(
+                run.driven[what][-1] - run.driven[what][0]) * np.ones_like(torque))
+        power = power + torque * rate
+        largest = design.extreme(torque, values, lambda one: np.argmax(np.abs(one)))
+        fastest = design.extreme(torque * rate, values, lambda one: np.argmax(np.abs(one)))
+        rows.append((what, f'{largest.value:.6g}', at(largest.drive),
+                     f'{_rms(torque, run.time):.6g}', f'{fastest.value:.6g}', at(fastest.drive)))
+    yield 'Drive', rows, ['<p class="note">Torques in N m, forces in N.</p>']
+    if exerted:
+        yield 'Energy', [
+            ('', '[J]'), ('work of the drives', f'{trapezoid(power, run.time):.6g}'),
+            ('work that they put in', f'{trapezoid(np.maximum(power, 0.0), run.time):.6g}'),
+            ('work that they take back',
+             f'{trapezoid(np.maximum(-power, 0.0), run.time):.6g}')], []
+    yield 'Forces in the joints', [('', 'largest [N]', 'at'), *(
+        (what, f'{one.value:.6g}', at(one.drive)) for what, one in (
+            (what, design.extreme(force, values)) for what, force in forces(column).items()))], []
+    force, moment = design.shaking(run)
+    size = np.linalg.norm(force, axis=1)
+    rows = [('', 'largest', 'at', 'rms')]
+    for what, each in (('force [N]', size), ('moment about the origin [N m]', moment)):
+        if each is not None:
+            one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
+            rows.append((what, f'{one.value:.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
+    yield 'Shaking force and moment', rows, [
+        '<p class="note">What the inertia of the bodies exerts on the ground; weights and other '
+        'forces are not part of it.</p>']
+
+
+def _tolerances(arguments, scene, run):
+    title = 'Sensitivity and tolerances'
+    keys = design.length_keys(scene)
+    try:
+        if any(name not in scene.mechanism.coordinates.names for name in run.driven):
+            raise ValueError('points are driven')
+        found = design.sensitivity(scene, run, keys)
+    except ValueError as error:
+        return title, [('', '')], [f'<p class="note">Not computed: {escape(str(error))}.</p>']
+    most = np.abs(found.derivatives).max(axis=0)
+    shown = [k for k in range(len(keys)) if most[:, k].max() > 0.0]
+    rows = [('', *(keys[k].removeprefix('parameters.').removeprefix('mechanism.') for k in shown),
+             '1 sigma', 'worst case')]
+    for what, row, sigma, worst in zip(
+            found.outputs, most, found.sigma(arguments.tolerance),
+            found.worst(arguments.tolerance)):
+        rows.append((what, *(f'{row[k]:.3g}' for k in shown), f'{sigma:.3g}', f'{worst:.3g}'))
+    return title, rows, [
+        '<p class="note">Largest change over the drive with each length [rad/m, m/m], and the '
+        f'largest error [rad, m] where every length is off by {arguments.tolerance:g} m: all at '
+        'their worst, and one standard deviation where that is three of each.</p>']
+
+
+def _rms(values, times):
+    return math.sqrt(trapezoid(values ** 2, times) / (times[-1] - times[0]))
+
+
+def _drive_shown(run):
+    """Return what writes a value of the drive, in degrees where it turns."""
+    _, label = drive_axis(run)
+    if label.endswith('[deg]'):
+        return lambda value: f'{math.degrees(value):.6g} deg'
+    return lambda value: f'{value:.6g} m'
+
+
+def _pictures(run, table):
+    # Only here, as it takes long to load.
+    from ..visual import pictures
+    values, label = drive_axis(run)
+    title = run.scene.name
+    shown = {quantity: {name: (values, each) for name, each in lines.items()}
+             for quantity, lines in curves(run, table).items()}
+    return [_image(pictures.positions(from_rows(run.mechanism, *table), title), 'positions'),
+            _image(pictures.over_drive(shown, label, f'{title}: over the drive'), 'curves')]
+
+
+def _image(figure, name):
+    file = BytesIO()
+    figure.savefig(file, format='png')
+    return (f'<img alt="{name}" src="data:image/png;base64,'
+            f'{b64encode(file.getvalue()).decode("ascii")}">')
+
+
+def _page(arguments, scene, sections):
+    """Return the page, which needs no other file."""
+    changes = ', '.join(f'{key} = {value:g}' for key, value in mapping(
+        arguments.set, '--set').items())
+    title = escape(f'{scene.name}{f" with {changes}" if changes else ""}')
+    parts = [f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}'
+             f'</title><style>{STYLE}</style></head><body>\n<h1>{title}</h1>',
+             f'<p>{escape(scene.mechanism.description or "")}</p>']
+    for name, (header, *rows), more in sections:
+        parts.append(f'<h2>{escape(name)}</h2>')
+        if rows:
+            cells = ['<tr>' + ''.join(f'<th>{escape(cell)}</th>' for cell in header) + '</tr>'
+                     if any(header) else '']
+            cells += ['<tr>' + ''.join(f'<td class="number">{escape(cell)}</td>' for cell in row)
+                      + '</tr>' for row in rows]
+            parts.append(f'<table>{"".join(cells)}</table>')
+        parts += more
+    return '\n'.join([*parts, '</body></html>\n'])
+
+
+COMMAND = Command(
+    name='report',
+    summary='what a designer asks of a mechanism, on one page',
+    description="""\
+Drive a mechanism over a cycle and write one HTML page that needs no other file (print
+it for a PDF): pictures, degrees of freedom, Grashof class and where a four-bar linkage
+folds, strokes, dwells and time ratios, transmission angle, drive torque and power, work
+per cycle, the largest force in every joint with its place, shaking force and moment,
+sensitivity to every length, and tolerances.
+""",
+    epilog="""\
+examples:
+  closedloop report four_bar --output four_bar.html
+  closedloop report four_bar --speed 20 --set mechanism.bodies.coupler.mass=2 --output heavy.html
+  closedloop report slider_crank --drive crank_joint=0:360deg:721 --output slider.html
+""",
+    add_arguments=_add_arguments,
+    run=_run)

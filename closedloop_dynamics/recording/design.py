@@ -1,0 +1,424 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a designer asks of a driven mechanism: the numbers of ``closedloop report``."""
+
+from dataclasses import replace
+import math
+from typing import Dict, List, NamedTuple, Optional, Tuple
+
+import numpy as np
+
+from .kinematics import by_name, Drive, DrivenRun
+from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
+from ..simulation.assembly import Assembler
+from ..simulation.driven import BranchEndError
+from ..simulation.errors import AssemblyError
+from ..simulation.key_paths import changed, numbers, resolve
+from ..simulation.redundancy import geometry_of
+from ..visual.motion import body_poses, named_point, pose_of, world_points
+
+TURN = 2.0 * math.pi
+# Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.
+POSES, SHORT_OF_LIMIT = 361, 0.01
+# Displacement in a step of the differences that accelerations of masses are found by [rad, m].
+STEP = 1e-2
+# Share of its stroke within which an output dwells; relative change of a length.
+DWELL, CHANGE = 0.01, 1e-5
+# Of the largest, what is rounding.
+NOTHING = 1e-9
+
+
+class Extreme(NamedTuple):
+    """A number, and the value of the drive at which it is taken."""
+
+    value: float
+    drive: float
+
+
+class FourBar(NamedTuple):
+    """
+    A loop of four revolute joints.
+
+    Attributes
+    ----------
+    lengths : tuple of 4 floats
+        Of base, input link, coupler and output link [m].
+    kind : str
+        Crank-rocker, ...
+    grashof : str
+        ``'Grashof'``, ``'non-Grashof'`` or ``'change point'``.
+    limits : tuple of floats
+        Angles between input link and base at which coupler and output link are in line [rad].
+    output : str
+        The joint of the output link on the ground.
+
+    """
+
+    lengths: Tuple[float, float, float, float]
+    kind: str
+    grashof: str
+    limits: Tuple[float, ...]
+    output: str
+
+
+class Output(NamedTuple):
+    """
+    How a joint, or a coordinate of a point, moves over the drive.
+
+    Attributes
+    ----------
+    least, most : Extreme
+        [rad or m].
+    dwell : float
+        Longest part of the drive over which it stays within ``DWELL`` of its stroke [rad or m].
+    time_ratio : float
+        Time of the slower stroke to that of the quicker one, of a whole turn; NaN otherwise.
+
+    """
+
+    least: Extreme
+    most: Extreme
+    dwell: float
+    time_ratio: float
+
+
+def cycle(scene):
+    """
+    Return the drive of a cycle: a whole turn, or from limit to limit.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        Of one degree of freedom, with one actuated joint, which turns.
+
+    Returns
+    -------
+    dict of str to Drive
+
+    Raises
+    ------
+    ValueError
+        For other scenes.
+
+    """
+    names = scene.mechanism.actuated_joints
+    joints = [joint for joint in scene.mechanism.joints if joint.name in names]
+    if len(names) != 1 or len(joints) != 1 or joints[0].type != REVOLUTE:
+        raise ValueError(
+            'expected drives, as the scene does not have one actuated joint, which turns; got '
+            f'{", ".join(names) or "none that is actuated"}')
+    name, ends = names[0], []
+    assembler = Assembler(scene.mechanism, geometry_of(scene.mechanism).equations)
+    position = assembler.positions(scene.initial.position, scene.initial.hold)
+    coordinates = scene.mechanism.coordinates
+    start = float(position[coordinates.place[coordinates.index[name]]])
+    for sign in (1.0, -1.0):
+        run = DrivenRun(scene, {name: Drive(start, start + sign * TURN)}, 3, 1.0)
+        if run.end is None:
+            return {name: Drive(0.0, TURN)}
+        ends.append(float(run.end.values[0]))
+    high, low = ends
+    short = SHORT_OF_LIMIT * (high - low)
+    return {name: Drive(low + short, high - short)}
+
+
+def degrees_of_freedom(scene, position):
+    """Return the degrees of freedom of a scene's mechanism near a position."""
+    mechanism = scene.mechanism
+    return Assembler(mechanism, geometry_of(mechanism).equations).degrees_of_freedom(position)
+
+
+def four_bar(mechanism, drive) -> Optional[FourBar]:
+    """
+    Return what a planar mechanism of four revolute joints in one loop is.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Any.
+    drive : str
+        The driven joint, on the ground.
+
+    Returns
+    -------
+    FourBar or None
+        None for other mechanisms.
+
+    """
+    if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1 or any(
+            one.type != REVOLUTE for one in (*mechanism.joints, *mechanism.cut_joints)):
+        return None
+    # Pins on each body; every body of the loop has two.
+    pins: Dict[str, List[Tuple[str, np.ndarray]]] = {}
+    for joint in mechanism.joints:
+        pins.setdefault(joint.parent, []).append((joint.name, np.array(joint.position)))
+        pins.setdefault(joint.child, []).append((joint.name, np.zeros(2)))
+    for cut in mechanism.cut_joints:
+        pins.setdefault(cut.body_a, []).append((cut.name, np.array(cut.point_a)))
+        pins.setdefault(cut.body_b, []).append((cut.name, np.array(cut.point_b)))
+    grounded = [name for name, _ in pins.get(GROUND, [])]
+    if any(len(each) != 2 for each in pins.values()) or drive not in grounded:
+        return None
+    chain, body, pin = [], GROUND, next(name for name in grounded if name != drive)
+    for _ in range(4):
+        chain.append(body)
+        pin = next(name for name, _ in pins[body] if name != pin)
+        body = next(other for other, each in pins.items()
+                    if other != body and pin in [name for name, _ in each])
+    lengths = tuple(float(np.linalg.norm(pins[one][0][1] - pins[one][1][1])) for one in chain)
+    output = next(name for name in grounded if name != drive)
+    return FourBar(lengths, *_kind(lengths), output)
+
+
+def _kind(lengths):
+    """Return kind, Grashof class and limits of the input of a four-bar linkage."""
+    base, crank, coupler, rocker = lengths
+    short, *middle, long = sorted(lengths)
+    excess = short + long - sum(middle)
+    limits = [(base ** 2 + crank ** 2 - reach ** 2) / (2.0 * base * crank)
+              for reach in (coupler + rocker, coupler - rocker)]
+    limits = tuple(math.acos(limit) for limit in limits if -1.0 < limit < 1.0)
+    if abs(excess) <= NOTHING * long:
+        return 'change-point linkage', 'change point', limits
+    if excess > 0.0:
+        return 'triple rocker', 'non-Grashof', limits
+    kinds = {base: 'double crank (drag link)', crank: 'crank-rocker',
+             rocker: 'rocker-crank', coupler: 'double rocker'}
+    return kinds[short], 'Grashof', limits
+
+
+def transmission_angle(mechanism, position, drive):
+    """
+    Return the transmission angle over a motion, shape (n,) [rad], at most pi / 2.
+
+    Between coupler and output link of a four-bar linkage; between the coupler and the normal of
+    the slide where a slider closes the loop instead. None for other mechanisms.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Any.
+    position : ndarray, shape (n, nq)
+        Joint coordinates.
+    drive : str
+        The driven joint.
+
+    """
+    if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1:
+        return None
+    cut, = mechanism.cut_joints
+    poses = body_poses(mechanism, position)
+    joints = {joint.child: joint for joint in mechanism.joints}
+    driven = next((joint for joint in mechanism.joints if joint.name == drive), None)
+    if driven is None or driven.parent != GROUND or cut.type != REVOLUTE:
+        return None
+    ends = {cut.body_a: cut.point_a, cut.body_b: cut.point_b}
+    coupler = next((body for body in ends if body in joints
+                    and joints[body].parent == driven.child), None)
+    output = next((body for body in ends if body in joints and joints[body].parent == GROUND
+                   and body != driven.child), None)
+    if coupler is None or output is None or joints[coupler].type != REVOLUTE:
+        return None
+
+    def along(body):
+        angle = poses[:, [one.name for one in mechanism.bodies].index(body), 2]
+        return angle + math.atan2(*reversed(ends[body]))
+
+    if joints[output].type == PRISMATIC:
+        # A slider's frame has the x axis along the slide.
+        slide = poses[:, [one.name for one in mechanism.bodies].index(output), 2]
+        apart = along(coupler) - slide - 0.5 * math.pi
+    else:
+        apart = along(coupler) - along(output)
+    return np.arccos(np.clip(np.abs(np.cos(apart)), 0.0, 1.0))
+
+
+def drive_values(run):
+    """Return the name and the values of the first drive that moves."""
+    return next((name, values) for name, values in run.driven.items()
+                if len(values) < 2 or np.ptp(values) > 0.0)
+
+
+def extreme(values, drive, pick=np.argmax):
+    """Return the largest of some values, by default, with its place."""
+    place = int(pick(values))
+    return Extreme(float(values[place]), float(drive[place]))
+
+
+def outputs(run, table) -> Dict[str, Output]:
+    """Return how all joints but the drives, and all points, move."""
+    column = by_name(table)
+    _, drive = drive_values(run)
+    names = [name for name in column if name.startswith(('position.', 'point.'))
+             and name.partition('.')[2] not in run.driven]
+    found = {}
+    for name in names:
+        values = column[name]
+        found[name.removeprefix('position.')] = Output(
+            extreme(values, drive, np.argmin), extreme(values, drive), _dwell(values, drive),
+            _time_ratio(values, drive))
+    return found
+
+
+def _dwell(values, drive):
+    """Return the longest part of the drive over which values stay within some of their stroke."""
+    room, longest, first = DWELL * np.ptp(values), 0.0, 0
+    for last in range(len(values)):
+        while np.ptp(values[first:last + 1]) > room:
+            first += 1
+        longest = max(longest, abs(drive[last] - drive[first]))
+    return float(longest)
+
+
+def _time_ratio(values, drive):
+    """Return the ratio of the times of both strokes of a whole turn."""
+    size = np.ptp(values)
+    if abs(abs(drive[-1] - drive[0]) - TURN) > 1e-6 or abs(values[-1] - values[0]) > 1e-6 * size:
+        return math.nan
+    share = abs(_vertex(values, drive, np.argmax) - _vertex(values, drive, np.argmin)) / TURN
+    slow = max(share, 1.0 - share)
+    return slow / (1.0 - slow) if slow < 1.0 else math.nan
+
+
+def _vertex(values, drive, pick):
+    """Return the drive at an extreme of a periodic function, by a parabola through its values."""
+    inner = values[:-1]
+    k, count = int(pick(inner)), len(inner)
+    before, here, after = inner[k - 1], inner[k], inner[(k + 1) % count]
+    bend = before - 2.0 * here + after
+    return drive[k] + (0.5 * (before - after) / bend if bend else 0.0) * (drive[1] - drive[0])
+
+
+def shaking(run):
+    """
+    Return what the inertia of the bodies exerts on the ground.
+
+    Returns
+    -------
+    force : ndarray, shape (n, 2), in space (n, 3)
+        [N].
+    moment : ndarray, shape (n,), or None
+        About the origin of the world, in the plane [N m].
+
+    """
+    mechanism, coordinates = run.mechanism, run.mechanism.coordinates
+    fastest = np.abs(run.velocity).max()
+    step = STEP / max(fastest, np.sqrt(np.abs(run.acceleration).max()), 1e-12)
+    mass = np.array([body.mass for body in mechanism.bodies])
+    inertia = [body.inertia for body in mechanism.bodies]
+    places, angles = [], []
+    for n in range(-2, 3):
+        ahead = np.array([
+            coordinates.moved(q, n * step * qd + 0.5 * (n * step) ** 2 * qdd)
+            for q, qd, qdd in zip(run.position, run.velocity, run.acceleration)])
+        poses = body_poses(mechanism, ahead)
+        places.append(np.stack([world_points(
+            pose_of(mechanism, poses, body.name), body.center_of_mass)
+            for body in mechanism.bodies], axis=1))
+        angles.append(poses[..., 2])
+    weights = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12.0 * step * step)
+    acceleration = np.tensordot(weights, np.array(places), 1)
+    force = -np.einsum('b,nbk->nk', mass, acceleration)
+    if not mechanism.planar:
+        return force, None
+    (x, y), (ax, ay) = (np.moveaxis(each, -1, 0) for each in (places[2], acceleration))
+    spin = np.tensordot(weights, np.array(angles), 1)
+    return force, -((x * ay - y * ax) @ mass) - spin @ np.array(inertia)
+
+
+class Sensitivity(NamedTuple):
+    """
+    How outputs change with lengths.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Lengths, as key paths of the scene.
+    outputs : tuple of str
+        Joints, and coordinates of points.
+    derivatives : ndarray, shape (n, number of outputs, number of keys)
+        At each pose [rad/m or 1].
+
+    """
+
+    keys: Tuple[str, ...]
+    outputs: Tuple[str, ...]
+    derivatives: np.ndarray
+
+    def worst(self, tolerance):
+        """Return the largest error of each output where every length is off by as much."""
+        return (np.abs(self.derivatives).sum(axis=2) * tolerance).max(axis=0)
+
+    def sigma(self, tolerance):
+        """Return the largest standard deviation where those of the lengths are a third of it."""
+        return (np.linalg.norm(self.derivatives, axis=2) * tolerance / 3.0).max(axis=0)
+
+
+def length_keys(scene):
+    """Return the key paths of a scene's lengths: its parameters, or places of joints."""
+    mechanism = scene.mechanism
+    if scene.parameters:
+        return tuple(f'parameters.{name}' for name in scene.parameters)
+    places = [(f'joints.{joint.name}.position', joint.position) for joint in mechanism.joints]
+    places += [(f'cut_joints.{cut.name}.{key}', getattr(cut, key))
+               for cut in mechanism.cut_joints for key in ('point_a', 'point_b')]
+    return tuple(f'mechanism.{key}.{axis}' for key, place in places
+                 for axis, value in enumerate(place) if abs(value) > 0.0)
+
+
+def sensitivity(scene, run, keys) -> Sensitivity:
+    """
+    Return the derivatives of joints and points by lengths, by differences of driven motions.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        Of the run.
+    run : DrivenRun
+        Of joints.
+    keys : sequence of str
+        Key paths of numbers.
+
+    Raises
+    ------
+    ValueError
+        For keys of no number, and where a changed mechanism does not go the same way.
+
+    """
+    drives = {name: Drive(float(values[0]), float(values[-1]))
+              for name, values in run.driven.items()}
+    _, values = drive_values(run)
+    begun = replace(scene, initial=replace(
+        scene.initial, position=tuple(run.position[0].tolist()), hold=()))
+    names, found, known = None, [], numbers(scene)
+    for key in keys:
+        path = resolve(scene, key)
+        value = known['.'.join(path)]
+        step, ends = CHANGE * max(abs(value), 1e-3), []
+        for sign in (1.0, -1.0):
+            other = changed(begun, {path: value + sign * step})
+            try:
+                moved = DrivenRun(other, drives, len(values), 1.0)
+            except (BranchEndError, AssemblyError) as error:
+                raise ValueError(f'{key}: {error}') from None
+            if moved.end is not None:
+                raise ValueError(f'{key}: {moved.end.reason}')
+            names, values_there = _output_numbers(other.mechanism, moved, drives)
+            ends.append(values_there)
+        found.append((ends[0] - ends[1]) / (2.0 * step))
+    return Sensitivity(tuple(keys), tuple(names or ()), np.stack(found, axis=2))
+
+
+def _output_numbers(mechanism, run, drives):
+    """Return names and values of joints and points, shape (n, number of outputs)."""
+    coordinates = mechanism.coordinates
+    names = [name for name in coordinates.names if name not in drives]
+    columns = [run.position[:, coordinates.place[coordinates.index[name]]] for name in names]
+    poses = body_poses(mechanism, run.position)
+    for point in mechanism.points:
+        places = named_point(mechanism, poses, point.name)
+        for axis, column in zip('xyz', places.T):
+            names.append(f'point.{point.name}.{axis}')
+            columns.append(column)
+    return names, np.stack(columns, axis=1)
