@@ -3,6 +3,7 @@
 
 """Commands that answer a designer: driven motions, reports, comparisons."""
 
+import csv
 import json
 import math
 
@@ -275,3 +276,89 @@ def test_report_refuses_what_it_cannot_drive(capsys, tmp_path):
     assert code == 2 and 'expected a file' in errors
     code, _, errors = call(capsys, 'report', 'four_bar', '--tolerance', 0, '--output', page)
     assert code == 2 and 'expected a finite number > 0' in errors
+
+
+def test_compared_machines_differ_as_their_lengths_do(capsys, tmp_path):
+    four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
+    out = tmp_path / 'out'
+    code, text, errors = call(
+        capsys, 'compare', tmp_path / 'scene.yaml', '--set', 'parameters.crank=1.5', '--set',
+        'parameters.crank=2,parameters.rocker=8', '--drive', 'crank_joint=0:360deg:181',
+        '--output', out)
+    assert code == 0, errors
+    assert '1: scene, parameters.crank = 1.5\n' in text and 'rocker = 8\n' in text
+    with open(out / 'differences.csv', newline='') as file:
+        header, *rows = csv.reader(file)
+    assert header == ['', 'scene, parameters.crank = 1.5',
+                      'scene, parameters.crank = 2, parameters.rocker = 8',
+                      'scene, parameters.crank = 2, parameters.rocker = 8 against scene, '
+                      'parameters.crank = 1.5']
+    table = {row[0]: list(map(float, row[1:])) for row in rows}
+    expected = [
+        math.degrees(math.acos((49.0 + rocker ** 2 - (6.0 - crank) ** 2) / (14.0 * rocker)))
+        for crank, rocker in ((1.5, 9.0), (2.0, 8.0))]
+    least = table['least transmission angle [deg]']
+    np.testing.assert_allclose(least[:2], expected, rtol=1e-9)
+    np.testing.assert_allclose(least[2], (expected[1] - expected[0]) / expected[0])
+    for number, (crank, rocker) in enumerate(((1.5, 9.0), (2.0, 8.0)), 1):
+        # Each file of rows is that of its own machine.
+        scene = json.loads((out / f'{number}.csv.scene.json').read_text())
+        joints = scene['mechanism']['joints']
+        assert joints['coupler_joint']['position'][0] == crank
+        rows = read(out / f'{number}.csv')
+        psi = np.array([closed(crank, 7.0, rocker, 6.0, angle)[1]
+                        for angle in np.linspace(0.0, 2.0 * math.pi, 181)])
+        apart = np.angle(np.exp(1j * (np.array(rows['position.rocker_joint']) - psi)))
+        np.testing.assert_allclose(apart, 0.0, atol=1e-9)
+        code, _, errors = call(
+            capsys, 'plot', out / f'{number}.csv', '--output', out / f'{number}')
+        assert code == 0, errors
+    assert all((out / name).read_bytes()[:4] == b'\x89PNG' for name in ('paths.png', 'curves.png'))
+
+
+def test_one_set_is_compared_with_the_scene_as_it_is(capsys):
+    code, text, _ = call(
+        capsys, 'compare', 'four_bar', '--set', 'effects.gravity.acceleration.1=0', '--drive',
+        'crank_joint=60:120deg:7')
+    assert code == 0
+    assert '1: four_bar\n2: four_bar, effects.gravity.acceleration.1 = 0\n' in text
+    assert 'stroke rocker_joint [rad]' in text and '+0 %' in text
+
+
+def test_compare_tells_which_machine_does_not_get_there(capsys, tmp_path):
+    four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
+    code, text, errors = call(
+        capsys, 'compare', tmp_path / 'scene.yaml', '--set', 'parameters.crank=5', '--drive',
+        'crank_joint=1:2:11')
+    assert code == 0, errors
+    code, text, errors = call(
+        capsys, 'compare', tmp_path / 'scene.yaml', '--set', 'parameters.crank=5', '--drive',
+        'crank_joint=1:-1:41')
+    # Coupler and rocker fold: 9 - 7 is longer than the way to the pin.
+    limit = math.acos((25.0 + 36.0 - 4.0) / 60.0)
+    assert code == 1 and f'crank_joint = {limit:.6f}'[:20] in errors
+    assert 'compare: scene, parameters.crank = 5: pose ' in errors
+
+
+@pytest.mark.parametrize('arguments, message', [
+    (['four_bar'], 'expected two scenes or more, or one with --set, got one'),
+    (['four_bar', 'four_bar'], 'expected different machines, got four_bar twice'),
+    (['four_bar', 'slider_crank', '--set', 'method.step_size=1'], 'with one scene, got 2'),
+    (['four_bar', '--set', 'x'], "expected KEY=NUMBER[,KEY=NUMBER], got 'x'"),
+    (['four_bar', '--set', 'mechanism.nothing=1'], '--set: mechanism.nothing: expected one of'),
+    (['four_bar', 'three_rrr'], 'three_rrr: --drive: expected drives')])
+def test_compare_refuses_what_makes_no_sense(capsys, arguments, message):
+    code, _, errors = call(capsys, 'compare', *arguments)
+    assert code == 2 and message in errors, errors
+
+
+def test_view_shows_a_machine_of_other_numbers(capsys, tmp_path):
+    code, _, errors = call(
+        capsys, 'view', 'four_bar', '--set', 'mechanism.joints.rocker_joint.position.0=0.4321',
+        '--duration', 0.05, '--save', tmp_path / 'page.html')
+    assert code == 0, errors
+    assert '0.4321' in (tmp_path / 'page.html').read_text()
+    rows = tmp_path / 'run.csv'
+    rows.write_text('')
+    code, _, errors = call(capsys, 'view', rows, '--set', 'method.step_size=1')
+    assert code == 2 and '--set: expected a scene' in errors

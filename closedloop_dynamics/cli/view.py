@@ -14,8 +14,8 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, assignment, checked_torques, Command, mapping, port, positive,
-    reading, recording_of, require_free, UsageError)
+    add_reading, add_recording, add_set, assignment, checked_torques, Command, mapping, port,
+    positive, reading, recording_of, require_free, UsageError, with_numbers)
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
@@ -63,9 +63,13 @@ def _add_arguments(parser):
                         help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
     parser.add_argument('--no-open', action='store_true', help='do not open a browser')
     add_reading(parser)
+    add_set(parser)
 
 
 def _run(arguments):
+    if arguments.set and (arguments.what is None or _is_recording(arguments.what)):
+        raise UsageError('--set: expected a scene, as a recording has the numbers it was made '
+                         'with')
     if arguments.node:
         return _attach(arguments)
     if arguments.what is None:
@@ -101,7 +105,7 @@ def _live(arguments):
     """Run a simulation until Ctrl-C."""
     # The server's library takes a while, which no other command should.
     from ..view.runner import Runner
-    scene = load_scene(arguments.what, **reading(arguments))
+    scene = with_numbers(load_scene(arguments.what, **reading(arguments)), arguments)
     with announced(LOADING):
         try:
             runner = Runner(scene)
@@ -183,7 +187,7 @@ def _save(arguments):
 
 def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
-    scene = load_scene(arguments.what, **reading(arguments))
+    scene = with_numbers(load_scene(arguments.what, **reading(arguments)), arguments)
     with announced(LOADING):
         simulation = checked_torques(arguments.what, scene, torque)
     with progress_to(arguments.duration, 's', scene.name) as show:
@@ -208,6 +212,7 @@ this computer and needs no network. Closing it changes nothing; Ctrl-C ends the 
     epilog="""\
 examples:
   closedloop view three_rrr
+  closedloop view four_bar --set mechanism.bodies.crank.mass=2
   closedloop view my_bag
   closedloop view --node /closedloop_simulator
   closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html

@@ -327,6 +327,52 @@ def shaking(run):
     return force, -((x * ay - y * ax) @ mass) - spin @ np.array(inertia)
 
 
+def key_numbers(run, table, torques, forces) -> Dict[str, float]:
+    """
+    Return the numbers by which machines are compared, by name with their units.
+
+    Parameters
+    ----------
+    run : DrivenRun
+        Of the machine.
+    table : tuple
+        Of ``run.table``.
+    torques, forces : dict of str to ndarray, shape (n,)
+        Of the drives, and in the joints.
+
+    """
+    name, _ = drive_values(run)
+    found = {}
+    for what, one in outputs(run, table).items():
+        unit = 'm' if what.startswith('point.') or _is_length(run, what) else 'rad'
+        found[f'stroke {what} [{unit}]'] = one.most.value - one.least.value
+    angle = transmission_angle(run.mechanism, run.position, name)
+    if angle is not None:
+        found['least transmission angle [deg]'] = math.degrees(angle.min())
+    for what, torque in torques.items():
+        unit = 'N' if what not in _names(run) or _is_length(run, what) else 'N m'
+        found[f'largest torque or force {what} [{unit}]'] = float(np.abs(torque).max())
+        found[f'rms {what} [{unit}]'] = float(np.sqrt(np.mean(torque ** 2)))
+    for what, force in forces.items():
+        found[f'largest force {what} [N]'] = float(force.max())
+    force, moment = shaking(run)
+    found['largest shaking force [N]'] = float(np.linalg.norm(force, axis=1).max())
+    if moment is not None:
+        found['largest shaking moment [N m]'] = float(np.abs(moment).max())
+    return found
+
+
+def _names(run):
+    return (*run.mechanism.coordinates.names, *run.mechanism.cut_coordinates.names)
+
+
+def _is_length(run, name):
+    """Return whether the coordinate of a joint or cut joint is a length."""
+    return any(bool(coordinates.lengths[coordinates.names.index(name)])
+               for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates)
+               if name in coordinates.names)
+
+
 class Sensitivity(NamedTuple):
     """
     How outputs change with lengths.

@@ -206,7 +206,7 @@ def deviations(result, title):
     return figure
 
 
-def over_drive(curves, label, title):
+def over_drive(curves, label, title, common=()):
     """
     Draw curves over what is driven, a panel a quantity.
 
@@ -216,15 +216,53 @@ def over_drive(curves, label, title):
         By the quantity with its unit and by name: driven values and what belongs to them.
     label : str
         What is driven, with its unit.
+    title : str
+        Of the picture.
+    common : sequence of str
+        Names of all panels, which one legend below them explains then.
 
     """
     figure, rows = _panels(len(curves), title)
     for axes, (quantity, values) in zip(rows[:, 0], curves.items()):
         for k, (name, (x, y)) in enumerate(values.items()):
-            axes.plot(x, y, label=name, **_style(k))
+            axes.plot(x, y, label=name, **_style(common.index(name) if common else k))
         axes.set_ylabel(quantity)
-        _legend_beside(axes)
+        if not common:
+            _legend_beside(axes)
     rows[-1, 0].set_xlabel(label)
+    if common:
+        _legend_below(figure, common)
+    return figure
+
+
+def overlaid_paths(paths, view, title):
+    """
+    Draw the paths of points of several machines in one picture.
+
+    Parameters
+    ----------
+    paths : dict of str to dict of str to ndarray, shape (n, 2), in space (n, 3)
+        By machine and by point [m].
+    view : views.View
+        In which they are seen.
+    title : str
+        Of the picture.
+
+    """
+    figure = matplotlib.figure.Figure(
+        figsize=(9.0, 7.0), layout='constrained', dpi=DOTS_PER_INCH)
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    axes = figure.subplots()
+    for k, (machine, points) in enumerate(paths.items()):
+        for n, places in enumerate(points.values()):
+            seen = view.project(places)
+            axes.plot(*seen.T, **_style(k))
+            axes.plot(*seen[0], marker='o', markersize=4, color=_style(k)['color'])
+    axes.set_aspect('equal', adjustable='datalim')
+    axes.set_xlabel(view.labels[0])
+    axes.set_ylabel(view.labels[1])
+    _plain(axes)
+    _legend_below(figure, list(paths))
     return figure
 
 
@@ -281,6 +319,11 @@ def _plain(axes):
 
 def _legend_beside(axes):
     axes.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+
+
+def _legend_below(figure, names):
+    handles = [Line2D([], [], label=name, **_style(k)) for k, name in enumerate(names)]
+    figure.legend(handles=handles, loc='outside lower left', frameon=False, fontsize=9)
 
 
 def _style(index):

@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop compare``: machines driven over the same motion, side by side."""
+
+from argparse import ArgumentTypeError, Namespace
+import math
+import sys
+
+from .command import (
+    add_directory, add_reading, assignment, Command, FAILED, free_paths, reading, UsageError,
+    with_numbers)
+from .kinematics import add_drive, drive_axis, driven_run, forces, torques
+from ..recording import design
+from ..recording.kinematics import by_name
+from ..recording.rows import write_scene
+from ..simulation.scene import load_scene
+from ..visual.progress import announced, progress_to
+from ..visual.tables import text_table, write_csv
+
+PATHS, CURVES, TABLE = 'paths.png', 'curves.png', 'differences.csv'
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE', nargs='+',
+                        help='shipped scenes by their names, or YAML files; two or more, or one '
+                             'with --set')
+    add_reading(parser)
+    add_drive(parser, ' (default: one turn of the one actuated joint, or from limit to limit)')
+    parser.add_argument('--set', type=_assignments, action='append', default=[],
+                        metavar='KEY=VALUE[,KEY=VALUE]',
+                        help='another machine: the one scene with other numbers, by their key '
+                             'paths; may be repeated. Given once, it is compared with the scene '
+                             'as it is')
+    add_directory(parser, f'{PATHS}, {CURVES}, {TABLE}, and the rows of each machine, 1.csv, ...')
+
+
+def _assignments(text):
+    """Convert ``KEY=VALUE,KEY=VALUE`` to a list of pairs."""
+    try:
+        return [assignment(part) for part in text.split(',')]
+    except ArgumentTypeError:
+        raise ArgumentTypeError(f'expected KEY=NUMBER[,KEY=NUMBER], got {text!r}') from None
+
+
+def _run(arguments):
+    machines = _machines(arguments)
+    rows = [f'{number}.csv' for number in range(1, len(machines) + 1)]
+    files = free_paths(arguments, PATHS, CURVES, TABLE, *rows)
+    runs = {}
+    for label, scene in machines.items():
+        with announced(f'Following the branch of {label} ...'):
+            try:
+                run = driven_run(arguments, scene)
+            except UsageError as error:
+                raise UsageError(f'{label}: {error}') from None
+            if len(run.time) < 2:
+                raise UsageError(f'{label}: {run.end.reason}')
+        with progress_to(len(run.time) - 1, 'poses', label) as show:
+            runs[label] = run, run.table(show)
+    numbers = {label: design.key_numbers(run, table, torques(run, by_name(table)),
+                                         forces(by_name(table)))
+               for label, (run, table) in runs.items()}
+    header, lines = _differences(numbers)
+    print('\n'.join(f'{number}: {label}' for number, label in enumerate(numbers, 1)))
+    short = ['', *map(str, range(1, len(numbers) + 1)), *(
+        f'{number} against 1' for number in range(2, len(numbers) + 1))]
+    print(text_table(short, [[name, *map(_short, values[:len(numbers)]),
+                              *map(_percent, values[len(numbers):])] for name, *values in lines]))
+    if files:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        paths, curves, table, *tables = files
+        write_csv(table, header, lines)
+        for path, (run, one) in zip(tables, runs.values()):
+            write_scene(path, run.scene)
+            write_csv(path, *one)
+        with announced('Drawing ...'):
+            _draw(runs, paths, curves)
+        print('\n'.join(map(str, files)))
+    ended = [f'{label}: pose {len(run.time)}: {run.end.reason}'
+             for label, (run, _) in runs.items() if run.end is not None]
+    for text in ended:
+        print(f'{arguments.prog}: {text}', file=sys.stderr)
+    return FAILED if ended else 0
+
+
+def _machines(arguments):
+    """Return the scenes to compare, by what they are called."""
+    names, sets = arguments.scene, arguments.set
+    if len(names) > 1 and sets:
+        raise UsageError(f'--set: expected it with one scene, got {len(names)}')
+    if len(names) == 1 and not sets:
+        raise UsageError('expected two scenes or more, or one with --set, got one')
+    found = {}
+    scenes = [(name, []) for name in names] if not sets else [
+        (names[0], pairs) for pairs in ([[], *sets] if len(sets) == 1 else sets)]
+    for name, pairs in scenes:
+        scene = with_numbers(load_scene(name, **reading(arguments)), Namespace(set=pairs))
+        label = ', '.join([scene.name, *(f'{key} = {value:g}' for key, value in pairs)])
+        if label in found and not sets:
+            # Files of the same name.
+            label = name
+        if label in found:
+            raise UsageError(f'expected different machines, got {label} twice')
+        found[label] = scene
+    return found
+
+
+def _differences(numbers):
+    """Return header and rows of a table: each number of each machine, and its relative change."""
+    first, *others = numbers
+    rows = []
+    for name in dict.fromkeys(name for each in numbers.values() for name in each):
+        values = [each.get(name, math.nan) for each in numbers.values()]
+        rows.append([name, *values, *(
+            (value - values[0]) / abs(values[0]) if values[0] else math.nan
+            for value in values[1:])])
+    return ['', *numbers, *(f'{label} against {first}' for label in others)], rows
+
+
+def _short(value):
+    return '-' if math.isnan(value) else f'{value:.6g}'
+
+
+def _percent(value):
+    return '-' if math.isnan(value) else f'{100.0 * value:+.3g} %'
+
+
+def _draw(runs, paths, curves):
+    # Only here, as it takes long to load.
+    from ..visual import pictures
+    from ..visual.motion import body_poses, named_point
+    from ..visual.views import FRONT, PLANE
+    title, shown, traced = 'drive torques and joint forces', {}, {}
+    labels, planar = set(), True
+    for label, (run, table) in runs.items():
+        column, (x, axis) = by_name(table), drive_axis(run)
+        labels.add(axis)
+        for name, torque in torques(run, column).items():
+            shown.setdefault(f'drive {name}\n[N m or N]', {})[label] = x, torque
+        for name, force in forces(column).items():
+            shown.setdefault(f'force {name}\n[N]', {})[label] = x, force
+        mechanism = run.mechanism
+        planar = planar and mechanism.planar
+        poses = body_poses(mechanism, run.position)
+        traced[label] = {point.name: named_point(mechanism, poses, point.name)
+                         for point in mechanism.points}
+    if not planar:
+        # A plane among others in space: its points lie at z = 0.
+        traced = {label: {name: _in_space(places) for name, places in points.items()}
+                  for label, points in traced.items()}
+    pictures.overlaid_paths(traced, PLANE if planar else FRONT, 'paths of named points').savefig(
+        paths)
+    pictures.over_drive(
+        shown, labels.pop() if len(labels) == 1 else 'drive [deg or m]', title,
+        list(runs)).savefig(curves)
+
+
+def _in_space(places):
+    return places if places.shape[-1] == 3 else [[*place, 0.0] for place in places.tolist()]
+
+
+COMMAND = Command(
+    name='compare',
+    summary='machines driven over the same motion: paths, torques and forces in one picture',
+    description="""\
+Drive several scenes, or one scene with several sets of numbers, over the same motion, and
+compare: the paths of their named points, drive torques and joint forces in one picture each,
+and a table of strokes, transmission angles, largest torques and forces, with the changes
+against the first machine. Every machine's rows are written with its scene beside them.
+""",
+    epilog="""\
+examples:
+  closedloop compare four_bar --set mechanism.bodies.coupler.mass=2 --output heavier
+  closedloop compare my_scene.yaml --set parameters.b=0.36 --set parameters.b=0.38 --output two
+  closedloop compare three_rrr_vertical three_rrr_horizontal --drive theta_1=2:2.1:11 \\
+      --drive theta_6=3.4 --drive theta_7=4.7
+""",
+    add_arguments=_add_arguments,
+    run=_run)
