@@ -110,8 +110,8 @@ def test_kinematics_lists_assemblies_and_starts_on_one(capsys, tmp_path):
 
 
 @pytest.mark.parametrize('options, message', [
-    (['--drive', 'crank_joint=0:1'], 'NAME=FROM:TO:COUNT with COUNT from 2 on, or NAME=VALUE'),
-    (['--drive', 'crank_joint=0:1:1'], 'COUNT from 2 on'),
+    (['--drive', 'crank_joint=0:1'], 'NAME=FROM:TO:COUNT with COUNT from 2 to 1000000, or NAME=VALUE'),
+    (['--drive', 'crank_joint=0:1:1'], 'COUNT from 2 to 1000000'),
     (['--drive', 'crank_joint=0:nan:9'], "got 'crank_joint=0:nan:9'"),
     (['--drive', 'crank_joint=0:1turn:9'], "got 'crank_joint=0:1turn:9'"),
     (['--drive', 'crank_joint=1'], 'expected the same COUNT in all that move, got none that does'),
@@ -165,6 +165,26 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
         assert words in page, words
     # Nothing is loaded from elsewhere.
     assert 'http' not in page and 'src="data:' in page and '<script' not in page
+
+
+def test_transmission_angles_do_not_depend_on_where_the_loop_is_cut(tmp_path):
+    scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
+    expected = design.transmission_angle(
+        scene.mechanism, driven_turn(scene, count=73).position, 'crank_joint')
+    text = (tmp_path / 'machine.yaml').read_text()
+    text = text.replace('parent: crank, child: coupler, position: [crank, 0]',
+                        'parent: rocker, child: coupler, position: [rocker, 0]')
+    text = text.replace('body_a: coupler, point_a: [coupler, 0], body_b: rocker,',
+                        'body_a: coupler, point_a: [coupler, 0], body_b: crank,')
+    (tmp_path / 'machine.yaml').write_text(text.replace(
+        'point_b: [rocker, 0]', 'point_b: [crank, 0]'))
+    beta, psi = closed(2.0, 7.0, 9.0, 6.0, 1.0)
+    (tmp_path / 'other.yaml').write_text((tmp_path / 'scene.yaml').read_text().replace(
+        f'coupler_joint: {beta - 1.0!r}', f'coupler_joint: {beta - psi + math.pi!r}'))
+    other = load_scene(tmp_path / 'other.yaml')
+    run = driven_turn(other, count=73)
+    found = design.transmission_angle(run.mechanism, run.position, 'crank_joint')
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_hoekens_point_moves_along_a_line(tmp_path):

@@ -23,6 +23,7 @@ from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
 UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
+MOST_POSES = 1_000_000
 # Units of quantities, of angles and of lengths.
 QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
               'acceleration': ('rad/s^2', 'm/s^2')}
@@ -85,9 +86,10 @@ def _drive(text):
     values = [_value(part) for part in parts[:2]]
     if not (name and equals and None not in values and (
             len(parts) == 1 or len(parts) == 3 and parts[2].isdecimal()
-            and 2 <= int(parts[2]) <= 10**7)):
+            and 2 <= int(parts[2]) <= MOST_POSES)):
         raise ArgumentTypeError(
-            f'expected NAME=FROM:TO:COUNT with COUNT from 2 on, or NAME=VALUE, got {text!r}')
+            f'expected NAME=FROM:TO:COUNT with COUNT from 2 to {MOST_POSES}, or NAME=VALUE, got '
+            f'{text!r}')
     units = [unit for _, unit in values if unit]
     start, *end = (number * UNITS[unit or (units or ['rad'])[0]] for number, unit in values)
     return name, (Drive(start, *(end or [start])), int(parts[2]) if end else None)

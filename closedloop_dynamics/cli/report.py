@@ -55,7 +55,8 @@ def _run(arguments):
     with announced('Following the branch ...'):
         run = driven_run(arguments, scene)
     if len(run.time) < 3:
-        raise UsageError(f'--drive: expected a branch with three poses or more; {run.end.reason}')
+        raise UsageError(f'--drive: expected three poses or more, got {len(run.time)}'
+                         f'{f"; {run.end.reason}" if run.end else ""}')
     with progress_to(len(run.time) - 1, 'poses', scene.name) as show:
         table = run.table(show)
     spent = time.process_time() - begin

@@ -146,6 +146,15 @@ def four_bar(mechanism, drive) -> Optional[FourBar]:
         None for other mechanisms.
 
     """
+    chain = _bars(mechanism, drive)
+    if chain is None:
+        return None
+    lengths = tuple(math.dist(start, end) for _, start, end, _ in chain)
+    return FourBar(lengths, *_kind(lengths), chain[-1][-1])
+
+
+def _bars(mechanism, drive):
+    """Return body, pins and name of the pin it ends with of base, input, coupler and output."""
     if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1 or any(
             one.type != REVOLUTE for one in (*mechanism.joints, *mechanism.cut_joints)):
         return None
@@ -162,13 +171,12 @@ def four_bar(mechanism, drive) -> Optional[FourBar]:
         return None
     chain, body, pin = [], GROUND, next(name for name in grounded if name != drive)
     for _ in range(4):
-        chain.append(body)
-        pin = next(name for name, _ in pins[body] if name != pin)
+        (start,) = (place for name, place in pins[body] if name == pin)
+        pin, end = next((name, place) for name, place in pins[body] if name != pin)
+        chain.append((body, start, end, pin))
         body = next(other for other, each in pins.items()
                     if other != body and pin in [name for name, _ in each])
-    lengths = tuple(float(np.linalg.norm(pins[one][0][1] - pins[one][1][1])) for one in chain)
-    output = next(name for name in grounded if name != drive)
-    return FourBar(lengths, *_kind(lengths), output)
+    return chain
 
 
 def _kind(lengths):
@@ -205,10 +213,17 @@ def transmission_angle(mechanism, position, drive):
         The driven joint.
 
     """
+    poses = body_poses(mechanism, position)
+    bars = _bars(mechanism, drive)
+    if bars is not None:
+        ways = [world_points(pose_of(mechanism, poses, body), end - start)
+                - world_points(pose_of(mechanism, poses, body), np.zeros(2))
+                for body, start, end, _ in bars[2:]]
+        one, other = (np.arctan2(way[:, 1], way[:, 0]) for way in ways)
+        return _acute(one - other)
     if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1:
         return None
     cut, = mechanism.cut_joints
-    poses = body_poses(mechanism, position)
     joints = {joint.child: joint for joint in mechanism.joints}
     driven = next((joint for joint in mechanism.joints if joint.name == drive), None)
     if driven is None or driven.parent != GROUND or cut.type != REVOLUTE:
@@ -218,20 +233,18 @@ def transmission_angle(mechanism, position, drive):
                     and joints[body].parent == driven.child), None)
     output = next((body for body in ends if body in joints and joints[body].parent == GROUND
                    and body != driven.child), None)
-    if coupler is None or output is None or joints[coupler].type != REVOLUTE:
+    if coupler is None or output is None or joints[output].type != PRISMATIC or (
+            joints[coupler].type != REVOLUTE):
         return None
+    names = [body.name for body in mechanism.bodies]
+    # A slider's frame has the x axis along the slide.
+    along = poses[:, names.index(coupler), 2] + math.atan2(*reversed(ends[coupler]))
+    return _acute(along - poses[:, names.index(output), 2] - 0.5 * math.pi)
 
-    def along(body):
-        angle = poses[:, [one.name for one in mechanism.bodies].index(body), 2]
-        return angle + math.atan2(*reversed(ends[body]))
 
-    if joints[output].type == PRISMATIC:
-        # A slider's frame has the x axis along the slide.
-        slide = poses[:, [one.name for one in mechanism.bodies].index(output), 2]
-        apart = along(coupler) - slide - 0.5 * math.pi
-    else:
-        apart = along(coupler) - along(output)
-    return np.arccos(np.clip(np.abs(np.cos(apart)), 0.0, 1.0))
+def _acute(angle):
+    """Return angles between lines, at most pi / 2."""
+    return np.arccos(np.clip(np.abs(np.cos(angle)), 0.0, 1.0))
 
 
 def drive_values(run):

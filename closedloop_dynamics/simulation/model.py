@@ -277,7 +277,8 @@ class Model(Names):
     def _start_of(self, branch: Optional[State]) -> np.ndarray:
         """Return the position that a branch begins with."""
         if branch is None:
-            return self._work.start().q
+            with self._lock:
+                return self._work.start().q
         self._work.require_state(branch)
         if branch.is_batch:
             raise ValueError(f'branch: expected one state, got a batch of {len(branch)}')
