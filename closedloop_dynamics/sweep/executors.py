@@ -118,9 +118,12 @@ class Processes:
     def close(self):
         """End the workers, what they compute being given up."""
         # Not by signals: a worker that is killed while it sends leaves the pool waiting for ever
-        # for the rest of what it sent.
-        self._alive.close()
+        # for the rest of what it sent. A byte for each worker: the end of the pipe means that this
+        # process is gone.
+        if not self._alive.closed:
+            os.write(self._alive.fileno(), bytes(self._workers))
         self._pool.shutdown(cancel_futures=True)
+        self._alive.close()
 
 
 class Growing:
@@ -171,12 +174,12 @@ class _Worker:
 
 def _begin(parent):
     """
-    Leave Ctrl-C to the parent, and end when it is gone or wants it.
+    Leave Ctrl-C to the parent; give up computing when it wants that, and end when it is gone.
 
     Parameters
     ----------
     parent : multiprocessing.connection.Connection
-        Whose other end the parent closes.
+        Where the parent sends a byte to each worker that is to end.
 
     """
 
@@ -185,11 +188,15 @@ def _begin(parent):
             raise KeyboardInterrupt
 
     def watch():
-        parent.poll(None)
+        wanted = os.read(parent.fileno(), 1)
         _Worker.ends = True
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-        time.sleep(END_WITHIN)
-        os._exit(1)
+        while True:
+            # Once more where the exception was swallowed.
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            time.sleep(END_WITHIN)
+            if not wanted:
+                # Nobody waits for what is sent. With a parent, sending may take its time.
+                os._exit(1)
 
     signal.signal(signal.SIGINT, interrupt)
     threading.Thread(target=watch, daemon=True).start()
@@ -323,7 +330,7 @@ def _engine(batches, workers, scheduler, executor):
 # Between two looks whether to go on [s].
 ASK_EVERY = 0.2
 
-# What a worker has to end by itself [s].
+# What a worker has to give up its computation [s].
 END_WITHIN = 2.0
 
 

@@ -4,6 +4,7 @@
 """Workers killed in the middle of a sweep: no sample lost, none doubled, the same numbers."""
 
 import multiprocessing
+from multiprocessing.connection import Connection
 import os
 import signal
 from test.sweep.files import assert_same, read
@@ -58,6 +59,25 @@ def test_workers_end_in_the_middle_of_sending():
         for thread in [closing, *set(threading.enumerate()) - before]:
             thread.join(300)
             assert not thread.is_alive()
+
+
+def test_workers_end_however_long_sending_takes(monkeypatch):
+    receive, begun = Connection._recv, threading.Event()
+
+    def slowly(self, size, *more):
+        if size > 1_000_000:
+            begun.set()
+            time.sleep(1.5 * executors.END_WITHIN)
+        return receive(self, size, *more)
+
+    monkeypatch.setattr(Connection, '_recv', slowly)
+    processes = executors.Processes(1)
+    processes.submit(np.zeros, 4_000_000)
+    assert begun.wait(300)
+    closing = threading.Thread(target=processes.close, daemon=True)
+    closing.start()
+    closing.join(300)
+    assert not closing.is_alive()
 
 
 def test_a_killed_process_loses_no_sample(tmp_path, written):
