@@ -110,7 +110,7 @@ def test_kinematics_lists_assemblies_and_starts_on_one(capsys, tmp_path):
 
 
 @pytest.mark.parametrize('options, message', [
-    (['--drive', 'crank_joint=0:1'], 'NAME=FROM:TO:COUNT with COUNT from 2 to 1000000, or NAME=VALUE'),
+    (['--drive', 'crank_joint=0:1'], 'expected NAME=FROM:TO:COUNT with COUNT from 2 to 1000000'),
     (['--drive', 'crank_joint=0:1:1'], 'COUNT from 2 to 1000000'),
     (['--drive', 'crank_joint=0:nan:9'], "got 'crank_joint=0:nan:9'"),
     (['--drive', 'crank_joint=0:1turn:9'], "got 'crank_joint=0:1turn:9'"),
