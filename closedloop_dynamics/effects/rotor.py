@@ -36,8 +36,8 @@ from .effect import Effect
 from .table import CUT_ROTOR, ForceElement
 from ..core.codegen import space
 from ..core.codegen.spatial import rotation
-from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
-from ..mechanism.checks import direction, name, not_negative, number
+from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
+from ..mechanism.checks import direction, freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import COUPLED, FIXED, GROUND, PRISMATIC, Vector3
 
@@ -53,6 +53,8 @@ class Rotor(Effect):
     Attributes
     ----------
     joint : str
+        Of one freedom; with a ``gear_ratio`` beyond 1e9, whose carrier's turning does not count,
+        any freedom of the tree; of a spherical or free joint, named as a whole, all turns alike.
     inertia : float
         J of the rotor about its own axis, zero or more [kg m^2].
     gear_ratio : float
@@ -65,7 +67,7 @@ class Rotor(Effect):
     """
 
     ENERGY = 'kinetic_energy'
-    CHECKS = {'joint': name, 'inertia': not_negative, 'gear_ratio': number, 'axis': direction}
+    CHECKS = {'joint': freedom, 'inertia': not_negative, 'gear_ratio': number, 'axis': direction}
 
     joint: str
     inertia: float
@@ -79,9 +81,17 @@ class Rotor(Effect):
             raise FieldError('a number that is not zero', '0', path=('gear_ratio',))
 
     def joints(self, mechanism):
-        """Return the names that ``joint`` may be: of joints of one freedom."""
-        return tuple(joint.name for joint in (*mechanism.cut_joints, *mechanism.joints)
-                     if joint.type in COUPLED)
+        """
+        Return the names that ``joint`` may be: of joints of one freedom.
+
+        Where the turning of the carrier does not count, of any freedom with a number in the tree,
+        and of balls: about all three axes.
+
+        """
+        single = tuple(joint.name for joint in (*mechanism.cut_joints, *mechanism.joints)
+                       if joint.type in COUPLED)
+        return single if abs(self.gear_ratio) <= ENDLESS else tuple(
+            dict.fromkeys(single + mechanism.coordinates.numbers_and_turns))
 
     def fit(self, mechanism):
         """Refuse an axis in the plane, and in space a cut joint on a body that turns."""
@@ -101,14 +111,21 @@ class Rotor(Effect):
         """Add the rotor to the model."""
         if self.joint in machine.cuts:
             return
-        row = machine.joint_row(self.joint)
+        coordinates = machine.mechanism.coordinates
+        if self.joint in coordinates.with_orientation:
+            turns = range(coordinates.nv)[coordinates.rates[self.joint]][-3:]
+            rows = 1 + np.flatnonzero(np.isin(model.tree[1:, DOF], turns))
+            model.body[rows, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
+            return
+        # Each freedom has a row of its own.
+        row = 1 + int(np.flatnonzero(model.tree[1:, DOF] == machine.joint(self.joint))[0])
         if machine.mechanism.planar:
             model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
             if model.tree[row, TYPE] == REVOLUTE:
                 model.tree[row, TYPE] = REVOLUTE_ARMATURE
             return
         model.body[row, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
-        if model.tree[row, PARENT] > 0:
+        if model.tree[row, PARENT] > 0 and abs(self.gear_ratio) <= ENDLESS:
             joint = machine.description(self.joint)
             axis = self.axis or np.array(rotation(joint.orientation)) @ joint.axis
             model.body[row, space.ROTOR:space.ROTOR + 3] += self.gear_ratio * self.inertia * (

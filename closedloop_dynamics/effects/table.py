@@ -19,7 +19,8 @@ import numpy as np
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
- CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, TRACED, SPATIAL_TRACED) = range(32)
+ CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED,
+ SPATIAL_TRACED) = range(33)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; of a traced law how many coordinates it measures and the address of its

@@ -76,6 +76,8 @@ void apply_law(
       return apply_fluid_drag(table, row, body, q, qd, tau);
     case effect::SPATIAL_FLUID_DRAG:
       return apply_spatial_fluid_drag(table, row, body, q, qd, tau);
+    case effect::ORIENTATION_SPRING:
+      return apply_orientation_spring(table, row, body, q, qd, tau);
     case effect::TRACED:
       return apply_traced(table, row, body, q, qd, tau);
     case effect::SPATIAL_TRACED:

@@ -6,6 +6,7 @@
 
 #include "forces.hpp"
 #include "laws.hpp"
+#include "manifold.hpp"
 #include "sticking.hpp"
 
 namespace closedloop
@@ -56,6 +57,36 @@ void apply_joint_spring(
   table.applied[joint] -= stiffness * stretch;
   table.output(row, effect::STORED) = 0.5 * stiffness * stretch * stretch;
   table.output(row, 1) = -stiffness * stretch;
+}
+
+void apply_orientation_spring(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  const double * data = table.data.data + table.index(row, effect::DATA);
+  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
+  const double stiffness = table.values(row, 0);
+  Vector3 axes[3], others[3];
+  for (Index k = 0; k < 3; ++k) {
+    axes[k] = to_world(body, a, vector3(data + 3 * k));
+    others[k] = to_world(body, b, vector3(data + 9 + 3 * k));
+  }
+  // The child's axes in those of the joint.
+  double turned[9], found[4];
+  for (Index k = 0; k < 9; ++k) {
+    turned[k] = dot(axes[k / 3], others[k % 3]);
+  }
+  fill_quaternions({turned, 1, 3, 3}, {found, 1, 4});
+  const double sine = std::sqrt(
+    found[0] * found[0] + found[1] * found[1] + found[2] * found[2]);
+  const double angle = 2.0 * std::atan2(sine, found[3]);
+  // Beyond the last digit the sine is half the angle.
+  const double torque = -stiffness * (sine > 1e-9 ? angle / sine : 2.0);
+  const Vector3 moment =
+    torque * (found[0] * axes[0] + found[1] * axes[1] + found[2] * axes[2]);
+  apply_torque(body, b, moment);
+  apply_torque(body, a, -moment);
+  table.output(row, effect::STORED) = 0.5 * stiffness * angle * angle;
+  table.output(row, 1) = stiffness * angle;
 }
 
 void apply_tendon(

@@ -20,6 +20,8 @@ using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd
 // In joints (joint_laws.cpp).
 Law apply_joint_damping;
 Law apply_joint_spring;
+/// Spring of a joint with an orientation, about the axis that it is turned by.
+Law apply_orientation_spring;
 /// Spring and damper along a weighted sum of coordinates.
 Law apply_tendon;
 Law apply_end_stop;

@@ -530,25 +530,28 @@ def _act(joint, key, mechanism, name, effects, omitted):
         return
     places = (mechanism.coordinates if name in mechanism.coordinates.rates
               else mechanism.cut_coordinates)
-    freedoms = range(places.nv)[places.rates[name]]
-    if key == 'armature' and joint.type not in COUPLED or key == 'stiffness' and any(
-            places.place[freedom] < 0 for freedom in freedoms):
-        unit = UNITS[key][bool(places.lengths[freedoms[0]])]
+    freedoms = list(places.names[places.rates[name]])
+    if key == 'armature' and joint.type not in COUPLED and places is not mechanism.coordinates:
+        unit = UNITS[key][bool(places.lengths[places.rates[name]][0])]
         omitted.append(Omission(key, 'joint', joint.name, 'no effect has it in joints of several '
-                                'freedoms', float(np.max(np.abs(value))), unit))
+                                'freedoms that close loops', float(np.max(np.abs(value))), unit))
         return
-    for freedom, one in zip(freedoms, np.broadcast_to(value, len(freedoms)).tolist()):
+    if key in ('stiffness', 'armature') and name in places.with_orientation:
+        # They act against the whole turn.
+        freedoms[-3:] = [name]
+    values, rests = (np.broadcast_to(some, len(freedoms)).tolist()
+                     for some in (value, joint.rest))
+    for freedom, one, rest in zip(freedoms, values, rests):
         if not one:
             continue
-        acting = effects[free_name(f'{key}_{word(places.names[freedom])}', effects)] = {
-            'type': kind, 'joint': places.names[freedom], number: one}
+        acting = effects[free_name(f'{key}_{word(freedom)}', effects)] = {
+            'type': kind, 'joint': freedom, number: one}
         if key == 'armature':
             # Other programs leave the turning of the carrier out, as one that turns
             # without end does: the product of inertia and ratio is next to nothing.
             acting.update(inertia=one / ENDLESS ** 2, gear_ratio=ENDLESS)
         if key == 'stiffness' and np.any(joint.rest):
-            acting['rest'] = float(np.broadcast_to(joint.rest, len(freedoms))[
-                freedom - freedoms[0]])
+            acting['rest'] = rest
 
 
 class _Names:

@@ -49,6 +49,8 @@ START = 'start'
 # Names of MuJoCo's types of joints, in its order.
 TYPES = (FREE, SPHERICAL, PRISMATIC, REVOLUTE)
 CONNECT, WELD, JOINT, TENDON = range(4)
+# Place of a weld's torquescale among its numbers.
+TORQUE_SCALE = 10
 
 
 def read_mjcf(path, asked=Asked()):
@@ -591,8 +593,6 @@ class _Reader:
         if not self._disabled('SPRING'):
             found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
         found.in_parent = place
-        if kind == FREE or kind == SPHERICAL and not self._turns(joint):
-            self._weigh(found)
         if kind == FREE:
             if found.friction and not np.array_equal(place.rotation, np.eye(3)):
                 # One of several freedoms is a box, not a ball.
@@ -616,29 +616,6 @@ class _Reader:
         if compiled.jnt_limited[joint] and not self._unlimited():
             found.lower, found.upper = compiled.jnt_range[joint].tolist()
         return found
-
-    def _turns(self, joint):
-        """Tell whether what carries a joint can turn."""
-        compiled, body = self.compiled, int(self.compiled.jnt_bodyid[joint])
-        while body:
-            first = int(compiled.body_jntadr[body])
-            before = range(first, min(first + int(compiled.body_jntnum[body]), joint))
-            if any(TYPES[compiled.jnt_type[one]] != PRISMATIC for one in before):
-                return True
-            body = int(compiled.body_parentid[body])
-        return False
-
-    def _weigh(self, joint):
-        """Make the armature of what floats, or of a ball on what does not turn, a body's own."""
-        armature, joint.armature = joint.armature, 0.0
-        if armature:
-            link = Link(free_name(f'{joint.child}_armature', {*self.model.links, *self.bodies}),
-                        joint.where,
-                        armature if joint.type == FREE else 0.0, inertia=armature * np.eye(3),
-                        carried=1.0)
-            self.model.add(link)
-            self.model.add(Connection(
-                self._free_joint(link.name), FIXED, joint.child, link.name, joint.where))
 
     def _equality(self, number):
         compiled, model = self.compiled, self.model
@@ -667,8 +644,10 @@ class _Reader:
             places = [unturned(data[:3]), unturned(data[3:6])]
             if kind == WELD:
                 places = [Pose(_rotation(data[6:10]), data[3:6].copy()), places[0]]
+        # A weld whose torques count nothing leaves the turning free.
+        fixed = kind == WELD and data[TORQUE_SCALE] != 0.0
         self.model.add(Connection(
-            name, SPHERICAL if kind == CONNECT else FIXED, *map(self._body_name, bodies), where,
+            name, FIXED if fixed else SPHERICAL, *map(self._body_name, bodies), where,
             *places, closes=True))
 
     def _relate(self, number, name, where, kind, data):

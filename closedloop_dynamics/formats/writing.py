@@ -18,6 +18,7 @@ import numpy as np
 from .in_space import X, Y, Z
 from .model import NO_LIMIT
 from .pose import of_quaternion, Pose
+from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.couplings import measured
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
@@ -89,8 +90,9 @@ class Acting:
 
     Attributes
     ----------
-    freedoms : dict of str to tuple (str, int, int)
-        By the name of a freedom: the single joint that has it, its place there, and of how many.
+    freedoms : dict of str to tuple (str, sequence of int, int)
+        By the name of a freedom, and of a joint with an orientation, whose turns are meant: the
+        single joint that has it, its places there, and of how many.
     left : dict of str to str
         Names of effects that nothing was written for, and of those of which something is not
         written, with what that is.
@@ -111,17 +113,20 @@ class Acting:
             names = list(mechanism.coordinates.names[mechanism.coordinates.rates[joint.name]])
             for single in singles(joint):
                 count = JOINT_FREEDOMS[single.type]
-                self.freedoms.update((name, (single.name, place, count))
+                self.freedoms.update((name, (single.name, (place,), count))
                                      for place, name in enumerate(names[:count]))
+                if single.type in WITH_ORIENTATION:
+                    self.freedoms[single.name] = single.name, range(count - 3, count), count
                 names = names[count:]
         for name, values in (effects or {}).items():
             if values['type'] == 'gravity':
                 continue
             self.left[name] = ''
             if values.get('joint') in self.freedoms:
-                single, place, count = self.freedoms[values['joint']]
+                single, places, count = self.freedoms[values['joint']]
                 rows = self._at.setdefault(single, {}).setdefault(values['type'], count * [None])
-                rows[place] = rows[place] or (name, values)
+                for place in places:
+                    rows[place] = rows[place] or (name, values)
 
     def limits(self, single):
         """Return least and largest coordinate of a single joint; None where neither is limited."""
@@ -155,7 +160,7 @@ class Acting:
         """Return the keys of the effect of a type in each freedom of a single; None for none."""
         found = self._at.get(single, {}).get(kind, ())
         for name, values in filter(None, found):
-            del self.left[name]
+            self.left.pop(name, None)
             more = {'joint_friction': values.get('friction_coefficient', 0.0) > 0.0
                     or values.get('static_ratio', 1.0) > 1.0,
                     'rotor': abs(values.get('gear_ratio', 1.0)) < ENDLESS}.get(kind)

@@ -170,6 +170,11 @@ class Coordinates:
         """Return the names of all joints, and of the numbers of those that have several."""
         return tuple(dict.fromkeys((*self._joints, *self.single_names)))
 
+    @property
+    def numbers_and_turns(self):
+        """Return the names of freedoms with a number of their own, and of joints that turn."""
+        return tuple(self.names[place] for place in self._numbered) + self.with_orientation
+
     def joint_of(self, name):
         """Return the name of the joint that a freedom belongs to."""
         return name.partition('.')[0]

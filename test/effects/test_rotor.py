@@ -7,6 +7,7 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 import numpy as np
 import pytest
 
@@ -44,6 +45,35 @@ def test_rotors_add_to_the_diagonal_of_the_inertia(case):
     left = gim @ (qdd - free) + 4.0 * inertia * qdd - jac.T @ (lam - bare_lam)
     scale = np.abs(gim @ qdd).max() + np.abs(jac.T @ lam).max()
     assert np.abs(left).max() < 1e-11 * scale
+
+
+def test_rotors_in_every_freedom_add_to_the_diagonal_of_the_inertia():
+    """Where the turning of their carriers does not count, in balls and universal joints, too."""
+    bodies = tuple(Body(f'b{k}', 1.0 + k, (0.1, 0.2, 0.3), (0.1, 0.2, 0.25, 0.01, 0.02, 0.0))
+                   for k in range(3))
+    mechanism = Mechanism('tree', bodies, (
+        Joint('drift', 'free', 'ground', 'b0', (0.0, 0.0, 1.0)),
+        Joint('cross', 'universal', 'b0', 'b1', (0.1, 0.0, 0.0), axis=(1.0, 0.0, 0.0),
+              second_axis=(0.0, 1.0, 0.0)),
+        Joint('socket', 'spherical', 'b1', 'b2', (0.0, 0.3, 0.0),
+              orientation=(0.5, 0.5, 0.5, 0.5))), ())
+    rng = np.random.default_rng(6)
+    names = mechanism.coordinates.names
+    inertia, qd = np.repeat(rng.uniform(0.1, 1.0, 7), (1, 1, 1, 3, 1, 1, 3)), rng.normal(size=11)
+    q = np.array([0.1, 0.2, 0.3, 0.5, -0.5, 0.5, 0.5, 0.3, 0.4, 0.1, 0.1, 0.7, 0.7])
+    effects = {'gravity': Gravity((0.0, 0.0, -9.81)), **{
+        f'motor_{k}': Rotor(name, float(inertia[first]) / 1e24, 1e12) for k, (name, first) in
+        enumerate(zip((*names[:3], 'drift', *names[6:8], 'socket'), (0, 1, 2, 3, 6, 7, 8)))}}
+    simulation = simulated(mechanism, effects, q, qd, integrator='dop853', tolerance=1e-11)
+    bare = simulated(mechanism, {'gravity': effects['gravity']}, q, qd)
+    qdd, free = (one.acceleration for one in (simulation, bare))
+    gim = bare._assembler.inertia(bare.position)
+    np.testing.assert_allclose(gim @ (qdd - free), -inertia * qdd, rtol=0.0,
+                               atol=1e-12 * np.abs(gim @ qdd).max())
+    simulation.step(duration=0.3)
+    assert_balanced(simulation, 1e-8)
+    with pytest.raises(FieldError, match='socket'):
+        Rotor('socket', 0.1, 2.0).fit(mechanism)
 
 
 @pytest.mark.parametrize('formulation', ['system', 'augmented'])

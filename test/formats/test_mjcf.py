@@ -257,19 +257,18 @@ def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
       <tendon><fixed name="belt" stiffness="30" damping="0.5" armature="0.2" frictionloss="2"
       springlength="0" limited="true" range="0 1"><joint joint="hinge" coef="2"/></fixed></tendon>
       <actuator><motor name="pull" tendon="belt" gear="10"/>""").replace(
-        BALL, f'{BALL} stiffness="4" armature="0.3"')
+        BALL, f'{BALL} stiffness="0 4"')
     imported = read_model(written(tmp_path, text))
     assert [(one.quantity, one.kind, one.name, one.size, one.unit)
             for one in sorted(imported.omitted, key=lambda one: -one.size)] == [
-        ('stiffness', 'joint', 'ball', 4.0, 'N m/rad'),
+        ('higher terms of the stiffness', 'joint', 'ball', 4.0, 'N m/rad^2'),
         ('friction', 'tendon', 'belt', 2.0, 'N m'),
-        ('armature', 'joint', 'ball', 0.3, 'kg m^2'),
         ('armature', 'tendon', 'belt', 0.2, 'kg m^2')]
     assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops unless they are asked for'
     notes = lines(imported)
     assert notes[0] == (
-        'left out of the motion, no effect has it in joints of several freedoms: stiffness of '
-        'joint ball (4 N m/rad); armature of joint ball (0.3 kg m^2)')
+        'left out of the motion, springs and dampers are linear: higher terms of the stiffness of '
+        'joint ball (4 N m/rad^2)')
     assert notes[1] == (
         'left out of the motion, no effect acts along such tendons: friction of tendon belt '
         '(2 N m); armature of tendon belt (0.2 kg m^2)')
@@ -365,6 +364,18 @@ def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
             angle = 2.0 * np.arcsin(min(1.0, np.linalg.norm(ours[3:]) / np.sqrt(8.0)))
             assert np.linalg.norm(data.efc_pos[3:6]) == pytest.approx(
                 abs(np.sin(0.5 * angle)), rel=1e-9)
+
+
+@pytest.mark.parametrize('kind', ['weld', 'weld_sites'])
+def test_a_weld_whose_torques_count_nothing_is_a_ball(tmp_path, kind):
+    text = LOOPS.replace('EQUALITY', EQUALITIES[kind].replace('/>', ' torquescale="0"/>'))
+    compiled, imported = mujoco.MjModel.from_xml_string(text), read_model(written(tmp_path, text))
+    assert [cut.type for cut in imported.mechanism.cut_joints] == ['spherical']
+    loops, rng = Loops(imported.mechanism, 1.0), np.random.default_rng(1)
+    data, q, _ = state(compiled, imported, rng)
+    assert not data.efc_pos[3:6].any()
+    assert np.linalg.norm(loops.residual(q, wanted=False)[0]) == pytest.approx(
+        np.linalg.norm(data.efc_pos[:3]), rel=1e-9)
 
 
 def test_what_acts_is_read_and_the_rest_is_told(tmp_path):

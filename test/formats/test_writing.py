@@ -207,6 +207,11 @@ def test_mjcf_has_armature_and_what_acts_in_balls_and_what_floats(tmp_path):
         for k, name in enumerate(freedoms[:9])},
         'motor': {'type': 'rotor', 'joint': 'j2', 'inertia': 0.002, 'gear_ratio': 50.0},
         'twist': {'type': 'joint_spring', 'joint': 'j3.2', 'stiffness': 3.0},
+        'socket': {'type': 'joint_spring', 'joint': 'j1', 'stiffness': 4.0},
+        'buoy': {'type': 'joint_spring', 'joint': 'j0', 'stiffness': 5.0},
+        **{f'mooring_{k}': {'type': 'joint_spring', 'joint': name, 'stiffness': 5.0}
+           for k, name in enumerate(freedoms[:3])},
+        'flywheel': {'type': 'rotor', 'joint': 'j1', 'inertia': 7e-24, 'gear_ratio': 1e12},
         'rub': {'type': 'joint_friction', 'joint': 'j4', 'coulomb': 2.0, 'static_ratio': 1.5},
         'odd': {'type': 'joint_damping', 'joint': 'j4', 'coefficient': 1.0},
         'odder': {'type': 'joint_damping', 'joint': 'j4', 'coefficient': 2.0},
@@ -219,7 +224,14 @@ def test_mjcf_has_armature_and_what_acts_in_balls_and_what_floats(tmp_path):
     assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE and model.njnt == 6
     np.testing.assert_allclose(model.dof_damping, [0.5] * 6 + [1.5] * 3 + [0.0] * 3 + [1.0])
     np.testing.assert_allclose(model.dof_armature[9], 0.002 * 50.0 ** 2)
-    assert model.jnt_stiffness.tolist() == [0.0, 0.0, 0.0, 0.0, 3.0, 0.0]
+    assert model.jnt_stiffness.tolist() == [5.0, 4.0, 0.0, 0.0, 3.0, 0.0]
+    np.testing.assert_allclose(model.dof_armature[6:9], 7.0)
+    (tmp_path / 'm.xml').write_text(text)
+    found = read_model(tmp_path / 'm.xml').effects
+    assert found['stiffness_j1'] == effects['socket']
+    assert found['stiffness_j0'] == effects['buoy']
+    assert found['stiffness_j0_y'] == effects['mooring_1']
+    assert found['armature_j1'] == effects['flywheel']
     assert model.dof_frictionloss[-1] == 2.0
     # One that differs between the freedoms of a ball is no word of MJCF.
     effects['d7'] = {**effects['d7'], 'coefficient': 9.0}
