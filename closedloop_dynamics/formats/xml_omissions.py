@@ -14,6 +14,8 @@ MOVING = {
     'velocity_decay': 'damping of velocities acts on no real body',
     'dampingFactor': 'damping of velocities acts on no real body',
     'fluid_added_mass': 'no effect has the inertia of a fluid',
+    'kinematic': 'forces move every body that is not static',
+    'initial_position': 'a scene tells where joints start',
     'enable_wind': 'a file has no wind of its own',
     'drake:linear_bushing_rpy': 'bushings close no loops',
     'drake:controller_gains': 'commands are torques and forces of joints'}

@@ -241,6 +241,17 @@ def test_gravity_that_does_not_act_on_a_link_is_compensated(tmp_path):
     assert (decay.quantity, decay.name, decay.size) == ('decay of the velocity', 'coupler', 0.01)
 
 
+def test_links_that_forces_do_not_move_and_starts_are_named(tmp_path):
+    text = FOUR_BAR.replace('<link name="coupler">', '<link name="coupler"><kinematic>true'
+                            '</kinematic>').replace(
+        '<link name="crank">', '<link name="crank"><kinematic>0</kinematic>').replace(
+        '<limit><effort>', '<initial_position>0.5</initial_position><limit><effort>')
+    imported = read_model(written(tmp_path, text))
+    assert [(one.quantity, one.kind, one.name, one.size) for one in imported.omitted] == [
+        ('kinematic', 'link', 'coupler', np.inf),
+        ('initial_position', 'joint', 'crank_joint', 0.5)]
+
+
 def test_one_of_several_models_of_a_world(tmp_path):
     ground = ('<model name="floor"><static>true</static><pose>0 0 1 0 0 0</pose><link name="l">'
               '<visual name="v"><pose>0 0 2 0 0 0</pose><geometry><box><size>1 2 3</size></box>'
