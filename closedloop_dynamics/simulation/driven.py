@@ -238,9 +238,9 @@ class DrivenKinematics:
         _, loops, drives = self._jacobian()
         # Those of the loops beside what is driven, which is always kept.
         left = loops - loops @ np.linalg.pinv(drives) @ drives
-        chosen = np.flatnonzero(independent(left, self._equations.groups[:len(loops)]))
-        kept = np.concatenate(
-            [chosen, np.arange(len(loops), len(loops) + len(drives))]).astype(np.int64)
+        chosen, _ = independent(left, self._equations.groups[:len(loops)])
+        kept = np.concatenate((np.flatnonzero(chosen), np.arange(
+            len(loops), len(loops) + len(drives)))).astype(np.int64)
         if len(kept) + len(self._anchors) != len(self._unit) or np.array_equal(kept, self._kept):
             return False
         self._kept = kept
