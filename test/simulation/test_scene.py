@@ -153,7 +153,7 @@ FAULTS = {
         'step_size: 5e-4', 'stepsize: 5e-4', 12, 'method.stepsize',
         'one of the keys integrator, step_size, stabilisation, tolerance, '
         'baumgarte_time_constant, '
-        'formulation, accuracy', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
+        'formulation, accuracy, budget', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
         'a scene names one under `mechanism` and says under `initial` where it starts'),
