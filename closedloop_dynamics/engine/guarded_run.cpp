@@ -20,8 +20,9 @@ namespace closedloop
 namespace
 {
 // Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
-// that end the run; what of them may be rounding, of the energy there is; between two looks, of all
-// that has moved; and of what the scene's forces would do along its length.
+// that end the run; what of them may be rounding, of the energy there is; what counts as little
+// between two looks, of all that has moved, and after few steps, of what the scene's forces would
+// do along its length; what of that is nothing.
 constexpr double ENERGY_WARN = 1e-3, ENERGY_ERROR = 0.1;
 constexpr double ROUNDING = 1e-9, LITTLE = 1e-6, NOTHING = 1e-13;
 // A winding that changes by more between two looks has leapt by a whole turn [rad].
@@ -177,7 +178,7 @@ Pause look_at_cables(const System & system, const GuardedRun & run)
   return Pause::NONE;
 }
 
-/// Note how much energy has moved, and the error of a balance; return what may be rounding [J].
+/// Note how much energy has moved, and the error of a balance; return what of it is little [J].
 double note(const System & system, const GuardedRun & run, const Energies & present)
 {
   if (run.counts[LOOKED] == AT_STATE) {
@@ -189,13 +190,14 @@ double note(const System & system, const GuardedRun & run, const Energies & pres
     run.counts[LOOKED] = AT_BALANCE;
     run.counts[BEGUN] = 1;
   }
-  const double rounding = ROUNDING * (present.kinetic + std::abs(present.stored)) +
-    NOTHING * energy_scale(system, run.watch);
+  // A step in which something begins to move may lose all of what is hardly anything.
+  const double little = ROUNDING * (present.kinetic + std::abs(present.stored)) +
+    (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * energy_scale(system, run.watch);
   const Energies start = run.counts[BEGUN] != 0 ? read(at(run, BEGIN)) : present;
   note_loss(
     run.numbers, std::abs(present.residual - start.residual),
-    present.kinetic + present.apart(start), rounding, run.time());
-  return rounding;
+    present.kinetic + present.apart(start), little, run.time());
+  return little;
 }
 
 Pause look_at_loops(const System & system, const GuardedRun & run)
@@ -435,18 +437,18 @@ Pause look_at_energy(const System & system, const GuardedRun & run)
     return Pause::START_ENERGY;
   }
   const Values & numbers = run.numbers;
-  run.counts[SINCE] = 0;
   const Energies present = draw_balance(system, run.account, run.state);
   write(present, at(run, PRESENT));
   const bool compares = run.counts[LOOKED] != NOT;
-  const double rounding = note(system, run, present);
+  const double little = note(system, run, present);
+  run.counts[SINCE] = 0;
   if (compares) {
     const Energies before = read(at(run, LOOK));
     const double moving = before.kinetic + present.apart(before);
     const double lost = std::abs(present.residual - before.residual);
     numbers[LOST] = lost;
     numbers[MOVING] = moving;
-    const double allowed = ENERGY_ERROR * moving + LITTLE * numbers[MOVED] + rounding;
+    const double allowed = ENERGY_ERROR * moving + LITTLE * numbers[MOVED] + little;
     if (!(lost <= allowed) || numbers[WORST] > ENERGY_ERROR) {
       run.counts[FAILED] = 1;
       return Pause::ENERGY_LOST;

@@ -12,7 +12,7 @@ from closedloop_dynamics.core.codegen import (
     elimination, function_table, refinement, space as code_in_space)
 from closedloop_dynamics.effects import (
     actuator, body_contact, bushing, cable, course, curve, energy_balance, expression, fluid_drag,
-    force_table, joint_friction, table)
+    force_table, joint_friction, table, traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, guarded_run, left_out, recorded_run, registry, steppers, system,
     tableau)
@@ -69,10 +69,11 @@ ENUMS = {
     'Pause': (guarded_run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),
+    'traced_laws.cpp: Measured': (traced_effect, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
-         'python_api.hpp: PyGILState_STATE'}
+         'python_api.hpp: PyGILState_STATE', 'traced_laws.cpp: Entry', 'traced_laws.cpp: Head'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
