@@ -152,8 +152,8 @@ FAULTS = {
     'method_key': (
         'step_size: 5e-4', 'stepsize: 5e-4', 12, 'method.stepsize',
         'one of the keys integrator, step_size, stabilisation, tolerance, '
-        'baumgarte_time_constant, '
-        'formulation, accuracy, budget', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
+        'baumgarte_time_constant, formulation, accuracy, budget',
+        "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
         'a scene names one under `mechanism` and says under `initial` where it starts'),
