@@ -42,8 +42,8 @@ DIFFERENCE = 1e-7
 FIRST_LOOK, FIRST_LOOK_ORDER_1, LOOK_EVERY = 16, 128, 512
 # The same with fixed steps among force laws: contacts and stops are left quickly.
 LOOK_EVERY_AMONG_LAWS = 100
-# After calls of so many steps it is looked at in any case; of a single one a look would be a part.
-SEVERAL = 2
+# After calls of so many steps it is looked at in any case: that costs them a twentieth at most.
+SEVERAL = 5
 # Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
 # that end the run.
 ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
