@@ -89,10 +89,10 @@ def accuracy_advice(free, held, pictures, cheapest):
         f"""**Torques held at 100 Hz: take `dop853`**, or `dopri5`, which makes fewer evaluations
         for coarse errors. For 1e-6 `rk4` needs
         {spread(at(100, 'evaluations', 1e-6, 'rk4', 'dop853'))} times as many evaluations.""",
-        f"""**Torques held at 1 kHz: take any.** Called from Python, most of the time is the call
-        of each period: `rk4` takes {spread(at(1000, 'cost', 1e-6, 'rk4', 'dop853'))} times the
-        CPU time of `dop853` for an error of 1e-6. Where only evaluations count, as in rollouts, a
-        period takes 4 (`rk4`), 7 (`dopri5`) or 12 (`dop853`) of them.""",
+        f"""**Torques held at 1 kHz: take `rk4` or `dopri5`.** A period is a step, of 4 (`rk4`), 7
+        (`dopri5`) or 12 (`dop853`) evaluations: called from Python `rk4` takes
+        {spread(at(1000, 'cost', 1e-6, 'rk4', 'dop853'))} times the CPU time of `dop853` for an
+        error of 1e-6.""",
         f"""**`auto` checks its error in the first second by a second run**: with held torques it
         makes {spread(auto[0] + auto[1])} times the evaluations of `dop853` in that second. For a
         machine behind a fast controller name the method:
