@@ -18,6 +18,14 @@ DEPTH = 10000
 REPEAT, REPEAT_CALL = 1.0, 10.0
 
 
+def holds(condition):
+    """Return the value of a condition; None where it asks for a message that has not come yet."""
+    try:
+        return condition()
+    except IndexError:
+        return None
+
+
 class Listener:
     """
     Collect the messages of topics.
@@ -51,7 +59,7 @@ class Listener:
     def wait(self, condition, what, patience=PATIENCE):
         """Spin until the condition holds and return its value; fail if it never does."""
         deadline = time.monotonic() + patience
-        while not (value := condition()):
+        while not (value := holds(condition)):
             assert time.monotonic() < deadline, f'no {what} within {patience} s'
             self._executor.spin_once(timeout_sec=0.05)
         return value
@@ -65,12 +73,12 @@ class Listener:
 
         """
         deadline, count = time.monotonic() + PATIENCE, 0
-        while not condition():
+        while not holds(condition):
             assert time.monotonic() < deadline, f'no {what} within {PATIENCE} s'
             publisher.publish(message)
             count += 1
             again = time.monotonic() + REPEAT
-            while time.monotonic() < again and not condition():
+            while time.monotonic() < again and not holds(condition):
                 self._executor.spin_once(timeout_sec=0.05)
         return count
 

@@ -34,6 +34,8 @@ def test_run_is_paused_stepped_moved_and_reset(processes, listener):
     simulator = processes.start(SIMULATOR, scene='three_rrr_horizontal', publish_clock='true')
     simulator.wait_until_ready()
     states = listener.listen('joint_states', JointState)
+    # A subscriber is found late on a busy machine; what is published before is lost.
+    listener.wait(lambda: states, 'a state')
     assert 'time runs' in listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).message
     message = listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).message
     assert message.startswith('paused at ')
