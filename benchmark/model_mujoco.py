@@ -22,8 +22,8 @@ sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.formats.building import word  # noqa: E402,I100
 from closedloop_dynamics.formats.mjcf_writing import mjcf  # noqa: E402
-from closedloop_dynamics.formats.pose import of_quaternion, quaternion_of  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import FREE, HELICAL, SPHERICAL  # noqa: E402
+from closedloop_dynamics.mechanism.rotations import of_quaternion, quaternion_of  # noqa: E402
 
 NAME, VERSION = 'MuJoCo', mujoco.__version__
 # Differences of Jacobians along the motion: of fourth order [s].

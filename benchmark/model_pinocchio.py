@@ -24,9 +24,9 @@ from pinocchio_code import compiled
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.formats.building import word  # noqa: E402,I100
-from closedloop_dynamics.formats.pose import of_quaternion  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402
     FIXED, GROUND, REVOLUTE, SPHERICAL, UNIVERSAL)
+from closedloop_dynamics.mechanism.rotations import of_quaternion  # noqa: E402
 
 NAME = 'Pinocchio'
 VERSION = pin.__version__

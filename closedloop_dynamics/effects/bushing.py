@@ -30,10 +30,10 @@ import numpy as np
 
 from .effect import Effect
 from .table import BUSHING, DISSIPATED, ForceElement, SPATIAL_BUSHING, State
-from ..core.codegen.spatial import rotation
 from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
+from ..mechanism.rotations import of_quaternion
 
 # Where a bushing's numbers in space begin: places in both bodies' frames, the axes as rows in
 # those of body a and of body b, stiffness and damping along the axes.
@@ -135,7 +135,7 @@ class Bushing(Effect):
         bodies = {point.name: point.body for point in machine.mechanism.points}
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        own, rest = (np.array(rotation(one)) for one in (self.orientation, self.rest_orientation))
+        own, rest = (of_quaternion(one) for one in (self.orientation, self.rest_orientation))
         axes_a = machine.placement(bodies[self.point_a]).axes @ own
         axes_b = machine.placement(bodies.get(self.point_b, GROUND)).axes @ rest.T @ own
         turning, loss = (np.broadcast_to(values, 3) for values in (

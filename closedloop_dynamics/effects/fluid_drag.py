@@ -21,11 +21,11 @@ import numpy as np
 
 from .effect import Effect
 from .table import DISSIPATED, FLUID_DRAG, ForceElement, SPATIAL_FLUID_DRAG, State, WORK
-from ..core.codegen.spatial import rotation
 from ..mechanism.checks import (
     name, none_negative, not_negative, number, one_or_several, orientation, vector)
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Quaternion, UNTURNED, Vector, Vector3
+from ..mechanism.rotations import of_quaternion
 
 # Numbers of an entry: an axis in the frame of the row, coefficients along and about it.
 COLUMNS = 7
@@ -94,7 +94,7 @@ class FluidDrag(Effect):
                 *place, math.cos(self.angle), math.sin(self.angle), *along[0], *along[1],
                 self.turning_linear, self.turning_quadratic, *flow), states)
         axes = machine.placement(machine.carrier(self.point)).axes @ np.array(
-            rotation(self.orientation))
+            of_quaternion(self.orientation))
         about = [np.broadcast_to(getattr(self, key), 3).tolist() for key in ABOUT]
         return ForceElement(SPATIAL_FLUID_DRAG, (row,), (*place, *flow), states, data=tuple(
             (*axes[:, k].tolist(), along[0][k], along[1][k], about[0][k], about[1][k])

@@ -19,13 +19,11 @@ a large k) a joint that is meant to stand still.
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from .effect import Effect
 from .table import ForceElement, JOINT_SPRING, ORIENTATION_SPRING
-from ..core.codegen.spatial import rotation
 from ..mechanism.checks import freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
+from ..mechanism.rotations import of_quaternion
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class JointSpring(Effect):
                 JOINT_SPRING, (machine.joint(self.joint),), (self.stiffness, self.rest))
         joint = machine.description(self.joint)
         parent, child = (machine.placement(body) for body in (joint.parent, joint.child))
-        axes = parent.axes @ np.array(rotation(joint.orientation))
+        axes = parent.axes @ of_quaternion(joint.orientation)
         return ForceElement(
             ORIENTATION_SPRING, (parent.row, child.row), (self.stiffness,),
             data=((*axes.T.ravel().tolist(), *child.axes.T.ravel().tolist()),))

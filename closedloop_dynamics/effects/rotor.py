@@ -35,11 +35,11 @@ import numpy as np
 from .effect import Effect
 from .table import CUT_ROTOR, ForceElement
 from ..core.codegen import space
-from ..core.codegen.spatial import rotation
 from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import COUPLED, FIXED, GROUND, PRISMATIC, Vector3
+from ..mechanism.rotations import of_quaternion
 
 # Gear ratio beyond which the turning of the carrier does not count.
 ENDLESS = 1e9
@@ -127,7 +127,7 @@ class Rotor(Effect):
         model.body[row, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
         if model.tree[row, PARENT] > 0 and abs(self.gear_ratio) <= ENDLESS:
             joint = machine.description(self.joint)
-            axis = self.axis or np.array(rotation(joint.orientation)) @ joint.axis
+            axis = self.axis or of_quaternion(joint.orientation) @ joint.axis
             model.body[row, space.ROTOR:space.ROTOR + 3] += self.gear_ratio * self.inertia * (
                 space.snapped(machine.placement(joint.parent).axes @ axis))
 

@@ -16,13 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from .model import Connection, free_name, NO_LIMIT, Omission
-from .pose import IDENTITY, Pose, quaternion_of, unturned
+from .pose import IDENTITY, Pose, unturned
 from .visuals import placed
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
     Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+from ..mechanism.rotations import quaternion_of
 from ..mechanism.validation import checked, moments_told, POSSIBLE, possible
 
 # Entries of rotations this near to 0, 1 and -1 are what a file meant by them.

@@ -24,10 +24,11 @@ from .mjcf_omissions import disabled, omissions, sides
 from .mjcf_pictures import read_pictures
 from .model import (
     Asked, Belt, Connection, Drag, free_name, Link, Model, Omission, Relation, Rope, Spring)
-from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
+from .pose import IDENTITY, Pose, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
+from ..mechanism.rotations import about, of_quaternion, quaternion_of
 
 MOST_INCLUDES, MOST_MESHES = 100, 2000
 # What is left out, and why.

@@ -11,8 +11,8 @@ only the names of the files count, and without textures.
 
 import numpy as np
 
-from .pose import of_quaternion, quaternion_of
 from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
+from ..mechanism.rotations import of_quaternion, quaternion_of
 
 # Of groups from this one on MuJoCo's viewer shows nothing: geometry for contacts.
 HIDDEN = 3

@@ -9,12 +9,13 @@ import numpy as np
 
 from .in_space import in_space
 from .mjcf import START
-from .pose import IDENTITY, of_quaternion, Pose, quaternion_of
+from .pose import IDENTITY, Pose
 from .writing import (
     Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected,
     Single, written)
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
+from ..mechanism.rotations import of_quaternion, quaternion_of
 
 # Attribute of a joint by the type of effect that acts on it.
 ATTRIBUTES = {

@@ -16,7 +16,7 @@ import numpy as np
 
 from .model import (
     Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Omission, Relation)
-from .pose import IDENTITY, of_angles, of_quaternion, Pose, unturned
+from .pose import IDENTITY, Pose, unturned
 from .sdf_parts import FALSE, flattened, included, MODEL, OWN_AXES, TRUE, version_of, WORLD
 from .visuals import color_in, placed, visuals
 from .xml_file import read_xml
@@ -24,6 +24,7 @@ from .xml_omissions import leave_out
 from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import of_angles, of_quaternion
 
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}

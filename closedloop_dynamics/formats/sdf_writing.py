@@ -15,13 +15,14 @@ import numpy as np
 
 from .in_space import in_space, X, Y, Z
 from .model import inertia_matrix, MOMENTS, NO_LIMIT
-from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
+from .pose import IDENTITY, Pose, unturned
 from .writing import (
     Acting, APART, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers,
     pose_of, reflected, Single, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
     REVOLUTE, SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import about, of_quaternion, quaternion_of
 
 # Child of an element dynamics by the type of effect that acts on a joint.
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',

@@ -16,7 +16,7 @@ import numpy as np
 
 from .model import Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
 from .parallel_yaml import add_parallel_yaml
-from .pose import IDENTITY, of_angles, Pose, unturned
+from .pose import IDENTITY, Pose, unturned
 from .sdf import add_joints
 from .sdf_parts import FALSE, TRUE
 from .visuals import color_in, visuals
@@ -26,6 +26,7 @@ from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
     UNIVERSAL)
+from ..mechanism.rotations import of_angles
 
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'floating': FREE, 'planar': PLANAR}

@@ -9,13 +9,14 @@ import numpy as np
 
 from .in_space import in_space, Z
 from .model import GRAVITY, MOMENTS, NO_LIMIT
-from .pose import angles_of, of_quaternion, Pose
+from .pose import Pose
 from .writing import (
     Acting, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
     written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import angles_of, of_quaternion
 
 # Attribute of an element dynamics by the type of effect that acts on a joint.
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction'}

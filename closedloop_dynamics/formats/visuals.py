@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .pose import of_quaternion, quaternion_of
 from ..mechanism.mechanism import BOX, CYLINDER, MechanismError, MESH, SPHERE, Visual
+from ..mechanism.rotations import of_quaternion, quaternion_of
 
 # Variables of the environment that list folders of packages and models.
 SEARCHED = ('AMENT_PREFIX_PATH', 'GZ_SIM_RESOURCE_PATH')

@@ -17,12 +17,13 @@ import numpy as np
 
 from .in_space import X, Y, Z
 from .model import NO_LIMIT
-from .pose import of_quaternion, Pose
+from .pose import Pose
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.couplings import measured
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import of_quaternion
 
 # Effects on joints that formats know, and the key of the number of each.
 JOINT_EFFECTS = {

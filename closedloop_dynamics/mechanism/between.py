@@ -20,8 +20,9 @@ from .mechanism import (
     CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint, CYLINDRICAL,
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, MEASURED, PLANAR, PRISMATIC, REVOLUTE,
     SPATIAL_CUT_JOINT_EQUATIONS, SPATIAL_MEASURED, UNIVERSAL)
+from .rotations import rotated
 from .spanning_tree import choose_tree, Edge
-from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS, turned_by
+from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS
 
 BETWEEN = 'between'
 # Joints whose coordinates mean the same whichever body carries the other.
@@ -224,4 +225,4 @@ def _cut(joint, point, shifts, spatial):
 
 def _turned(joint):
     """Return a joint's axis in the frame of the first body."""
-    return turned_by(joint.orientation, (0.0, 0.0, 1.0) if joint.type == PLANAR else joint.axis)
+    return rotated(joint.orientation, (0.0, 0.0, 1.0) if joint.type == PLANAR else joint.axis)

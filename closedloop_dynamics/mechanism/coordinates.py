@@ -21,6 +21,7 @@ import numpy as np
 
 from .checks import number, orientation, UNIT_NORM, vector3
 from .fields import at, FieldError, mapping
+from .rotations import composed, CONJUGATE
 
 REVOLUTE = 'revolute'
 PRISMATIC = 'prismatic'
@@ -363,7 +364,7 @@ class Coordinates:
         q = q.copy()
         q[self.place[single]] += change[single]
         for first, rate in self.balls:
-            turned = _composed(q[first:first + 4], _exponential(change[rate:rate + 3]))
+            turned = composed(q[first:first + 4], _exponential(change[rate:rate + 3]))
             q[first:first + 4] = turned / np.linalg.norm(turned)
         return q
 
@@ -381,8 +382,8 @@ class Coordinates:
         change = np.zeros(self.nv)
         change[single] = q[self.place[single]] - other[self.place[single]]
         for first, rate in self.balls:
-            inverse = other[first:first + 4] * (-1.0, -1.0, -1.0, 1.0)
-            x, y, z, w = _composed(inverse, q[first:first + 4])
+            inverse = other[first:first + 4] * CONJUGATE
+            x, y, z, w = composed(inverse, q[first:first + 4])
             sine = math.sqrt(x * x + y * y + z * z)
             angle = 2.0 * math.atan2(sine, abs(w))
             # Of small turns the sine is half the angle.
@@ -430,14 +431,6 @@ class Coordinates:
                 each = 'one for each joint' if self.nq == self.nv == len(self._joints) else (
                     'for ' + ', '.join(self.columns(key)))
                 raise FieldError(f'{count} numbers, {each}', f'{len(values)}', path=(key,))
-
-
-def _composed(a, b):
-    """Return the product of two quaternions x, y, z, w."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
-    return np.array([
-        aw * bx + ax * bw + ay * bz - az * by, aw * by + ay * bw + az * bx - ax * bz,
-        aw * bz + az * bw + ax * by - ay * bx, aw * bw - ax * bx - ay * by - az * bz])
 
 
 def _exponential(turn):

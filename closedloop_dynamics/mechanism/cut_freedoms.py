@@ -17,7 +17,7 @@ import numpy as np
 
 from .mechanism import (
     CutJoint, CYLINDRICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
-from .validation import turned_by
+from .rotations import CONJUGATE, perpendicular, rotated
 
 # Sine of the angle between two axes below which they are parallel.
 PARALLEL = 1e-12
@@ -107,8 +107,8 @@ def _in_space(cut):
         return [(True, axis)]
     along = np.array(cut.axis_a)
     # The x axis of a plane is that of body A, turned with its z axis to where the normal is.
-    side = _least_turn(_Z, along, _X) if cut.type == PLANAR else _across(along)
-    there = turned_by(cut.orientation, side) if cut.orientation != UNTURNED else (
+    side = _least_turn(_Z, along, _X) if cut.type == PLANAR else perpendicular(along)
+    there = rotated(cut.orientation, side) if cut.orientation != UNTURNED else (
         _least_turn(along, axis, side))
     turns = False, axis, (along, side, there)
     return {REVOLUTE: [turns], CYLINDRICAL: [turns, (True, axis)],
@@ -118,21 +118,14 @@ def _in_space(cut):
 def _universal(cut):
     """Return the same of a universal joint: about the axis of body B, then that of body A."""
     first, second = np.array(cut.axis_b), np.array(cut.axis_a)
-    drawn = turned_by(cut.orientation, second)
+    drawn = rotated(cut.orientation, second)
     # At zero the axes are at right angles; they are drawn so, or nearly, or anyhow.
     there = drawn - (drawn @ first) * first
     size = np.linalg.norm(there)
-    there = _across(first) if size < PARALLEL else there / size
-    x, y, z, w = cut.orientation
-    back = turned_by((-x, -y, -z, w), _least_turn(there, drawn, first))
+    there = perpendicular(first) if size < PARALLEL else there / size
+    back = rotated(cut.orientation * CONJUGATE, _least_turn(there, drawn, first))
     return [(False, first, (back, second, there)),
             (False, -second, (-there, first, back), True)]
-
-
-def _across(axis):
-    """Return a direction across an axis."""
-    found = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    return found / np.linalg.norm(found)
 
 
 def _least_turn(one, other, side):

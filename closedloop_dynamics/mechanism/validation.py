@@ -20,6 +20,7 @@ from .mechanism import (
     CUT_WITH_ZERO, CutJoint, CYLINDRICAL, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS,
     JOINT_TYPES, Mechanism, MechanismError, PLANAR, Point, PRISMATIC, REVOLUTE,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+from .rotations import rotated
 
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
@@ -407,28 +408,6 @@ def _require_key(section, joint, key, types):
             path=(section, joint.name, key))
 
 
-def turned_by(quaternion, vector):
-    """
-    Return a vector turned by a unit quaternion.
-
-    Parameters
-    ----------
-    quaternion : tuple of 4 floats
-        x, y, z, w.
-    vector : sequence of 3 floats
-        Any.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-
-    """
-    if quaternion == UNTURNED:
-        return np.array(vector)
-    across = np.cross(quaternion[:3], vector)
-    return vector + 2.0 * quaternion[3] * across + 2.0 * np.cross(quaternion[:3], across)
-
-
 def check_axes(mechanism):
     """
     Refuse axes that a joint in space does not have, and ask for those that it has.
@@ -459,13 +438,13 @@ def check_axes(mechanism):
         if cut.orientation == UNTURNED:
             continue
         if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
-            apart = np.abs(turned_by(cut.orientation, cut.axis_a) - cut.axis_b).max()
+            apart = np.abs(rotated(cut.orientation, cut.axis_a) - cut.axis_b).max()
             if apart > AXES_APART:
                 raise FieldError('an orientation that turns axis_a to where axis_b is',
                                  f'one that leaves them {apart:.3g} apart',
                                  path=('cut_joints', cut.name, 'orientation'))
         if cut.type == UNIVERSAL and abs(np.dot(
-                turned_by(cut.orientation, cut.axis_a), cut.axis_b)) > PARALLEL:
+                rotated(cut.orientation, cut.axis_a), cut.axis_b)) > PARALLEL:
             raise FieldError('an orientation that turns axis_a across axis_b',
                              'one that leaves them parallel',
                              path=('cut_joints', cut.name, 'orientation'))

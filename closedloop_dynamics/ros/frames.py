@@ -13,10 +13,10 @@ whose origin is the cut point of body A; its axes are those of the world.
 
 from closedloop_dynamics.mechanism.coordinates import WITH_ORIENTATION
 from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
+from closedloop_dynamics.mechanism.rotations import rotated
 from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.visual.motion import rotated
 from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.qos import QoSProfile

@@ -12,8 +12,9 @@ mechanism, a circle or straight ways from place to place: smooth, periodic, from
 from dataclasses import dataclass
 import math
 
+from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE
 from closedloop_dynamics.visual.motion import (
-    body_poses, closure_errors, composed, coupling_errors, named_point, pose_of)
+    body_poses, closure_errors, coupling_errors, named_point, pose_of)
 import numpy as np
 
 # Of what a point of a trajectory gives, in the order of the derivatives.
@@ -224,7 +225,7 @@ def residual(mechanism, position, point, place, turn):
         if mechanism.planar:
             parts.append(pose[..., 2] - turn)
         else:
-            left = composed(pose[..., 3:], turn * np.array([-1.0, -1.0, -1.0, 1.0]))
+            left = composed(pose[..., 3:], turn * CONJUGATE)
             parts += [2.0 * left[..., 3] * left[..., k] for k in range(3)]
     return np.stack(parts, axis=-1)
 
@@ -337,7 +338,7 @@ class Circle:
         table = [np.array(start, dtype=float)]
         for k in [*range(POSITIONS), 0]:
             wanted = turned if leaning is None else composed(
-                composed(leaning[k], leaning[0] * (-1.0, -1.0, -1.0, 1.0)), turned)
+                composed(leaning[k], leaning[0] * CONJUGATE), turned)
             table.append(solve(mechanism, table[-1], point, self.center + ways[k], wanted))
         if np.abs(mechanism.coordinates.apart(table[-1], table[1])).max() > 1e-6:
             raise PathError('the joints do not come back to where they began: the circle goes '

@@ -9,11 +9,11 @@ from contextlib import suppress
 from dataclasses import replace
 import time
 
-from closedloop_dynamics.core.codegen.spatial import rotation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.checks import number, one_of
 from closedloop_dynamics.mechanism.fields import at, FieldError
+from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
@@ -406,7 +406,7 @@ class Attached:
         mechanism = self._mechanism
         names = (mechanism.bodies[body].name,)
         pose = poses_in_space(body_poses(mechanism, self._position, names)[0])
-        turn = np.array(rotation(tuple(pose[3:].tolist())))
+        turn = of_quaternion(pose[3:])
         arm = turn @ grabs(mechanism, mechanism.bodies[body])[place]
         twist = body_velocities(
             mechanism, self._position, self._velocity[np.newaxis], names)[0, 0]

@@ -9,13 +9,13 @@ from .space import quaternions
 from .spatial_modeling import Placement
 from ..core import types as t
 from ..core.codegen.space import FRAME
-from ..core.codegen.spatial import rotation
 from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
 from ..engine import native
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
+from ..mechanism.rotations import of_quaternion
 
 
 def acted_in(mechanism, effects):
@@ -178,7 +178,7 @@ class CutJoints:
         # Of spherical joints the rows of bodies B, then of A; the joints' axes in their frames.
         balls = [cut for cut in mechanism.cut_joints
                  if cut.name in self._coordinates.with_orientation]
-        ends = [(placements[cut.body_b], np.array(rotation(cut.orientation))) for cut in balls]
+        ends = [(placements[cut.body_b], of_quaternion(cut.orientation)) for cut in balls]
         ends += [(placements[cut.body_a], np.eye(3)) for cut in balls]
         self._rows = np.array([placed.row for placed, _ in ends], dtype=int)
         self._axes = np.array([placed.axes @ axes for placed, axes in ends])

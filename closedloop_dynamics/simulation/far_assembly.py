@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .assembly import rank_of
-from ..core.codegen.spatial import rotation
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import about, of_quaternion, perpendicular
 
 # Closed means this, relative to the mechanism's size, or sines of angles.
 CLOSED = 1e-9
@@ -98,7 +98,7 @@ class Loops:
         self._place = {name: some.start for name, some in self.coordinates.coordinates.items()}
         self._rate = {name: some.start for name, some in self.coordinates.rates.items()}
         self._joints = _parents_first(mechanism.joints)
-        self._turned = {joint.name: np.array(rotation(joint.orientation))
+        self._turned = {joint.name: of_quaternion(joint.orientation)
                         for joint in mechanism.joints}
         self._chain = {GROUND: []}
         for joint in self._joints:
@@ -172,7 +172,7 @@ class Loops:
                     if kind == HELICAL:
                         slides[rate] = world * joint.lead
                         origin = origin + world * (joint.lead * value)
-                    frame = frame @ _about(np.array(axis), value)
+                    frame = frame @ about(np.array(axis), value)
                 else:
                     slides[rate] = world
                     origin = origin + world * value
@@ -182,9 +182,9 @@ class Loops:
                 origin = origin + slides[rate] * q[place]
             elif kind == PLANAR:
                 spins[rate], arms[rate] = frame[:, 2], origin
-                frame = frame @ _about(_UNIT[2], q[place])
+                frame = frame @ about(_UNIT[2], q[place])
             elif kind in (SPHERICAL, FREE):
-                frame = frame @ np.array(rotation(q[place:place + 4].tolist()))
+                frame = frame @ of_quaternion(q[place:place + 4])
                 spins[rate:rate + 3], arms[rate:rate + 3] = frame.T, origin
             frames[joint.child], origins[joint.child] = frame, origin
         # Where arms[k] moves with what its joint slides, the slide has no spin.
@@ -270,7 +270,7 @@ class Loops:
                     rows.append((other @ turn(a, one) + one @ turn(b, other))[None])
             if cut.type == HELICAL:
                 axis = frames[b] @ cut.axis_b
-                held = frames[b] @ np.array(rotation(cut.orientation)) @ frames[a].T
+                held = frames[b] @ of_quaternion(cut.orientation) @ frames[a].T
                 angle = np.arctan2(-axis @ _vector_of(held), 0.5 * (
                     np.trace(held) - axis @ held @ axis))
                 # Whole turns count by the way that the thread has gone.
@@ -590,7 +590,7 @@ def _least_squares(loops, q, free, target=0.0, most=MOST_ITERATIONS):
 def _ends(cut):
     """Return what is to coincide: pairs of directions, normals across, pairs at right angles."""
     if cut.type in CUT_WITH_ORIENTATION:
-        held = np.array(rotation(cut.orientation))
+        held = of_quaternion(cut.orientation)
         if cut.type == HELICAL:
             axis = np.array(cut.axis_b)
             return [(held.T @ axis, axis)], _across(axis), []
@@ -610,8 +610,7 @@ def _ends(cut):
 
 
 def _across(axis):
-    one = np.cross(axis, _UNIT[np.argmin(np.abs(axis))])
-    one = one / np.linalg.norm(one)
+    one = perpendicular(axis)
     return one, np.cross(axis, one)
 
 
@@ -634,10 +633,3 @@ def _parents_first(joints):
                 waiting.append(joint)
         left = waiting
     return order
-
-
-def _about(axis, angle):
-    """Return the rotation about a unit vector."""
-    x, y, z = axis.tolist()
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return _UNIT + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)

@@ -20,9 +20,9 @@ from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
 from ..formats.building import lines
-from ..formats.pose import quaternion_of
 from ..mechanism.fields import at, FieldError
 from ..mechanism.mechanism import FIXED, MechanismError, REVOLUTE, SPHERICAL
+from ..mechanism.rotations import quaternion_of
 
 # So many of the joints that moved the furthest are told.
 MOST_TOLD = 3

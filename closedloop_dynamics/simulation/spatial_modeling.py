@@ -20,7 +20,7 @@ from ..core import types as t
 from ..core.codegen import space
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD
 from ..core.codegen.space import cleared, snapped
-from ..core.codegen.spatial import Recursion, rotation, X, Y, Z
+from ..core.codegen.spatial import Recursion, X, Y, Z
 from ..core.codegen.vectors import is_zero
 from ..mechanism.couplings import measured
 from ..mechanism.cut_freedoms import cut_freedoms
@@ -29,6 +29,7 @@ from ..mechanism.mechanism import (
     Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
     JOINT_FREEDOMS, MechanismError, Motion, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC,
     REVOLUTE, SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import of_quaternion
 
 # Of the size: errors of equations that no motion changes are rounding below this.
 NEVER_CLOSED = 1e-9
@@ -142,7 +143,7 @@ class _Tree:
         """Add the rows of one joint, and the body that it carries."""
         joint = self.mechanism.joints[index]
         parent, body = self.placements[joint.parent], self.bodies[joint.child]
-        axes = snapped(parent.axes @ np.array(rotation(joint.orientation)))
+        axes = snapped(parent.axes @ of_quaternion(joint.orientation))
         place, row, rows = parent.place(joint.position), parent.row, []
         dof, coordinate = self.first[index], self.coordinate[index]
         for kind, axis, turned in self._freedoms(joint, axes):
@@ -306,7 +307,7 @@ def _cut_frames(joint, a, b):
     """Return the joint's axes in the frames of both rows."""
     if joint.type in CUT_WITH_ORIENTATION:
         own = _UNIT if joint.axis_b is None else _frame(np.array(joint.axis_b), np.zeros(3))
-        held = np.array(rotation(joint.orientation)).T
+        held = of_quaternion(joint.orientation).T
         return snapped(a.axes @ held @ own), snapped(b.axes @ own)
     if joint.type in (SPHERICAL, DISTANCE):
         return _UNIT, _UNIT

@@ -12,7 +12,7 @@ from .hard_machines import started
 from .spinning_bodies import (
     ACROSS, ALONG, free_body, LEVER, MOMENTS, norm_error, nutation, one_body, SPIN, top, TOP_MASS,
     TURNS)
-from ..core.codegen.spatial import rotation
+from ..mechanism.rotations import of_quaternion
 
 # Of the corner of Bricard's linkage after a second: two independent solvers agree on it [m].
 BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)
@@ -126,7 +126,7 @@ def _top(method, quick):
     energy = simulation.energy
     for _ in range(10 if quick else 320):
         simulation.step(duration=0.1 if quick else 0.5)
-        lean = rotation(simulation.position)[2][2]
+        lean = of_quaternion(simulation.position)[2, 2]
         worst = max(worst, abs(lean - nutation(simulation.time)[0]),
                     abs(simulation.velocity[2] / SPIN - 1.0),
                     abs(simulation.energy / energy - 1.0), NORM * norm_error(simulation))
@@ -143,7 +143,7 @@ def _many_turns(method, quick):
     tau, worst = np.zeros(3), 0.0
     for _ in range(2 if quick else 1000):
         simulation.advance(tau, 10_000)
-        now = np.array(rotation(simulation.position)) @ (MOMENTS * simulation.velocity)
+        now = of_quaternion(simulation.position) @ (MOMENTS * simulation.velocity)
         worst = max(worst, np.abs(now - momentum).max() / np.abs(momentum).max(),
                     abs(simulation.energy / energy - 1.0), NORM * norm_error(simulation))
     return worst
@@ -159,7 +159,7 @@ def _orientations(method, quick):
         for q in (turn, -turn):
             rates = rng.standard_normal(3)
             simulation.set_state(q, rates)
-            weight = np.array(rotation(q)).T @ (0.0, 0.0, -9.81 * TOP_MASS)
+            weight = of_quaternion(q).T @ (0.0, 0.0, -9.81 * TOP_MASS)
             # Euler's equations about the fixed point.
             torque = np.cross((0.0, 0.0, LEVER), weight) - np.cross(rates, moments * rates)
             worst = max(worst, np.abs(simulation.acceleration - torque / moments).max()

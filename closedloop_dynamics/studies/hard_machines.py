@@ -8,15 +8,14 @@ import math
 
 import numpy as np
 
-from ..core.codegen.spatial import rotation
 from ..effects.gravity import Gravity
 from ..formats.in_space import in_space as lifted
 from ..mechanism.mechanism import (
     Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
+from ..mechanism.rotations import composed, of_quaternion
 from ..simulation.scene import load_scene
 from ..simulation.scene_records import Initial, Scene
 from ..simulation.simulation import Simulation
-from ..visual.motion import composed
 
 G = 9.81
 # Direction of the ground: the world's axes must play no part.
@@ -89,7 +88,7 @@ def off_the_branch(position):
 
 def in_space(mechanism):
     """Return a planar mechanism of pins in a plane along no axis; of each 3 equations repeat."""
-    axes = np.array(rotation(TURN))
+    axes = of_quaternion(TURN)
     flat = lifted(mechanism)
     return replace(flat, joints=tuple(
         joint if joint.parent != GROUND else replace(
@@ -101,7 +100,7 @@ def in_space(mechanism):
 def gravity_in_space():
     """Return gravity in space as ``gravity`` acts on a mechanism in its plane."""
     one = gravity()['gravity']
-    return {'gravity': Gravity(tuple(np.array(rotation(TURN)) @ (*one.acceleration, 0.0)))}
+    return {'gravity': Gravity(tuple(of_quaternion(TURN) @ (*one.acceleration, 0.0)))}
 
 
 def gravity(direction=DIRECTION, strength=G):

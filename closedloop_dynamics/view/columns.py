@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .effect_shapes import normal_in_space, normal_of, outline_of
-from ..core.codegen.spatial import rotation
 from ..core.types import SMALLEST_PIVOT
 from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
@@ -23,6 +22,7 @@ from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.mechanism import GROUND
+from ..mechanism.rotations import of_quaternion
 from ..simulation.health import WARN_BELOW
 from ..visual.motion import body_poses, body_velocities, magnitudes, POSE, poses_in_space
 
@@ -321,7 +321,7 @@ class SimulationRows:
         if body == GROUND:
             return np.eye(3)
         pose = poses_in_space(self._simulation.body_poses[self._rows[body]])
-        return np.array(rotation(tuple(pose[3:].tolist())))
+        return of_quaternion(pose[3:])
 
     def _contact(self, record, readings):
         """Return the normal force and what acts along the line or plane."""

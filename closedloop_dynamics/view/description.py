@@ -16,16 +16,15 @@ import numpy as np
 from .effect_shapes import effect_lines, surfaces, wires
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from .messages import FASTEST, SLOWEST
-from ..core.codegen.spatial import rotation
 from ..effects.registry import effect_type
 from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.meanings import documented, unit_in
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
+from ..mechanism.rotations import of_quaternion, rotated
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, sliders, solid)
-from ..visual.motion import rotated
 from ..visual.urdf import depths
 
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
@@ -185,7 +184,7 @@ def _visuals(name, visuals, size, height, most, missing):
     shapes = []
     for visual in visuals:
         center = (np.array(visual.center) + (0.0, 0.0, height)).tolist()
-        axes = np.array(rotation(visual.orientation))
+        axes = of_quaternion(visual.orientation)
         if visual.kind == BOX:
             shapes.append({'kind': 'box', 'center': center, 'size': list(visual.size),
                            'axes': axes.T.tolist()})

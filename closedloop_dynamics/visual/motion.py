@@ -12,6 +12,7 @@ from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
+from ..mechanism.rotations import composed, CONJUGATE, rotated
 
 _AXES = np.eye(3)
 # Numbers of a pose in space: x, y, z, and a quaternion x, y, z, w.
@@ -144,7 +145,7 @@ def body_velocities(mechanism, position, rates, names):
         found[..., [0, 1, 5]] = (after - before) / (2.0 * _INSTANT)
         return found
     found[..., :3] = (after[..., :3] - before[..., :3]) / (2.0 * _INSTANT)
-    turn = composed(after[..., 3:], before[..., 3:] * (-1.0, -1.0, -1.0, 1.0))
+    turn = composed(after[..., 3:], before[..., 3:] * CONJUGATE)
     found[..., 3:] = turn[..., :3] * np.sign(turn[..., 3:]) / _INSTANT
     return found
 
@@ -235,20 +236,6 @@ def _child_pose_in_space(parent, joint, coordinates):
 def _turn_about(axis, angle):
     """Return the quaternions of turns [rad], shape (..., 1), about a unit axis."""
     return np.concatenate([np.sin(0.5 * angle) * axis, np.cos(0.5 * angle)], axis=-1)
-
-
-def composed(first, second):
-    """Return products of quaternions x, y, z, w, shapes (..., 4): first after second."""
-    a, b = first[..., :3], second[..., :3]
-    v, w = first[..., 3:], second[..., 3:]
-    return np.concatenate([
-        v * b + w * a + np.cross(a, b), v * w - np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
-
-
-def rotated(quaternion, vectors):
-    """Return vectors, shape (..., 3), turned by unit quaternions, shape (..., 4)."""
-    vector, scalar = quaternion[..., :3], quaternion[..., 3:]
-    return vectors + 2.0 * np.cross(vector, np.cross(vector, vectors) + scalar * vectors)
 
 
 def world_points(pose, points):
@@ -357,7 +344,7 @@ def _spatial_errors(cut, pose_a, pose_b, gap):
     if cut.type in CUT_WITH_ORIENTATION:
         # The turn that is left of body A's frame against where the joint holds it, or began.
         held = composed(pose_b[..., 3:], np.array(cut.orientation))
-        left = composed(pose_a[..., 3:], held * (-1.0, -1.0, -1.0, 1.0))
+        left = composed(pose_a[..., 3:], held * CONJUGATE)
     if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
         vectors.append(np.cross(along_a, along_b))
     elif cut.type == UNIVERSAL:

@@ -22,13 +22,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
-from ..core.codegen.spatial import rotation
 from ..formats.model import MOMENTS
-from ..formats.pose import angles_of
 from ..formats.writing import numbers, written
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL)
+from ..mechanism.rotations import angles_of, of_quaternion
 from ..simulation.modeling import extent
 
 WORLD = 'world'
@@ -204,7 +203,7 @@ def _add_axis(element, axis, size):
 
 def _angles(quaternion):
     """Return roll, pitch and yaw of a unit quaternion x, y, z, w [rad]."""
-    return angles_of(np.array(rotation(quaternion)))
+    return angles_of(of_quaternion(quaternion))
 
 
 def _add_hardware(robot, mechanism, command_topic, state_topic):

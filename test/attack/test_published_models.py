@@ -16,9 +16,9 @@ from pathlib import Path
 import re
 
 from closedloop_dynamics.formats.building import word
-from closedloop_dynamics.formats.pose import of_quaternion
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.mechanism import FREE, MechanismError
+from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.model_scene import scene_of_model
 from closedloop_dynamics.simulation.simulation import Simulation
