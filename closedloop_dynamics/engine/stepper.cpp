@@ -61,7 +61,8 @@ bool fits(const System & system, const Stepper & stepper)
            runs.scale.rows == 2 && runs.scale.columns == ns)) &&
          (!is_switching || (
            stepper.unit.rows == 2 && stepper.unit.columns == ns &&
-           runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq())) &&
+           runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq() &&
+           runs.short_tableau.a.rows > 0 && runs.short_tableau.a.rows <= stages)) &&
          (!is_stiff || (runs.stiff_scratch.pages == count &&
          runs.stiff_scratch.rows == STIFF_ROWS && runs.stiff_scratch.columns == ns &&
          runs.matrix.rows == ns && runs.matrix.columns == ns && runs.pivots.size == ns)) &&

@@ -31,6 +31,8 @@ constexpr double FIRST_THRESHOLD = 15.0, MOST_THRESHOLD = 1000.0, NONSTIFF_STEPS
 // Steps of a trial, and those at its start, small still, that do not count.
 constexpr double TRIAL = 20.0, GROWING = 8.0;
 constexpr double EXPLICIT_WORK = 12.0;
+// Restarts after which DOPRI5 is tried again where its step did not last until the next one.
+constexpr double SHORT_PATIENCE = 50.0;
 
 /// Let the other method go on.
 void change(Values control, double stiff)
@@ -102,6 +104,28 @@ void consider_explicit(Values control)
   }
 }
 
+/// Choose the explicit method of the step that begins with new torques.
+void choose_order(Values control)
+{
+  const double hold = control[control::HOLD];
+  control[switching::SHORT] = 0.0;
+  if (!(hold > 0.0 && control[control::NEXT_STEP] >= hold) || control[switching::STIFF] != 0.0) {
+    return;
+  }
+  if (control[switching::SHORT_STEP] < hold && control[switching::SHORT_WAIT] > 0.0) {
+    control[switching::SHORT_WAIT] -= 1.0;
+    return;
+  }
+  control[switching::SHORT] = 1.0;
+  control[switching::SHORT_WAIT] = SHORT_PATIENCE;
+}
+
+/// Time until torques are expected to change again.
+double time_held(Values control)
+{
+  return control[control::RESTARTED] + control[control::HOLD] - control[control::REACHED];
+}
+
 /// A run, its reference run, and the monitor of the error.
 class Pair
 {
@@ -118,9 +142,11 @@ public:
 private:
   ExplicitRun explicit_run(Index which) const
   {
-    return {tableau_, stabilisation_, runs_.control[which], runs_.scale[which],
-      runs_.scratch[which]};
+    const Values control = runs_.control[which];
+    return {control[switching::SHORT] == 0.0 ? tableau_ : runs_.short_tableau, stabilisation_,
+      control, runs_.scale[which], runs_.scratch[which]};
   }
+  Status explicit_step(Index which);
   Status make_step(Index which, double limit);
   void begin(double time, Values state);
   void open_window();
@@ -143,17 +169,24 @@ void Pair::begin(double time, Values state)
 {
   const Values control = runs_.control[RUN], & monitor = runs_.monitor;
   explicit_run(RUN).begin(time, state);
+  choose_order(control);
   if (control[switching::STIFF_THRESHOLD] == 0.0) {
     // Nothing that was before says anything about this state.
     control[switching::STIFF_THRESHOLD] = FIRST_THRESHOLD;
+    control[switching::SHORT] = control[switching::SHORT_STEP] = 0.0;
+    control[switching::SHORT_WAIT] = 0.0;
     change(control, 0.0);
     monitor[monitor::PAUSE] = WINDOW;
     monitor[monitor::SMALLEST] = 0.0;
     open_window();
   } else if (monitor[monitor::OPEN] == 1.0) {
     const Values other = runs_.control[REFERENCE];
-    // Amid a step it is set back: a run that is restored does not know that step.
-    if (std::abs(other[control::REACHED] - time) <= LEAST * std::max(std::abs(time), 1e-3)) {
+    // Amid a step it is set back: a run that is restored does not know that step. So it is where
+    // both would make the same step, which it takes over then.
+    const bool amid =
+      std::abs(other[control::REACHED] - time) > LEAST * std::max(std::abs(time), 1e-3);
+    const double least = std::min(control[control::NEXT_STEP], other[control::NEXT_STEP]);
+    if (!amid && !(control[control::HOLD] > 0.0 && least >= control[control::HOLD])) {
       other[control::HOLD] = control[control::HOLD];
       other[control::RESTARTED] = other[control::REACHED] = time;
       other[control::STEP_SIZE] = 0.0;
@@ -298,12 +331,32 @@ void Pair::update_monitor(bool lost)
   }
 }
 
+/// Make one step of a run by the explicit method that is its turn.
+Status Pair::explicit_step(Index which)
+{
+  const Values control = runs_.control[which];
+  if (control[switching::SHORT] != 0.0 && control[control::STEP_SIZE] != 0.0) {
+    // Torques are held for longer than expected, or something else ended its step.
+    control[switching::SHORT] = 0.0;
+    control[control::STEP_SIZE] = NOTHING_BETWEEN;
+  }
+  if (control[switching::SHORT] == 0.0) {
+    return explicit_run(which).accepted_step(system_, interrupt_);
+  }
+  const double next = control[control::NEXT_STEP];
+  control[control::NEXT_STEP] = time_held(control);
+  const Status status = explicit_run(which).accepted_step(system_, interrupt_);
+  control[switching::SHORT_STEP] = control[control::NEXT_STEP];
+  control[control::NEXT_STEP] = std::max(next, control[control::NEXT_STEP]);
+  return status;
+}
+
 /// Make one step of a run by the method that is its turn.
 Status Pair::make_step(Index which, double limit)
 {
   const Values control = runs_.control[which];
   if (control[switching::STIFF] == 0.0) {
-    const Status status = explicit_run(which).accepted_step(system_, interrupt_);
+    const Status status = explicit_step(which);
     if (status == Status::DONE) {
       consider_stiff(control);
     } else if (status != Status::INTERRUPTED && status != Status::POOR_EQUATIONS) {

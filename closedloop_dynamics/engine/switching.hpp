@@ -8,6 +8,9 @@
 
 // The default method: error control that changes between DOP853 and RODAS4.
 //
+// Where torques are held for so short that one step of order five does, DOPRI5 makes it, with fewer
+// evaluations than DOP853.
+//
 // Where steps of the explicit method are limited by stability, the stiff one is tried, and
 // whichever takes less work for the same time goes on; work is counted in evaluations, so that the
 // same run changes at the same steps every time.
@@ -24,13 +27,15 @@ namespace closedloop
 /// Columns of the control record that follow those of error_control.hpp: whether the stiff method
 /// steps; explicit steps in a row that stability seems to limit and those that it does not; how
 /// many of the first kind let the stiff method be tried; work and time when that count, or the
-/// trial, began; work per time of the explicit method before the trial; steps of the trial.
+/// trial, began; work per time of the explicit method before the trial; steps of the trial; whether
+/// the present step is DOPRI5's, the step that it would make next, and after how many restarts it is
+/// tried again.
 namespace switching
 {
 enum : Index
 {
   STIFF = control::COLUMNS, STIFF_COUNT, NONSTIFF_COUNT, STIFF_THRESHOLD, SINCE_WORK, SINCE_TIME,
-  EXPLICIT_RATE, TRIAL_STEPS, COLUMNS
+  EXPLICIT_RATE, TRIAL_STEPS, SHORT, SHORT_STEP, SHORT_WAIT, COLUMNS
 };
 }
 
@@ -54,6 +59,8 @@ constexpr double LOOSER = 30.0;
 /// A run and its reference run (integration/drivers.py).
 struct Runs
 {
+  /// DOPRI5.
+  Tableau short_tableau;
   Table control;
   Cube<double> scale;
   Cube<double> scratch;
@@ -66,7 +73,8 @@ struct Runs
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(control, scale, scratch, stiff_scratch, matrix, pivots, monitor, weight);
+    visit(
+      short_tableau, control, scale, scratch, stiff_scratch, matrix, pivots, monitor, weight);
   }
 };
 

@@ -13,6 +13,7 @@ from .steppers import (
     EXPLICIT_STEPS, FIXED_STEPS, FIXED_STIFF_STEPS, one_run, REFERENCE, RUN, Runs, Stepper,
     STIFF_STEPS, SWITCHING_STEPS)
 from .system import number_of_states, parts_of_state
+from .tableau import DOPRI5
 from ..core.manifold import weights
 from ..engine import native
 
@@ -38,7 +39,7 @@ RUN_FACTORS = np.array([1.0, columns.LOOSER]).reshape(2, 1, 1)
 
 def _allocate_runs(tableau, states, weight):
     return Runs(
-        np.zeros((2, columns.SWITCHING_COLUMNS)), np.zeros((2, 2, states)),
+        DOPRI5, np.zeros((2, columns.SWITCHING_COLUMNS)), np.zeros((2, 2, states)),
         np.zeros((2, len(tableau.a) + columns.FIRST_SLOPE, states)),
         np.zeros((2, columns.STIFF_ROWS, states)), np.zeros((states, states)),
         np.zeros(states, dtype=np.int64), np.zeros(columns.MONITOR_COLUMNS), weight)

@@ -46,7 +46,7 @@ _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0
 
 INTEGRATORS = {
     AUTO: Integrator(
-        ADAPTIVE, 'keeps an accuracy: dop853, and rodas4 where that is cheaper', SWITCHING,
+        ADAPTIVE, 'keeps an accuracy: dop853, and dopri5 or rodas4 where cheaper', SWITCHING,
         DOP853),
     'semi_implicit_euler': Integrator(
         FIXED, 'order 1, one evaluation a step', EXPLICIT, _EULER),

@@ -16,6 +16,7 @@ RUN, REFERENCE = range(2)
 class Runs(NamedTuple):
     """A run of the default method and its reference run: records, tolerances and scratch."""
 
+    short_tableau: Optional[Tableau]  # Of steps while torques are held for short
     control: np.ndarray  # Shape (2, SWITCHING_COLUMNS)
     scale: np.ndarray  # Shape (2, 2, ns): absolute and relative tolerance of each component
     # Shape (2, rows, ns): of the explicit method; its row AFTER is the state at REACHED.
@@ -47,7 +48,8 @@ class Stepper(NamedTuple):
 def one_run(kind, stabilisation, tableau=None, **memory):
     """Return a stepper of one run, with the memory that its method has."""
     table, page = np.zeros((0, 0)), np.zeros((0, 0, 0))
-    runs = Runs(table, page, page, page, table, np.zeros(0, dtype=np.int64), *2 * [np.zeros(0)])
+    runs = Runs(
+        None, table, page, page, page, table, np.zeros(0, dtype=np.int64), *2 * [np.zeros(0)])
     return Stepper(kind, stabilisation, tableau, table, runs._replace(
         **{name: values if name in ('matrix', 'pivots') else values[np.newaxis]
            for name, values in memory.items()}))

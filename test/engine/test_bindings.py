@@ -15,6 +15,7 @@ from closedloop_dynamics.integration.drivers import build_driver
 from closedloop_dynamics.integration.guarded_run import NONE
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system, number_of_states
+from closedloop_dynamics.integration.tableau import Tableau
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -304,7 +305,7 @@ def guarded(request):
 def shortened(record):
     """Yield a record with each of its arrays, and those of records in it, one row short."""
     for name, value in zip(record._fields, record):
-        if name == 'tableau':
+        if isinstance(value, Tableau):
             continue
         if isinstance(value, tuple):
             yield from (record._replace(**{name: each}) for each in shortened(value))

@@ -5,7 +5,8 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.types import EVALUATIONS
-from closedloop_dynamics.integration.control import ACCEPTED, STIFF
+from closedloop_dynamics.integration.control import (
+    ACCEPTED, OPEN, SHORT, STIFF, UNTIL, WORK)
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -174,13 +175,51 @@ def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
     assert worst <= accuracy and 0.3 * worst <= auto.report().error_bound <= accuracy
 
 
-def test_the_run_does_not_depend_on_its_companion():
+@pytest.mark.parametrize('rate', [100, 1000])
+def test_the_run_does_not_depend_on_its_companion(rate):
     # Nothing that the companion does, or is spared, changes a digit of the run.
-    scene = load_scene('three_rrr')
-    free, watched = (Simulation(replace(scene, method=Method(**method))) for method in (
-        {'integrator': 'dop853', 'tolerance': 1e-9}, {'accuracy': 1e-6}))
+    free, watched = (Simulation.from_scene('three_rrr', step_size=1.0 / rate) for _ in range(2))
+    watch = free.monitor.driver.watch
     for number in range(300):
         torque = [5.0 + 0.01 * number, -3.0, 2.0 * np.sin(0.1 * number)]
         for one in (free, watched):
             one.advance(one.joint_torques(torque), 1)
+        # From the first step on no window is open.
+        watch[[OPEN, UNTIL]] = 0.0, np.inf
+    assert free.monitor.work[1] < 0.1 * watched.monitor.work[0]
     assert np.array_equal(free.integrated, watched.integrated)
+
+
+def test_without_new_torques_the_steps_are_those_of_dop853():
+    one, auto = (Simulation.from_scene('three_rrr', **method) for method in (
+        {'integrator': 'dop853', 'tolerance': 1e-9}, {'accuracy': 1e-6}))
+    for _ in range(10):
+        for run in (one, auto):
+            run.advance(run.joint_torques([5.0, -3.0, 2.0]), 50)
+    assert np.array_equal(one.integrated, auto.integrated)
+
+
+@pytest.mark.parametrize('scene', ['three_rrr', 'carpet_scraper', 'stewart_platform'])
+def test_steps_between_torques_are_those_of_the_lower_order_where_these_are_accurate(scene):
+    simulation = Simulation.from_scene(scene)
+    control, short, evaluations = simulation.monitor.driver.control, 0, []
+    for number in range(200):
+        tau = np.full(len(simulation.torque_names), 0.1 + 1e-3 * (number % 3))
+        before = control[WORK]
+        simulation.advance(tau, 1)
+        short += int(control[SHORT])
+        evaluations.append(control[WORK] - before)
+    # Six evaluations, and that of the end, which tells the error, are not twelve.
+    assert short > 150 and np.median(evaluations) == 6.0
+    # Torques that are held for longer than expected: DOP853 goes on.
+    simulation.advance(tau, 100)
+    assert control[SHORT] == 0.0
+
+
+def test_a_lower_order_that_is_too_coarse_is_tried_rarely():
+    simulation = Simulation.from_scene('three_rrr', accuracy=1e-9, step_size=0.02)
+    control, short = simulation.monitor.driver.control, 0
+    for number in range(200):
+        simulation.advance(simulation.joint_torques([5.0 + 0.01 * number, -3.0, 2.0]), 1)
+        short += int(control[SHORT])
+    assert short <= 5
