@@ -4,11 +4,13 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
 
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
 #include <exception>
 #include <memory>
 #include <new>
+#include <stdexcept>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -315,6 +317,8 @@ PyObject * guarded(Function && function)
   } catch (const PythonError &) {
   } catch (const std::bad_alloc &) {
     PyErr_SetString(PyExc_MemoryError, "out of memory");
+  } catch (const std::invalid_argument & error) {
+    PyErr_SetString(PyExc_ValueError, error.what());
   } catch (const std::exception & error) {
     PyErr_SetString(PyExc_RuntimeError, error.what());
   } catch (...) {
@@ -379,6 +383,17 @@ inline bool has_length(const System & system, Length length, const Table & table
   return length == Length::ANY || table.columns == system.ns();
 }
 
+/// What a function expects of its arguments together: a function of its parameters, or of the
+/// first of them, that returns what does not fit, or nullptr; none here (preconditions.hpp).
+template<auto Function>
+inline constexpr auto precondition = nullptr;
+
+template<class Class, class ... Parameters>
+constexpr Py_ssize_t count_parameters(const char * (Class::*)(Parameters...) const)
+{
+  return sizeof...(Parameters);
+}
+
 template<auto Function, bool Releases, Length ... lengths>
 struct Kernel;
 
@@ -409,6 +424,14 @@ struct Kernel<Function, Releases, lengths...>: Bound
     if constexpr (sizeof...(lengths) > 0) {
       check_lengths(
         static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
+    }
+    using Precondition = std::remove_cv_t<decltype(precondition<Function>)>;
+    if constexpr (!std::is_null_pointer_v<Precondition>) {
+      constexpr Py_ssize_t asked = count_parameters(&Precondition::operator());
+      // Once: when the last of these arguments is read.
+      if (first < asked && first + count >= asked) {
+        check_together(std::make_index_sequence<asked>{});
+      }
     }
   }
 
@@ -444,6 +467,16 @@ struct Kernel<Function, Releases, lengths...>: Bound
   }
 
 private:
+  template<std::size_t ... Places>
+  void check_together(std::index_sequence<Places...>)
+  {
+    const char * found = precondition<Function>(std::get<Places>(arguments).get() ...);
+    if (found != nullptr) {
+      PyErr_Format(PyExc_ValueError, "%s: %s", name, found);
+      throw PythonError();
+    }
+  }
+
   template<std::size_t ... Places>
   void check_lengths(std::size_t read, std::index_sequence<Places...>)
   {

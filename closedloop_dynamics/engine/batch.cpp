@@ -12,6 +12,7 @@
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "routines.hpp"
+#include "validation.hpp"
 
 namespace closedloop
 {
@@ -188,20 +189,31 @@ private:
   std::vector<double> own_;
 };
 
+/// Whether the generated routines are there and work on these very arrays.
+bool is_linked(const Batch & batch)
+{
+  const auto is_at = [&](Index place, Values array) {
+      return array.size == 0 || batch.table[place] == reinterpret_cast<Index>(array.data);
+    };
+  return batch.table.size == routine::TABLE_COLUMNS && batch.table[routine::EVALUATION] != 0 &&
+         batch.table[routine::CORRECTION] != 0 && is_at(routine::TAU, batch.tau) &&
+         is_at(routine::QDD, batch.qdd) && is_at(routine::CLOSURE, batch.closure) &&
+         is_at(routine::CORRECTIONS, batch.corrections.all());
+}
+
 bool fits(const Batch & batch)
 {
   const Index nv = batch.nv(), width = LANES * nv;
-  return width > 0 && batch.qdd.size == width && batch.tau.size == width &&
-         batch.closure.size % LANES == 0 && batch.corrections.rows == 2 &&
-         batch.corrections.columns == width && batch.tolerance.size == LANES &&
-         batch.limit.size == LANES && batch.error.size == LANES && (
-    batch.manifold.empty() || (
-      batch.manifold.place.size == nv && batch.manifold.number.size == nv));
+  return width > 0 && is_linked(batch) && batch.qdd.size == width && batch.tau.size == width &&
+         batch.closure.size % LANES == 0 && batch.corrections.rows == 2 && batch.corrections.columns == width &&
+         batch.tolerance.size == LANES && batch.limit.size == LANES && batch.error.size == LANES &&
+         misfit(batch.manifold, batch.nq(), nv) == nullptr;
 }
 
 bool fits(const Batch & batch, const Lane & lane, const Lane & first)
 {
-  return lane.system->nv() == batch.nv() && lane.system->nq() == batch.nq() &&
+  return lane.system != nullptr && lane.system->nv() == batch.nv() &&
+         lane.system->nq() == batch.nq() &&
          lane.system->effects.states.size == 0 && lane.run.stepper.kind == stepper::FIXED &&
          lane.run.stepper.stabilisation == first.run.stepper.stabilisation &&
          lane.run.numbers.size == guard::NUMBERS &&
@@ -225,7 +237,7 @@ Status run_batch(
   const Stabilisation stabilisation = like.stepper.stabilisation;
   const Watch & watch = like.watch;
   const double step_size = like.numbers[guard::STEP_SIZE];
-  const Index n = batch.qdd.size, first = LANES * batch.nq(), stages = tableau.a.rows;
+  const Index n = batch.qdd.size, first = LANES * batch.nq();
   const Index ns = lanes[0].system->ns();
   const auto has_rows = [&](Cube<double> rows, Index columns) {
       return rows.pages == LANES && rows.rows == steps / decimation + 1 &&
@@ -233,9 +245,9 @@ Status run_batch(
     };
   if (zero_order_hold < 1 || decimation < 1 || steps < 0 || state.size != LANES * ns ||
     torque.columns != n || torque.rows < 1 ||
-    torque.rows < (steps + zero_order_hold - 1) / zero_order_hold ||
-    scratch.rows < stages + 3 || scratch.columns != state.size ||
-    tableau.a.columns < stages - 1 || tableau.b.size > std::max<Index>(stages, 1) ||
+    (steps > 0 && torque.rows <= (steps - 1) / zero_order_hold) ||
+    !fits(tableau) || scratch.rows < std::max<Index>(tableau.a.rows, 1) + 3 ||
+    scratch.columns != state.size ||
     !has_rows(position, batch.nq()) || !has_rows(velocity, batch.nv()) ||
     status.size != count || found.rows != count || found.columns != finding::COLUMNS)
   {

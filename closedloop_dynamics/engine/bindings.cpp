@@ -28,6 +28,7 @@
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
+#include "preconditions.hpp"
 #include "projection.hpp"
 #include "recursion.hpp"
 #include "requests.hpp"
@@ -89,6 +90,28 @@ bool is_interrupted()
   return stops;
 }
 
+}  // namespace
+
+template<>
+inline constexpr auto precondition<factorize_constraints> =
+  [](const Model & model, const Workspace & work) {
+    return expected::machine(model, work, [&] {return misfit_of_pattern(model) == nullptr;});
+  };
+
+template<>
+inline constexpr auto precondition<move_coordinates> =
+  [](const Manifold & manifold, Values q, Values change) {
+    return misfit(manifold, q.size, change.size);
+  };
+
+template<>
+inline constexpr auto precondition<numbers_of_coordinates> =
+  [](const Manifold & manifold, Values q) {
+    return misfit(manifold, q.size, manifold.empty() ? q.size : manifold.place.size);
+  };
+
+namespace
+{
 const Entry entries[] = {
   entry<outward>(
     "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),

@@ -94,12 +94,18 @@ enum : Index {FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASI
 enum Formulation : Index {SUBSYSTEM, SYSTEM, AUGMENTED};
 }
 
-/// The function table: addresses of the routines generated for one mechanism.
+/// The function table: addresses of the routines generated for one mechanism, then of the arrays
+/// that they work on.
 namespace routine
 {
 enum : Index
 {
   EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION, REACTIONS
+};
+enum Array : Index
+{
+  BODY = 10, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE,
+  CLOSURE_RATE, CORRECTIONS, REACTION, TABLE_COLUMNS
 };
 }
 

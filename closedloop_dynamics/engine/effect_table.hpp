@@ -54,6 +54,23 @@ enum Value : Index
 };
 }
 
+/// Data of laws that were traced on symbols (effects/traced_effect.py).
+namespace traced
+{
+/// The most coordinates and own states of a law, and readings beside its power.
+constexpr Index MOST_COORDINATES = 16, MOST_STATES = 16, READINGS = 3;
+
+/// Numbers of the first entry: how many of the first states are the time; own states beside it;
+/// whether the law tells what it stores and dissipates, so that the rest is no work from outside.
+enum Head : Index {CLOCK, OWN, BOOKED};
+/// Numbers of the others: what is measured, of which joint or bodies, or along which axis, and
+/// where the points are.
+enum Entry : Index {MEASURED, FIRST, SECOND, POINT_A, POINT_B = 6, COLUMNS = 9};
+/// What is measured: the coordinate of a joint, the distance of two points, a component of the
+/// place of a point.
+enum Measured : Index {JOINT, DISTANCE, COMPONENT};
+}
+
 /// Joints at rest under dry friction, and what holds them.
 struct Sticking
 {

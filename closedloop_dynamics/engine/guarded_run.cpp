@@ -76,6 +76,7 @@ bool fits(const System & system, const GuardedRun & run)
          run.kept.size == length_to_keep(system, run) &&
          (nc == 0 || run.kept_by_cables.size == run.kept.size) && run.windings.size == nc &&
          std::all_of(run.watch.windings.begin(), run.watch.windings.end(), is_place) &&
+         run.counts[DUE] >= 0 && (nc > 0 || (run.counts[DUE] & CABLES) == 0) &&
          run.watch.first > 0 && run.watch.most > 0;
 }
 

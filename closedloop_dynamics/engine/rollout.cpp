@@ -154,9 +154,13 @@ void check_starts(
     if (is_fine) {
       copy(state, trial);
       restart(like.stepper, true);
-      is_fine = make_steps(
-        system, like.stepper, trial, 0.0, 0, like.numbers[guard::STEP_SIZE], 1).first ==
-        Status::DONE;
+      const Status ended = make_steps(
+        system, like.stepper, trial, 0.0, 0, like.numbers[guard::STEP_SIZE], 1).first;
+      if (ended == Status::INTERRUPTED) {
+        beginning.restore();
+        return;
+      }
+      is_fine = ended == Status::DONE;
     }
     if (is_fine && system.has_effects()) {
       begin_friction(
@@ -176,7 +180,7 @@ void run_samples(
   const Index count = states.pages;
   if ((start.rows != 1 && start.rows != count) || (torque.pages != 1 && torque.pages != count) ||
     torque.columns != system.tau.size || zero_order_hold < 1 || decimation < 1 || steps < 0 ||
-    torque.rows < 1 || torque.rows < (steps + zero_order_hold - 1) / zero_order_hold ||
+    torque.rows < 1 || (steps > 0 && torque.rows <= (steps - 1) / zero_order_hold) ||
     states.rows != steps / decimation + 1 || states.columns != system.ns() ||
     status.size != count || found.rows != count || found.columns != finding::COLUMNS ||
     like.stepper.kind == stepper::HOST)

@@ -39,6 +39,13 @@ std::pair<Status, Index> make_steps(
   }
 }
 
+bool fits(const Tableau & method)
+{
+  const Index stages = method.a.rows;
+  return method.a.columns == stages && method.steps() <= stages && method.error.rows == 2 &&
+         method.error.columns == stages && method.dense.rows <= stages;
+}
+
 bool fits(const System & system, const Stepper & stepper)
 {
   const Runs & runs = stepper.runs;
@@ -52,7 +59,6 @@ bool fits(const System & system, const Stepper & stepper)
   const bool is_switching = stepper.kind == stepper::SWITCHING;
   const bool is_stiff = stepper.kind >= stepper::SWITCHING;
   const Tableau & tableau = stepper.tableau;
-  const Index stages = tableau.a.rows;
   // Steps of one size by the stiff method have what the others have.
   return ((stepper.is_fixed() && runs.control.rows == 0 && runs.scale.pages == 0) || (
            runs.control.rows == count && runs.control.columns == (
@@ -67,8 +73,8 @@ bool fits(const System & system, const Stepper & stepper)
          runs.stiff_scratch.rows == STIFF_ROWS && runs.stiff_scratch.columns == ns &&
          runs.matrix.rows == ns && runs.matrix.columns == ns && runs.pivots.size == ns)) &&
          (stepper.kind >= stepper::STIFF_FIXED || (
-           tableau.a.columns >= stages - 1 && tableau.b.size <= std::max<Index>(stages, 1) &&
-           runs.scratch.pages == count && runs.scratch.rows >= stages + (
+           fits(tableau) && runs.scratch.pages == count &&
+           runs.scratch.rows >= std::max<Index>(tableau.a.rows, 1) + (
              stepper.is_fixed() ? 3 : static_cast<Index>(scratch::FIRST_SLOPE)) &&
            runs.scratch.columns == ns));
 }

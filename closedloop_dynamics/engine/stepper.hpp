@@ -36,6 +36,9 @@ struct Stepper
   void fields(Visitor && visit) {visit(kind, stabilisation, tableau, unit, runs);}
 };
 
+/// Whether the arrays of a method fit together.
+bool fits(const Tableau &);
+
 /// Whether the memory of a method is that of a system.
 bool fits(const System &, const Stepper &);
 

@@ -6,13 +6,27 @@
 
 #include "system.hpp"
 
-// Whether arrays fit together, asked once where a system is handed over: kernels index blindly.
+// Whether arrays fit together, asked where they are handed over: kernels index blindly.
 
 namespace closedloop
 {
 
-/// The first thing that does not fit in a system; nullptr where all does.
+/// The first thing that does not fit; nullptr where all does. Addresses of routines are taken as
+/// they are.
 const char * misfit(const System &);
+const char * misfit(const Model &);
+/// The pattern of the constraint matrix and of its factor, which only the elimination needs.
+const char * misfit_of_pattern(const Model &);
+const char * misfit(const Workspace &, const Model &);
+const char * misfit(const EffectTable &, Index nv, Index bodies, bool planar);
+const char * misfit(const CutCoordinates &, Index nv, Index bodies, bool planar, Index states);
+const char * misfit(const Manifold &, Index nq, Index nv);
+
+/// Whether the cut joints whose coordinates these are are among so many.
+bool has_cuts(const CutCoordinates &, Index cuts);
+
+/// Length of the coordinates of a valid tree.
+Index coordinates_of(const Model &);
 
 }  // namespace closedloop
 

@@ -424,11 +424,12 @@ def test_a_gyroscope_precesses_steadily(tilt):
     assert_balanced(one, 1e-9)
 
 
-def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
+def linkage_with_all_of_it():
+    """Return a linkage, torques that drive it, and effects of many types."""
     mechanism, torque = spatial_machines.rssr_four_bar()
     mechanism = replace(spatial_machines.with_single_freedoms(mechanism), points=(
         Point('tip', 'crank', (0.1, 0.0, 0.0)), Point('end', 'rocker', (0.0, 0.0, 0.3))))
-    effects = {
+    return mechanism, torque, {
         'gravity': Gravity((0.0, 0.0, -9.81)),
         'cord': PointSpring('tip', 'end', stiffness=20.0, damping=0.1, free_length=0.5),
         'part': Payload('rocker', 0.3, (0.0, 0.0, 0.2), (1e-3, 1e-3, 1e-4)),
@@ -442,6 +443,10 @@ def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
                          turning_stiffness=(0.03, 0.05, 0.01), turning_damping=1e-3),
         'floor': Contact('end', (0.0, 0.0, 0.27), 300.0, damping=0.5, friction=0.3,
                          normal=(0.0, 0.1, 1.0))}
+
+
+def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
+    mechanism, torque, effects = linkage_with_all_of_it()
     one = simulated(mechanism, effects, np.zeros(len(mechanism.joints)), **TIGHT)
     one.step(torque, 0.8)
     balance = one.energy_balance

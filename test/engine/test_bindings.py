@@ -322,12 +322,12 @@ def test_runs_that_do_not_fit_their_system_are_refused(guarded):
     for wrong in shortened(run):
         for arguments in (('advance_run', tau, 1), ('resume_run',), ('look_at_energy',),
                           ('note_energy', np.zeros(5))):
-            with pytest.raises(RuntimeError, match='do not fit the system'):
+            with pytest.raises(ValueError, match='do not fit the system'):
                 getattr(native, arguments[0])(system, wrong, *arguments[1:])
         refused += 1
     assert refused > 10
     states = guarded.integrated[np.newaxis].copy()
     fine = np.zeros(1, dtype=np.int64)
     for wrong, short in ((states[:, 1:].copy(), fine), (states, np.zeros(2, dtype=np.int64))):
-        with pytest.raises(RuntimeError, match='do not fit together'):
+        with pytest.raises(ValueError, match='do not fit together'):
             native.check_starts(system, run, 1e-12, wrong, short)

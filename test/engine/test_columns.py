@@ -37,6 +37,7 @@ ENUMS = {
     'setting': (system, {}),
     'setting.Formulation': (formulations, {}),
     'routine': (function_table, {}),
+    'routine.Array': (function_table, {}),
     'Responses': (types, {'NONE': 'NO_RESPONSES'}),
     'Stabilisation': (registry, {}),
     'Status': (control, {}),
@@ -69,11 +70,11 @@ ENUMS = {
     'Pause': (guarded_run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),
-    'traced_laws.cpp: Measured': (traced_effect, {}),
+    'traced.Measured': (traced_effect, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
-         'python_api.hpp: PyGILState_STATE', 'traced_laws.cpp: Entry', 'traced_laws.cpp: Head'}
+         'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),

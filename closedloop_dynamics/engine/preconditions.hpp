@@ -1,0 +1,499 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__PRECONDITIONS_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__PRECONDITIONS_HPP_
+
+#include <algorithm>
+#include <limits>
+
+#include "arguments.hpp"
+#include "cut_coordinates.hpp"
+#include "dispatch.hpp"
+#include "driven.hpp"
+#include "elimination.hpp"
+#include "error_control.hpp"
+#include "evaluation.hpp"
+#include "fixed_steps.hpp"
+#include "forward_dynamics.hpp"
+#include "inverse_dynamics.hpp"
+#include "joint_reaction.hpp"
+#include "laws.hpp"
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "null_space.hpp"
+#include "recursion.hpp"
+#include "requests.hpp"
+#include "rollout.hpp"
+#include "rosenbrock.hpp"
+#include "routines.hpp"
+#include "sticking.hpp"
+#include "switching.hpp"
+#include "validation.hpp"
+
+// What the functions that Python calls expect of their arguments beside the lengths that
+// bindings.cpp names: kernels index blindly. Each returns what does not fit, or nullptr. Those that
+// take only the first parameters are asked when these are bound, not at each call.
+
+namespace closedloop
+{
+
+namespace expected
+{
+constexpr const char * lengths = "arrays that do not fit together";
+constexpr const char * places = "places beyond the end";
+
+inline const char * unless(bool good, const char * otherwise = lengths)
+{
+  return good ? nullptr : otherwise;
+}
+
+inline const char * first_of(const char * one, const char * other)
+{
+  return one != nullptr ? one : other;
+}
+
+/// A model and its workspace, and what else must be true then.
+template<class Condition>
+const char * machine(const Model & model, const Workspace & work, Condition && condition)
+{
+  if (const char * found = misfit(model)) {
+    return found;
+  }
+  return first_of(misfit(work, model), unless(condition()));
+}
+
+inline bool within(Indices places, Index low, Index size)
+{
+  return std::all_of(
+    places.begin(), places.end(), [=](Index each) {return each >= low && each < size;});
+}
+
+inline bool has_shape(Table table, Index rows, Index columns)
+{
+  return table.rows == rows && table.columns == columns;
+}
+
+/// Whether rows are long enough to be those of Workspace.body, in the plane or in space.
+inline bool are_bodies(Table body, bool planar) {return body.columns >= (planar ? 31 : 81);}
+
+/// The method and the rows of its scratch: before the slopes there are `first`.
+inline const char * explicit_rows(const Tableau & given, Table scratch, Index first)
+{
+  return unless(fits(given) && scratch.rows >= first + std::max<Index>(given.a.rows, 1));
+}
+
+inline bool are_stiff(const System & system, Table matrix, Indices pivots, Table scratch)
+{
+  const Index ns = system.ns();
+  return has_shape(matrix, ns, ns) && pivots.size == ns && has_shape(scratch, STIFF_ROWS, ns);
+}
+
+inline bool is_scale(const System & system, Table scale)
+{
+  return has_shape(scale, 2, system.ns());
+}
+
+/// Memory of a method with error control that may change to a stiff one.
+inline const char * runs(const System & system, const Tableau & given, const Runs & runs)
+{
+  const Index ns = system.ns(), pages = 2;
+  const auto has_rows = [&](const Cube<double> & cube, Index rows) {
+      return cube.pages == pages && cube.rows >= rows && cube.columns == ns;
+    };
+  return unless(
+    fits(given) && has_shape(runs.control, pages, switching::COLUMNS) &&
+    has_rows(runs.scale, 2) && runs.scale.rows == 2 &&
+    has_rows(runs.scratch, scratch::FIRST_SLOPE + given.a.rows) &&
+    runs.stiff_scratch.rows == STIFF_ROWS && has_rows(runs.stiff_scratch, STIFF_ROWS) &&
+    has_shape(runs.matrix, ns, ns) && runs.pivots.size == ns &&
+    runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq());
+}
+
+/// Whether there are torques up to the last of so many instants.
+inline bool lasts(Table torque, Index instants, Index zero_order_hold, Index decimation)
+{
+  if (zero_order_hold < 1 || decimation < 1 || instants <= 1) {
+    return zero_order_hold > 0 && decimation > 0 && torque.rows >= instants;
+  }
+  return decimation <= std::numeric_limits<Index>::max() / instants &&
+         ((instants - 1) * decimation - 1) / zero_order_hold < torque.rows;
+}
+
+inline const char * request(const System & system, const Request & request)
+{
+  return unless(
+    request.state.size >= system.ns() && within(request.actuated, -1, system.tau.size) &&
+    request.torque.size == request.actuated.size);
+}
+
+/// Effects beside a machine.
+inline const char * effects(const EffectTable & effects, Table body, Index nv)
+{
+  const bool planar = effects.reaction.columns == 6;
+  return first_of(
+    misfit(effects, nv, body.rows, planar), unless(body.rows > 0 && are_bodies(body, planar)));
+}
+}  // namespace expected
+
+template<>
+inline constexpr auto precondition<outward> =
+  [](const Model & model, Values q, Values qd, const Workspace & work) {
+    return expected::machine(model, work, [&] {
+          return q.size >= coordinates_of(model) && qd.size >= model.joints();});
+  };
+
+template<>
+inline constexpr auto precondition<inward> =
+  [](const Model & model, Values tau, const Workspace & work) {
+    return expected::machine(model, work, [&] {return tau.size >= model.joints();});
+  };
+
+template<>
+inline constexpr auto precondition<update> =
+  [](const Model & model, const Workspace & work) {
+    return expected::machine(model, work, [] {return true;});
+  };
+
+template<>
+inline constexpr auto precondition<assemble> =
+  [](const Model & model, const Workspace & work) {
+    return expected::machine(model, work, [&] {return misfit_of_pattern(model) == nullptr;});
+  };
+
+template<>
+inline constexpr auto precondition<energies> =
+  [](const Model & model, const Workspace & work, Values qd, Values out) {
+    return expected::machine(model, work, [&] {
+          return qd.size >= model.joints() && out.size >= 2;});
+  };
+
+template<>
+inline constexpr auto precondition<constraint_jacobian> =
+  [](const Model & model, const Workspace & work, Table jac) {
+    return expected::machine(model, work, [&] {
+          return expected::has_shape(jac, model.equations(), model.joints());});
+  };
+
+template<>
+inline constexpr auto precondition<generalized_inertia_matrix> =
+  [](const Model & model, const Workspace & work, Table gim) {
+    return expected::machine(model, work, [&] {
+          return expected::has_shape(gim, model.joints(), model.joints());});
+  };
+
+template<>
+inline constexpr auto precondition<cut_wrenches> =
+  [](Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share,
+    Table out) {
+    const bool planar = share.size == 9;
+    const Index least = planar ? static_cast<Index>(plane::CUT_POINT_COLUMNS) :
+      static_cast<Index>(space::CUT_POINT_COLUMNS);
+    bool good = cut.columns == cut::LENGTHS + 1 && cut_point.rows == cut.rows &&
+      (cut.rows == 0 || cut_point.columns >= least) && cut_piece.rows == cut.rows &&
+      cut_piece.columns == 2 && (planar || share.size == 18) &&
+      expected::are_bodies(body, planar) && expected::has_shape(out, cut.rows, planar ? 3 : 6);
+    for (Index a = 0; good && a < cut.rows; ++a) {
+      const Index first = cut(a, cut::CUT_ROW), rows = cut(a, cut::ROWS);
+      good = first >= 0 && rows >= 0 && rows <= lam.size && first <= lam.size - rows &&
+        cut(a, cut::NUMBER) >= 0 && cut(a, cut::NUMBER) < cut.rows &&
+        cut(a, cut::BODY_A) >= 0 && cut(a, cut::BODY_A) < body.rows &&
+        cut(a, cut::BODY_B) >= 0 && cut(a, cut::BODY_B) < body.rows;
+    }
+    return expected::unless(good);
+  };
+
+template<>
+inline constexpr auto precondition<bias_forces> =
+  [](const Workspace & work, Table out) {
+    return expected::unless(
+      (work.size() == 3 || work.size() == 6) && expected::are_bodies(work.body, work.planar()) &&
+      out.rows <= work.body.rows && out.columns >= work.size());
+  };
+
+template<>
+inline constexpr auto precondition<joint_wrenches> =
+  [](const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench) {
+    return expected::machine(model, work, [&] {
+          return qdd.size >= model.joints() && lam.size >= model.equations() &&
+                 expected::has_shape(wrench, model.tree.rows, 2 * work.size());});
+  };
+
+template<>
+inline constexpr auto precondition<tree_torque> =
+  [](const Model & model, const Workspace & work, Values qdd, Values out) {
+    return expected::machine(model, work, [&] {
+          return qdd.size >= model.joints() && out.size >= model.joints();});
+  };
+
+template<>
+inline constexpr auto precondition<to_user_order> =
+  [](const Model & model, Values ordered, Values out) {
+    return expected::first_of(
+      misfit(model), expected::unless(
+        ordered.size >= model.equations() && out.size >= model.equations()));
+  };
+
+template<>
+inline constexpr auto precondition<forward_dynamics> =
+  [](const Model & model, const Workspace & work, Values q, Values qd, Values tau, Values qdd,
+    Values lam) {
+    return expected::machine(model, work, [&] {
+          return misfit_of_pattern(model) == nullptr &&
+                 q.size >= coordinates_of(model) && qd.size >= model.joints() &&
+                 tau.size >= model.joints() && qdd.size >= model.joints() &&
+                 lam.size >= model.equations();});
+  };
+
+template<>
+inline constexpr auto precondition<fill_quaternions> =
+  [](Cube<double> matrices, Table out) {
+    return expected::unless(
+      matrices.rows == 3 && matrices.columns == 3 &&
+      expected::has_shape(out, matrices.pages, 4));
+  };
+
+template<>
+inline constexpr auto precondition<rates_of_coordinates> =
+  [](const Manifold & manifold, Values state, Index nv, Values out, Index lanes) {
+    if (lanes < 1 || nv < 0 || nv > state.size / lanes) {
+      return expected::lengths;
+    }
+    const Index nq = nv + manifold.balls.rows;
+    return expected::first_of(
+      misfit(manifold, nq, nv), expected::unless(
+        state.size / lanes >= nq + nv && out.size / lanes >= nq));
+  };
+
+template<>
+inline constexpr auto precondition<apply_effects> =
+  [](const EffectTable & effects, Table body, Values q, Values qd, Values tau) {
+    return expected::first_of(
+      expected::effects(effects, body, qd.size), expected::unless(
+        q.size >= qd.size && tau.size >= effects.applied.size));
+  };
+
+template<>
+inline constexpr auto precondition<update_driven_motions> =
+  [](const EffectTable & effects) {
+    const Index nv = effects.applied.size - effects.cuts.index.rows;
+    return misfit(effects, nv, effects.cuts.scratch.rows, effects.reaction.columns == 6);
+  };
+
+template<>
+inline constexpr auto precondition<load_joints> =
+  [](const System & system, const Model & model, const Workspace & work, Values qd, Values qdd,
+    Values lam) {
+    return expected::machine(
+      model, work, [&] {
+        const Index nv = system.nv(), bodies = system.model.tree.rows;
+        return model.joints() == nv && qd.size == nv && qdd.size == nv &&
+               work.size() == system.work.size() && lam.size == model.equations() &&
+               expected::has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
+               has_cuts(system.effects.cuts, model.cut.rows);
+      });
+  };
+
+template<>
+inline constexpr auto precondition<measure_cut_coordinates> =
+  [](Indexes index, Table values, Table body, Values states, Index first, Values position,
+    Values velocity) {
+    using namespace cut_coordinate;  // NOLINT: columns of one table
+    bool good = index.columns == ACROSS + 1 && expected::has_shape(values, index.rows, ZERO + 1) &&
+      first >= 0 && first <= std::min(position.size, velocity.size) - index.rows;
+    for (Index k = 0; good && k < index.rows; ++k) {
+      good = index(k, ROW_A) >= 0 && index(k, ROW_A) < body.rows && index(k, ROW_B) >= 0 &&
+        index(k, ROW_B) < body.rows && index(k, FOLLOWED) < states.size &&
+        expected::are_bodies(body, index(k, IN_PLANE) == 1);
+    }
+    return expected::unless(good);
+  };
+
+template<>
+inline constexpr auto precondition<accelerations> =
+  [](const CutCoordinates & cuts, const Model & model, const Workspace & work, Values qdd, bool,
+    Values out) {
+    const char * found = expected::machine(
+      model, work, [&] {
+        return qdd.size >= model.joints() && out.size >= model.joints() + cuts.index.rows &&
+               cuts.scratch.columns >= 2 * work.size();
+      });
+    return found != nullptr ? found : misfit(
+      cuts, model.joints(), model.tree.rows, work.planar(), std::numeric_limits<Index>::max());
+  };
+
+template<>
+inline constexpr auto precondition<cut_direction> =
+  [](Table body, Index row, bool planar, Table values, Index k, Index first) {
+    return expected::unless(
+      expected::are_bodies(body, planar) && row >= 0 && row < body.rows && k >= 0 &&
+      k < values.rows && first >= 0 && first <= values.columns - 3);
+  };
+
+template<>
+inline constexpr auto precondition<minimise_in_box> =
+  [](const Sticking & sticking, Index count, Values out) {
+    const Index most = sticking.rows.size - 1;
+    return expected::unless(
+      count >= 0 && count <= most && count <= out.size &&
+      expected::has_shape(sticking.matrix, most, most) &&
+      expected::has_shape(sticking.factor, most, most) && sticking.right.size == most &&
+      sticking.bound.size == most && sticking.move.size == most && sticking.free.size == most);
+  };
+
+template<>
+inline constexpr auto precondition<advance_fixed> =
+  [](const System &, const Tableau & tableau, Stabilisation, Table scratch) {
+    return expected::explicit_rows(tableau, scratch, 3);
+  };
+
+template<>
+inline constexpr auto precondition<advance_explicit> =
+  [](const System &, const Tableau & tableau, Stabilisation, Values control, Table scale,
+    Table scratch) {
+    return control.size >= control::COLUMNS && scale.rows == 2 ?
+           expected::explicit_rows(tableau, scratch, scratch::FIRST_SLOPE) : expected::lengths;
+  };
+
+template<>
+inline constexpr auto precondition<advance_stiff_fixed> =
+  [](const System & system, Stabilisation, Table matrix, Indices pivots, Table scratch) {
+    return expected::unless(expected::are_stiff(system, matrix, pivots, scratch));
+  };
+
+template<>
+inline constexpr auto precondition<advance_stiff> =
+  [](const System & system, Stabilisation, Values control, Table scale, Table matrix,
+    Indices pivots, Table scratch) {
+    return expected::unless(
+      control.size >= control::COLUMNS && scale.rows == 2 &&
+      expected::are_stiff(system, matrix, pivots, scratch));
+  };
+
+template<>
+inline constexpr auto precondition<advance_switching> =
+  [](const System & system, const Tableau & tableau, Stabilisation, const Runs & runs) {
+    return expected::runs(system, tableau, runs);
+  };
+
+template<>
+inline constexpr auto precondition<annotate> =
+  [](const System & system, Table torque, Index zero_order_hold, Index decimation,
+    const RunBuffer & buffer) {
+    const Index instants = buffer.state.rows, count = buffer.qdd.rows;
+    const Index cuts = system.model.cut.rows, points = buffer.body.size;
+    bool good = buffer.state.columns == system.ns() && torque.columns == system.tau.size &&
+      expected::lasts(torque, instants, zero_order_hold, decimation);
+    if (good && count > 0) {
+      good = system.work.planar() && count == instants && buffer.qdd.columns == system.nv() &&
+        expected::has_shape(buffer.lam, instants, system.lam.size) &&
+        expected::has_shape(buffer.scalars, instants, 3) && buffer.output.pages == instants &&
+        buffer.output.rows == system.effects.count() && buffer.output.columns == 2 &&
+        buffer.wrench.pages == instants && buffer.wrench.rows == cuts &&
+        buffer.wrench.columns == 3 && expected::within(buffer.body, 0, system.model.tree.rows) &&
+        expected::has_shape(buffer.point, points, 2) && buffer.place.pages == instants &&
+        buffer.place.rows == points && buffer.place.columns == 2;
+    }
+    return expected::unless(good);
+  };
+
+template<>
+inline constexpr auto precondition<fill_joint_forces> =
+  [](const System & system, Table torque, Index zero_order_hold, Index decimation, Table state,
+    Table qdd, Table lam, Table scratch, Cube<double> out) {
+    const Index instants = state.rows, size = system.work.size();
+    return expected::unless(
+      state.columns == system.ns() && torque.columns == system.tau.size &&
+      expected::lasts(torque, instants, zero_order_hold, decimation) &&
+      expected::has_shape(qdd, instants, system.nv()) &&
+      expected::has_shape(lam, instants, system.lam.size) &&
+      expected::has_shape(scratch, system.model.tree.rows, 2 * size) && out.pages == instants &&
+      out.rows == system.nv() && out.columns == size);
+  };
+
+template<>
+inline constexpr auto precondition<evaluate_given> =
+  [](const System & system, const Request & request) {
+    return expected::request(system, request);
+  };
+
+template<>
+inline constexpr auto precondition<evaluate_request> =
+  [](const System & system, const System & whole, const Request & request) {
+    return expected::first_of(
+      expected::request(system, request), expected::unless(
+        system.whole.empty() || (whole.ns() == system.ns() && whole.nv() == system.nv() &&
+        whole.lam.size == request.lam.size)));
+  };
+
+template<>
+inline constexpr auto precondition<spread_torques> =
+  [](Indices actuated, Values tau) {
+    return expected::unless(expected::within(actuated, -1, tau.size), expected::places);
+  };
+
+template<>
+inline constexpr auto precondition<call> =
+  [](Indices table, Index which) {
+    return expected::unless(
+      which >= 0 && which < table.size && table[which] != 0, expected::places);
+  };
+
+template<>
+inline constexpr auto precondition<find_torques> =
+  [](const System & system, Indices actuated, Index loops) {
+    return expected::unless(loops >= 0 && expected::within(actuated, 0, system.nv()));
+  };
+
+template<>
+inline constexpr auto precondition<find_all_multipliers> =
+  [](const System & system, Values, Values, Values lam) {
+    return expected::unless(!system.whole.empty() && lam.size == system.whole.lam.size);
+  };
+
+template<>
+inline constexpr auto precondition<place_points> =
+  [](Table body, Indices row, Table point, Table out) {
+    return expected::unless(
+      (point.columns == 2 || point.columns == 3) && row.size <= point.rows &&
+      out.rows >= row.size && out.columns == point.columns &&
+      expected::are_bodies(body, point.columns == 2) && expected::within(row, 0, body.rows));
+  };
+
+template<>
+inline constexpr auto precondition<find_joint_forces> =
+  [](const System & system, Values, Values lam, Indices row, Table point, Table scratch,
+    Table out) {
+    const Index size = system.work.size(), bodies = system.model.tree.rows;
+    const Index all = system.whole.empty() ? system.lam.size : system.whole.lam.size;
+    return expected::unless(
+      lam.size == all && expected::within(row, 0, bodies) &&
+      (point.rows == 0 || (size == 6 && expected::has_shape(point, row.size, 3))) &&
+      expected::has_shape(scratch, bodies, 2 * size) &&
+      expected::has_shape(out, row.size, size));
+  };
+
+template<>
+inline constexpr auto precondition<follow_drives> =
+  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+    Indices kept, Values unit, Table anchors, double, Values begin, Cube<double> values, Values q,
+    Table position, Table velocity, Table acceleration) {
+    const char * found = expected::machine(
+      model, work, [&] {
+        const Index nv = model.joints(), nc = model.equations(), poses = values.pages;
+        return nv > 0 && unit.size == nv && drives.size <= nc &&
+               expected::within(drives, 0, model.cut.rows) &&
+               model.cut_point.columns >= cut::MOTION_COLUMNS &&
+               expected::within(kept, 0, nc) &&
+               expected::has_shape(anchors, nv - kept.size, nv) && begin.size == drives.size &&
+               values.rows == drives.size && values.columns == cut::MOTION_COLUMNS &&
+               q.size == coordinates_of(model) && expected::has_shape(position, poses, q.size) &&
+               expected::has_shape(velocity, poses, nv) &&
+               expected::has_shape(acceleration, poses, nv);
+      });
+    return expected::first_of(found, misfit(manifold, q.size, model.joints()));
+  };
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__PRECONDITIONS_HPP_

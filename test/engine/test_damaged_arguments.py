@@ -1,0 +1,346 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Arrays that do not fit together are refused, so that none is read beyond its end.
+
+The arguments are those that simulations hand over, each damaged in turn. ``scripts/sanitize`` runs
+this with each access to memory checked: there an array that is accepted and read too far ends the
+run.
+
+"""
+
+import random
+
+from closedloop_dynamics.effects.fluid_drag import FluidDrag
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.law import Law
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.drivers import build_driver
+from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.simulation.rollout_run import QUANTITIES
+from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+from ..effects import test_cut_freedoms, test_effect_set, test_joint_spring, test_space
+from ..effects.machines import simulated
+from ..simulation import test_driven
+
+RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
+        ('three_rrr', 'dopri5'), ('carpet_scraper_on_carpet', 'auto'), ('geneva_drive', 'auto'),
+        ('bennett', 'rk4'), ('scissor_lift', 'rk4'), ('stewart_platform', 'rk4'),
+        ('differential', 'auto')]
+# Addresses of code, which nothing can check.
+ADDRESSES = ('piece', 'cut_piece', 'table')
+NAMELESS_ADDRESSES = {('run_batch', (0, 0)), ('system', (0, 10)), ('cut_wrenches', (2,)),
+                      ('call', (0,))}
+# Functions to whose arguments generated code has the addresses: these very arrays are handed over.
+LINKED = ('system', 'run_batch')
+# Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
+# function returns that it has done nothing.
+ANY_LENGTH = {
+    ('largest', 0), ('sum_of_sizes', 0), ('nearest_to_path', 0), ('spread_torques', 0),
+    ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
+    ('evaluate_given', 4), ('find_torques', 1), ('find_torques', 3), ('find_torques', 4),
+    ('find_torques', 5), ('find_torques', 6), ('find_joint_forces', 4), ('advance_run', 2),
+    ('cut_wrenches', 3), ('place_points', 0), ('place_points', 1), ('measure_cut_coordinates', 2),
+    ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
+    ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
+    ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
+    ('run_samples', 3)}
+REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
+
+
+class Recorder:
+    """The engine's module as simulations see it: each function keeps what it was called with."""
+
+    def __init__(self):
+        self.calls = {}
+
+    def note(self, name, *arguments):
+        shapes = repr([shape(each) for each in arguments])
+        self.calls.setdefault(name, {}).setdefault(shapes, arguments)
+
+    def function(self, name, real):
+        def call(*arguments):
+            self.note(name, *arguments)
+            return real(*arguments)
+        return call
+
+    def bind(self, real):
+        def bind(name, *first):
+            bound = real(name, *first)
+
+            def call(*rest):
+                self.note(name, *first, *rest)
+                return bound(*rest)
+            return call
+        return bind
+
+
+def made(folder):
+    """Yield simulations that have each kind of effect, in the plane, in space, in cut joints."""
+    for scene, integrator in RUNS:
+        yield Simulation.from_scene(scene, integrator=integrator)
+    rng, mechanism, q, qd = test_effect_set.drawn('three_rrr')
+    yield simulated(mechanism, test_effect_set.all_effects(rng, mechanism, q), q, qd)
+    mechanism, _, effects = test_space.linkage_with_all_of_it()
+    effects['air'] = FluidDrag('end', (0.1, 0.2, 0.3), flow=(1.0, 0.0, 0.0))
+    effects['law'] = Law({'d': '-k*d - z', 'x': 't - x'}, distances={'d': ('tip', 'end')},
+                         components={'x': ('end', 'z')}, parameters={'k': 2.0}, states={'z': 'd'})
+    yield simulated(mechanism, effects, np.zeros(len(mechanism.joints)))
+    yield simulated(test_joint_spring.ball(), {'spring': JointSpring('socket', 8.0)},
+                    (0.3, 0.6, 0.0, 0.0, 0.8), 4 * [0.0])
+    yield test_cut_freedoms.simulation(
+        test_cut_freedoms.machine(folder, test_cut_freedoms.CUTS[1]), test_cut_freedoms.EFFECTS)
+
+
+def shape(given):
+    """Return what tells arguments apart."""
+    if isinstance(given, tuple):
+        return tuple(map(shape, given))
+    return getattr(given, 'shape', type(given).__name__)
+
+
+def use(simulation):
+    """Ask a simulation for all kinds of things."""
+    count = len(simulation.actuated_joints)
+    for _ in range(2):
+        simulation.step(duration=0.003)
+    if count:
+        simulation.inverse_dynamics(
+            simulation.position, simulation.velocity, simulation.acceleration)
+    simulation.forward_dynamics(simulation.position, simulation.velocity, np.zeros(count))
+    for name in ('joint_forces', 'constraint_forces', 'energy', 'points'):
+        getattr(simulation, name)
+    for samples in (1, 9):
+        simulation.rollout(np.zeros((samples, 3, count)), steps=6, every=2)
+    simulation.rollout(np.zeros((2, 3, count)), steps=6, quantities=QUANTITIES)
+
+
+def use_kernels(simulation, note):
+    """Call what simulations ask for seldom, with the arrays of one."""
+    system, run = simulation.system, simulation.run
+    model, work, handle, effects = system.model, system.work, system.native, system.effects
+    nq, nv, state = len(simulation.position), len(system.qdd), simulation.integrated.copy()
+    q, qd = state[:nq].copy(), state[nq:nq + nv].copy()
+    numbers, account = run.numbers.copy(), run.account
+    # The energy at the start counts as known.
+    np.nan_to_num(account.numbers, copy=False)
+
+    def call(name, *arguments):
+        note(name, *arguments)
+        return getattr(native, name)(*copied(arguments))
+
+    call('outward', model, q, qd, work)
+    call('update', model, work, 2)
+    call('inward', model, system.tau[:nv].copy(), work, False)
+    call('assemble', model, work)
+    call('factorize', model, work)
+    call('forward_dynamics', model, work, q, qd, system.tau[:nv].copy(), system.qdd, system.lam)
+    call('bias_forces', work, work.force.copy())
+    call('joint_wrenches', model, work, system.qdd, system.lam, work.force.copy())
+    call('tree_torque', model, work, system.qdd, np.zeros(nv))
+    call('to_user_order', model, system.lam, np.zeros_like(system.lam))
+    call('largest', q)
+    call('sum_of_sizes', q)
+    call('evaluate', handle, q, qd)
+    call('evaluate_again', handle, state, 2)
+    call('derivative', handle, state, np.zeros_like(state))
+    call('stabilise', handle, PROJECTION, state)
+    call('equations_serve', handle, PROJECTION, state)
+    call('add_held_work', handle, account, state)
+    call('fill_balance', handle, account, state, np.zeros(5))
+    call('advance_run', handle, run, system.tau.copy(), 2)
+    call('look_at_energy', handle, run)
+    call('note_energy', handle, run, np.zeros(5))
+    call('note_loss', numbers, 1.0, 2.0, 0.0, 0.1)
+    call('move', system.manifold, q, qd, 0.1)
+    call('rates_of_coordinates', system.manifold, state, nv, np.zeros(nq), 1)
+    call('fill_quaternions', np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 4)))
+    call('nearest_to_path', np.array([0.0, 1, 0, 0, 0, 1, 0, 0]), 0.0, 1.0, 1.0, 0.0)
+    if system.whole is not None:
+        call('find_all_multipliers', handle, q, qd, np.zeros_like(system.whole.lam))
+    elif effects is None or not len(effects.cuts.index):
+        call('check_starts', handle, run, 1e-9, state[np.newaxis].copy(),
+             np.zeros(1, dtype=np.int64))
+    if effects is None:
+        return
+    call('apply_effects', effects, work.body, np.resize(q, nv), qd, system.tau)
+    call('update_driven_motions', effects)
+    call('load_joints', handle, model, work, qd, system.qdd, system.lam)
+    call('minimise_in_box', effects.sticking, len(effects.sticking.rows) - 1,
+         np.zeros(len(effects.sticking.rows)))
+    cuts = effects.cuts
+    for k, index in enumerate(cuts.index):
+        call('cut_direction', work.body, int(index[2]), bool(index[1]), cuts.values, k, 6)
+        call('measure_cut_coordinates', cuts.index, cuts.values, work.body, effects.states, nv,
+             cuts.q, cuts.qd)
+
+
+def use_driver(simulation, integrator):
+    """Make steps by the methods' own drivers."""
+    driver = build_driver(simulation.system, Method(integrator=integrator))
+    driver.restart(moved=True)
+    driver.advance(simulation.integrated.copy(), 0.0, 0, 1e-4, 2)
+
+
+@pytest.fixture(scope='module')
+def calls(tmp_path_factory):
+    """Yield the arguments of the engine's functions in some simulations, by name."""
+    recorder = Recorder()
+    names = [name for name in dir(native)
+             if callable(getattr(native, name)) and not name.startswith('_')]
+    with pytest.MonkeyPatch.context() as patch:
+        simulations = []
+        for name in names:
+            real = getattr(native, name)
+            patch.setattr(native, name, recorder.bind(real) if name == 'bind' else
+                          recorder.function(name, real))
+        for simulation in made(tmp_path_factory.mktemp('machine')):
+            use(simulation)
+            simulations.append(simulation)
+        for integrator in ('dopri5', 'rodas4', 'rodas4_fixed', 'auto'):
+            use_driver(simulations[0], integrator)
+        for scene, joint in (('four_bar', 'crank_joint'), ('rssr_four_bar', 'crank')):
+            kinematics, start = test_driven.driven(scene, {joint: 0.0})
+            kinematics.follow([start, start + 0.1])
+    for simulation in simulations:
+        use_kernels(simulation, recorder.note)
+    for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):
+        recorder.note('evaluate_request', handle, handle, request)
+    # The one takes no arrays, the other an address of code and what it was generated for.
+    assert set(names) - set(recorder.calls) <= {'bind', 'stop_all', 'call'}
+    recorder.calls.pop('stop_all', None)
+    # Generated code has the addresses of arrays that only the simulations keep.
+    yield {name: list(found.values()) for name, found in recorder.calls.items()}
+    del simulations
+
+
+def leaves(given, path=(), names=()):
+    """Yield path, names and value of everything in nested tuples."""
+    if isinstance(given, tuple):
+        fields = getattr(given, '_fields', range(len(given)))
+        for place, (name, each) in enumerate(zip(fields, given)):
+            yield from leaves(each, (*path, place), (*names, name))
+    else:
+        yield path, names, given
+
+
+def changed(given, path, value, other):
+    """Return nested tuples with another value in one place, and in others what ``other`` makes."""
+    if not path:
+        return value
+    parts = [changed(each, path[1:], value, other) if place == path[0] else other(each)
+             for place, each in enumerate(given)]
+    return type(given)(*parts) if hasattr(given, '_fields') else tuple(parts)
+
+
+def copied(given):
+    """Return a copy of nested tuples of arrays."""
+    if isinstance(given, tuple):
+        parts = map(copied, given)
+        return type(given)(*parts) if hasattr(given, '_fields') else tuple(parts)
+    return given.copy() if isinstance(given, np.ndarray) else given
+
+
+def shorter(array):
+    """Yield the array with less in each dimension."""
+    for axis, length in enumerate(array.shape):
+        if length:
+            yield np.ascontiguousarray(np.delete(array, -1, axis))
+            yield np.ascontiguousarray(np.delete(array, slice(None), axis))
+
+
+def with_entry(array, place, value):
+    """Return a copy with another value in one place, as counted through all dimensions."""
+    array = array.copy()
+    array.flat[place] = value
+    return array
+
+
+def damaged(draw, names, value):
+    """Return another value of one argument, or of a part of one."""
+    if isinstance(value, np.ndarray) and value.size:
+        place, whole = draw.randrange(value.size), value.dtype == np.int64
+        faults = [*shorter(value), np.concatenate([value, value]), value.astype(np.float32),
+                  np.repeat(value, 2, axis=-1)[..., ::2], value[np.newaxis].copy(), None]
+        if not whole:
+            faults += [with_entry(value, place, each) for each in (np.nan, np.inf, -1.0, 1e18)]
+            faults += [np.full_like(value, np.nan)]
+        elif names[-1] == 'counts':
+            # More would be steps to make.
+            faults += [with_entry(value, place, each) for each in (-1, 40, -2 ** 62)]
+        elif names[-1] not in ADDRESSES:
+            faults += [with_entry(value, place, each) for each in (
+                -1, -2, 1, 3, 6, 40, 10 ** 6, 2 ** 62, -2 ** 63)]
+            faults += [value + 1, value - 1]
+        return draw.choice(faults)
+    if isinstance(value, (bool, np.ndarray)) or value is None:
+        return draw.choice(['text', object(), np.zeros((2, 2, 2, 2))])
+    if isinstance(value, (int, np.integer)):
+        return draw.choice([-1, -2 ** 62, 50, 2 ** 80, 0.5])
+    if isinstance(value, float):
+        return draw.choice([np.nan, np.inf, -1e308, 'text'])
+    return draw.choice([None, 'text', 1])
+
+
+def attack(draw, name, arguments):
+    """Call a function with one of its arguments damaged; return whether it refused that."""
+    path, names, value = draw.choice([
+        leaf for leaf in leaves(arguments) if (name, leaf[0]) not in NAMELESS_ADDRESSES])
+    fault, linked = damaged(draw, names, value), name in LINKED
+    before = copied(arguments)
+    try:
+        found = getattr(native, name)(
+            *changed(arguments, path, fault, (lambda same: same) if linked else copied))
+        if name == 'system':
+            assert len([length for length in range(100)
+                        if takes(found, np.zeros(length))]) == 1
+    except REFUSALS:
+        return True
+    finally:
+        for each, kept in zip(leaves(arguments), leaves(before)) if linked else ():
+            if isinstance(each[2], np.ndarray):
+                each[2][...] = kept[2]
+    return False
+
+
+def takes(system, state):
+    """Return whether a system evaluates a state of this length."""
+    try:
+        native.evaluate_with_poses(system, state)
+        native.stabilise(system, PROJECTION, state)
+        native.derivative(system, state, np.zeros_like(state))
+    except REFUSALS:
+        return False
+    return True
+
+
+def test_every_array_that_is_too_short_is_refused(calls):
+    accepted = set()
+    for name, many in calls.items():
+        for arguments in many:
+            for place, value in enumerate(arguments):
+                if (not isinstance(value, np.ndarray) or not value.size
+                        or (name, place) in ANY_LENGTH):
+                    continue
+                for fault in shorter(value):
+                    try:
+                        getattr(native, name)(*changed(arguments, (place,), fault, copied))
+                        accepted.add((name, place, value.shape, fault.shape))
+                    except REFUSALS:
+                        pass
+    assert not accepted
+
+
+@pytest.mark.parametrize('count', [2000, pytest.param(40_000, marks=pytest.mark.slow)])
+def test_no_damage_to_any_argument_ends_the_process(calls, count):
+    draw, refused = random.Random(1), 0
+    names = sorted(calls)
+    for number in range(count):
+        name = names[number % len(names)]
+        refused += attack(draw, name, draw.choice(calls[name]))
+    assert count / 3 < refused < count
