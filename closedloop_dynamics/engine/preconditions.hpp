@@ -102,7 +102,9 @@ inline const char * runs(const System & system, const Tableau & given, const Run
       return cube.pages == pages && cube.rows >= rows && cube.columns == ns;
     };
   return unless(
-    fits(given) && has_shape(runs.control, pages, switching::COLUMNS) &&
+    fits(given) && fits(runs.short_tableau) && runs.short_tableau.a.rows > 0 &&
+    runs.short_tableau.a.rows <= given.a.rows &&
+    has_shape(runs.control, pages, switching::COLUMNS) &&
     has_rows(runs.scale, 2) && runs.scale.rows == 2 &&
     has_rows(runs.scratch, scratch::FIRST_SLOPE + given.a.rows) &&
     runs.stiff_scratch.rows == STIFF_ROWS && has_rows(runs.stiff_scratch, STIFF_ROWS) &&

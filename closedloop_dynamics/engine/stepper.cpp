@@ -68,7 +68,8 @@ bool fits(const System & system, const Stepper & stepper)
          (!is_switching || (
            stepper.unit.rows == 2 && stepper.unit.columns == ns &&
            runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq() &&
-           runs.short_tableau.a.rows > 0 && runs.short_tableau.a.rows <= stages)) &&
+           fits(runs.short_tableau) && runs.short_tableau.a.rows > 0 &&
+           runs.short_tableau.a.rows <= tableau.a.rows)) &&
          (!is_stiff || (runs.stiff_scratch.pages == count &&
          runs.stiff_scratch.rows == STIFF_ROWS && runs.stiff_scratch.columns == ns &&
          runs.matrix.rows == ns && runs.matrix.columns == ns && runs.pivots.size == ns)) &&
