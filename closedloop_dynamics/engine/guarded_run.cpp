@@ -3,6 +3,8 @@
 
 #include "guarded_run.hpp"
 
+#include <time.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -278,6 +280,14 @@ void book(const System & system, const GuardedRun & run, Index steps)
   counts[DUE] = due | (std::isinf(run.watch.closure) ? 0 : LOOPS);
 }
 
+/// CPU time of this thread [ns].
+double thread_time()
+{
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return 1e9 * static_cast<double>(now.tv_sec) + static_cast<double>(now.tv_nsec);
+}
+
 /// Make steps, or find out why not.
 Pause make_portion(const System & system, const GuardedRun & run, Index steps)
 {
@@ -292,12 +302,16 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
   const bool whole = size == numbers[STEP_SIZE];
   const double origin = whole ? numbers[TIME_BASE] : run.time();
   const Index done = whole ? counts[STEPS] : 0;
+  const double worked = run.watch.timed ? thread_time() : 0.0;
   const auto begin = std::chrono::steady_clock::now();
   const auto [status, made] =
     make_steps(system, run.stepper, run.state, origin, done, size, steps);
   numbers[COST_NANOSECONDS] += static_cast<double>(
     std::chrono::duration_cast<std::chrono::nanoseconds>(
       std::chrono::steady_clock::now() - begin).count());
+  if (run.watch.timed) {
+    numbers[COST_CPU_NANOSECONDS] += thread_time() - worked;
+  }
   if (status == Status::DONE) {
     book(system, run, steps);
     return Pause::NONE;

@@ -38,6 +38,8 @@ struct Watch
   double extent = 0.0;
   /// Torques up to this one are not asked for what they would do within a step [N m or N].
   double usual = 0.0;
+  /// Whether the CPU time of the thread is measured, too: as long as an evaluation or two.
+  bool timed = false;
   /// Places, among the data of effects, of the windings of cables round pulleys; the radii stand
   /// before them.
   Indices windings;
@@ -46,7 +48,7 @@ struct Watch
   void fields(Visitor && visit)
   {
     visit(first, rarely, call, whole, chooses, most, closure, regular, mass, extent, usual,
-      windings);
+      timed, windings);
   }
 };
 
@@ -54,16 +56,16 @@ namespace guard
 {
 /// GuardedRun.numbers: the time is TIME_BASE and STEPS times STEP_SIZE [s]; the size of the steps
 /// that are made now, and how far the portion came that failed [s]; what steps have cost: time
-/// simulated [s], steps, time spent [ns]; the most energy that has moved up to any look [J], the
-/// largest error of the balance relative to what had moved by then, when it was found, itself and
+/// simulated [s], steps, time of the clock spent and, where it is measured, CPU time of the thread
+/// [ns]; the most energy that has moved up to any look [J], the largest error of the balance relative to what had moved by then, when it was found, itself and
 /// what had moved [J]; the balance at the latest look less that of the one before, and what moved
 /// in between [J]; when these looks were [s]; balances where the guard began, at the latest look
 /// that was well and now; when cables were looked at and the error of the balance then.
 enum Number : Index
 {
   TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
-  MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
-  BEGIN, LOOK = 20, PRESENT = 25, CABLE_TIME = 30, CABLE_RESIDUAL, NUMBERS
+  COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
+  BEGIN, LOOK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, NUMBERS
 };
 /// GuardedRun.counts: steps since TIME_BASE; those left of the present call, and all of it; the
 /// portion handed to the host, how many steps of it were made, and how it ended; what is to be

@@ -16,9 +16,10 @@ from .steppers import Stepper
 from ..effects.energy_balance import EnergyAccount
 
 # Columns of ``GuardedRun.numbers``.
-(TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS, MOVED, WORST,
- WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME, BEGIN) = range(16)
-LOOK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, NUMBERS = 20, 25, 30, 31, 32
+(TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
+ COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
+ BEGIN) = range(17)
+LOOK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, NUMBERS = 21, 26, 31, 32, 33
 # Columns of ``GuardedRun.counts``.
 (STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
  EQUATIONS_BETWEEN, LOOKED, BEGUN, CABLES_LOOKED, WARNED, FAILED, COUNTS) = range(18)
@@ -45,6 +46,7 @@ class Watch(NamedTuple):
     mass: float  # [kg]
     extent: float  # [m]
     usual: float  # [N m or N]
+    timed: bool
     windings: np.ndarray  # Shape (nw,)
 
 

@@ -173,14 +173,16 @@ class Monitor:
     @property
     def measured(self):
         """
-        Return what was measured so far, shape (4,).
+        Return what was measured so far, shape (5,).
 
-        Simulated and computing time [s]; ``work``.
+        Simulated time, CPU time of the thread, with a budget alone, and time of the clock [s];
+        ``work``.
 
         """
         numbers = self._numbers
         return np.array([
-            numbers[run.COST_TIME], 1e-9 * numbers[run.COST_NANOSECONDS], *self.work])
+            numbers[run.COST_TIME], 1e-9 * numbers[run.COST_CPU_NANOSECONDS],
+            1e-9 * numbers[run.COST_NANOSECONDS], *self.work])
 
     @property
     def work(self):
@@ -204,7 +206,7 @@ class Monitor:
 
     def clear(self):
         """Forget what has been counted: the time starts again."""
-        self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1] = 0.0
+        self._numbers[run.COST_TIME:run.COST_CPU_NANOSECONDS + 1] = 0.0
         self._between, self._local_error = FIRST_SAMPLE, math.nan
         self.sampling = self._sampling
         control = getattr(self.driver, 'control', None)

@@ -85,7 +85,7 @@ class Method:
     accuracy : float
         Error of positions after a second of motion [rad, m], that ``'auto'`` keeps.
     budget : float or None
-        Computing time per second of real time that ``'auto'`` may take [1], positive: it keeps the
+        CPU time per second of real time that ``'auto'`` may take [1], positive: it keeps the
         best accuracy that this allows, which may be finer or coarser than ``accuracy``.
 
     """

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 import math
 from pathlib import Path
-from time import perf_counter_ns
+from time import perf_counter_ns, thread_time_ns
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 import warnings
 
@@ -105,7 +105,7 @@ class Simulation(Readings):
         self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
         self._set_time(0.0, 0)
         self.pace = 1.0
-        self._measured = np.zeros(4)
+        self._measured = np.zeros(5)
         if not isinstance(model, (Model, Scene)):
             raise TypeError(f'Simulation: expected a Model or a Scene, got {model!r}; '
                             'Simulation.from_scene takes names and paths')
@@ -373,15 +373,15 @@ class Simulation(Readings):
             return
         before = self._measured
         self._measured = self._driver.measured
-        simulated, spent, *work = (self._measured - before).tolist()
+        simulated, spent, elapsed, *work = (self._measured - before).tolist()
         if not simulated > 0.0:
             # Nothing, or a reset.
             return
         present = self.accuracy
         # As if the error were looked at all the time: the budget holds while it is.
-        checked = 2.0 * work[0] / sum(work) if sum(work) > 0.0 else 1.0
+        checked = max(2.0 * work[0] / sum(work) if sum(work) > 0.0 else 1.0, 1.0)
         accuracy = self._budget.choose(
-            present, simulated / self.pace, max(checked, 1.0) * spent)
+            present, simulated / self.pace, checked * spent, checked * elapsed)
         if accuracy != present:
             self._driver.driver.aim(accuracy)
 
@@ -557,7 +557,7 @@ class Simulation(Readings):
             min(CABLE_LOOK_EVERY if places else guarded_run.NEVER,
                 CLOSURE_LOOK_EVERY if drifts else guarded_run.NEVER),
             OPEN * size if drifts else math.inf, method.stabilisation == 'none', self._mass, size,
-            USUAL_TORQUE, np.array([*places], dtype=np.int64))
+            USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
 
     def _set_run(self) -> None:
         """Let the engine make steps by the present method, system and guards."""
@@ -666,7 +666,7 @@ class Simulation(Readings):
         if failed:
             status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
             driver.made = int(counts[guarded_run.MADE])
-        begin = perf_counter_ns()
+        begin, worked = perf_counter_ns(), thread_time_ns()
         try:
             while status != DONE:
                 if status == INTERRUPTED:
@@ -683,6 +683,7 @@ class Simulation(Readings):
             self._driver.restart(moved=True)
             raise
         numbers[guarded_run.COST_NANOSECONDS] += perf_counter_ns() - begin
+        numbers[guarded_run.COST_CPU_NANOSECONDS] += thread_time_ns() - worked
         if status == DONE:
             return
         self._driver.count(elapsed, size)

@@ -263,8 +263,8 @@ def test_without_a_log_stamps_and_efforts_serve():
 
 def test_a_budget_is_replayed_by_the_accuracies_of_the_log(monkeypatch):
     def measured(self):
-        simulated, _, *work = real(self)
-        return np.array([simulated, 1e-6 * sum(work), *work])
+        simulated, _, _, *work = real(self)
+        return np.array([simulated, *2 * [1e-6 * sum(work)], *work])
 
     real = Monitor.measured.fget
     monkeypatch.setattr(Monitor, 'measured', property(measured))

@@ -9,7 +9,7 @@ import math
 from closedloop_dynamics import load_scene, rollout, Simulation, State
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.budget import (
-    allowed, Budget, COARSEST, FINEST, INTERVAL, MOST_DECADES)
+    allowed, Budget, COARSEST, FINEST, INTERVAL, MOST_DECADES, PERIOD)
 from closedloop_dynamics.simulation.monitor import Monitor
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.sweep import sweep
@@ -21,12 +21,18 @@ TORQUE = [5.0, -3.0, 2.0]
 KEPT = 3.0
 
 
-def follow(budget, cost, intervals, accuracy=1e-6):
-    """Return the accuracies of a machine whose computing takes ``cost(accuracy, time)``."""
+def follow(budget, cost, intervals, accuracy=1e-6, waiting=lambda time: 1.0):
+    """
+    Return the accuracies of a machine whose computing takes ``cost(accuracy, time)`` of a core.
+
+    By the clock it takes ``waiting(time)`` times that.
+
+    """
     found = []
     for number in range(intervals):
-        accuracy = budget.choose(
-            accuracy, INTERVAL, INTERVAL * cost(accuracy, number * INTERVAL))
+        time = number * INTERVAL
+        spent = INTERVAL * cost(accuracy, time)
+        accuracy = budget.choose(accuracy, INTERVAL, spent, waiting(time) * spent)
         found.append(accuracy)
     return found
 
@@ -71,6 +77,40 @@ def test_it_follows_the_load_and_comes_back():
     assert order_eight(loaded, 0.4) <= 0.2
 
 
+def test_programs_that_take_the_core_leave_the_accuracy_as_long_as_the_period_is_kept():
+    # Twice as long by the clock: 0.4 of the period at most.
+    alone, beside = (follow(Budget(0.2, 1e-6), lambda accuracy, _: order_eight(accuracy), 200,
+                            waiting=lambda time: factor) for factor in (1.0, 2.0))
+    assert alone == beside
+
+
+def test_the_period_is_kept_before_the_accuracy_where_programs_take_the_core():
+    budget = Budget(0.2, 1e-6)
+    found = follow(budget, lambda accuracy, _: order_eight(accuracy), 1200,
+                   waiting=lambda time: 9.0 if 20.0 <= time < 40.0 else 1.0)
+    before, crowded, after = found[399], found[799], found[1199]
+    assert before == after < crowded and 9.0 * order_eight(before) > PERIOD
+    # Two measurements are enough to act on.
+    assert found[402] > before and 9.0 * order_eight(found[410]) <= PERIOD
+    assert 9.0 * order_eight(crowded) <= PERIOD
+
+
+def test_what_makes_the_accuracy_coarser_is_named():
+    budget = Budget(0.2, 1e-6)
+    found = follow(budget, lambda accuracy, _: order_eight(accuracy, 0.1), 10,
+                   waiting=lambda time: 9.0)
+    assert found[-1] > 1e-6 and 'other programs take the core' in budget.finding(found[-1])
+    found = follow(budget, lambda accuracy, _: order_eight(accuracy, 0.1), 40,
+                   waiting=lambda time: 100.0)
+    assert found[-1] == COARSEST and 'other programs take the rest' in budget.finding(COARSEST)
+    follow(budget, lambda accuracy, _: 0.3, 10, COARSEST)
+    assert 'the budget of 0.2 of real time is exceeded' in budget.finding(COARSEST)
+
+
+def test_a_budget_beyond_real_time_is_not_bounded_by_the_period():
+    assert follow(Budget(3.0, 1e-6), lambda accuracy, _: 1.5, 400)[-1] == FINEST
+
+
 def test_what_proved_too_fine_is_tried_ever_more_rarely():
     # The finer one takes twice what is expected of it.
     found = follow(Budget(0.1, 1e-6), lambda accuracy, _: 0.05 if accuracy > 5e-7 else 0.12, 3000)
@@ -110,8 +150,8 @@ def counted(monkeypatch):
     real = Monitor.measured.fget
 
     def measured(self):
-        simulated, _, *work = real(self)
-        return np.array([simulated, 1e-6 * sum(work), *work])
+        simulated, _, _, *work = real(self)
+        return np.array([simulated, *2 * [1e-6 * sum(work)], *work])
 
     monkeypatch.setattr(Monitor, 'measured', property(measured))
 
@@ -222,6 +262,14 @@ def test_a_budget_is_taken_and_left_while_it_runs(counted):
     simulation.prepare_method(budget=None)()
     assert simulation.accuracy == 1e-6 and math.isnan(simulation.report().budget)
     assert math.isnan(Simulation.from_scene('four_bar', integrator='rk4').accuracy)
+
+
+def test_cpu_time_is_measured_under_a_budget_alone():
+    for budget in (None, 0.5):
+        simulation, _ = runs_of(budget)
+        simulation.step(TORQUE, 0.5)
+        _, spent, elapsed, *_ = simulation.monitor.measured
+        assert elapsed > 0.0 and (spent > 0.0) == (budget is not None)
 
 
 @pytest.mark.parametrize('budget', [0.0, -1.0, math.nan, math.inf, 'half'])
