@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from .command import add_reading, add_set, Command, reading, UsageError, with_numbers
+from .command import add_reading, add_set, Command, READING, reading, UsageError, with_numbers
 from ..formats.registry import is_model, read_model
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
@@ -28,7 +28,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     if is_model(arguments.scene):
-        with announced('Reading the model and closing its loops (Ctrl-C stops it) ...'):
+        with announced(READING):
             text = describe_model(read_model(arguments.scene, **reading(arguments)))
         print(text)
         return 0

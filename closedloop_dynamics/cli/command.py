@@ -19,9 +19,12 @@ from ..simulation.key_paths import changed, resolve
 from ..simulation.motions import moving, require_actuated, with_motions
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
+from ..visual.progress import announced
 
 # Exit code of a simulation that failed.
 FAILED = 1
+# While a file is read.
+READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
 
 
 class UsageError(ValueError):
@@ -169,6 +172,19 @@ def with_numbers(scene, arguments):
         raise UsageError(f'--set: {error}') from None
 
 
+def read_scene(name, arguments):
+    """
+    Return a scene by its name, read as a command line asks, and say so where it takes long.
+
+    Raises
+    ------
+    SceneError
+
+    """
+    with announced(READING):
+        return load_scene(name, **reading(arguments))
+
+
 def scene_of(arguments):
     """
     Return the scene of a command line, read, with the numbers set and the motions it prescribes.
@@ -178,7 +194,7 @@ def scene_of(arguments):
     SceneError, UsageError
 
     """
-    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     try:
         return moving(scene, mapping(arguments.motion, '--motion'))
     except FieldError as error:

@@ -8,13 +8,12 @@ import math
 import sys
 
 from .command import (
-    add_directory, add_reading, assignment, Command, FAILED, free_paths, reading, UsageError,
+    add_directory, add_reading, assignment, Command, FAILED, free_paths, read_scene, UsageError,
     with_numbers)
 from .kinematics import add_drive, drive_axis, driven_run, forces, torques
 from ..recording import design
 from ..recording.kinematics import by_name
 from ..recording.rows import write_scene
-from ..simulation.scene import load_scene
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
@@ -95,7 +94,7 @@ def _machines(arguments):
     scenes = [(name, []) for name in names] if not sets else [
         (names[0], pairs) for pairs in ([[], *sets] if len(sets) == 1 else sets)]
     for name, pairs in scenes:
-        scene = with_numbers(load_scene(name, **reading(arguments)), Namespace(set=pairs))
+        scene = with_numbers(read_scene(name, arguments), Namespace(set=pairs))
         label = ', '.join([scene.name, *(f'{key} = {value:g}' for key, value in pairs)])
         if label in found and not sets:
             # Files of the same name.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .command import add_reading, Command, reading, require_free, UsageError
+from .command import add_reading, Command, READING, reading, require_free, UsageError
 from ..effects.registry import effect_type
 from ..formats.building import Imported
 from ..formats.in_space import in_space
@@ -56,7 +56,7 @@ def _run(arguments):
     require_free(arguments, arguments.output)
     if suffix == C:
         return _write_c(arguments)
-    with announced('Reading the machine and closing its loops ...'):
+    with announced(READING):
         mechanism, effects, position, hold, limits = _read(
             arguments.scene, **reading(arguments))
         mechanism = in_space(mechanism)

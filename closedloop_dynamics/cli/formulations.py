@@ -4,8 +4,7 @@
 """``closedloop formulations``: what the subsystem-level method buys as mechanisms grow."""
 
 from .command import (
-    add_directory, add_reading, Command, free_paths, reading, UsageError)
-from ..simulation.scene import load_scene
+    add_directory, add_reading, Command, free_paths, read_scene, UsageError)
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations, study_scenes
 from ..visual.progress import parts_bar
@@ -28,7 +27,7 @@ def _run(arguments):
     if arguments.largest < 1:
         raise UsageError(f'--largest: expected a number > 0, got {arguments.largest}')
     paths = free_paths(arguments, *FILES)
-    scenes = [load_scene(name, **reading(arguments)) for name in arguments.scene]
+    scenes = [read_scene(name, arguments) for name in arguments.scene]
     with parts_bar('mechanisms', 'formulations') as progress:
         rows = study_scenes(scenes, progress) if scenes else study_formulations(
             arguments.largest, arguments.quick, progress)

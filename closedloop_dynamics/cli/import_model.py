@@ -12,6 +12,7 @@ from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
 from ..simulation.model_scene import assembled
+from ..simulation.modeling import extent
 from ..visual.progress import announced
 
 
@@ -37,7 +38,7 @@ def _run(arguments):
         require_free(arguments, arguments.scene, option='--scene')
     with announced('Reading the model ...'):
         imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
-    notes = lines(imported)
+    notes = lines(imported, extent(imported.mechanism))
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
             imported, found, told = assembled(imported)

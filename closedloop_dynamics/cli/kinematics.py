@@ -11,14 +11,13 @@ import sys
 import numpy as np
 
 from .command import (
-    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, reading, require_free,
+    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
     UsageError, with_numbers)
 from ..recording.design import cycle, POSES
 from ..recording.kinematics import assemblies, by_name, Drive, DrivenRun
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
-from ..simulation.scene import load_scene
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
@@ -129,7 +128,7 @@ def _run(arguments):
     for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
         if path is not None:
             require_free(arguments, path, option)
-    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     if arguments.assemblies:
         return _list_assemblies(arguments, scene)
     with announced('Following the branch ...'):

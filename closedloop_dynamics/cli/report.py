@@ -15,12 +15,11 @@ import numpy as np
 from scipy.integrate import trapezoid
 
 from .command import (
-    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, reading, require_free,
+    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
     UsageError, with_numbers)
 from .kinematics import add_drive, curves, drive_axis, driven_run, forces, torques
 from ..recording import design
 from ..recording.kinematics import by_name
-from ..simulation.scene import load_scene
 from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to
 
@@ -50,7 +49,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     require_free(arguments, arguments.output)
-    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     begin = time.process_time()
     with announced('Following the branch ...'):
         run = driven_run(arguments, scene)

@@ -15,10 +15,9 @@ import numpy as np
 
 from .command import (
     add_reading, add_recording, add_set, assignment, checked_torques, Command, mapping, port,
-    positive, reading, recording_of, require_free, UsageError, with_numbers)
+    positive, read_scene, recording_of, require_free, UsageError, with_numbers)
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
-from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
 from ..view.columns import motion_columns, motion_rows
 from ..view.description import describe
@@ -105,7 +104,7 @@ def _live(arguments):
     """Run a simulation until Ctrl-C."""
     # The server's library takes a while, which no other command should.
     from ..view.runner import Runner
-    scene = with_numbers(load_scene(arguments.what, **reading(arguments)), arguments)
+    scene = with_numbers(read_scene(arguments.what, arguments), arguments)
     with announced(LOADING):
         try:
             runner = Runner(scene)
@@ -187,7 +186,7 @@ def _save(arguments):
 
 def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
-    scene = with_numbers(load_scene(arguments.what, **reading(arguments)), arguments)
+    scene = with_numbers(read_scene(arguments.what, arguments), arguments)
     with announced(LOADING):
         simulation = checked_torques(arguments.what, scene, torque)
     with progress_to(arguments.duration, 's', scene.name) as show:

@@ -612,7 +612,7 @@ def _told(error, model, named):
     return f'{record.where if record else model.path}: {error}'
 
 
-def lines(imported):
+def lines(imported, lever):
     """
     Return what was left out, a line for each reason: what moves bodies first, the largest of all.
 
@@ -620,6 +620,8 @@ def lines(imported):
     ----------
     imported : Imported
         What was read.
+    lever : float
+        The machine's size, at which turning and sliding are compared [m].
 
     Returns
     -------
@@ -627,7 +629,7 @@ def lines(imported):
 
     """
     groups = {}
-    for one in sorted(imported.omitted, key=lambda one: -one.size):
+    for one in sorted(imported.omitted, key=lambda one: -one.force(lever)):
         groups.setdefault(one.reason, {}).setdefault(
             (one.quantity, one.kind, one.unit), []).append(one)
     moving = [f'left out of the motion, {reason}: ' + '; '.join(

@@ -23,7 +23,8 @@ import numpy as np
 from .mjcf_omissions import disabled, omissions, sides
 from .mjcf_pictures import read_pictures
 from .model import (
-    Asked, Belt, Connection, Drag, free_name, Link, Model, Omission, Relation, Rope, Spring)
+    Asked, Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, Relation, Rope,
+    Spring)
 from .pose import IDENTITY, Pose, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -34,7 +35,7 @@ MOST_INCLUDES, MOST_MESHES = 100, 2000
 # What is left out, and why.
 SECTIONS = {
     'asset': 'for pictures and contacts', 'visual': 'for pictures', 'statistic': 'for pictures',
-    'contact': 'for contacts', 'sensor': 'for sensors', 'keyframe': 'other states',
+    'contact': NO_CONTACTS, 'sensor': 'for sensors', 'keyframe': 'other states',
     'custom': 'for programs', 'deformable': 'not rigid', 'extension': 'for programs'}
 PARTS = {'camera': 'for pictures', 'light': 'for pictures', 'plugin': 'forces of programs'}
 # What an actuator acts on.
@@ -76,7 +77,9 @@ def read_mjcf(path, asked=Asked()):
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
     _stripped(root, folder, left_out, asked, parts, assets)
-    model.ignore(left_out, {**SECTIONS, **PARTS}, 'for contacts')
+    # Shapes that may touch are counted below, with those that masses follow from.
+    del left_out['geom']
+    model.ignore(left_out, {**SECTIONS, **PARTS})
     with _heard(mujoco, model.ignored):
         try:
             compiled = mujoco.MjSpec.from_string(
@@ -92,7 +95,9 @@ def read_mjcf(path, asked=Asked()):
     reader.start(start)
     # What it warns of was told above.
     with _heard(mujoco, {}):
-        read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
+        touching = read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
+    if touching and not (reader.disabled('CONTACT') or reader.disabled('CONSTRAINT')):
+        model.ignored[f'contacts of {touching} shapes'] = NO_CONTACTS
     return model
 
 
@@ -339,7 +344,7 @@ class _Reader:
     def read(self):
         """Fill the model; return its links by the names that MuJoCo has."""
         compiled, model = self.compiled, self.model
-        if not self._disabled('GRAVITY'):
+        if not self.disabled('GRAVITY'):
             model.gravity = tuple(compiled.opt.gravity.tolist())
         else:
             model.gravity = (0.0, 0.0, 0.0)
@@ -350,7 +355,7 @@ class _Reader:
         carried.update(key for joint in range(compiled.njnt) for key in self._beyond(joint))
         model.omitted += omissions(
             self.mujoco, compiled, model.name, carried, self._drag() if self._passive() else True)
-        if not (self._disabled('EQUALITY') or self._disabled('CONSTRAINT')):
+        if not (self.disabled('EQUALITY') or self.disabled('CONSTRAINT')):
             for equality in range(compiled.neq):
                 self._equality(equality)
         elif compiled.neq:
@@ -375,7 +380,8 @@ class _Reader:
             else:
                 joint.start = float(own[0])
 
-    def _disabled(self, what):
+    def disabled(self, what):
+        """Tell whether the flags of the file disable something."""
         return disabled(self.mujoco, self.compiled, what)
 
     def _find_drives(self):
@@ -392,7 +398,7 @@ class _Reader:
             damping, armature = (
                 gear ** 2 * float(getattr(compiled, f'actuator_{key}', np.zeros(count))[drive])
                 for key in ('damping', 'armature'))
-            damping *= not self._disabled('DAMPER')
+            damping *= not self.disabled('DAMPER')
             if kind in in_joints:
                 joint = model.joints[self.joints[target]]
                 drives.add(joint.name)
@@ -406,7 +412,7 @@ class _Reader:
                     self._omit(key, self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint',
                                size, unit)
         for joint in model.joints.values():
-            joint.actuated = joint.name in drives and not self._disabled('ACTUATION')
+            joint.actuated = joint.name in drives and not self.disabled('ACTUATION')
         if count:
             model.ignored['gains and limits of actuators'] = (
                 'commands are torques and forces of joints')
@@ -414,7 +420,7 @@ class _Reader:
     def _omit_gains(self, drive, gear, joint):
         """Note what an actuator of position or velocity does where it is commanded nothing."""
         compiled = self.compiled
-        if self._disabled('ACTUATION') or compiled.actuator_biastype[drive] != int(
+        if self.disabled('ACTUATION') or compiled.actuator_biastype[drive] != int(
                 self.mujoco.mjtBias.mjBIAS_AFFINE):
             return
         slides = joint.type == PRISMATIC
@@ -487,7 +493,7 @@ class _Reader:
 
     def _powers(self, kind, key, row, flag):
         """Return the coefficients of a spring or damper, from the first power on."""
-        if self._disabled(flag):
+        if self.disabled(flag):
             return (0.0,)
         first = np.ravel(getattr(self.compiled, f'{kind}_{key}')[row])[:1]
         # Older versions have the first alone.
@@ -501,10 +507,10 @@ class _Reader:
 
     def _passive(self):
         """Tell whether MuJoCo has any forces that no drive and no constraint makes."""
-        return not (self._disabled('SPRING') and self._disabled('DAMPER'))
+        return not (self.disabled('SPRING') and self.disabled('DAMPER'))
 
     def _unlimited(self):
-        return self._disabled('LIMIT') or self._disabled('CONSTRAINT')
+        return self.disabled('LIMIT') or self.disabled('CONSTRAINT')
 
     def _drag(self):
         """Add the drag on boxes of the bodies' inertia; return whether there is no other one."""
@@ -587,11 +593,11 @@ class _Reader:
                            f'{self.model.path}: <joint name={name!r}>')
         dof, address = int(compiled.jnt_dofadr[joint]), int(compiled.jnt_qposadr[joint])
         found.armature = float(compiled.dof_armature[dof])
-        if not self._disabled('DAMPER'):
+        if not self.disabled('DAMPER'):
             found.damping = float(np.ravel(compiled.dof_damping[dof])[0])
-        if not (self._disabled('FRICTIONLOSS') or self._disabled('CONSTRAINT')):
+        if not (self.disabled('FRICTIONLOSS') or self.disabled('CONSTRAINT')):
             found.friction = float(compiled.dof_frictionloss[dof])
-        if not self._disabled('SPRING'):
+        if not self.disabled('SPRING'):
             found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
         found.in_parent = place
         if kind == FREE:

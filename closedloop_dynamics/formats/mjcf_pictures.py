@@ -39,10 +39,15 @@ def read_pictures(mujoco, text, folder, model, links):
     links : dict of str to model.Link
         Of the model, by the names of MuJoCo's bodies.
 
+    Returns
+    -------
+    int
+        How many shapes may touch others; 0 where MuJoCo does not read them.
+
     """
     try:
         spec = mujoco.MjSpec.from_string(text)
-        meshes = _without_files(mujoco, spec, folder)
+        meshes, fields = _without_files(mujoco, spec, folder)
         geoms = list(spec.geoms)
         names = [geom.meshname for geom in geoms]
         for geom in geoms:
@@ -52,8 +57,8 @@ def read_pictures(mujoco, text, folder, model, links):
         compiled = spec.compile()
     except (ValueError, RuntimeError, AttributeError, TypeError, mujoco.FatalError) as error:
         told = ' '.join(str(error).split())
-        model.ignored['what bodies are drawn as'] = f'MuJoCo does not read it: {told}'
-        return
+        model.ignored['what bodies are drawn as, and touch'] = f'MuJoCo does not read it: {told}'
+        return 0
     left_out = set()
     for geom, name in zip(geoms, names):
         number = geom.id
@@ -69,21 +74,45 @@ def read_pictures(mujoco, text, folder, model, links):
             link += found or ()
     if left_out:
         model.ignored[f'pictures of kind {", ".join(sorted(left_out))}'] = 'not drawn'
+    return _touching(compiled, fields)
+
+
+def _touching(compiled, fields):
+    """Return how many shapes may touch others of other bodies, with the fields among them."""
+    kinds, with_kinds, bodies = (
+        compiled.geom_contype, compiled.geom_conaffinity, compiled.geom_bodyid)
+    touch = fields * (kinds != 0)
+    for kind, with_kind, body in {*zip(*(
+            some.tolist() for some in (kinds, with_kinds, bodies)))}:
+        touch = touch | ((kinds & with_kind | with_kinds & kind) != 0) & (bodies != body)
+    found = int(np.count_nonzero(touch))
+    return found + fields if found else 0
 
 
 def _without_files(mujoco, spec, folder):
-    """Take out of a file what needs others; return path and scale of the meshes, by name."""
+    """
+    Take out of a file what needs others.
+
+    Returns
+    -------
+    dict of str to tuple (pathlib.Path, tuple of 3 floats)
+        Path and scale of the meshes, by name.
+    int
+        How many fields of heights and of distances there were.
+
+    """
     meshes = {mesh.name: ((folder / spec.meshdir / mesh.file), tuple(map(float, mesh.scale)))
               for mesh in spec.meshes if mesh.file and not np.any(mesh.refpos)
               and tuple(mesh.refquat) == (1.0, 0.0, 0.0, 0.0)}
-    for geom in list(spec.geoms):
-        if geom.type in (mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF):
-            spec.delete(geom)
+    fields = [geom for geom in spec.geoms if geom.type in (
+        mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)]
+    for geom in fields:
+        spec.delete(geom)
     for material in spec.materials:
         material.textures = [''] * len(material.textures)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
-    return meshes
+    return meshes, len(fields)
 
 
 def _visuals(mujoco, compiled, number, mesh):

@@ -26,6 +26,11 @@ MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
 GRAVITY = (0.0, 0.0, -9.81)
 # Limits of coordinates and drives from here on are none [SI units].
 NO_LIMIT = 1e9
+# Why geometry for contacts is left out.
+NO_CONTACTS = 'bodies pass through each other'
+# By unit of what acts about an axis: the power of the lever by which it is a force.
+LEVERS = {'N m': 1, 'N m/rad': 2, 'N m s/rad': 2, 'kg m^2': 2, 'N m/rad^2': 3,
+          'N m s^2/rad^2': 3}
 
 
 def free_name(name, taken):
@@ -285,6 +290,10 @@ class Omission:
     reason: str
     size: float = math.inf
     unit: str = ''
+
+    def force(self, lever):
+        """Return its force where something moves by 1 m, 1 m/s or 1 m/s^2 at a lever [N]."""
+        return self.size / lever ** LEVERS.get(self.unit, 0)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from .model import (
-    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Omission, Relation)
+    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, NO_CONTACTS, Omission,
+    Relation)
 from .pose import IDENTITY, Pose, unturned
 from .sdf_parts import FALSE, flattened, included, MODEL, OWN_AXES, TRUE, version_of, WORLD
 from .visuals import color_in, placed, visuals
@@ -36,8 +37,8 @@ ENDLESS = 1e15
 # Of joints in files of another format: of the converters that read them.
 JOINTS_ALONE = (1, 7)
 REASONS = {
-    'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
-    'self_collide': 'for contacts', 'plugin': 'for a simulator', 'sensor': 'for sensors',
+    'visual': 'for pictures', 'material': 'for pictures', 'collision': NO_CONTACTS,
+    'self_collide': NO_CONTACTS, 'plugin': 'for a simulator', 'sensor': 'for sensors',
     'light': 'for pictures', 'scene': 'for pictures', 'gui': 'for pictures',
     'physics': 'for a simulator',
     'enable_wind': 'for a simulator',

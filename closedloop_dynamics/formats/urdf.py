@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .model import Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
+from .model import (
+    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, NO_CONTACTS, Relation)
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, Pose, unturned
 from .sdf import add_joints
@@ -36,14 +37,14 @@ LOOP_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMAT
 WITHOUT_AXIS = (FIXED, FREE, SPHERICAL)
 # Why what is not read is not needed.
 REASONS = {
-    'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
+    'visual': 'for pictures', 'material': 'for pictures', 'collision': NO_CONTACTS,
     'joint_properties': 'for another program',
     'safety_controller': 'for controllers', 'calibration': 'for controllers',
     'hardware': 'for controllers', 'sensor': 'for sensors',
     # In an element gazebo.
     **dict.fromkeys((
         'mu1', 'mu2', 'mu', 'fdir1', 'kp', 'kd', 'maxVel', 'minDepth', 'maxContacts',
-        'max_contacts', 'selfCollide', 'self_collide', 'laserRetro'), 'for contacts'),
+        'max_contacts', 'selfCollide', 'self_collide', 'laserRetro'), NO_CONTACTS),
     **dict.fromkeys((
         'plugin', 'static', 'provideFeedback', 'implicitSpringDamper', 'stopCfm', 'stopErp',
         'fudgeFactor', 'preserveFixedJoint', 'disableFixedJointLumping', 'dampingFactor',

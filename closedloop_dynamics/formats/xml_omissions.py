@@ -16,6 +16,7 @@ MOVING = {
     'fluid_added_mass': 'no effect has the inertia of a fluid',
     'kinematic': 'forces move every body that is not static',
     'initial_position': 'a scene tells where joints start',
+    'state': 'a scene tells where joints start',
     'enable_wind': 'a file has no wind of its own',
     'drake:linear_bushing_rpy': 'bushings close no loops',
     'drake:controller_gains': 'commands are torques and forces of joints'}
@@ -24,6 +25,8 @@ PROGRAMS = re.compile('hydrodynamic|buoyan|drag|wind|thrust|propel|rotor|force|t
                       re.IGNORECASE)
 NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?')
 OFF = ('', 'false')
+# What has numbers, but no size.
+WITHOUT_SIZE = ('plugin', 'state')
 # Elements that are told by their names.
 OWNERS = ('link', 'joint', 'gazebo', 'model')
 
@@ -51,7 +54,7 @@ def leave_out(model, root, reasons):
         elif label == 'plugin' and PROGRAMS.search(' '.join(value.attributes.values())):
             reason = 'programs are not run'
         words = value if key else ' '.join(_words(value))
-        sizes = () if label == 'plugin' else map(abs, map(float, NUMBER.findall(words)))
+        sizes = () if label in WITHOUT_SIZE else map(abs, map(float, NUMBER.findall(words)))
         size = max(sizes, default=math.inf)
         if reason is None or not size or label != 'plugin' and words.strip() in OFF:
             counts[label] += 1

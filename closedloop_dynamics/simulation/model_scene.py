@@ -76,7 +76,7 @@ def scene_of_model(path, imported):
         raise MechanismError(f'{path}: {error}') from None
     imported, initial = closed_start(imported)
     mechanism = imported.mechanism
-    for note in lines(imported):
+    for note in lines(imported, extent(mechanism)):
         warnings.warn(f'{path.name}: {note}', ModelWarning, stacklevel=2)
     return Scene(path.stem, path, mechanism.description, mechanism, initial, effects)
 

@@ -45,7 +45,8 @@ def describe_model(imported):
     mechanism = imported.mechanism
     return '\n\n'.join([
         *_mechanism(mechanism, found=found), *_loops(drawn, found),
-        '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported)))])])
+        '\n'.join(['Notes', *(f'  {note}' for note in (
+            *notes, *lines(imported, extent(mechanism))))])])
 
 
 def _loops(imported, found):

@@ -265,13 +265,15 @@ def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
         ('friction', 'tendon', 'belt', 2.0, 'N m'),
         ('armature', 'tendon', 'belt', 0.2, 'kg m^2')]
     assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops unless they are asked for'
-    notes = lines(imported)
+    notes = lines(imported, 1.0)
     assert notes[0] == (
         'left out of the motion, springs and dampers are linear: higher terms of the stiffness of '
         'joint ball (4 N m/rad^2)')
     assert notes[1] == (
         'left out of the motion, no effect acts along such tendons: friction of tendon belt '
         '(2 N m); armature of tendon belt (0.2 kg m^2)')
+    # What turns counts as the force that it makes at the size of the machine.
+    assert 'friction' in lines(imported, 1.6)[0]
     # What has no influence on the motion comes last.
     assert 'pictures' in notes[-1] and 'pictures' not in ''.join(notes[:-1])
 
@@ -289,7 +291,7 @@ def test_gains_of_actuators_are_left_out_by_name_and_size(tmp_path):
             tmp_path, text.replace('<worldbody>', f'{flags}<worldbody>')))
         assert [(one.quantity, one.kind, one.name, one.size, one.unit)
                 for one in sorted(imported.omitted, key=lambda one: -one.size)] == expected
-    assert not [note for note in lines(imported) if 'gain' in note and 'motion' in note]
+    assert not [note for note in lines(imported, 1.0) if 'gain' in note and 'motion' in note]
 
 
 def test_bodies_without_names_are_drawn_too(tmp_path):
@@ -387,7 +389,21 @@ def test_what_acts_is_read_and_the_rest_is_told(tmp_path):
     assert imported.limits == {'hinge': pytest.approx((-np.pi / 2, np.pi / 4))}
     assert imported.position == {'slide': pytest.approx(0.1), 'hinge': pytest.approx(-0.69813170)}
     assert imported.ignored['light'] == 'for pictures'
-    assert imported.ignored['geom'] == 'for contacts'
+    assert 'touch' not in ''.join(imported.ignored)
+
+
+@pytest.mark.parametrize('option, second, count', [
+    ('', '', 3), ('', 'contype="0" conaffinity="0"', 2), ('', 'contype="2" conaffinity="2"', 2),
+    ('<option><flag contact="disable"/></option>', '', 0)])
+def test_contacts_are_left_out_with_the_number_of_shapes(tmp_path, option, second, count):
+    # Those that masses follow from count, those beside an inertia, and the ground.
+    text = (f'<mujoco model="m">{option}<worldbody><geom type="plane" size="1 1 1" '
+            'conaffinity="0"/><body><freejoint/><geom size="0.1"/></body><body><inertial '
+            'pos="0 0 0" mass="1" diaginertia="1 1 1"/><freejoint/>'
+            f'<geom size="0.1" {second}/></body></worldbody></mujoco>')
+    ignored = read_model(written(tmp_path, text)).ignored
+    assert [what for what, why in ignored.items() if why == 'bodies pass through each other'] == (
+        [f'contacts of {count} shapes'] if count else [])
 
 
 def test_includes_are_read_from_the_folder_only(tmp_path):

@@ -245,9 +245,12 @@ def test_links_that_forces_do_not_move_and_starts_are_named(tmp_path):
     text = FOUR_BAR.replace('<link name="coupler">', '<link name="coupler"><kinematic>true'
                             '</kinematic>').replace(
         '<link name="crank">', '<link name="crank"><kinematic>0</kinematic>').replace(
-        '<limit><effort>', '<initial_position>0.5</initial_position><limit><effort>')
+        '<limit><effort>', '<initial_position>0.5</initial_position><limit><effort>').replace(
+        '<model ', '<state world_name="w"><sim_time>3 4</sim_time><model name="four_bar"><pose>'
+        '1 0 0 0 0 0</pose></model></state><model ', 1)
     imported = read_model(written(tmp_path, text))
     assert [(one.quantity, one.kind, one.name, one.size) for one in imported.omitted] == [
+        ('state', 'world', 'w', np.inf),
         ('kinematic', 'link', 'coupler', np.inf),
         ('initial_position', 'joint', 'crank_joint', 0.5)]
 
