@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import math
 import os
 from pathlib import Path
-from runpy import run_path
 import sys
 from typing import Callable
 
+from ..effects.user_code import run_code
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
@@ -48,6 +48,8 @@ class Command:
     run : callable
         Takes the parsed arguments, returns the exit code; prints its result. It may raise
         UsageError, SceneError, MechanismError (exit code 2), SimulationError and OSError (1).
+    reads_scenes : bool
+        Whether it reads any, and so has the option ``--allow-code``.
 
     """
 
@@ -57,6 +59,7 @@ class Command:
     add_arguments: Callable
     run: Callable
     epilog: str = ''
+    reads_scenes: bool = True
 
 
 class HelpfulParser(ArgumentParser):
@@ -77,6 +80,10 @@ def add_scene(parser):
     """Add the argument of a scene."""
     parser.add_argument('scene', metavar='SCENE',
                         help='a shipped scene by its name, or a YAML file')
+
+
+def add_code(parser):
+    """Add the option of Python files of the user's own, which run while it is parsed."""
     parser.add_argument('--allow-code', type=_run_code, action='append', metavar='FILE',
                         help='run a Python file of your own first, which registers the effects '
                              'that the scene names; may be repeated (no scene runs code by '
@@ -86,9 +93,9 @@ def add_scene(parser):
 def _run_code(path):
     """Run a Python file that the user has named, and return its path."""
     try:
-        run_path(path, run_name=Path(path).stem)
-    except Exception as error:
-        raise ArgumentTypeError(f'{path}: {type(error).__name__}: {error}') from None
+        run_code(path)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from None
     return path
 
 

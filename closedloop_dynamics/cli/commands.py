@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 
-from .command import FAILED, HelpfulParser, UsageError
+from .command import add_code, FAILED, HelpfulParser, UsageError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
@@ -48,6 +48,8 @@ def parser(names=tuple(COMMANDS)):
             command.name, help=command.summary, description=command.description,
             epilog=command.epilog)
         command.add_arguments(one)
+        if command.reads_scenes:
+            add_code(one)
         one.set_defaults(run=command.run, prog=one.prog)
     return whole
 

@@ -71,4 +71,5 @@ examples:
   closedloop import robot.urdf --output my_robot.yaml --scene my_robot_scene.yaml
 """,
     add_arguments=_add_arguments,
-    run=_run)
+    run=_run,
+    reads_scenes=False)

@@ -61,4 +61,5 @@ examples:
   closedloop recover my_bag
 """,
     add_arguments=_add_arguments,
-    run=_run)
+    run=_run,
+    reads_scenes=False)

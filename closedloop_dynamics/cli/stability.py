@@ -67,4 +67,5 @@ examples:
   closedloop stability --quick --case flat --case loops
 """,
     add_arguments=_add_arguments,
-    run=_run)
+    run=_run,
+    reads_scenes=False)

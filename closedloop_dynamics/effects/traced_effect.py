@@ -17,6 +17,7 @@ import math
 from .effect import Effect, require_point
 from .table import (
     DISSIPATED, ForceElement, OWN, SPATIAL_TRACED, State, TRACED, VALUE_COLUMNS, WORK)
+from .user_code import defined, definition
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD, Routine, Symbol
 from ..core.codegen.machine_code import LAW, machine_code
 from ..mechanism.checks import name as name_check
@@ -184,6 +185,13 @@ class TracedEffect(Effect):
         object.__setattr__(self, 'traced', tracing)
         object.__setattr__(self, 'READINGS', ('power', *tracing.readings))
 
+    def __reduce_ex__(self, protocol):
+        """Return how another process builds it: by the file of a user that defines it."""
+        found = definition(type(self))
+        if found is None:
+            return super().__reduce_ex__(protocol)
+        return _built, (*found, {field.name: getattr(self, field.name) for field in fields(self)})
+
     def trace(self, law):
         """
         State the law.
@@ -262,6 +270,10 @@ class TracedEffect(Effect):
         for path, value in named:
             if not math.isfinite(value):
                 raise FieldError('a finite value in the present state', f'{value}', path=path)
+
+
+def _built(path, name, values):
+    return defined(path, name)(**values)
 
 
 def _require_complete(law):

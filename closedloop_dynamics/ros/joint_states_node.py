@@ -15,7 +15,7 @@ from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, declare, Parameter, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.simulation.completion import Completion, CompletionError
 from closedloop_dynamics.visual.urdf import urdf
@@ -39,6 +39,7 @@ COMPLETED, NOT_USABLE, NOT_CLOSED = 'completed', 'not usable', 'not closed'
 JOINT_STATES_PARAMETERS = (
     Parameter('scene', '', 'The mechanism: a shipped scene by name, or a file of a scene or a '
               'model. Its initial position is on the branch that is followed.'),
+    ALLOW_CODE,
     Parameter('joints', [''], 'Measured joints of the tree. Not given: the actuated ones.'),
     Parameter('deviations', [1.0], 'Standard deviation of each measured position [rad or m]: one '
               'value for all joints, or one per joint. They matter where more joints are measured '
@@ -70,7 +71,7 @@ class JointStatesNode(Node):
         self._values = values = declare(self, JOINT_STATES_PARAMETERS)
         if not values['scene']:
             raise StartError("parameter 'scene': expected a scene or a model, got none")
-        self._simulation = simulation = load_simulation(values['scene'], self.get_logger())[0]
+        self._simulation = simulation = load_simulation(values, self.get_logger())[0]
         self.completion = self._build_completion()
         self._index = [simulation.joint_names.index(name) for name in self.completion.measured]
         self._names, self._places = None, None

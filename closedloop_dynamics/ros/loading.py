@@ -7,7 +7,9 @@ import time
 import warnings
 
 from closedloop_dynamics.effects.prescribed_motion import COMMANDED, PrescribedMotion
+from closedloop_dynamics.effects.user_code import run_code
 from closedloop_dynamics.recording.cost import allowance, probe
+from closedloop_dynamics.ros.parameters import ALLOW_CODE
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
 from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
@@ -18,15 +20,27 @@ from closedloop_dynamics.simulation.simulation import Simulation
 COST_DURATION, COST_RATE, LONGEST_PROBE = 10.0, 10.0, 0.1
 
 
-def load_simulation(scene, logger, moved='', **method):
+def allow_code(paths):
+    """Run the Python files of the parameter ``allow_code``; StartError where one fails."""
+    try:
+        for path in filter(None, map(str.strip, paths.split(','))):
+            run_code(path)
+    except ValueError as error:
+        raise StartError(f"parameter 'allow_code': {error}") from None
+
+
+def load_simulation(values, logger, moved='', **method):
     """
     Return the simulation of a scene, and the scene's own method; say so.
 
-    ``moved`` names joints, with commas between them, whose motion is commanded beside those of
-    the scene; ``method`` is what differs from the scene's own; None: nothing. Raises StartError
-    if the scene cannot be read or simulated.
+    ``values`` are parameters of the node, ``scene`` and ``allow_code`` among them. ``moved`` names
+    joints, with commas between them, whose motion is commanded beside those of the scene;
+    ``method`` is what differs from the scene's own; None: nothing. Raises StartError if the scene
+    cannot be read or simulated.
 
     """
+    scene = values['scene']
+    allow_code(values[ALLOW_CODE.name])
     logger.info(f"loading scene '{scene}' ...")
     begin = time.monotonic()
     try:

@@ -103,6 +103,13 @@ class Parameter:
         return ', '.join(choice or "''" for choice in self.choices)
 
 
+# Of every node that reads scenes.
+ALLOW_CODE = Parameter(
+    'allow_code', '',
+    'Python files, with commas between them, that run first: they register effects that the scene '
+    'names, which runs no code by itself.')
+
+
 def declare(node, parameters):
     """
     Declare parameters on a node and return their values by name.

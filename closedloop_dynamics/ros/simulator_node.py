@@ -92,7 +92,7 @@ class SimulatorNode(Node):
         self._values = values = declare(self, SIMULATOR_PARAMETERS)
         lockstep = values['mode'] == LOCKSTEP
         self.simulation, self._own_method = load_simulation(
-            values['scene'], self.get_logger(), values['motion_joints'],
+            values, self.get_logger(), values['motion_joints'],
             **{key: values[key] or None for key in METHOD})
         try:
             method_changes(values, self._own_method, self.simulation.scene.method)

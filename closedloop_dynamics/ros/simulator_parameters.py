@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from closedloop_dynamics.ros.pacing import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
-from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 
 METHOD = ('integrator', 'step_size', 'stabilisation', 'accuracy', 'budget')
 # SciPy's take as long as they like: no signal would be heard meanwhile.
@@ -18,6 +18,7 @@ SIMULATOR_PARAMETERS = (
     Parameter(
         'scene', 'three_rrr',
         'What to simulate: the name of a shipped scene, or the path of a scene file.'),
+    ALLOW_CODE,
     Parameter(
         'mode', REALTIME,
         'realtime: simulated time follows the steady clock. as_fast_as_possible: it runs as fast '

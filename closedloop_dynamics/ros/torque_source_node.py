@@ -314,7 +314,7 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        simulation = load_simulation(self._values['scene'], self.get_logger())[0]
+        simulation = load_simulation(self._values, self.get_logger())[0]
         driven = [cut.name for cut in simulation.cut_joints if cut.actuated]
         if driven:
             raise StartError("mode 'computed_torque' leads joints of the tree, and not "

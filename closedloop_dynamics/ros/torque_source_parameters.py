@@ -4,7 +4,7 @@
 """Parameters of the torque source, and the laws they choose."""
 
 from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.ros.parameters import Parameter, per_joint
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.references import Circle, PathError, Reference, Wave, Ways
 from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
@@ -23,6 +23,7 @@ TORQUE_SOURCE_PARAMETERS = (
         'scene', '',
         'computed_torque: the scene simulated, by name or path; the gains then ask for '
         'accelerations, kp [1/s^2], kd [1/s], ki [1/s^3 or 1/s^2].'),
+    ALLOW_CODE,
     Parameter(
         'joints', [''],
         'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '

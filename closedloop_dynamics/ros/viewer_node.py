@@ -18,7 +18,9 @@ from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.commands import SERVICE_QOS
-from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
+from closedloop_dynamics.ros.loading import allow_code
+from closedloop_dynamics.ros.parameters import (
+    ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.simulator_parameters import METHOD
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -82,6 +84,7 @@ VIEWER_PARAMETERS = (
     Parameter('host', '127.0.0.1', 'Address to listen on; any but that of this host needs the '
                                    'token in the address that is told.'),
     Parameter('port', 0, 'To listen on; 0: any that is free.', (0, 65535)),
+    ALLOW_CODE,
 )
 
 
@@ -491,6 +494,7 @@ class ViewerNode(Node):
         watch_changes(self)
         self.exit_code, self.server = None, None
         self._values = declare(self, VIEWER_PARAMETERS)
+        allow_code(self._values[ALLOW_CODE.name])
         self._wanted = [self._full(name) for name in self._values['nodes'].split(',')
                         if name.strip()]
         self._offered, self._shown, self._first = {}, {}, None

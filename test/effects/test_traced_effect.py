@@ -5,14 +5,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+import pickle
+import subprocess
+import sys
 
 from closedloop_dynamics import load_scene, Simulation, write_scene
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.cli.commands import COMMANDS, parser
 from closedloop_dynamics.core.codegen.expression_graph import chosen, exponential, larger
 from closedloop_dynamics.effects import registration, registry, traced_effect
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
+from closedloop_dynamics.effects.user_code import run_code
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import SceneError
 import numpy as np
@@ -183,6 +188,34 @@ def test_a_scene_runs_code_only_where_the_command_line_allows_it(files, capsys):
     assert main(['simulate', scene, '--duration', '0.01']) != 0
     assert 'effects.mine.type' in capsys.readouterr().err
     assert main(['simulate', scene, '--duration', '0.01', '--allow-code', code]) == 0
+
+
+def test_every_command_that_reads_scenes_may_run_code(files):
+    _, code = map(str, files)
+    for name in COMMANDS:
+        one = parser([name])._subparsers._group_actions[0].choices[name]
+        takes = '--allow-code' in one._option_string_actions
+        assert takes == (name not in ('import', 'recover', 'stability'))
+
+
+def test_an_effect_of_a_file_is_built_by_other_processes(files):
+    scene, code = map(str, files)
+    run_code(code)
+    sent = pickle.dumps(load_scene(scene).effects['mine'])
+    found = subprocess.run(
+        [sys.executable, '-c', 'import pickle, sys; '
+         'print(pickle.loads(sys.stdin.buffer.read()).numbers())'],
+        input=sent, capture_output=True, timeout=120)
+    assert found.stdout.decode().strip() == "{'stiffness': 5.0}"
+
+
+def test_a_record_that_is_copied_is_of_the_same_class(files):
+    scene, code = map(str, files)
+    run_code(code)
+    one = load_scene(scene).effects['mine']
+    other = pickle.loads(pickle.dumps(one))
+    assert other == one and type(other) is type(one)
+    assert other.traced.arithmetic == one.traced.arithmetic
 
 
 def test_code_that_fails_is_told(files, capsys):
