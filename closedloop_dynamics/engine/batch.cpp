@@ -205,8 +205,9 @@ bool fits(const Batch & batch)
 {
   const Index nv = batch.nv(), width = LANES * nv;
   return width > 0 && is_linked(batch) && batch.qdd.size == width && batch.tau.size == width &&
-         batch.closure.size % LANES == 0 && batch.corrections.rows == 2 && batch.corrections.columns == width &&
-         batch.tolerance.size == LANES && batch.limit.size == LANES && batch.error.size == LANES &&
+         batch.closure.size % LANES == 0 && batch.corrections.rows == 2 &&
+         batch.corrections.columns == width && batch.tolerance.size == LANES &&
+         batch.limit.size == LANES && batch.error.size == LANES &&
          misfit(batch.manifold, batch.nq(), nv) == nullptr;
 }
 

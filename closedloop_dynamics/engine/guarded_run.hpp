@@ -57,9 +57,10 @@ namespace guard
 /// GuardedRun.numbers: the time is TIME_BASE and STEPS times STEP_SIZE [s]; the size of the steps
 /// that are made now, and how far the portion came that failed [s]; what steps have cost: time
 /// simulated [s], steps, time of the clock spent and, where it is measured, CPU time of the thread
-/// [ns]; the most energy that has moved up to any look [J], the largest error of the balance relative to what had moved by then, when it was found, itself and
-/// what had moved [J]; the balance at the latest look less that of the one before, and what moved
-/// in between [J]; when these looks were [s]; balances where the guard began, at the latest look
+/// [ns]; the most energy that has moved up to any look [J], the largest error of the balance
+/// relative to what had moved by then, when it was found, itself and what had moved [J]; the
+/// balance at the latest look less that of the one before, and what moved in between [J]; when
+/// these looks were [s]; balances where the guard began, at the latest look
 /// that was well and now; when cables were looked at and the error of the balance then.
 enum Number : Index
 {

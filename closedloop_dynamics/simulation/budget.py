@@ -134,18 +134,19 @@ class Budget:
         """Return what is wrong where the present accuracy is not what was asked for, or ''."""
         if self._taken > 1.0 and accuracy >= self._coarsest:
             if self._crowded:
-                return (f'computing takes {self.elapsed:.2g} of real time even with an accuracy of '
-                        f'{accuracy:g} rad or m within a second, though no more than '
-                        f'{self.used:.2g} of a core: other programs take the rest of it. Give this '
-                        'one a core or a priority of its own.')
-            return (f'the budget of {self.share:g} of real time is exceeded even with an accuracy '
-                    f'of {accuracy:g} rad or m within a second: computing takes {self.used:.2g}. '
+                return (f'computing takes {self.elapsed:.2g} of real time even with an accuracy '
+                        f'of {accuracy:g} rad or m within a second, though no more than '
+                        f'{self.used:.2g} of a core: other programs take the rest of it. Give '
+                        'this one a core or a priority of its own.')
+            return (f'the budget of {self.share:g} of real time is exceeded even with an '
+                    f'accuracy of {accuracy:g} rad or m within a second: computing takes '
+                    f'{self.used:.2g}. '
                     'Allow a larger budget, or a slower pace.')
         if accuracy > self.wanted:
             if self._crowded:
                 return (f'other programs take the core for so long that {accuracy:g} rad or m '
-                        f'within a second is kept in the place of {self.wanted:g}. Give this one a '
-                        'core or a priority of its own.')
+                        f'within a second is kept in the place of {self.wanted:g}. Give this one '
+                        'a core or a priority of its own.')
             return (f'the budget of {self.share:g} of real time and the accuracy of '
                     f'{self.wanted:g} rad or m within a second exclude each other: '
                     f'{accuracy:g} is kept. Allow a larger budget or accuracy.')

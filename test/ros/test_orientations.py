@@ -161,7 +161,11 @@ def test_a_recorded_run_with_orientations_is_met_exactly(
     assert 'note:' not in output
     motion = read_recording(bag).motion
     assert motion.position.shape[1] == 13 and motion.velocity.shape[1] == 11
-    assert np.isfinite(motion.position).all() and np.isfinite(motion.velocity).all()
+    # The recorder may hear one topic a state before the other, and misses none after that.
+    missed = np.isnan(np.hstack([motion.position, motion.velocity])).any(axis=1)
+    first = np.argmin(missed)
+    assert first <= 2 and not missed[first:].any()
+    motion = motion.part(slice(first, None))
     np.testing.assert_allclose(
         np.linalg.norm(motion.position[:, 3:7], axis=1), 1.0, rtol=0.0, atol=1e-15)
     assert np.ptp(motion.position, axis=0).min() > 1e-6
