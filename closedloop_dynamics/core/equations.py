@@ -6,6 +6,7 @@
 import numpy as np
 
 from .codegen import pieces
+from .manifold import manifold_of
 from .types import (
     CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
 from .workspace import allocate
@@ -67,7 +68,8 @@ class Equations:
     def __init__(self, model):
         """Allocate a workspace."""
         self.model = with_all_equations(model)
-        self.work, self._connected = allocate(self.model), self._constants()
+        self.work, self._constants = allocate(self.model), self._present_constants()
+        self._connected = pieces.structure(self.model)
         self.nv, self.nc = len(model.tree) - 1, len(self.work.closure)
         by_user = np.argsort(model.cut[:, CUT_NUMBER])
         self._order = np.zeros(self.nc, dtype=int)
@@ -91,10 +93,24 @@ class Equations:
         self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
         self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
         self._largest = native.bind('largest', self.work.closure)
+        self._closed = np.zeros(nq)
+        self._close_loops = native.bind(
+            'close_loops', self.model, self.work, manifold_of(self.model),
+            np.zeros((self.nc, self.nv)), np.zeros((self.nv, self.nv)), self._closed)
 
-    def _constants(self):
-        """Return what decides which code is for which body."""
+    def _present_constants(self):
+        """Return what may decide which code is for which body."""
         return self.model.tree.tobytes(), self.model.body.tobytes()
+
+    def _connect(self):
+        """Find the code for the bodies as they are, where it may be another."""
+        present = self._present_constants()
+        if self._constants == present:
+            return
+        self._constants, structure = present, pieces.structure(self.model)
+        if self._connected != structure:
+            pieces.connect(self.model, self.work.piece, self.work.cut_piece)
+            self._connected = structure
 
     def move(self, q, qd=None):
         """
@@ -113,9 +129,7 @@ class Equations:
             Itself.
 
         """
-        if self._connected != self._constants():
-            pieces.connect(self.model, self.work.piece, self.work.cut_piece)
-            self._connected = self._constants()
+        self._connect()
         self._q[:], self._qd[:] = q, 0.0 if qd is None else qd
         self._move()
         self._jacobian = None
@@ -138,6 +152,33 @@ class Equations:
         """Return the largest closure error of positions [m or rad]."""
         self._close()
         return self._largest()
+
+    def closed(self, q, free, error, limit):
+        """
+        Return coordinates that close the loops, where that is plain.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Nearly closing them.
+        free : ndarray of int
+            Freedoms that may change, by the least in the mass metric.
+        error : float
+            Closure error that counts as closed [m or rad].
+        limit : float
+            Most that one correction changes a coordinate [m or rad].
+
+        Returns
+        -------
+        ndarray, shape (nq,), or None
+            None where they do not close, or equations may depend on one another on the way.
+
+        """
+        self._connect()
+        self._closed[:], self._jacobian = q, None
+        if not self._close_loops(free, error, limit):
+            return None
+        return self._closed.copy()
 
     def jacobian(self):
         """

@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "arguments.hpp"
+#include "assembly.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
 #include "curve.hpp"
@@ -123,6 +124,9 @@ const Entry entries[] = {
   entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
   entry<factorize_constraints>(
     "factorize", "factorize(model, work): factors of the constraint matrix; smallest pivot"),
+  entry<close_loops>(
+    "close_loops",
+    "close_loops(model, work, manifold, jac, gim, q, free, closed, limit): whether this was plain"),
   entry<energies>("energies", "energies(model, work, qd, out): kinetic and potential energy"),
   entry<constraint_jacobian>("constraint_jacobian", "constraint_jacobian(model, work, jac)"),
   entry<generalized_inertia_matrix>(

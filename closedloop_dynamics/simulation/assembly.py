@@ -4,9 +4,9 @@
 """
 Positions and velocities that close the loops, found from approximate ones.
 
-Set-up work: dense linear algebra, no compiled loop. Coordinates that are held stay
-as given; where none are held, or velocities are free, the change is the least one in
-the mass metric.
+Set-up work: dense linear algebra. The engine closes loops where this is plain; here is what is
+done at and near singular positions. Coordinates that are held stay as given; where none are held,
+or velocities are free, the change is the least one in the mass metric.
 
 """
 
@@ -67,6 +67,7 @@ class Assembler:
         """Allocate what every assembly needs."""
         self.mechanism, self._equations = mechanism, equations
         self.extent = extent(mechanism)
+        self._limit = LARGEST_CORRECTION * max(1.0, self.extent)
         self._coordinates = mechanism.coordinates
         self._kept = slice(None) if kept is None else kept
         self.nv, self.nc = equations.nv, equations.nc if kept is None else int(kept.sum())
@@ -121,6 +122,10 @@ class Assembler:
         if self._is_closed(psi):
             # As it is, to the last digit.
             return q, psi
+        if not self.is_light and self.nc == self._equations.nc:
+            plain = self._equations.closed(q, free, TOLERANCE * self.extent, self._limit)
+            if plain is not None:
+                return plain, self.closure(plain)
         for _ in range(MOST_ITERATIONS):
             if np.abs(psi).max(initial=0.0) <= 0.01 * TOLERANCE * self.extent:
                 break
@@ -143,7 +148,6 @@ class Assembler:
 
         """
         psi, damping = self.closure(q), 1.0
-        limit = LARGEST_CORRECTION * max(1.0, self.extent)
         for _ in range(MOST_ITERATIONS):
             error = np.linalg.norm(psi)
             if np.abs(psi).max() <= 0.01 * TOLERANCE * self.extent or damping > MOST_DAMPING:
@@ -151,7 +155,8 @@ class Assembler:
             change = _least_change(
                 self.jacobian(q)[:, free], psi, metric, damping * error / self.extent)
             largest = np.abs(change).max(initial=0.0)
-            trial = self._changed(q, free, -change * min(1.0, limit / max(largest, limit)))
+            trial = self._changed(
+                q, free, -change * min(1.0, self._limit / max(largest, self._limit)))
             trial_psi = self.closure(trial)
             if np.linalg.norm(trial_psi) < error:
                 q, psi, damping = trial, trial_psi, 0.3 * damping
@@ -519,8 +524,7 @@ class Assembler:
         """Return the state after one damped Newton correction, and whether it helped."""
         change = _least_change(self.jacobian(q)[:, free], psi, metric)
         largest = np.abs(change).max(initial=0.0)
-        limit = LARGEST_CORRECTION * max(1.0, self.extent)
-        change *= min(1.0, limit / largest) if largest > 0.0 else 0.0
+        change *= min(1.0, self._limit / largest) if largest > 0.0 else 0.0
         before = np.linalg.norm(psi)
         for _ in range(30):
             trial = self._changed(q, free, -change)

@@ -58,6 +58,24 @@ def connect(model, piece, cut_piece):
             out[row] = _addresses(arrays, make, kind, model, row)
 
 
+def structure(model):
+    """
+    Return what the code for a mechanism depends on: as long as it is the same, nothing is linked.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism, of which effects change masses, rotors and joint types.
+
+    Returns
+    -------
+    bytes
+
+    """
+    found = (space.body_structure(model),) if space.is_spatial(model) else ()
+    return b''.join(array.tobytes() for array in (model.tree, *found))
+
+
 _known = {}
 
 

@@ -213,18 +213,19 @@ def structure(model):
     tuple of ndarrays
 
     """
-    return _body_structure(model), _cut_structure(model)
+    return body_structure(model), _cut_structure(model)
 
 
 def _cut_structure(model):
     """Return the structural numbers of cut joints."""
     found = _structure(model.cut_point, slice(TURNED_A, LENGTH))
-    couplings = np.isin(model.cut[:, CUT_TYPE], (COUPLING, PRESCRIBED_JOINT))
+    kind = model.cut[:, CUT_TYPE]
+    couplings = (kind == COUPLING) | (kind == PRESCRIBED_JOINT)
     found[couplings] = _structure(model.cut_point[couplings], slice(None))
     # A sum may be zero now and another one later; so may what is prescribed.
-    found[model.cut[:, CUT_TYPE] == COUPLING, HELD_SUM] = np.nan
-    found[model.cut[:, CUT_TYPE] >= PRESCRIBED_JOINT, -MOTION_COLUMNS:] = np.nan
-    coupled = model.cut[:, CUT_TYPE] >= COUPLED_PLACE
+    found[kind == COUPLING, HELD_SUM] = np.nan
+    found[kind >= PRESCRIBED_JOINT, -MOTION_COLUMNS:] = np.nan
+    coupled = kind >= COUPLED_PLACE
     if coupled.any():
         found[coupled, CUT_POINT_COLUMNS + HELD_SUM] = np.nan
     return found
@@ -237,7 +238,7 @@ def _structure(values, rotations):
     return np.where(fixed, values, np.nan)
 
 
-def _body_structure(model):
+def body_structure(model):
     """Return the structural numbers of bodies, and which of their moments of inertia agree."""
     body = model.body
     found = _structure(body, slice(TURNED, PARALLEL))
@@ -247,7 +248,8 @@ def _body_structure(model):
     bare = body[:, MASS] == 0.0
     for row, parent in reversed(list(enumerate(model.tree[:, PARENT]))[1:]):
         bare[parent] &= bare[row]
-    found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
+    if bare.any():
+        found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
     same = [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
     return np.column_stack([found, *same])
 
@@ -273,7 +275,7 @@ def bodies(model, symbols):
     list of Body
 
     """
-    pattern = _body_structure(model)
+    pattern = body_structure(model)
     found = []
     for kind, axis, fixed, row in zip(model.tree[:, TYPE], model.tree[:, AXIS], pattern, symbols):
         row = _known(fixed[:BODY_COLUMNS], row)
