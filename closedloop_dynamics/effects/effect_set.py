@@ -99,6 +99,7 @@ class EffectSet:
         self._model, self._machine, self._table, self._system = model, machine, None, None
         self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
         elements = {name: record.element(machine) for name, record in effects.items()}
+        self._linked = None
         self._rows = [name for name, element in elements.items() if element is not None]
         self.elements = tuple(elements[name] for name in self._rows)
         self.cuts, states = cuts, states_of(self.elements, cuts)
@@ -119,7 +120,7 @@ class EffectSet:
             Empty where there are none.
 
         """
-        self._table, self._system = system.effects, system
+        self._table, self._system, self._linked = system.effects, system, None
         if self._table is None:
             self._table = build_table((), system.tau, 0, 0)
         for row, name in enumerate(self._rows):
@@ -129,7 +130,7 @@ class EffectSet:
 
     def move(self, system):
         """Take a system that works on other equations; all that effects change is shared."""
-        self._system, self._model = system, system.model
+        self._system, self._model, self._linked = system, system.model, None
         # Their multipliers have other places.
         self._refill(PRESCRIBED_MOTION)
 
@@ -172,10 +173,7 @@ class EffectSet:
         for record in active:
             record.change(model, self._machine)
         if self._system is not None:
-            # A rotor makes another kind of body of one.
-            pieces.connect(model, self._system.work.piece, self._system.work.cut_piece)
-            if self._system.is_unrolled:
-                codegen.relink(model, self._system.table)
+            self._link()
         self.drives = {}
         for record in active:
             if record.drive() is not None:
@@ -185,6 +183,56 @@ class EffectSet:
                        if self.records[name].clock(0.0) is not None]
         self.delays = any(self.drives.values())
         self.attends = self.delays or self.remembers
+
+    def _link(self):
+        """Let the system run the code for its bodies: a rotor makes another kind of one."""
+        structure = pieces.structure(self._model)
+        if structure == self._linked:
+            return
+        pieces.connect(self._model, self._system.work.piece, self._system.work.cut_piece)
+        if self._system.is_unrolled:
+            codegen.relink(self._model, self._system.table)
+        self._linked = structure
+
+    def vary(self, mechanism, records, weigh):
+        """
+        Take the numbers of other records of the same effects, and of other bodies.
+
+        Parameters
+        ----------
+        mechanism : Mechanism
+            That differs from the present one in masses alone.
+        records : dict of str to Effect
+            That fit it.
+        weigh : callable
+            Writes its masses into rows of ``Model.body``.
+
+        Returns
+        -------
+        bool
+            False where there is no room for these numbers; nothing has changed then.
+
+        """
+        # As when the scene is loaded.
+        self._machine.decided = frozenset()
+        elements, others = list(self.elements), [
+            name for name, record in records.items() if self.records[name] is not record]
+        for row, name in enumerate(self._rows):
+            if name in others:
+                element = records[name].element(self._machine)
+                if _room_of(element) != _room_of(elements[row]):
+                    return False
+                elements[row] = element
+        self._machine.mechanism = mechanism
+        weigh(self._bare[0])
+        self.records, self.elements = dict(records), tuple(elements)
+        self._update()
+        for row, name in enumerate(self._rows):
+            if name in others:
+                states, first = elements[row].states, self._table.index[row, STATE]
+                self.initial[first:first + len(states)] = [state.initial for state in states]
+                self._fill(row)
+        return True
 
     def restart(self):
         """Let the instruments begin anew."""
@@ -504,3 +552,9 @@ class EffectSet:
         """Switch the drives on again after ``steady``."""
         for row, name in enumerate(self._rows):
             self._table.enabled[row] = self.enabled[name]
+
+
+def _room_of(element):
+    """Return what of an effect decides how large the tables of a system are."""
+    return (element.kind, size_of_data(element), len(element.states), element.sticks,
+            element.touches, [state.role for state in element.states])

@@ -3,6 +3,8 @@
 
 """The rules that every mechanism obeys, read from a file or built in Python."""
 
+from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from numbers import Real
@@ -191,10 +193,16 @@ def validate_mechanism(mechanism, source=None):
         Where it is no mechanism.
 
     """
-    try:
+    with _of(source or f'mechanism {getattr(mechanism, "name", mechanism)!r}'):
         return checked(mechanism)
+
+
+@contextmanager
+def _of(source):
+    """Make MechanismErrors that begin with a source of the FieldErrors raised in this block."""
+    try:
+        yield
     except FieldError as error:
-        source = source or f'mechanism {getattr(mechanism, "name", mechanism)!r}'
         raise MechanismError(f'{source}: {error}') from None
 
 
@@ -218,6 +226,29 @@ def checked(mechanism):
         check_axes(mechanism)
     object.__setattr__(mechanism, 'valid', True)
     return mechanism
+
+
+def with_bodies(mechanism, bodies):
+    """
+    Return a checked mechanism with other numbers of its bodies, which alone are checked.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As ``validate_mechanism`` returned it.
+    bodies : tuple of Body
+        Of the same names and flags, in the same order.
+
+    Raises
+    ------
+    MechanismError
+
+    """
+    checks = _CHECKS if mechanism.planar else _SPATIAL_CHECKS
+    other = copy(mechanism)
+    with _of(f'mechanism {mechanism.name!r}'), at('bodies'):
+        object.__setattr__(other, 'bodies', checks['bodies'](bodies))
+    return other
 
 
 def is_spatial(mechanism):

@@ -9,8 +9,9 @@ torques, the effects with their own states, and the engine's system with its scr
 
 """
 
+from functools import partial
 import math
-from typing import Any, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,7 +98,6 @@ class Data(Names):
         *parts, states = parts_of_state(self.system)
         self._parts, self._state = tuple(parts), np.zeros(states)
         self._q, self._qd, self._own = (self._state[part] for part in parts)
-        self._assembler = Assembler(self.mechanism, self._equations)
         self._places = {name: place for place, name in enumerate(self.torque_names)}
         self._actuated = np.array(
             [self._places[name] for name in self.actuated_joints], dtype=int)
@@ -106,18 +106,79 @@ class Data(Names):
         self._allowed = np.array([
             -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
             dtype=np.int64)
-        self._initial = self._assembled(
-            scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        # Where it was found last which rates are decided, and which ones are.
+        self._decided: Tuple[bytes, np.ndarray] = b'', np.zeros(0, dtype=bool)
+        self._assemble_start()
+        self._inverse = self._inverse_dynamics()
+        self._set_probes()
+
+    def _assemble_start(self) -> None:
+        """Go to the scene's start, which its masses and forces have a part in."""
+        initial = self.scene.initial
+        self._assembler = Assembler(self.mechanism, self._equations)
+        self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
         self._motions.require_independent(self._assembler, self._initial[0])
-        self._find_decided()
-        if method.stabilisation == 'independent':
+        if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(self._initial[0])
+        self._begin_at_start()
+
+    def _begin_at_start(self) -> None:
+        """Go to the start that was assembled."""
+        self._find_decided()
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         refine(self.system, self._state)
         self._fresh = False
-        self._inverse = self._inverse_dynamics()
-        self._set_probes()
+
+    def varies(self, paths: Iterable[Tuple[str, ...]]) -> bool:
+        """
+        Return whether ``vary`` can take other numbers without building anything.
+
+        Parameters
+        ----------
+        paths : iterable of tuple of str
+            Key paths, as ``key_paths.resolve`` returns them.
+
+        """
+        # Frames in space lie along centres of mass; lengths decide which equations are worked on.
+        masses = ('mass', 'inertia', *(('center_of_mass',) if self.mechanism.planar else ()))
+        return self._geometry.is_plain and not self._motions and all(
+            path[0] == 'effects' or (
+                path[:2] == ('mechanism', 'bodies') and path[3] in masses) for path in paths)
+
+    def vary(self, scene: Scene) -> bool:
+        """
+        Go to the start of another scene, as data built of it would be there, to the last bit.
+
+        Parameters
+        ----------
+        scene : scene_records.Scene
+            That differs from the present one in numbers for which ``varies`` holds.
+
+        Returns
+        -------
+        bool
+            False where there is no room for its numbers; nothing has changed then.
+
+        Raises
+        ------
+        AssemblyError
+            Where its loops cannot be closed; the data are of no more use.
+
+        """
+        mechanism = scene.mechanism
+        others = {body.name for body, present in zip(mechanism.bodies, self.mechanism.bodies)
+                  if body is not present}
+        if not self._effects.vary(mechanism, scene.effects, partial(
+                self._geometry.weigh, bodies=mechanism.bodies, changed=others)):
+            return False
+        self.scene, self.mechanism, self._motions.records = scene, mechanism, self._effects.records
+        self.system.tau[:] = 0.0
+        if others:
+            self._assemble_start()
+        else:
+            self._begin_at_start()
+        return True
 
     def _find_decided(self) -> None:
         """Find the joints with friction that loops and motions move, or hold, by themselves."""
@@ -133,8 +194,10 @@ class Data(Names):
             return np.concatenate(
                 (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
 
-        decided = self._assembler.decided(self._initial[0], derivatives)
-        self._effects.decide(np.array(in_tree + in_cuts)[decided].tolist())
+        start = self._initial[0].tobytes()
+        if self._decided[0] != start:
+            self._decided = start, self._assembler.decided(self._initial[0], derivatives)
+        self._effects.decide(np.array(in_tree + in_cuts)[self._decided[1]].tolist())
 
     def _inverse_dynamics(self) -> InverseDynamics:
         """Return what solves for the torques of a motion, of the present equations."""

@@ -10,13 +10,15 @@ A key path is written as the keys stand in the files, with the places in lists a
 
 """
 
+from copy import copy
 from dataclasses import fields, replace
 from typing import get_args
+from weakref import ref
 
 from .scene import scene_with
 from ..mechanism.checks import number
 from ..mechanism.fields import among, at, FieldError, nearest
-from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS
+from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS, with_bodies
 
 
 def numbers(scene):
@@ -77,6 +79,8 @@ def changed(scene, values):
         for word in path[:-1]:
             here = here.setdefault(word, {})
         here[path[-1]] = value
+    if _is_numbers_alone(changes):
+        return _with_numbers(scene, changes)
     if 'parameters' in changes:
         # First: what is given beside them stands.
         scene = scene_with(scene, changes.pop('parameters'))
@@ -87,8 +91,44 @@ def changed(scene, values):
     return replace(scene, **new)
 
 
+def _is_numbers_alone(changes):
+    """Tell whether changes are such as nothing else in a scene is checked against."""
+    return set(changes) <= {'mechanism', 'effects'} and (
+        set(changes.get('mechanism', {})) <= {'bodies'})
+
+
+def _with_numbers(scene, changes):
+    """Return a scene with other numbers of bodies and effects; only these are checked."""
+    other, mechanism = copy(scene), scene.mechanism
+    if 'mechanism' in changes:
+        mechanism = with_bodies(mechanism, _put(
+            mechanism.bodies, changes['mechanism']['bodies']))
+    effects = dict(scene.effects)
+    for name, values in changes.get('effects', {}).items():
+        with at('effects', name):
+            effects[name] = _with(effects[name], values)
+            effects[name].fit(mechanism)
+    object.__setattr__(other, 'mechanism', mechanism)
+    object.__setattr__(other, 'effects', effects)
+    return other
+
+
+# The scene whose numbers were asked for last, and these.
+_latest = (lambda: None), {}
+
+
 def _tree(scene):
-    """Return the numbers of a scene as nested dicts by their keys."""
+    """Return the numbers of a scene as nested dicts by their keys; not to be changed."""
+    global _latest
+    known, tree = _latest
+    if known() is not scene:
+        tree = _fresh_tree(scene)
+        _latest = ref(scene), tree
+    return tree
+
+
+def _fresh_tree(scene):
+    """Return the same, collected from its records."""
     mechanism, initial = scene.mechanism, scene.initial
     # Other velocities than those held follow from the loops, whatever is given.
     start = {'position': _by_path(mechanism, 'position', initial.position),
@@ -157,8 +197,12 @@ def _replaced(value, below, key):
 def _mechanism(scene, below):
     mechanism = scene.mechanism
     return replace(mechanism, **{
-        key: tuple(_replaced(record, records, record.name) for record in getattr(mechanism, key))
-        for key, records in below.items()})
+        key: _put(getattr(mechanism, key), records) for key, records in below.items()})
+
+
+def _put(records, below):
+    """Return the records of a section with what is nested in a dict put into them."""
+    return tuple(_replaced(record, below, record.name) for record in records)
 
 
 def _initial(scene, below):

@@ -50,6 +50,8 @@ class LoopModel:
         Row of each body in the model's arrays.
     leaves_out : bool
         Whether the elimination leaves out equations that repeat others.
+    is_plain : bool
+        Whether all equations are worked on, and masses had no part in that choice.
     opening : float
         Closure errors of equations that are left out, in sizes of the mechanism, up to which they
         count as repeating others.
@@ -63,7 +65,7 @@ class LoopModel:
         self._first, self._known, self.model = None, {}, None
         # Where equations were chosen anew the last time, and those that have been worked on there.
         self._place, self._tried = b'', set()
-        self.opening = AS_GOOD_AS_CLOSED
+        self.opening, self.is_plain = AS_GOOD_AS_CLOSED, True
         self.keep(None)
 
     def of(self, kept):
@@ -139,7 +141,8 @@ class LoopModel:
         if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
             return
         assembler = Assembler(self.mechanism, self.equations)
-        if self._plainly_independent(assembler, q):
+        self.is_plain = self._plainly_independent(assembler, q)
+        if self.is_plain:
             return
         with suppress(AssemblyError):
             self.choose(assembler.positions(q))

@@ -111,15 +111,19 @@ def _tree_arrays(mechanism, decomposition):
     constant = np.zeros((len(tree), t.BODY_COLUMNS))
     for row, j in enumerate(decomposition.joint_order, start=1):
         joint = mechanism.joints[j]
-        body = bodies[joint.child]
-        x, y = body.center_of_mass
         tree[row, [t.PARENT, t.DOF, t.TYPE, t.SUBSYSTEM, t.COORDINATE]] = (
             rows[joint.parent], j,
             t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE, subsystem[joint.name], j)
-        constant[row] = (
-            body.mass, body.mass * x, body.mass * y,
-            body.inertia + body.mass * (x * x + y * y), *joint.position, joint.angle, 0.0)
+        constant[row, t.INERTIA + 1:] = *joint.position, joint.angle, 0.0
+        weigh(constant[row], bodies[joint.child])
     return tree, constant, rows
+
+
+def weigh(constant, body):
+    """Write a body's mass, first moments and inertia into its row of ``Model.body``."""
+    x, y = body.center_of_mass
+    constant[[t.MASS, t.MASS_X, t.MASS_Y, t.INERTIA]] = (
+        body.mass, body.mass * x, body.mass * y, body.inertia + body.mass * (x * x + y * y))
 
 
 def _cut_arrays(mechanism, decomposition, tree, body_row):

@@ -6,7 +6,7 @@
 import numpy as np
 
 from .loop_model import LoopModel
-from .modeling import body_rows, build_model
+from .modeling import body_rows, build_model, weigh
 from ..core import types as t
 
 
@@ -35,6 +35,24 @@ class PlanarGeometry(LoopModel):
         """Return the model, the rows of the bodies, whose frames are those of the rows."""
         return (build_model(self.mechanism, decomposition=self._decomposition, kept=kept),
                 body_rows(self.mechanism, self._decomposition), None)
+
+    def weigh(self, constants, bodies, changed):
+        """
+        Write the masses of some bodies into rows of ``Model.body``.
+
+        Parameters
+        ----------
+        constants : ndarray
+            As ``Model.body``, without what effects add; changed in place.
+        bodies : sequence of Body
+            All of the mechanism's.
+        changed : set of str
+            Names of those that have other masses, centres of mass or inertias.
+
+        """
+        for body in bodies:
+            if body.name in changed:
+                weigh(constants[self.rows[body.name]], body)
 
     def point(self, q, body, position):
         """Return the place of a point of a body in a position of the joints, shape (2,) [m]."""

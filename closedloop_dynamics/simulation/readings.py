@@ -37,7 +37,6 @@ class Readings(Data):
     def __init__(self, scene: Scene) -> None:
         """Build the arrays and assemble the initial state."""
         super().__init__(scene)
-        self._mass = sum(body.mass for body in self.mechanism.bodies)
         self._coupling_scales = coupling_scales(self.mechanism)
         self._coupled = coupling_moments(self.mechanism)
         self._couples = bool(self._coupled[0].any())
@@ -52,6 +51,11 @@ class Readings(Data):
             what: {record.name: place for place, record in enumerate(each)}
             for what, each in records.items()}
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
+
+    @property
+    def _mass(self) -> float:
+        """Mass of all bodies [kg]."""
+        return sum(body.mass for body in self.mechanism.bodies)
 
     def _set_probes(self) -> None:
         """Bind what places points and finds forces and energies in the present state, too."""

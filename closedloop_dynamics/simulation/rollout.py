@@ -145,6 +145,8 @@ class _Twins:
         self._like = self._traits(simulation)
         # Pairs of a simulation and what makes runs of it side by side.
         self.spare = []
+        # Of threads whose samples have parameters: simulations that take other numbers.
+        self.varying = []
 
     @staticmethod
     def _traits(simulation):
@@ -174,11 +176,11 @@ class _Runs:
         # Whether samples start in states of their own.
         self._moved = any(state is not None and state.ndim > 1
                           for state in (given.position, given.velocity))
-        self._own, self._lent = threading.local(), []
+        self._own, self._lent, self._lent_varying = threading.local(), [], []
         twins = _TWINS.get(simulation)
         if twins is None or not twins.fit(simulation):
             twins = _TWINS[simulation] = _Twins(simulation)
-        self._spare = twins.spare
+        self._spare, self._varying = twins.spare, twins.varying
 
     def __enter__(self):
         """Begin."""
@@ -187,6 +189,7 @@ class _Runs:
     def __exit__(self, *_):
         """Keep the simulations for another rollout."""
         self._spare.extend(self._lent)
+        self._varying.extend(self._lent_varying)
 
     def nothing(self):
         """Return the results of a run that did not even begin."""
@@ -314,9 +317,28 @@ class _Runs:
     def _simulation(self, sample):
         """Return a simulation at its start."""
         if not self._again:
-            return self._built(changed(self._scene, self._given.parameters_of(sample)))
+            return self._varied(sample)
         simulation, _ = self._twin()
         simulation.reset()
+        return simulation
+
+    def _varied(self, sample):
+        """Return a simulation with the parameters of a sample, at its start."""
+        scene = changed(self._scene, self._given.parameters_of(sample))
+        if not hasattr(self._own, 'varying'):
+            try:
+                self._own.varying = self._varying.pop()
+            except IndexError:
+                self._own.varying = {}
+            self._lent_varying.append(self._own.varying)
+        # One for each sample that runs side by side with others.
+        place, known = sample % MOST, self._own.varying
+        simulation = known.pop(place, None)
+        if simulation is None or not simulation.varies(self._given.parameters) or (
+                not simulation.vary(scene)):
+            simulation = self._built(scene)
+        if simulation.varies(self._given.parameters) and not simulation.exchanges:
+            known[place] = simulation
         return simulation
 
     def _built(self, scene):

@@ -127,6 +127,15 @@ class Simulation(Readings):
         self.exchanges = 0
         self.reset()
 
+    def vary(self, scene: Scene) -> bool:
+        """As ``Data.vary``: be what a simulation of the scene would be."""
+        if not super().vary(scene):
+            return False
+        # By whose weight the guards measure.
+        self._set_run()
+        self.reset()
+        return True
+
     def _bind_balance(self) -> None:
         """Let the energy balance be drawn by the present system."""
         account, engine = self._balance.account, self.system.native

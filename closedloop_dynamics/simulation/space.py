@@ -6,11 +6,11 @@
 import numpy as np
 
 from .loop_model import LoopModel
-from .spatial_modeling import build_spatial_model
+from .spatial_modeling import build_spatial_model, weigh
 from ..core.codegen import space
 from ..core.equations import Equations
 from ..engine import native
-from ..mechanism.mechanism import FIXED
+from ..mechanism.mechanism import FIXED, GROUND
 
 
 class SpatialGeometry(LoopModel):
@@ -55,6 +55,17 @@ class SpatialGeometry(LoopModel):
             self.mechanism, decomposition=self._decomposition, kept=kept)
         return built.model, {name: one.row for name, one in built.placements.items()}, (
             built.placements)
+
+    def weigh(self, constants, bodies, changed):
+        """As in the plane; a row has the masses of all bodies that are fixed to one another."""
+        rows = {self.placements[name].row for name in changed}
+        by_name = {body.name: body for body in bodies}
+        for row in rows:
+            constants[row, space.MASS:space.INERTIA + 6] = 0.0
+        # In the order in which they were added up at first, to the last bit.
+        for name, placement in self.placements.items():
+            if placement.row in rows and name != GROUND:
+                weigh(constants[placement.row], placement, by_name[name])
 
     def point(self, q, body, position):
         """

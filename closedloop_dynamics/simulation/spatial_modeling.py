@@ -164,7 +164,7 @@ class _Tree:
                 self.tree[last] = (*self.tree[last][:4], coordinate, self.tree[last][5])
         self.rows[joint.name] = rows
         self.placements[joint.child] = Placement(row, axes, place)
-        self._weigh(row, axes, place, body)
+        weigh(self.body[row], self.placements[joint.child], body)
 
     def _freedoms(self, joint, axes):
         """Yield (type, axis, frame in that of the row before) of each row of a joint."""
@@ -190,12 +190,6 @@ class _Tree:
             joint.position for joint in self.mechanism.joints if joint.parent == name)]
         return np.array(max(places, key=np.linalg.norm))
 
-    def _weigh(self, row, axes, origin, body):
-        """Add a body's mass, first moments and inertia to a row."""
-        space.weigh(
-            self.body[row], body.mass, axes @ body.center_of_mass + origin,
-            axes @ space.inertia_matrix(body.inertia) @ axes.T)
-
     def arrays(self, decomposition):
         """Return ``Model.tree`` and ``Model.body``."""
         tree = np.array(self.tree, dtype=np.int64)
@@ -204,6 +198,13 @@ class _Tree:
             for joint in joints:
                 tree[self.rows[joint], t.SUBSYSTEM] = number
         return tree, np.array(self.body)
+
+
+def weigh(constant, placement, body):
+    """Add a body's mass, first moments and inertia to its row of ``Model.body``."""
+    _, axes, origin = placement
+    space.weigh(constant, body.mass, axes @ body.center_of_mass + origin,
+                axes @ space.inertia_matrix(body.inertia) @ axes.T)
 
 
 def _frame(axis, hint):
