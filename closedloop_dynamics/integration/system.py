@@ -236,7 +236,8 @@ def refine(system, state):
     """
     Give a system routines for links much lighter than others, where a state asks for them.
 
-    They are taken away where it does not. Without these routines loops over the bodies serve such links, in two to three times the time.
+    They are taken away where it does not. Without these routines loops over the bodies serve such
+    links, in two to three times the time.
 
     Parameters
     ----------
