@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from machine import ROOT
 import numpy as np
 import pinocchio as pin
-from pinocchio_code import compiled
+from pinocchio_code import compiled, Machine, pointer
 
 sys.path.insert(0, str(ROOT))
 
@@ -111,7 +111,7 @@ class Pinocchio:
         model.gravity.linear = np.array(gravity)
         self.model, self.data = model, model.createData()
         self._loops = [loop for cut in mechanism.cut_joints for loop in _loops(cut, carrying)]
-        self._machine = self._compiled()
+        self.machine = self._compiled()
 
     @property
     def merged(self):
@@ -211,29 +211,25 @@ class Pinocchio:
     def evaluate(self, q, qd, tau, count=1):
         """Evaluate a state so many times in C++; return its accelerations in our order."""
         position, rates = self.state(q, qd)
-        result = np.zeros(self.model.nv)
-        library, handle = self._machine
-        library.evaluate(handle, *map(_pointer, (position, rates, self.efforts(tau))),
-                         ctypes.c_long(count), _pointer(result))
+        self.machine.set_state(position, rates, self.efforts(tau))
+        result = self.machine.evaluate(count)
         return None if self.merged else self.ours(result)
 
     def _compiled(self):
         library = compiled(SOURCE, '-lboost_serialization')
         if library is None:
             raise ValueError('no C++ compiler')
-        library.create.restype = ctypes.c_void_p
         loops, (mu, iterations) = self._loops, SETTINGS[self._algorithm]
         with tempfile.NamedTemporaryFile(suffix='.bin') as file:
             self.model.saveToBinary(file.name)
-            handle = library.create(
+            return Machine(library, library.create(
                 file.name.encode(), len(loops),
-                _pointer([[a, b] for a, _, b, _, _ in loops], np.int32),
-                _pointer([whole for *_, whole in loops], np.int32),
-                _pointer([[np.column_stack([frame.rotation, frame.translation])
+                pointer([[a, b] for a, _, b, _, _ in loops], np.int32),
+                pointer([whole for *_, whole in loops], np.int32),
+                pointer([[np.column_stack([frame.rotation, frame.translation])
                            for frame in (one, other)] for _, one, _, other, _ in loops]),
                 ctypes.c_double(mu), ctypes.c_double(ACCURACY), iterations,
-                int(self._algorithm == 'lcaba'))
-        return library, ctypes.c_void_p(handle)
+                int(self._algorithm == 'lcaba')))
 
 
 def _tree(path):
@@ -285,7 +281,3 @@ def _balls(mechanism):
                 any(one.position) for one in chain[1:]) and joint.name not in found:
             found.update((one.name, [one.name for one in chain]) for one in chain)
     return found
-
-
-def _pointer(values, kind=float):
-    return np.ascontiguousarray(values, dtype=kind).ctypes.data_as(ctypes.c_void_p)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from peer_cases import elements, gravity, point_pairs, Run
 import pinocchio as pin
-from pinocchio_code import compiled
+from pinocchio_code import compiled, Machine, pointer
 from scipy.integrate import solve_ivp
 
 NAME = 'Pinocchio'
@@ -191,7 +191,7 @@ def _at(point):
     return pin.SE3(np.eye(3), np.array(point))
 
 
-class Loops:
+class Loops(Machine):
     """
     The loops of pinocchio_loop.cpp on one mechanism.
 
@@ -214,37 +214,15 @@ class Loops:
 
     def __init__(self, library, parts, pairs, acceleration, settings, by_bodies=False):
         """Hand the mechanism over."""
-        library.create.restype = ctypes.c_void_p
-        self._library, (mu, iterations) = library, settings
-        self._nq = sum(max(1, len(part.axes)) + 3 * (part.type == 'spherical') for part in parts)
-        self._nv = self._nq - sum(part.type == 'spherical' for part in parts)
-        self._handle = ctypes.c_void_p(library.create(
-            len(parts), _pointer([part.parent for part in parts], np.int32),
-            _pointer([_kind(part) for part in parts], np.int32),
-            _pointer([[*part.position, *part.orientation] for part in parts]),
-            _pointer([[part.mass, *part.center_of_mass, *part.inertia] for part in parts]),
-            len(pairs), _pointer([[pair[0], pair[2]] for pair in pairs], np.int32),
-            _pointer([[*pair[1], *pair[3]] for pair in pairs]), _pointer(acceleration),
+        mu, iterations = settings
+        super().__init__(library, library.create(
+            len(parts), pointer([part.parent for part in parts], np.int32),
+            pointer([_kind(part) for part in parts], np.int32),
+            pointer([[*part.position, *part.orientation] for part in parts]),
+            pointer([[part.mass, *part.center_of_mass, *part.inertia] for part in parts]),
+            len(pairs), pointer([[pair[0], pair[2]] for pair in pairs], np.int32),
+            pointer([[*pair[1], *pair[3]] for pair in pairs]), pointer(acceleration),
             ctypes.c_double(mu), ctypes.c_double(ACCURACY), iterations, int(by_bodies)))
-
-    def set_state(self, q, qd, tau):
-        """Go to a state under joint torques."""
-        self._library.set_state(self._handle, _pointer(q), _pointer(qd), _pointer(tau))
-
-    def evaluate(self, count):
-        """Evaluate the present state again and again; return its accelerations."""
-        result = np.zeros(self._nv)
-        self._library.evaluate(self._handle, ctypes.c_long(count), _pointer(result))
-        return result
-
-    def acceleration(self, q, qd, tau):
-        """Return joint accelerations, shape (nv,)."""
-        self.set_state(q, qd, tau)
-        return self.evaluate(1)
-
-    def runge_kutta(self, step, steps):
-        """Make steps of RK4."""
-        self._library.runge_kutta_4(self._handle, ctypes.c_double(step), ctypes.c_long(steps))
 
     def motion(self, case, method, value):
         """Return a function that computes a motion: by a step size [s], or by a tolerance."""
@@ -253,13 +231,6 @@ class Loops:
             if method == 'runge_kutta':
                 self.runge_kutta(value, round(case.duration / value))
             else:
-                self._library.fehlberg_78(self._handle, ctypes.c_double(case.duration),
-                                          ctypes.c_double(value), ctypes.c_double(1e-2))
-            q = np.zeros(self._nq)
-            self._library.get_position(self._handle, _pointer(q))
-            return q
+                self.fehlberg(case.duration, value, 1e-2)
+            return self.position()
         return execute
-
-
-def _pointer(values, kind=float):
-    return np.ascontiguousarray(values, dtype=kind).ctypes.data_as(ctypes.c_void_p)

@@ -11,7 +11,10 @@ import subprocess
 import sys
 import tempfile
 
+import numpy as np
 import pinocchio as pin
+
+MOTION = Path(__file__).with_name('pinocchio_motion.hpp')
 
 
 def compiled(source, *libraries):
@@ -37,7 +40,8 @@ def compiled(source, *libraries):
                f'-I{prefix}/include', f'-I{prefix}/include/eigen3']
     links = [f'-L{prefix}/lib', '-lpinocchio_default', *libraries,
              f'-Wl,-rpath,{prefix}/lib']
-    text = source.read_text() + ' '.join(options + links) + pin.__version__
+    text = ''.join([source.read_text(), MOTION.read_text(), ' '.join(options + links),
+                    pin.__version__])
     cache = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
     library = cache / 'closedloop_dynamics' / (
         f'{source.stem}_{hashlib.sha256(text.encode()).hexdigest()[:16]}.so')
@@ -55,4 +59,80 @@ def compiled(source, *libraries):
                 print(f'no loops in C++: {lines[0] if lines else error}', file=sys.stderr)
                 return None
             made.replace(library)
-    return ctypes.CDLL(str(library))
+    loaded = ctypes.CDLL(str(library))
+    loaded.create.restype = ctypes.c_void_p
+    return loaded
+
+
+class Machine:
+    """
+    A mechanism in the C++ of pinocchio_motion.hpp, with integrators.
+
+    Parameters
+    ----------
+    library : ctypes.CDLL
+        Compiled.
+    handle : int
+        Of its ``create``.
+
+    """
+
+    def __init__(self, library, handle):
+        self._library, self._handle = library, ctypes.c_void_p(handle)
+        self.nq, self.nv = library.coordinates(self._handle), library.freedoms(self._handle)
+
+    def set_state(self, q, qd, tau):
+        """Go to a state under joint torques."""
+        self._library.set_state(self._handle, pointer(q), pointer(qd), pointer(tau))
+
+    def evaluate(self, count):
+        """Evaluate the present state again and again; return its accelerations."""
+        result = np.zeros(self.nv)
+        self._library.evaluate(self._handle, ctypes.c_long(count), pointer(result))
+        return result
+
+    def acceleration(self, q, qd, tau):
+        """Return joint accelerations, shape (nv,)."""
+        self.set_state(q, qd, tau)
+        return self.evaluate(1)
+
+    def runge_kutta(self, step, steps):
+        """Make steps of RK4."""
+        self._library.runge_kutta_4(self._handle, ctypes.c_double(step), ctypes.c_long(steps))
+
+    def fehlberg(self, duration, tolerance, first_step):
+        """Make steps of Runge-Kutta-Fehlberg 7(8) under error control."""
+        self._library.fehlberg_78(self._handle, ctypes.c_double(duration),
+                                  ctypes.c_double(tolerance), ctypes.c_double(first_step))
+
+    def held(self, torques, advance):
+        """
+        Hold torques, one row after the other.
+
+        Parameters
+        ----------
+        torques : ndarray, shape (n, nv)
+            One after the other.
+        advance : str, number, number...
+            Name of an integrator's function in C++, and what it takes.
+
+        """
+        name, *values = advance
+        arguments = [ctypes.c_long(value) if isinstance(value, int) else ctypes.c_double(value)
+                     for value in values]
+        call, set_torque, handle = getattr(self._library, name), self._library.set_torque, (
+            self._handle)
+        for torque in [pointer(row) for row in torques]:
+            set_torque(handle, torque)
+            call(handle, *arguments)
+
+    def position(self):
+        """Return the coordinates, shape (nq,)."""
+        q = np.zeros(self.nq)
+        self._library.get_position(self._handle, pointer(q))
+        return q
+
+
+def pointer(values, kind=float):
+    """Return what C takes of an array, which lives as long."""
+    return np.ascontiguousarray(values, dtype=kind).ctypes.data_as(ctypes.c_void_p)
