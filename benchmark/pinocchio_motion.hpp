@@ -14,16 +14,21 @@
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
 #include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
-#include <boost/numeric/odeint/integrate/integrate_adaptive.hpp>
 #include <boost/numeric/odeint/stepper/generation.hpp>
 #include <boost/numeric/odeint/stepper/runge_kutta_fehlberg78.hpp>
 
+#include <algorithm>
+#include <cmath>
+#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
 
 namespace odeint = boost::numeric::odeint;
 using State = std::vector<double>;
+
+// Steps that a whole motion may take.
+constexpr long MOST_STEPS = 20000;
 
 struct Machine
 {
@@ -34,6 +39,8 @@ struct Machine
   pinocchio::ProximalSettings settings;
   bool by_bodies;
   Eigen::VectorXd q, v, tau, rates;
+  // Steps, rejected ones among them, after which error control has failed: it ends in NaN.
+  long left = 0;
   // First coordinate and number of what is normalised.
   std::vector<std::pair<int, int>> turns;
 
@@ -137,6 +144,7 @@ void set_state(void * handle, const double * q, const double * v, const double *
   machine.q = Eigen::Map<const Eigen::VectorXd>(q, machine.model.nq);
   machine.v = Eigen::Map<const Eigen::VectorXd>(v, machine.model.nv);
   machine.tau = Eigen::Map<const Eigen::VectorXd>(tau, machine.model.nv);
+  machine.left = MOST_STEPS;
 }
 
 void set_torque(void * handle, const double * tau)
@@ -196,10 +204,17 @@ void fehlberg_78(void * handle, double duration, double tolerance, double first_
   State state(nq + nv);
   Eigen::Map<Eigen::VectorXd>(state.data(), nq) = machine.q;
   Eigen::Map<Eigen::VectorXd>(state.data() + nq, nv) = machine.v;
-  odeint::integrate_adaptive(
-    odeint::make_controlled(
-      tolerance, tolerance, odeint::runge_kutta_fehlberg78<State>()),
-    std::ref(machine), state, 0.0, duration, first_step);
+  auto stepper = odeint::make_controlled(
+    tolerance, tolerance, odeint::runge_kutta_fehlberg78<State>());
+  double time = 0.0, step = first_step;
+  while (duration - time > 1e-14 * duration) {
+    if (--machine.left < 0) {
+      std::fill(state.begin(), state.end(), std::nan(""));
+      break;
+    }
+    step = std::min(step, duration - time);
+    stepper.try_step(std::ref(machine), state, time, step);
+  }
   machine.q = Eigen::Map<Eigen::VectorXd>(state.data(), nq);
   machine.v = Eigen::Map<Eigen::VectorXd>(state.data() + nq, nv);
   machine.normalise();
