@@ -3,7 +3,8 @@
 
 """What a run will cost, told before it is made: from a probe, its first part."""
 
-from dataclasses import dataclass, replace
+from bisect import bisect_right
+from dataclasses import dataclass, field, replace
 import math
 import time
 
@@ -34,6 +35,8 @@ class Cost:
     whole: float
     probed: float  # Simulated time that the probe covered [s]
     failure: str = ''  # Why the probe failed, whose costs are those up to there
+    # Simulated time and CPU time of it along the probe [s].
+    course: tuple = field(default=(), repr=False, compare=False)
 
     @property
     def setting(self):
@@ -80,7 +83,9 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
     -----
     The run is made for up to ``LONGEST`` of CPU time. Where it is not at its end by then, the rest
     is expected to cost what the later half of the probe did, with the companion of ``integrator:
-    auto`` in its windows alone, where it doubles the cost.
+    auto`` in its windows alone, where it doubles the cost. Where the finer run did not get as far
+    as the other, it is expected to cost as many times more for the rest as it did up to there: a
+    machine that stands still at times may have done so in the longer probe alone.
 
     """
     method = simulation.scene.method.without_budget
@@ -100,7 +105,24 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
             other.reset()
             again = _probed(other, key, value, duration, rate, torque, estimated, longest)
             found[-1] = min(found[-1], again, key=lambda one: one.cpu_time)
+    first, finer = found
+    if 0.0 < finer.probed < first.probed and not (first.failure or finer.failure):
+        found[1] = _like(finer, first)
     return found
+
+
+def _like(cost, longer):
+    """Return a cost whose rest is that of a run which was probed for longer, times a factor."""
+    reached, spent = cost.course[-1]
+    times, taken = zip(*longer.course)
+    place = bisect_right(times, reached)
+    # At the same time in the longer probe.
+    share = (reached - times[place - 1]) / (times[place] - times[place - 1])
+    same = taken[place - 1] + share * (taken[place] - taken[place - 1])
+    if not same > 0.0:
+        return cost
+    cpu_time = spent + (longer.cpu_time - same) * spent / same
+    return replace(cost, cpu_time=cpu_time, whole=cost.whole + cpu_time - cost.cpu_time)
 
 
 def allowance(budget, costs, pace=1.0):
@@ -162,7 +184,8 @@ def _probed(simulation, key, value, duration, rate, torque, estimated, longest):
             checked = in_windows(duration) - in_windows(end[0])
             rest *= work[0] / sum(work) * (1.0 + checked / left)
         costs = end[1] + rest, end[2] + rest + left * (whole - cpu_time) / probed
-    return Cost(key, value, duration, *costs, end[0], failure)
+    return Cost(key, value, duration, *costs, end[0], failure,
+                ((0.0, 0.0), *(mark[:2] for mark in marks)))
 
 
 def in_windows(duration):

@@ -12,13 +12,19 @@ from closedloop_dynamics.recording.cost import allowance, Cost, in_windows, prob
 import pytest
 
 
-def counted(monkeypatch, rate, limit):
-    """Let simulations cost ``rate(t)`` of CPU time per simulated time; probes end at a limit."""
+def counted(monkeypatch, rate, limit, finer=1.0):
+    """
+    Let simulations cost ``rate(t)`` of CPU time per simulated time; probes end at a limit.
+
+    With a finer accuracy than usual they cost ``finer`` times as much.
+
+    """
     def run(simulation, duration, rows, torque, *, report, on_row, keep_going, estimate):
         report.time = report.cpu_time = 0.0
+        factor = finer if simulation.scene.method.accuracy < 1e-6 else 1.0
         while report.time < duration - 1e-9 and keep_going():
-            report.cpu_time += rate(report.time) / rows
-            clock[0] += rate(report.time) / rows
+            report.cpu_time += factor * rate(report.time) / rows
+            clock[0] += factor * rate(report.time) / rows
             report.time += 1.0 / rows
 
     clock = [0.0]
@@ -34,6 +40,19 @@ def test_what_was_not_probed_costs_what_the_later_half_did(monkeypatch):
     assert found.probed == pytest.approx(4.0, abs=0.05)
     assert found.cpu_time == pytest.approx(1.0 + 0.1 * 99.0, rel=0.01)
     assert found.whole == pytest.approx(found.cpu_time, rel=1e-9)
+
+
+def test_a_machine_that_stands_still_at_times_is_probed_by_the_longer_probe(monkeypatch):
+    # It moves in the first third of each second, in which the probe of the finer run ends.
+    def rate(time):
+        return 0.3 if time % 1.0 < 1.0 / 3.0 else 1e-4
+
+    counted(monkeypatch, rate, 0.25, finer=3.0)
+    coarse, fine = probe(Simulation.from_scene('four_bar'), 30.0, 300.0)
+    assert fine.probed < 0.3 and coarse.probed > 2.0
+    assert coarse.cpu_time == pytest.approx(3.0, rel=0.25)
+    assert fine.cpu_time == pytest.approx(3.0 * coarse.cpu_time, rel=0.02)
+    assert fine.whole == pytest.approx(fine.cpu_time, rel=0.02)
 
 
 def test_a_short_run_is_made_to_its_end(monkeypatch):
