@@ -8,6 +8,7 @@ import json
 import math
 
 from closedloop_dynamics import load_scene
+from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
 from closedloop_dynamics.recording import design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
 import numpy as np
@@ -235,7 +236,7 @@ def test_grashof_class_and_limits(tmp_path, lengths, kind, grashof):
     base, crank, coupler, rocker = lengths
     angle = {'double rocker': 1.2, 'rocker-crank': 0.9}.get(kind, 1.0)
     scene = four_bar(tmp_path, crank, coupler, rocker, base, angle=angle)
-    found = design.four_bar(scene.mechanism, 'crank_joint')
+    found = four_bar_of(scene.mechanism, 'crank_joint')
     np.testing.assert_allclose(found.lengths, lengths)
     assert (found.kind, found.grashof) == (kind, grashof)
     if grashof != 'change point':

@@ -18,6 +18,7 @@ from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
 from ..simulation.motions import moving, require_actuated, with_motions
 from ..simulation.scene import load_scene
+from ..simulation.scene_text import write_scene
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced
 
@@ -192,6 +193,56 @@ def read_scene(name, arguments):
         return load_scene(name, **reading(arguments))
 
 
+def scene_to_change(arguments):
+    """Return the scene of a command line, read, with the numbers set."""
+    return with_numbers(read_scene(arguments.scene, arguments), arguments)
+
+
+def add_variant(parser):
+    """Add the arguments of a command that writes another scene, by ``write_variants``."""
+    add_scene(parser)
+    add_reading(parser)
+    add_set(parser)
+    parser.add_argument('--output', metavar='FILE.yaml', type=Path, required=True,
+                        help='where to write the scene, with its mechanism')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+
+
+def write_variants(arguments, make):
+    """
+    Write scenes that were made of another one; return the exit code.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With ``output`` and ``overwrite``.
+    make : callable
+        Returns a ``simulation.variant.Variant`` by the file to write; raises ValueError for what
+        cannot be made.
+
+    Raises
+    ------
+    UsageError
+
+    """
+    if not arguments.output.is_dir():
+        require_free(arguments, arguments.output)
+    try:
+        found = make()
+        for one in found.values():
+            # What cannot move is not written.
+            one.scene.model().assemble()
+    except (ValueError, AssemblyError) as error:
+        raise UsageError(f'--{error}' if str(error).startswith(('ground:', 'point:', 'axis:'))
+                         else str(error)) from None
+    for path, one in found.items():
+        write_scene(one.scene, path)
+        print(path)
+        for note in one.left_out:
+            print(f'{arguments.prog}: {path.name}: left out: {note}', file=sys.stderr)
+    return 0
+
+
 def scene_of(arguments):
     """
     Return the scene of a command line, read, with the numbers set and the motions it prescribes.
@@ -202,6 +253,9 @@ def scene_of(arguments):
 
     """
     scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
+
+
+    scene = scene_to_change(arguments)
     try:
         return moving(scene, mapping(arguments.motion, '--motion'))
     except FieldError as error:

@@ -16,9 +16,9 @@ from ..simulation.signals import Interrupted, program_watch
 
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
-    'accuracy', 'animate', 'check', 'compare', 'effects', 'export', 'forces', 'formulations',
-    'import', 'kinematics', 'modes', 'plot', 'recover', 'replay', 'report', 'simulate',
-    'stability', 'sweep', 'urdf', 'view')}
+    'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
+    'formulations', 'import', 'invert', 'kinematics', 'mirror', 'modes', 'plot', 'recover',
+    'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view')}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\

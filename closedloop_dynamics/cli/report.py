@@ -18,6 +18,7 @@ from .command import (
     add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
     UsageError, with_numbers)
 from .kinematics import add_drive, curves, drive_axis, driven_run, forces, torques
+from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name
 from ..visual.motion import from_rows
@@ -118,7 +119,7 @@ def _mechanism(scene, run, table, at):
                             f'{at(each[-1]) if one == name else f"{each[-1]:.6g}"}'
                             for one, each in run.driven.items())
          + f' in {run.time[-1]:.6g} s, {len(run.time)} poses')]
-    bars = joint and design.four_bar(scene.mechanism, joint)
+    bars = joint and four_bar(scene.mechanism, joint)
     if bars:
         base, crank, coupler, rocker = bars.lengths
         rows += [('lengths', f'base {base:.6g} m, input {crank:.6g} m, coupler {coupler:.6g} m, '

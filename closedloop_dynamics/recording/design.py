@@ -5,11 +5,12 @@
 
 from dataclasses import replace
 import math
-from typing import Dict, List, NamedTuple, Optional, Tuple
+from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
 
 from .kinematics import by_name, Drive, DrivenRun
+from ..mechanism.four_bar import bars
 from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
 from ..simulation.assembly import Assembler
 from ..simulation.driven import BranchEndError
@@ -25,8 +26,6 @@ POSES, SHORT_OF_LIMIT = 361, 0.01
 STEP = 1e-2
 # Share of its stroke within which an output dwells; relative change of a length.
 DWELL, CHANGE = 0.01, 1e-5
-# Of the largest, what is rounding.
-NOTHING = 1e-9
 
 
 class Extreme(NamedTuple):
@@ -34,32 +33,6 @@ class Extreme(NamedTuple):
 
     value: float
     drive: float
-
-
-class FourBar(NamedTuple):
-    """
-    A loop of four revolute joints.
-
-    Attributes
-    ----------
-    lengths : tuple of 4 floats
-        Of base, input link, coupler and output link [m].
-    kind : str
-        Crank-rocker, ...
-    grashof : str
-        ``'Grashof'``, ``'non-Grashof'`` or ``'change point'``.
-    limits : tuple of floats
-        Angles between input link and base at which coupler and output link are in line [rad].
-    output : str
-        The joint of the output link on the ground.
-
-    """
-
-    lengths: Tuple[float, float, float, float]
-    kind: str
-    grashof: str
-    limits: Tuple[float, ...]
-    output: str
 
 
 class Output(NamedTuple):
@@ -129,73 +102,6 @@ def degrees_of_freedom(scene, position):
     return Assembler(mechanism, geometry_of(mechanism).equations).degrees_of_freedom(position)
 
 
-def four_bar(mechanism, drive) -> Optional[FourBar]:
-    """
-    Return what a planar mechanism of four revolute joints in one loop is.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    drive : str
-        The driven joint, on the ground.
-
-    Returns
-    -------
-    FourBar or None
-        None for other mechanisms.
-
-    """
-    chain = _bars(mechanism, drive)
-    if chain is None:
-        return None
-    lengths = tuple(math.dist(start, end) for _, start, end, _ in chain)
-    return FourBar(lengths, *_kind(lengths), chain[-1][-1])
-
-
-def _bars(mechanism, drive):
-    """Return body, pins and name of the pin it ends with of base, input, coupler and output."""
-    if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1 or any(
-            one.type != REVOLUTE for one in (*mechanism.joints, *mechanism.cut_joints)):
-        return None
-    # Pins on each body; every body of the loop has two.
-    pins: Dict[str, List[Tuple[str, np.ndarray]]] = {}
-    for joint in mechanism.joints:
-        pins.setdefault(joint.parent, []).append((joint.name, np.array(joint.position)))
-        pins.setdefault(joint.child, []).append((joint.name, np.zeros(2)))
-    for cut in mechanism.cut_joints:
-        pins.setdefault(cut.body_a, []).append((cut.name, np.array(cut.point_a)))
-        pins.setdefault(cut.body_b, []).append((cut.name, np.array(cut.point_b)))
-    grounded = [name for name, _ in pins.get(GROUND, [])]
-    if any(len(each) != 2 for each in pins.values()) or drive not in grounded:
-        return None
-    chain, body, pin = [], GROUND, next(name for name in grounded if name != drive)
-    for _ in range(4):
-        (start,) = (place for name, place in pins[body] if name == pin)
-        pin, end = next((name, place) for name, place in pins[body] if name != pin)
-        chain.append((body, start, end, pin))
-        body = next(other for other, each in pins.items()
-                    if other != body and pin in [name for name, _ in each])
-    return chain
-
-
-def _kind(lengths):
-    """Return kind, Grashof class and limits of the input of a four-bar linkage."""
-    base, crank, coupler, rocker = lengths
-    short, *middle, long = sorted(lengths)
-    excess = short + long - sum(middle)
-    limits = [(base ** 2 + crank ** 2 - reach ** 2) / (2.0 * base * crank)
-              for reach in (coupler + rocker, coupler - rocker)]
-    limits = tuple(math.acos(limit) for limit in limits if -1.0 < limit < 1.0)
-    if abs(excess) <= NOTHING * long:
-        return 'change-point linkage', 'change point', limits
-    if excess > 0.0:
-        return 'triple rocker', 'non-Grashof', limits
-    kinds = {base: 'double crank (drag link)', crank: 'crank-rocker',
-             rocker: 'rocker-crank', coupler: 'double rocker'}
-    return kinds[short], 'Grashof', limits
-
-
 def transmission_angle(mechanism, position, drive):
     """
     Return the transmission angle over a motion, shape (n,) [rad], at most pi / 2.
@@ -214,11 +120,11 @@ def transmission_angle(mechanism, position, drive):
 
     """
     poses = body_poses(mechanism, position)
-    bars = _bars(mechanism, drive)
-    if bars is not None:
+    chain = bars(mechanism, drive)
+    if chain is not None:
         ways = [world_points(pose_of(mechanism, poses, body), end - start)
                 - world_points(pose_of(mechanism, poses, body), np.zeros(2))
-                for body, start, end, _ in bars[2:]]
+                for body, start, end, _ in chain[2:]]
         one, other = (np.arctan2(way[:, 1], way[:, 0]) for way in ways)
         return _acute(one - other)
     if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1:

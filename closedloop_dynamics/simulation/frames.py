@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Other frames for the bodies of a mechanism, in which all that belongs to them is given."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from ..formats.pose import about, IDENTITY, of_quaternion, Pose, quaternion_of
+from ..mechanism.mechanism import (
+    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, GROUND, HELICAL, MechanismError,
+    POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
+
+# Sine of an angle that is rounding.
+ROUNDING = 1e-12
+_X, _, _Z = np.eye(3)
+# Places of xx, yy, zz, xy, xz, yz in a matrix.
+_MOMENTS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+
+
+def placement(joint):
+    """Return where the frame that a joint moves its child in lies in the parent's frame."""
+    if len(joint.position) == 2:
+        return Pose(about(_Z, joint.angle), np.array([*joint.position, 0.0]))
+    return Pose(of_quaternion(joint.orientation), np.array(joint.position))
+
+
+def body_pose(mechanism, position, body):
+    """
+    Return where a body is in the world.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose bodies these are.
+    position : ndarray, shape (nq,)
+        Joint coordinates [rad or m].
+    body : str
+        Carried by joints that ``_motion`` knows.
+
+    Returns
+    -------
+    formats.pose.Pose
+
+    """
+    pose, carrying = IDENTITY, {joint.child: joint for joint in mechanism.joints}
+    while body != GROUND:
+        joint = carrying[body]
+        pose = placement(joint) @ _motion(mechanism.planar, joint, position[
+            mechanism.coordinates.coordinates[joint.name]]) @ pose
+        body = joint.parent
+    return pose
+
+
+def _motion(planar, joint, values):
+    """Return how far a joint of the types that can be reversed has moved its child."""
+    kind, axis = joint.type, joint.axis
+    if planar:
+        axis = _Z if kind == REVOLUTE else _X
+    if kind == SPHERICAL:
+        return Pose(of_quaternion(values), np.zeros(3))
+    if kind == UNIVERSAL:
+        return Pose(about(axis, values[0]) @ about(joint.second_axis, values[1]), np.zeros(3))
+    turn = np.eye(3) if kind == PRISMATIC else about(axis, values[0])
+    slide = {PRISMATIC: values[-1], CYLINDRICAL: values[-1],
+             HELICAL: (joint.lead or 0.0) * values[0]}.get(kind, 0.0)
+    return Pose(turn, slide * np.array(axis))
+
+
+def moved_place(pose, place):
+    """Return a place of 2 or 3 numbers in another frame; ``pose`` is that frame in its own."""
+    found = pose.inverse.place(np.array([*place, 0.0][:3]))
+    return tuple(found[:len(place)].tolist())
+
+
+def moved_inertia(pose, inertia):
+    """Return moments of inertia about a body's centre of mass along the axes of another frame."""
+    if not isinstance(inertia, tuple):
+        return inertia
+    matrix = np.zeros((3, 3))
+    matrix[_MOMENTS] = (*inertia, 0.0, 0.0, 0.0)[:6]
+    matrix = np.triu(matrix) + np.triu(matrix, 1).T
+    return tuple((pose.rotation.T @ matrix @ pose.rotation)[_MOMENTS].tolist())
+
+
+def reframed(mechanism, frames):
+    """
+    Return a mechanism with other frames.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose bodies these are.
+    frames : dict of str to formats.pose.Pose
+        By body, the ground among them: the new frame in the old one. Joints whose child has a new
+        frame stay as they are: their places in it are for the caller to find.
+
+    Returns
+    -------
+    mechanism : mechanism.mechanism.Mechanism
+    recounted : tuple of str
+        Cut joints whose coordinates count from elsewhere.
+
+    Raises
+    ------
+    MechanismError
+        Where a body that slides where a loop is cut would have its frame turned.
+
+    """
+    def place(body, values):
+        return moved_place(frames[body], values) if body in frames else values
+
+    bodies = tuple(_body(body, frames[body.name]) if body.name in frames else body
+                   for body in mechanism.bodies)
+    joints = tuple(_joint(joint, frames[joint.parent]) if joint.parent in frames else joint
+                   for joint in mechanism.joints)
+    cuts, recounted = [], []
+    for cut in mechanism.cut_joints:
+        if {cut.body_a, cut.body_b} & set(frames):
+            if cut.type == POINT_ON_LINE if mechanism.planar else (
+                    cut.type not in CUT_WITH_ORIENTATION and cut.orientation == UNTURNED):
+                recounted.append(cut.name)
+            cut = replace(_cut(cut, frames, mechanism.planar),
+                          point_a=place(cut.body_a, cut.point_a),
+                          point_b=place(cut.body_b, cut.point_b))
+        cuts.append(cut)
+    points = tuple(replace(point, position=place(point.body, point.position))
+                   for point in mechanism.points)
+    ground = mechanism.ground_visual
+    if GROUND in frames:
+        ground = tuple(_visual(visual, frames[GROUND]) for visual in ground)
+    return replace(mechanism, bodies=bodies, joints=joints, cut_joints=tuple(cuts),
+                   points=points, ground_visual=ground), tuple(recounted)
+
+
+def angle_of(rotation):
+    """Return the angle of a turn about z [rad]."""
+    return math.atan2(rotation[1, 0], rotation[0, 0])
+
+
+def _body(body, pose):
+    return replace(
+        body, center_of_mass=moved_place(pose, body.center_of_mass),
+        inertia=moved_inertia(pose, body.inertia),
+        visual=tuple(_visual(visual, pose) for visual in body.visual))
+
+
+def _visual(visual, pose):
+    return replace(visual, center=moved_place(pose, visual.center), orientation=quaternion_of(
+        pose.rotation.T @ of_quaternion(visual.orientation)))
+
+
+def _joint(joint, pose):
+    """Return a joint in another frame of its parent."""
+    moved = pose.inverse @ placement(joint)
+    if len(joint.position) == 2:
+        return replace(joint, position=tuple(moved.position[:2].tolist()),
+                       angle=joint.angle - angle_of(pose.rotation))
+    return replace(joint, position=tuple(moved.position.tolist()),
+                   orientation=quaternion_of(moved.rotation))
+
+
+def _cut(cut, frames, planar):
+    """Return a cut joint with its directions in other frames of its bodies."""
+    turns = [frames[body].rotation if body in frames else np.eye(3)
+             for body in (cut.body_a, cut.body_b)]
+    if planar:
+        if cut.type == PRISMATIC and abs(turns[0][1, 0]) > ROUNDING:
+            raise MechanismError(
+                f'cut_joints.{cut.name}: expected the frame of body_a, {cut.body_a}, along the '
+                'slide: it would have to lie along another one, too')
+        own = 0.0 if cut.type == POINT_ON_LINE else angle_of(turns[0])
+        return cut if cut.type == DISTANCE else replace(
+            cut, angle=cut.angle + own - angle_of(turns[1]))
+    axes = {key: tuple((turn.T @ getattr(cut, key)).tolist())
+            for key, turn in zip(('axis_a', 'axis_b'), turns) if getattr(cut, key) is not None}
+    kept = cut.type in CUT_WITH_ORIENTATION or cut.orientation != UNTURNED
+    return replace(cut, **axes, orientation=quaternion_of(
+        turns[1].T @ of_quaternion(cut.orientation) @ turns[0]) if kept else UNTURNED)
