@@ -366,6 +366,32 @@ def require_writable(path, option):
         raise UsageError(f'{option}: expected a place that may be written to, got {path}')
 
 
+def add_drawing(parser):
+    """Add the option of a line drawing, to be checked by ``require_drawing``."""
+    parser.add_argument('--drawing', metavar='FILE', type=Path,
+                        help='where to draw the first position and the paths of all points, to '
+                             'scale in millimetres with a layer for each: a .dxf, or a .svg')
+
+
+def require_drawing(arguments):
+    """Refuse, before anything is computed, a line drawing that cannot be written."""
+    if arguments.drawing is None:
+        return
+    # Only here, as in the commands: it takes long to load.
+    from ..visual.line_drawing import DrawingError, require_kind
+    require_free(arguments, arguments.drawing, '--drawing')
+    try:
+        require_kind(arguments.drawing)
+    except DrawingError as error:
+        raise UsageError(f'--drawing: {error}') from None
+
+
+def write_drawing(arguments, motion, title):
+    """Write the line drawing of a motion that the command line asks for."""
+    from ..visual.line_drawing import line_drawing, write
+    write(line_drawing(motion, title), arguments.drawing)
+
+
 def checked_torques(name, scene, torque, build=Simulation):
     """
     Build a simulation, after a check of the torques' names.

@@ -11,13 +11,14 @@ import sys
 import numpy as np
 
 from .command import (
-    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
-    UsageError, with_numbers)
+    add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
+    require_drawing, require_free, UsageError, with_numbers, write_drawing)
 from ..recording.design import cycle, POSES
 from ..recording.kinematics import assemblies, by_name, Drive, DrivenRun
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
+from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
@@ -121,6 +122,7 @@ def _add_arguments(parser):
                         help='where to write a row for each pose')
     parser.add_argument('--picture', metavar='FILE.png', type=Path,
                         help='where to draw it over the drive')
+    add_drawing(parser)
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 
 
@@ -128,6 +130,7 @@ def _run(arguments):
     for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
         if path is not None:
             require_free(arguments, path, option)
+    require_drawing(arguments)
     scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     if arguments.assemblies:
         return _list_assemblies(arguments, scene)
@@ -140,8 +143,10 @@ def _run(arguments):
         write_csv(arguments.output, *table)
     if arguments.picture is not None:
         _draw(arguments.picture, run, table)
+    if arguments.drawing is not None:
+        write_drawing(arguments, from_rows(run.mechanism, *table), run.scene.name)
     print(summary(run, table))
-    for path in (arguments.output, arguments.picture):
+    for path in (arguments.output, arguments.picture, arguments.drawing):
         if path is not None:
             print(f'  output    {path}')
     if run.end is not None:
@@ -257,6 +262,7 @@ examples:
   closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --speed 10 --output turn.csv
   closedloop kinematics four_bar --drive rocker_joint=90:160deg:71
   closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png
+  closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --drawing four_bar.svg
   closedloop kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7
   closedloop kinematics four_bar --drive crank_joint=0:1:2 --assemblies
 """,

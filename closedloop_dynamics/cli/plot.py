@@ -3,7 +3,9 @@
 
 """``closedloop plot``: pictures of a run."""
 
-from .command import add_directory, add_recording, Command, free_paths, recording_of
+from .command import (
+    add_directory, add_drawing, add_recording, Command, free_paths, recording_of, require_drawing,
+    write_drawing)
 from ..recording.recording import since_the_last_reset
 from ..visual import pictures
 from ..visual.progress import announced
@@ -18,9 +20,11 @@ DRAWERS = {
 def _add_arguments(parser):
     add_recording(parser)
     add_directory(parser, ', '.join(f'{name}.png' for name in DRAWERS), '')
+    add_drawing(parser)
 
 
 def _run(arguments):
+    require_drawing(arguments)
     files = dict(zip(DRAWERS, free_paths(arguments, *(f'{name}.png' for name in DRAWERS))))
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.recording)
@@ -30,6 +34,9 @@ def _run(arguments):
         for name, (title, draw) in DRAWERS.items():
             draw(motion, f'{recording.scene.name}: {title}').savefig(files[name])
             print(files[name])
+        if arguments.drawing is not None:
+            write_drawing(arguments, motion, recording.scene.name)
+            print(arguments.drawing)
     return 0
 
 
@@ -44,6 +51,7 @@ time, and the mechanism in several positions. What is shown after a reset is the
 examples:
   closedloop plot my_bag --output pictures
   closedloop plot run.csv --output pictures
+  closedloop plot run.csv --output pictures --drawing run.svg
 """,
     add_arguments=_add_arguments,
     run=_run)
