@@ -4,6 +4,7 @@
 """Commands that answer a designer: driven motions, reports, comparisons."""
 
 import csv
+from dataclasses import replace
 import json
 import math
 
@@ -11,6 +12,7 @@ from closedloop_dynamics import load_scene
 from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
 from closedloop_dynamics.recording import design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
+from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 import numpy as np
 import pytest
 from scipy.integrate import simpson
@@ -272,18 +274,62 @@ def test_sensitivities_are_those_of_two_circles(tmp_path):
     keys = tuple(f'parameters.{name}' for name in ('crank', 'coupler', 'rocker', 'base'))
     found = design.sensitivity(scene, run, keys)
     place = found.outputs.index('rocker_joint')
-    step = 1e-6
-    for k in range(4):
-        for pose, angle in ((0, 0.3), (20, 2.3)):
-            ends = [closed(*(lengths + sign * step * np.eye(4)[k]), angle)[1]
-                    for sign in (1.0, -1.0)]
-            np.testing.assert_allclose(
-                found.derivatives[pose, place, k], np.diff(ends[::-1])[0] / (2.0 * step),
-                rtol=1e-6, atol=1e-8)
+    # crank e^(i alpha) + coupler e^(i beta) - rocker e^(i psi) - base = 0, differentiated.
+    for pose, angle in enumerate(run.driven['crank_joint']):
+        beta, psi = closed(*lengths, angle)
+        bars = np.exp(1j * np.array([angle, beta, psi, 0.0]))
+        matrix = np.array([1j * lengths[1] * bars[1], -1j * lengths[2] * bars[2]])
+        for k, sign in enumerate((1.0, 1.0, -1.0, -1.0)):
+            right = -sign * bars[k]
+            expected = np.linalg.solve(
+                [matrix.real, matrix.imag], [right.real, right.imag])[1]
+            np.testing.assert_allclose(found.derivatives[pose, place, k], expected, atol=1e-11)
     derivatives = np.abs(found.derivatives[:, place])
     np.testing.assert_allclose(found.worst(0.01)[place], 0.01 * derivatives.sum(axis=1).max())
     np.testing.assert_allclose(
         found.sigma(0.03)[place], 0.01 * np.sqrt((derivatives ** 2).sum(axis=1)).max())
+
+
+@pytest.mark.parametrize('name, drives, count', [
+    ('hoeken_pantograph_leg', {'theta_1': Drive(0.5, 3.5)}, 12),
+    ('slider_crank', {'crank_joint': Drive(0.5, 3.5)}, 2),
+    ('scissor_lift', None, 8), ('rssr_four_bar', {'crank': Drive(0.0, 2.0)}, 7),
+    ('stewart_platform', None, 3)])
+def test_sensitivities_are_those_of_other_machines_driven_so(name, drives, count):
+    scene = load_scene(name)
+    if drives is None:
+        model = scene.model()
+        start, coordinates = model.assemble(), model.coordinates
+        drives = {one: Drive(float(place), float(place) + 0.02) for one in model.actuated_joints
+                  for place in [start.q[coordinates.place[coordinates.index[one]]]]}
+    run = DrivenRun(scene, drives, 11, 1.0)
+    keys = design.length_keys(scene)[:count]
+    found = design.sensitivity(scene, run, keys)
+    begun = replace(scene, initial=replace(
+        scene.initial, position=tuple(run.position[0].tolist()), hold=()))
+    for k, key in enumerate(keys):
+        path = resolve(scene, key)
+        value = numbers(scene)['.'.join(path)]
+        step, ends = 1e-5 * abs(value), []
+        for sign in (1.0, -1.0):
+            other = DrivenRun(changed(begun, {path: value + sign * step}), drives, 11, 1.0)
+            column = by_name(other.table())
+            ends.append(np.stack([
+                column[what if what.startswith('point.') else f'position.{what}']
+                for what in found.outputs], axis=1))
+        expected = (ends[0] - ends[1]) / (2.0 * step)
+        np.testing.assert_allclose(found.derivatives[..., k], expected, rtol=1e-5, atol=2e-6,
+                                   err_msg=key)
+
+
+def test_sensitivity_refuses_lengths_that_close_no_loop():
+    scene = load_scene('bennett')
+    name, = scene.mechanism.actuated_joints or ('crank_joint',)
+    model = scene.model()
+    place = float(model.assemble().q[model.coordinates.index[name]])
+    run = DrivenRun(scene, {name: Drive(place, place + 0.3)}, 5, 1.0)
+    with pytest.raises(ValueError, match='no position closes the loops at another length'):
+        design.sensitivity(scene, run, ['parameters.b'])
 
 
 def test_report_refuses_what_it_cannot_drive(capsys, tmp_path):

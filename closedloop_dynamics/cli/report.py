@@ -60,7 +60,7 @@ def _run(arguments):
     with progress_to(len(run.time) - 1, 'poses', scene.name) as show:
         table = run.table(show)
     spent = time.process_time() - begin
-    with announced('Changing lengths and drawing ...'):
+    with announced('Finding sensitivities and drawing ...'):
         sections = _sections(arguments, scene, run, table, spent)
         arguments.output.write_text(_page(arguments, scene, sections), encoding='utf-8')
     for title, rows, _ in sections:

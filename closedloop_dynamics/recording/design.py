@@ -3,7 +3,6 @@
 
 """What a designer asks of a driven mechanism: the numbers of ``closedloop report``."""
 
-from dataclasses import replace
 import math
 from typing import Dict, NamedTuple, Tuple
 
@@ -13,8 +12,6 @@ from .kinematics import by_name, Drive, DrivenRun
 from ..mechanism.four_bar import bars
 from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
 from ..simulation.assembly import Assembler
-from ..simulation.driven import BranchEndError
-from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.redundancy import geometry_of
 from ..visual.motion import body_poses, named_point, pose_of, world_points
@@ -24,8 +21,14 @@ TURN = 2.0 * math.pi
 POSES, SHORT_OF_LIMIT = 361, 0.01
 # Displacement in a step of the differences that accelerations of masses are found by [rad, m].
 STEP = 1e-2
-# Share of its stroke within which an output dwells; relative change of a length.
-DWELL, CHANGE = 0.01, 1e-5
+# Share of its stroke within which an output dwells.
+DWELL = 0.01
+# Differences of the sixth order: weights by steps, and the step as a share of a length.
+STENCIL = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+STENCIL_STEP = 1e-2
+# Below this share singular values are zero; above the other one closure equations contradict one
+# another.
+NOTHING, OPENS = 1e-9, 1e-7
 
 
 class Extreme(NamedTuple):
@@ -334,7 +337,12 @@ def length_keys(scene):
 
 def sensitivity(scene, run, keys) -> Sensitivity:
     """
-    Return the derivatives of joints and points by lengths, by differences of driven motions.
+    Return the derivatives of joints and points by lengths, with the driven joints held.
+
+    Closure equations psi(q, length) = 0 hold at other lengths, too: the Jacobian of psi, of which
+    each pose needs one decomposition for all lengths, gives the change of q (implicit function
+    theorem). How psi and points depend on a length alone is known from formulas, whose
+    differences are of the sixth order: exact, but for rounding, for polynomials such as psi.
 
     Parameters
     ----------
@@ -348,39 +356,53 @@ def sensitivity(scene, run, keys) -> Sensitivity:
     Raises
     ------
     ValueError
-        For keys of no number, and where a changed mechanism does not go the same way.
+        For keys of no number, and where no position closes the loops of a changed mechanism.
 
     """
-    drives = {name: Drive(float(values[0]), float(values[-1]))
-              for name, values in run.driven.items()}
-    _, values = drive_values(run)
-    begun = replace(scene, initial=replace(
-        scene.initial, position=tuple(run.position[0].tolist()), hold=()))
-    names, found, known = None, [], numbers(scene)
+    mechanism = scene.mechanism
+    coordinates, known = mechanism.coordinates, numbers(scene)
+    free = [place for place, name in enumerate(coordinates.names) if name not in run.driven]
+    equations = geometry_of(mechanism).equations
+    inverses, jacobians = [], []
+    for position in run.position:
+        jacobians.append(equations.move(position).jacobian()[:, free].copy())
+        inverses.append(np.linalg.pinv(jacobians[-1], rcond=NOTHING))
+    jacobians, inverses = np.array(jacobians), np.array(inverses)
+    names, found = _output_numbers(mechanism, run.position, run.driven)[0], []
     for key in keys:
         path = resolve(scene, key)
         value = known['.'.join(path)]
-        step, ends = CHANGE * max(abs(value), 1e-3), []
-        for sign in (1.0, -1.0):
-            other = changed(begun, {path: value + sign * step})
-            try:
-                moved = DrivenRun(other, drives, len(values), 1.0)
-            except (BranchEndError, AssemblyError) as error:
-                raise ValueError(f'{key}: {error}') from None
-            if moved.end is not None:
-                raise ValueError(f'{key}: {moved.end.reason}')
-            names, values_there = _output_numbers(other.mechanism, moved, drives)
-            ends.append(values_there)
-        found.append((ends[0] - ends[1]) / (2.0 * step))
-    return Sensitivity(tuple(keys), tuple(names or ()), np.stack(found, axis=2))
+        step = STENCIL_STEP * max(abs(value), 1e-3)
+        others = [changed(scene, {path: value + k * step}).mechanism for k in STENCIL]
+        psi = sum(weight * _closures(other, run.position)
+                  for weight, other in zip(STENCIL.values(), others)) / step
+        change = np.zeros((len(run.position), coordinates.nv))
+        change[:, free] = -np.einsum('nij,nj->ni', inverses, psi)
+        left = psi + np.einsum('nij,nj->ni', jacobians, change[:, free])
+        if np.abs(left).max(initial=0.0) > OPENS * max(1.0, np.abs(psi).max(initial=0.0)):
+            raise ValueError(f'{key}: no position closes the loops at another length')
+        values = sum(
+            weight * _output_numbers(other, np.array([
+                coordinates.moved(q, k * step * each)
+                for q, each in zip(run.position, change)]), run.driven)[1]
+            for (k, weight), other in zip(STENCIL.items(), others)) / step
+        found.append(values)
+    return Sensitivity(tuple(keys), tuple(names), np.stack(found, axis=2))
 
 
-def _output_numbers(mechanism, run, drives):
+def _closures(mechanism, positions):
+    """Return the errors of the closure equations, shape (n, number of equations)."""
+    equations = geometry_of(mechanism).equations
+    return np.array([equations.move(position).closures()[0].copy() for position in positions])
+
+
+def _output_numbers(mechanism, position, driven):
     """Return names and values of joints and points, shape (n, number of outputs)."""
     coordinates = mechanism.coordinates
-    names = [name for name in coordinates.names if name not in drives]
-    columns = [run.position[:, coordinates.place[coordinates.index[name]]] for name in names]
-    poses = body_poses(mechanism, run.position)
+    single = [name for name, place in zip(coordinates.names, coordinates.place) if place >= 0]
+    names = [name for name in single if name not in driven]
+    columns = [position[:, coordinates.place[coordinates.index[name]]] for name in names]
+    poses = body_poses(mechanism, position)
     for point in mechanism.points:
         places = named_point(mechanism, poses, point.name)
         for axis, column in zip('xyz', places.T):
