@@ -4,11 +4,11 @@
 """
 What accuracy costs on every shipped scene, and on ten robots that others have published.
 
-Each machine moves freely from its start, and under torques that swing and are held at 100 Hz and at
-1 kHz. The default method is asked for an accuracy of 1e-3, 1e-6 and 1e-9; beside it stand Pinocchio
-(constraintDynamics and lcaba, RK4 and Runge-Kutta-Fehlberg 7(8) in C++) and MuJoCo (RK4 and
-implicitfast, its loops as stiff as the step allows), wherever they know the machine: the cheapest
-of their settings that keeps the error. They know joints, loops and gravity, but none of the other
+Each machine moves freely from its start, and under torques that swing and are held at 100 Hz and
+at 1 kHz. The default method is asked for an accuracy of 1e-3, 1e-6 and 1e-9; beside it stand
+Pinocchio (constraintDynamics and lcaba, RK4 and Runge-Kutta-Fehlberg 7(8) in C++) and MuJoCo (RK4
+and implicitfast, its loops as stiff as the step allows), wherever they know the machine: the
+cheapest of their settings that keeps the error. They know joints, loops and gravity, but none of the other
 effects of a scene: where these matter, they do not come near its motion.
 
 The motion that errors are measured against is that of dop853 with a tolerance of 1e-13; dopri5

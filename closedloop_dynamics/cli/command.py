@@ -252,9 +252,6 @@ def scene_of(arguments):
     SceneError, UsageError
 
     """
-    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
-
-
     scene = scene_to_change(arguments)
     try:
         return moving(scene, mapping(arguments.motion, '--motion'))

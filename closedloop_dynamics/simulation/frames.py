@@ -8,10 +8,11 @@ import math
 
 import numpy as np
 
-from ..formats.pose import about, IDENTITY, of_quaternion, Pose, quaternion_of
+from ..formats.pose import IDENTITY, Pose
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, GROUND, HELICAL, MechanismError,
     POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
+from ..mechanism.rotations import about, of_quaternion, quaternion_of
 
 # Sine of an angle that is rounding.
 ROUNDING = 1e-12

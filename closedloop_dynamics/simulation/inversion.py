@@ -17,10 +17,11 @@ from .assembly import Assembler
 from .frames import angle_of, body_pose, moved_inertia, moved_place, placement, reframed
 from .redundancy import geometry_of
 from .variant import carried_effects, variant
-from ..formats.pose import of_quaternion, Pose, quaternion_of
+from ..formats.pose import Pose
 from ..mechanism.mechanism import (
     Body, CYLINDRICAL, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL,
     UNTURNED)
+from ..mechanism.rotations import of_quaternion, quaternion_of
 
 BASE = 'base'
 REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, UNIVERSAL, SPHERICAL)
