@@ -254,7 +254,7 @@ Status run_batch(
   {
     throw std::invalid_argument("run_batch: arrays that do not fit together");
   }
-  Interrupt interrupt(lanes[0].system->interrupted);
+  Interrupt interrupt(lanes[0].system->interrupted, n);
   const Values stage = scratch[0], out = scratch[1], since = scratch[2];
   const Table slopes = scratch.from(3);
   double worked[LANES] = {};

@@ -91,6 +91,16 @@ bool is_interrupted()
   return stops;
 }
 
+std::pair<double, double> follow(
+  const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  Indices kept, Values unit, Table anchors, double open, Values begin, Cube<double> values,
+  Values q, Table position, Table velocity, Table acceleration)
+{
+  return follow_drives(
+    model, work, manifold, drives, kept, unit, anchors, open, begin, values, q, position, velocity,
+    acceleration, is_interrupted);
+}
+
 }  // namespace
 
 template<>
@@ -109,6 +119,27 @@ template<>
 inline constexpr auto precondition<numbers_of_coordinates> =
   [](const Manifold & manifold, Values q) {
     return misfit(manifold, q.size, manifold.empty() ? q.size : manifold.place.size);
+  };
+
+template<>
+inline constexpr auto precondition<follow> =
+  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+    Indices kept, Values unit, Table anchors, double, Values begin, Cube<double> values, Values q,
+    Table position, Table velocity, Table acceleration) {
+    const char * found = expected::machine(
+      model, work, [&] {
+        const Index nv = model.joints(), nc = model.equations(), poses = values.pages;
+        return nv > 0 && unit.size == nv && drives.size <= nc &&
+               expected::within(drives, 0, model.cut.rows) &&
+               model.cut_point.columns >= cut::MOTION_COLUMNS &&
+               expected::within(kept, 0, nc) &&
+               expected::has_shape(anchors, nv - kept.size, nv) && begin.size == drives.size &&
+               values.rows == drives.size && values.columns == cut::MOTION_COLUMNS &&
+               q.size == coordinates_of(model) && expected::has_shape(position, poses, q.size) &&
+               expected::has_shape(velocity, poses, nv) &&
+               expected::has_shape(acceleration, poses, nv);
+      });
+    return expected::first_of(found, misfit(manifold, q.size, model.joints()));
   };
 
 namespace
@@ -237,7 +268,7 @@ const Entry entries[] = {
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
-  entry<follow_drives>(
+  released<follow>(
     "follow_drives",
     "follow_drives(model, work, manifold, drives, kept, unit, anchors, open, begin, values, q, "
     "position, velocity, acceleration): poses reached, share of the way to the next one"),

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <limits>
 
+#include "interrupt.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "recursion.hpp"
@@ -212,8 +213,9 @@ private:
 std::pair<double, double> follow_drives(
   const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
   Indices kept, Values unit, Table anchors, double open, Values begin, Cube<double> values,
-  Values q, Table position, Table velocity, Table acceleration)
+  Values q, Table position, Table velocity, Table acceleration, bool (* interrupted)())
 {
+  Interrupt interrupt(interrupted, unit.size);
   Follower follower(model, work, manifold, drives, kept, unit, anchors, open);
   DenseVector from = Eigen::Map<DenseVector>(begin.data, begin.size), way(begin.size), to, next;
   DenseVector tried(q.size);
@@ -230,6 +232,10 @@ std::pair<double, double> follow_drives(
     }
     double done = 0.0;
     while (done < 1.0) {
+      // A step takes some corrections, each by the factors of a matrix.
+      if (interrupt.after(3 * unit.size)) {
+        return {static_cast<double>(k), done};
+      }
       const double ahead = std::min(1.0, done + share);
       next = from + ahead * way;
       copy(q, trial);

@@ -286,7 +286,7 @@ Status advance_explicit(
 {
   const Grid grid{origin, done, step_size, steps};
   const ExplicitRun run{tableau, stabilisation, control, scale, scratch};
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   if (control[control::STEP_SIZE] == 0.0) {
     run.begin(grid.start(), state);
   }

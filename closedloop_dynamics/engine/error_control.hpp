@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ERROR_CONTROL_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ERROR_CONTROL_HPP_
 
+#include <algorithm>
 #include <cmath>
 
 #include "interrupt.hpp"
@@ -76,8 +77,16 @@ public:
   /// Whether a run that has come to a time made too many.
   bool exceeded(double reached, double evaluations)
   {
-    for (; next_ < grid_.steps && !is_before(reached, grid_.time(next_)); ++next_) {
+    if (next_ < grid_.steps && !is_before(reached, grid_.time(next_))) {
       since_ = work(evaluations);
+      // One step may pass millions of them.
+      const double passed = (reached - grid_.time(0)) / grid_.step_size;
+      next_ = std::max(
+        next_, (passed < static_cast<double>(grid_.steps) ? static_cast<Index>(passed) :
+        grid_.steps) - 1);
+      while (next_ < grid_.steps && !is_before(reached, grid_.time(next_))) {
+        ++next_;
+      }
     }
     return work(evaluations) - since_ > most_;
   }

@@ -284,7 +284,7 @@ void evaluate_state(const System & system, Values state)
 
 void evaluate_again(const System & system, Values state, Index count)
 {
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   for (Index n = 0; n < count && !interrupt.after(1); ++n) {
     evaluate_state(system, state);
     for (Index i = 0; i < system.nv(); ++i) {

@@ -69,12 +69,13 @@ std::pair<Status, Index> advance_fixed(
   const Table slopes = scratch.from(3);
   return make_steps_in_parts(
     system, stabilisation, state, step_size, steps, {slopes[0], out, start, stage},
-    1 + tableau.steps(), [&](double size) {
+    1 + tableau.steps(), [&](double size, Interrupt &) {
       if (tableau.steps() == 0) {
         semi_implicit_step(system.manifold, state, system.nv(), size, slopes[0], out);
       } else {
         step(system, tableau, state, size, slopes, stage, out);
       }
+      return true;
     });
 }
 

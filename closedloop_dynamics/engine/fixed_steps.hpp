@@ -61,15 +61,16 @@ struct StepScratch
   Values between;
 };
 
-/// Advance a state in place by steps of one size, as `advance_fixed` does. `attempt(size)` makes a
-/// step of that size [s] from the state and its slope, both known, into `out`, in `evaluations`.
+/// Advance a state in place by steps of one size, as `advance_fixed` does. `attempt(size, interrupt)`
+/// makes a step of that size [s] from the state and its slope, both known, into `out`, in
+/// `evaluations`; false where it was interrupted.
 template<class Attempt>
 std::pair<Status, Index> make_steps_in_parts(
   const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,
   const StepScratch & scratch, Index evaluations, Attempt && attempt)
 {
   const auto [slope, out, start, between] = scratch;
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   for (Index done = 0; done < steps; ++done) {
     Parts parts(step_size);
     copy(state, start);
@@ -80,7 +81,10 @@ std::pair<Status, Index> make_steps_in_parts(
       const ContactGuard contacts(system);
       derivative(system, state, slope);
       contacts.begin();
-      attempt(parts.size);
+      if (!attempt(parts.size, interrupt)) {
+        copy(start, state);
+        return {Status::INTERRUPTED, done};
+      }
       const bool closed = stabilise(system, stabilisation, out);
       const bool finite = all_finite(out), stops = interrupt.after(evaluations);
       Status failure = Status::DONE;

@@ -15,14 +15,15 @@ namespace closedloop
 class Interrupt
 {
 public:
-  /// `asked` returns whether to stop; none: never.
-  explicit Interrupt(bool (* asked)())
-  : asked_(asked), pace_(pace_of_thread()) {}
+  /// `asked` returns whether to stop; none: never. `joints`: of the mechanism, for one evaluation
+  /// of a large one takes as long as many of a small one.
+  Interrupt(bool (* asked)(), Index joints)
+  : asked_(asked), joints_(joints), pace_(pace_of_thread()) {}
 
   /// Ask after so many more evaluations, but no more than some twenty times a second.
   bool after(Index evaluations)
   {
-    pace_.left -= evaluations;
+    pace_.left -= evaluations * joints_;
     if (pace_.left > 0 || asked_ == nullptr) {
       return false;
     }
@@ -37,8 +38,8 @@ public:
 
 private:
   using Clock = std::chrono::steady_clock;
-  // Evaluations between looks at the clock: of the fastest mechanisms 10 us.
-  static constexpr Index BETWEEN_LOOKS = 100;
+  // Evaluations, each times the joints, between looks at the clock: some 20 us.
+  static constexpr Index BETWEEN_LOOKS = 1000;
 
   struct Pace
   {
@@ -54,6 +55,7 @@ private:
   }
 
   bool (* asked_)();
+  Index joints_;
   Pace & pace_;
 };
 

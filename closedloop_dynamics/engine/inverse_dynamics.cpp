@@ -37,6 +37,7 @@ constexpr double MISSING = 1e-8;
 constexpr double CLEAR = 1e-9, REPEATS = 1e-12;
 // Change of reactions, of the largest, at which friction that depends on them is found.
 constexpr double SETTLED = 1e-12;
+constexpr int MOST_ROUNDS = 1000;
 
 /// All equations at a state whose bodies were moved.
 struct Loops
@@ -222,7 +223,8 @@ bool find_torques(
     return false;
   }
   const Balance balance(all.jac, actuated);
-  while (true) {
+  // Where more are needed, Python goes on, which can be interrupted.
+  for (int round = 0; round < MOST_ROUNDS; ++round) {
     need.setZero();
     find_need(system, view(q), view(qd), view(qdd), view(need));
     if (!balance.solve(need, out)) {
@@ -238,6 +240,7 @@ bool find_torques(
       return true;
     }
   }
+  return false;
 }
 
 }  // namespace closedloop

@@ -10,7 +10,6 @@
 #include "arguments.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
-#include "driven.hpp"
 #include "elimination.hpp"
 #include "error_control.hpp"
 #include "evaluation.hpp"
@@ -102,7 +101,8 @@ inline const char * runs(const System & system, const Tableau & given, const Run
       return cube.pages == pages && cube.rows >= rows && cube.columns == ns;
     };
   return unless(
-    fits(given) && fits(runs.short_tableau) && runs.short_tableau.a.rows > 0 &&
+    fits(given) && given.steps() > 0 && fits(runs.short_tableau) &&
+    runs.short_tableau.a.rows > 0 &&
     runs.short_tableau.a.rows <= given.a.rows &&
     has_shape(runs.control, pages, switching::COLUMNS) &&
     has_rows(runs.scale, 2) && runs.scale.rows == 2 &&
@@ -125,8 +125,10 @@ inline bool lasts(Table torque, Index instants, Index zero_order_hold, Index dec
 inline const char * request(const System & system, const Request & request)
 {
   return unless(
-    request.state.size >= system.ns() && within(request.actuated, -1, system.tau.size) &&
-    request.torque.size == request.actuated.size);
+    request.state.size >= system.ns() && request.own.size == system.effects.states.size &&
+    within(request.actuated, -1, system.tau.size) &&
+    request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
+    request.lam.size == system.whole.lam.size);
 }
 
 /// Effects beside a machine.
@@ -353,7 +355,7 @@ template<>
 inline constexpr auto precondition<advance_explicit> =
   [](const System &, const Tableau & tableau, Stabilisation, Values control, Table scale,
     Table scratch) {
-    return control.size >= control::COLUMNS && scale.rows == 2 ?
+    return control.size >= control::COLUMNS && scale.rows == 2 && tableau.steps() > 0 ?
            expected::explicit_rows(tableau, scratch, scratch::FIRST_SLOPE) : expected::lengths;
   };
 
@@ -473,27 +475,6 @@ inline constexpr auto precondition<find_joint_forces> =
       (point.rows == 0 || (size == 6 && expected::has_shape(point, row.size, 3))) &&
       expected::has_shape(scratch, bodies, 2 * size) &&
       expected::has_shape(out, row.size, size));
-  };
-
-template<>
-inline constexpr auto precondition<follow_drives> =
-  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
-    Indices kept, Values unit, Table anchors, double, Values begin, Cube<double> values, Values q,
-    Table position, Table velocity, Table acceleration) {
-    const char * found = expected::machine(
-      model, work, [&] {
-        const Index nv = model.joints(), nc = model.equations(), poses = values.pages;
-        return nv > 0 && unit.size == nv && drives.size <= nc &&
-               expected::within(drives, 0, model.cut.rows) &&
-               model.cut_point.columns >= cut::MOTION_COLUMNS &&
-               expected::within(kept, 0, nc) &&
-               expected::has_shape(anchors, nv - kept.size, nv) && begin.size == drives.size &&
-               values.rows == drives.size && values.columns == cut::MOTION_COLUMNS &&
-               q.size == coordinates_of(model) && expected::has_shape(position, poses, q.size) &&
-               expected::has_shape(velocity, poses, nv) &&
-               expected::has_shape(acceleration, poses, nv);
-      });
-    return expected::first_of(found, misfit(manifold, q.size, model.joints()));
   };
 
 }  // namespace closedloop

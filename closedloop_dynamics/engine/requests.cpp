@@ -55,20 +55,8 @@ void begin_effects(const System & system, const Request & request)
   begin_friction(system.effects, rates, own);
 }
 
-/// Whether the arrays of a request are those of a system.
-bool fits(const System & system, const Request & request)
-{
-  return request.own.size == system.effects.states.size &&
-         request.state.size >= system.own() + request.own.size &&
-         request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
-         request.lam.size == system.whole.lam.size;
-}
-
 bool evaluate_checked(const System & system, const Request & request, const System * whole)
 {
-  if (!fits(system, request)) {
-    return false;
-  }
   const Values q = system.q(request.state), qd = system.qd(request.state);
   if (!(all_finite(qd) && is_position(system.manifold, q))) {
     return false;
@@ -163,9 +151,6 @@ bool evaluate_given(
   const System & system, const Request & request, const Given & q, const Given & qd,
   const Given & torque)
 {
-  if (!fits(system, request)) {
-    return false;
-  }
   if (torque.is_none) {
     request.torque.fill(0.0);
   } else if (!take(torque, request.torque)) {

@@ -146,9 +146,10 @@ void check_starts(
     throw std::invalid_argument("check_starts: arrays that do not fit together");
   }
   const Beginning beginning(system, like.stepper.runs);
+  Interrupt interrupt(system.interrupted, system.nv());
   std::vector<double> values(static_cast<std::size_t>(system.ns()));
   const Values trial{values.data(), system.ns()};
-  for (Index sample = 0; sample < states.rows; ++sample) {
+  for (Index sample = 0; sample < states.rows && !interrupt.after(2); ++sample) {
     const Values state = states[sample];
     bool is_fine = all_finite(state) && is_closed(system, tolerance, state);
     if (is_fine) {
@@ -207,7 +208,7 @@ void annotate(
   const System & system, Table torque, Index zero_order_hold, Index decimation,
   const RunBuffer & buffer)
 {
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   for (Index instant = 0; instant < buffer.state.rows && !interrupt.after(1); ++instant) {
     copy(torque[row_at(instant, decimation, zero_order_hold)], system.tau);
     record(system, buffer.state[instant], buffer, instant);
@@ -219,7 +220,7 @@ void fill_joint_forces(
   Table qdd, Table lam, Table scratch, Cube<double> out)
 {
   const Indexes & tree = system.model.tree;
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   for (Index instant = 0; instant < state.rows && !interrupt.after(1); ++instant) {
     const Values q = system.q(state[instant]), qd = system.qd(state[instant]);
     take_states(system, state[instant]);

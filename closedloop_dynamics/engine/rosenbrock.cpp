@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "contact_events.hpp"
 #include "evaluation.hpp"
@@ -78,10 +79,11 @@ double fastest_rate(Table matrix, Values direction, Values once, Values twice)
   return std::pow(length, 0.25);
 }
 
-/// Factor I / (h gamma) - J at a state; return the fastest rate of the motion there [1/s].
-double factor_jacobian(
+/// Factor I / (h gamma) - J at a state; return the fastest rate of the motion there [1/s], none
+/// where that was interrupted.
+std::optional<double> factor_jacobian(
   const System & system, Values state, double step_size, Table matrix, Indices pivots,
-  Table scratch)
+  Table scratch, Interrupt & interrupt)
 {
   const Values stage = scratch[STAGE], slope = scratch[SLOPE], moved = scratch[MOVED];
   const Index n = state.size;
@@ -92,6 +94,9 @@ double factor_jacobian(
     const double change = stage[j] - state[j];
     derivative(system, stage, moved);
     stage[j] = state[j];
+    if (interrupt.after(1)) {
+      return std::nullopt;
+    }
     for (Index i = 0; i < n; ++i) {
       matrix(i, j) = (slope[i] - moved[i]) / change;
     }
@@ -151,10 +156,13 @@ std::pair<Status, Index> advance_stiff_fixed(
 {
   return make_steps_in_parts(
     system, stabilisation, state, step_size, steps,
-    {scratch[SLOPE], scratch[OUT], scratch[START], scratch[STAGE]}, state.size + STAGES + 1,
-    [&](double size) {
-      factor_jacobian(system, state, size, matrix, pivots, scratch);
+    {scratch[SLOPE], scratch[OUT], scratch[START], scratch[STAGE]}, STAGES + 1,
+    [&](double size, Interrupt & interrupt) {
+      if (!factor_jacobian(system, state, size, matrix, pivots, scratch, interrupt)) {
+        return false;
+      }
       stiff_step(system, state, size, matrix, pivots, scratch);
+      return true;
     });
 }
 
@@ -165,7 +173,7 @@ Status advance_stiff(
 {
   const Grid grid{origin, done, step_size, steps};
   const StiffRun run{stabilisation, control, scale, matrix, pivots, scratch};
-  Interrupt interrupt(system.interrupted);
+  Interrupt interrupt(system.interrupted, system.nv());
   const double target = grid.target();
   WorkLimit limit(grid, system.work.health, control[control::WORK], MOST_EVALUATIONS);
   Status status = Status::DONE;
@@ -210,11 +218,13 @@ Status StiffRun::accepted_step(
       release_modes(system);
       return closed ? Status::STEP_TOO_SMALL : Status::OPEN_LOOP;
     }
-    if (interrupt.after(n + STAGES + 1)) {
+    const std::optional<double> fastest = interrupt.after(STAGES + 1) ? std::nullopt :
+      factor_jacobian(system, state, used, matrix, pivots, scratch, interrupt);
+    if (!fastest) {
       release_modes(system);
       return Status::INTERRUPTED;
     }
-    rate = factor_jacobian(system, state, used, matrix, pivots, scratch);
+    rate = *fastest;
     stiff_step(system, state, used, matrix, pivots, scratch);
     control[control::WORK] += static_cast<double>(n + STAGES + 1 + n / 8);
     double total = 0.0;

@@ -133,7 +133,7 @@ public:
   Pair(
     const System & system, const Tableau & tableau, Stabilisation stabilisation, const Runs & runs)
   : system_(system), tableau_(tableau), stabilisation_(stabilisation), runs_(runs),
-    interrupt_(system.interrupted)
+    interrupt_(system.interrupted, system.nv())
   {
   }
 

@@ -594,8 +594,10 @@ bool is_linked(const System & system)
     {routine::CORRECTIONS, system.corrections.data, system.corrections.columns},
     {routine::REACTION, system.effects.reaction.data, system.effects.reaction.rows}};
   const Index * routines = system.table.data;
-  if (system.is_unrolled() && !std::all_of(
-      routines, routines + routine::CORRECTION + 1, [](Index address) {return address != 0;}))
+  const bool feels = system.has_effects() && system.effects.loaded[0] != 0;
+  if (system.is_unrolled() && (!std::all_of(
+      routines, routines + routine::CORRECTION + 1, [](Index address) {return address != 0;}) ||
+    (feels && system.whole.empty() && routines[routine::REACTIONS] == 0)))
   {
     return false;
   }
