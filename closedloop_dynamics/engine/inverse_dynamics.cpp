@@ -13,6 +13,7 @@
 #include "evaluation.hpp"
 #include "joint_reaction.hpp"
 #include "loop_closure.hpp"
+#include "lu.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "projection.hpp"
@@ -35,6 +36,8 @@ constexpr double MISSING = 1e-8;
 // Pivots above this times the largest leave no doubt of the rank; singular values below the second
 // one belong to what repeats.
 constexpr double CLEAR = 1e-9, REPEATS = 1e-12;
+// Smallest pivot of LU factors, of the largest, with which multipliers lose no digits that matter.
+constexpr double SOUND = 1e-5;
 // Change of reactions, of the largest, at which friction that depends on them is found.
 constexpr double SETTLED = 1e-12;
 constexpr int MOST_ROUNDS = 1000;
@@ -72,11 +75,14 @@ bool opens(const System & system, const Loops & all, Index loops, const DenseVec
   return !(part <= NOISE * largest_acceleration + OPENS * most);
 }
 
-/// What torques and constraint forces must add up to at the joints.
-void find_need(const System & system, Values q, Values qd, Values qdd, Values need)
+/// What torques and constraint forces must add up to at the joints; `moved`: the bodies have been
+/// moved there, and no effect has acted yet.
+void find_need(const System & system, Values q, Values qd, Values qdd, bool moved, Values need)
 {
   const EffectTable & table = system.effects;
-  outward(system.model, q, qd, system.work);
+  if (!moved) {
+    outward(system.model, q, qd, system.work);
+  }
   if (system.has_effects()) {
     // Friction is that of a steady motion, and drives are what is asked for.
     begin_friction(table, qd, table.states);
@@ -121,9 +127,20 @@ public:
         passive_.push_back(i);
       }
     }
-    Eigen::MatrixXd levers(passive_.size(), jac.rows());
-    for (std::size_t i = 0; i < passive_.size(); ++i) {
+    const Index count = static_cast<Index>(passive_.size());
+    DenseMatrix levers(count, jac.rows());
+    for (Index i = 0; i < count; ++i) {
       levers.row(i) = jac.col(passive_[i]).transpose();
+    }
+    if (levers.size() > 0 && count == jac.rows()) {
+      // Most mechanisms: as many drives as freedoms.
+      square_ = levers;
+      pivots_.resize(count);
+      unique_ = factorize(view(square_), {pivots_.data(), count}) > SOUND;
+      if (unique_) {
+        return;
+      }
+      pivots_.clear();
     }
     if (levers.size() > 0) {
       of_passive_.setThreshold(CLEAR);
@@ -142,7 +159,7 @@ public:
   }
 
   /// Whether torques and multipliers, side by side, add up to what is needed.
-  bool solve(const DenseVector & need, Values out) const
+  bool solve(const DenseVector & need, Values out)
   {
     const Index count = actuated_.size;
     Eigen::Map<DenseVector> solution = dense(out), lam = dense(out.from(count));
@@ -152,7 +169,12 @@ public:
         for (std::size_t i = 0; i < passive_.size(); ++i) {
           at_passive[i] = need[passive_[i]];
         }
-        lam = of_passive_.solve(at_passive);
+        if (pivots_.empty()) {
+          lam = of_passive_.solve(at_passive);
+        } else {
+          lam = at_passive;
+          closedloop::solve(view(square_), {pivots_.data(), lam.size()}, out.from(count));
+        }
       }
     } else {
       solution = of_all_.solve(need);
@@ -177,6 +199,9 @@ private:
   Indices actuated_;
   std::vector<Index> passive_;
   bool unique_;
+  // LU factors of the passive joints' levers, with their pivots; none where these are not square.
+  DenseMatrix square_;
+  std::vector<Index> pivots_;
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> of_passive_;
   Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> of_all_;
 };
@@ -222,11 +247,12 @@ bool find_torques(
   if (!all.jac.allFinite() || opens(system, all, loops, qdd)) {
     return false;
   }
-  const Balance balance(all.jac, actuated);
+  Balance balance(all.jac, actuated);
   // Where more are needed, Python goes on, which can be interrupted.
   for (int round = 0; round < MOST_ROUNDS; ++round) {
+    const bool moved = round == 0 && system.whole.empty();
     need.setZero();
-    find_need(system, view(q), view(qd), view(qdd), view(need));
+    find_need(system, view(q), view(qd), view(qdd), moved, view(need));
     if (!balance.solve(need, out)) {
       return false;
     }
