@@ -130,8 +130,9 @@ void minimise_joint_wrenches(
   if (idle == 0) {
     return;
   }
-  const Eigen::MatrixXd turned = columns.householderQ() * Eigen::MatrixXd::Identity(nc, nc);
-  const Eigen::MatrixXd unfelt = turned.rightCols(idle);
+  Eigen::MatrixXd unfelt = Eigen::MatrixXd::Zero(nc, idle);
+  unfelt.bottomRows(idle).setIdentity();
+  unfelt.applyOnTheLeft(columns.householderQ());
   const std::vector<Arms> arms = arms_of_joints(system.joints, work);
   const Eigen::VectorXd now = terms(system, model, work, arms, wrench, lam);
   Eigen::MatrixXd response(now.size(), idle);
@@ -143,7 +144,7 @@ void minimise_joint_wrenches(
     response.col(k) = terms(system, model, work, arms, view(scratch), view(change));
   }
   // The columns are of one size and far from dependent: normal equations do, and cost less.
-  const Eigen::MatrixXd normal = response.transpose() * response;
+  const Eigen::MatrixXd normal = response.transpose().lazyProduct(response);
   change = -unfelt * normal.ldlt().solve(response.transpose() * now);
   dense(lam) += change;
   wrenches_of_multipliers(model, work, view(change), view(scratch));
