@@ -8,8 +8,8 @@ Each machine moves freely from its start, and under torques that swing and are h
 at 1 kHz. The default method is asked for an accuracy of 1e-3, 1e-6 and 1e-9; beside it stand
 Pinocchio (constraintDynamics and lcaba, RK4 and Runge-Kutta-Fehlberg 7(8) in C++) and MuJoCo (RK4
 and implicitfast, its loops as stiff as the step allows), wherever they know the machine: the
-cheapest of their settings that keeps the error. They know joints, loops and gravity, but none of the other
-effects of a scene: where these matter, they do not come near its motion.
+cheapest of their settings that keeps the error. They know joints, loops and gravity, but none of
+the other effects of a scene: where these matter, they do not come near its motion.
 
 The motion that errors are measured against is that of dop853 with a tolerance of 1e-13; dopri5
 with another formulation tells how far and how well it is known. CPU time of one thread; of held

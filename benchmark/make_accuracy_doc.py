@@ -6,8 +6,9 @@ Measure all that doc/accuracy.md shows, and put it there.
 
 Measuring writes the pictures and CSV files doc/pictures/accuracy_*.*; the passages of
 doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` are made from these
-files, with ``--measured`` without measuring. The text around them stays. To be run on a machine
-that does nothing else.
+files, with ``--measured`` without measuring. The text around them stays. doc/accuracy_machines.md
+is filled in the same way, by all_machines.py, which needs the packages of the extra ``bench`` for
+the other simulators. To be run on a machine that does nothing else.
 
 """
 
@@ -17,14 +18,18 @@ from dataclasses import dataclass, field
 import datetime
 from pathlib import Path
 import re
+import shutil
+import subprocess
 import sys
 import time
 import warnings
 
+import all_machines_report
 import energy_study
 import held_torques
 from machine import description, ROOT
 import sentences
+import throughput
 
 sys.path.insert(0, str(ROOT))
 
@@ -65,7 +70,9 @@ CASES = (
     Case('slider_crank_end_stop', 'slider-crank against its end stop', 'slider_crank_end_stop'),
 )
 HELD = {'three_rrr': '3-RRR', 'carpet_scraper': 'scraper'}
-PARTS = (*(case.name for case in CASES), 'held', 'energy', 'formulations')
+MACHINES, SAMPLES = 'machines', 'samples'
+PARTS = (*(case.name for case in CASES), 'held', 'energy', 'formulations', MACHINES, SAMPLES)
+PAGES = ('accuracy.md', 'accuracy_methods.md', 'accuracy_machines.md')
 
 
 @dataclass(frozen=True)
@@ -170,7 +177,10 @@ def passages(pictures):
     """Return {name of a passage: its text}, from the files of the studies."""
     free, held = free_settings(pictures), held_settings(pictures)
     return {'free': table('motion, 1 s', free), 'held': table('torques held', held),
-            'short': sentences.accuracy_advice(free, held, pictures, cheapest)}
+            'short': sentences.accuracy_advice(free, held, pictures, cheapest),
+            **all_machines_report.passages(pictures / 'accuracy_machines.csv'),
+            'samples': throughput.fidelity_table(
+                sentences.read(pictures / 'accuracy_samples.csv'))}
 
 
 def readme_passages(pictures):
@@ -197,6 +207,25 @@ def measure(pictures, quick, only):
         rows = study_formulations(quick=quick, progress=_progress('formulations'))
         formulations_report.write(rows, pictures / 'accuracy_formulations.csv',
                                   pictures / 'accuracy_formulations.png')
+
+
+def measure_beside_others(pictures, options):
+    """Measure what needs other simulators: every machine, and many samples at once."""
+    only = options.only or PARTS
+    if SAMPLES in only:
+        few = ['--samples', '4', '--repeats', '1'] if options.quick else ['--samples', '64']
+        subprocess.run([
+            options.peers_python, str(ROOT / 'benchmark' / 'throughput.py'), '--fidelity',
+            '--csv', str(pictures / 'accuracy_samples.csv'), *few], check=True)
+    if MACHINES not in only:
+        return
+    subprocess.run([
+        options.peers_python, str(ROOT / 'benchmark' / 'all_machines.py'), '--output',
+        str(options.output), *(['--quick'] if options.quick else []),
+        *(['--models', str(options.models)] if options.models else [])], check=True)
+    table = pictures / 'accuracy_machines.csv'
+    shutil.copyfile(options.output / 'all_machines.csv', table)
+    all_machines_report.picture(table).savefig(table.with_suffix('.png'))
 
 
 def _progress(name):
@@ -228,6 +257,25 @@ def filled(text, parts):
     return text
 
 
+def fill_pages(folder, parts):
+    """
+    Replace each passage on the page that has it.
+
+    Raises
+    ------
+    KeyError
+        Where none has one of them.
+
+    """
+    left = dict(parts)
+    for page in (folder / name for name in PAGES):
+        text = page.read_text()
+        here = {name: left.pop(name) for name in parts if f'<!-- begin {name} -->' in text}
+        page.write_text(filled(text, here))
+    if left:
+        raise KeyError(f'no page has the passages {sorted(left)}')
+
+
 def main(arguments=None):
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -237,6 +285,14 @@ def main(arguments=None):
     parser.add_argument('--measured', action='store_true',
                         help='measure nothing: make the tables from the CSV files')
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'accuracy.md')
+    parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
+                        help='interpreter with the packages of the extra bench '
+                        '(default: this one)')
+    parser.add_argument('--models', type=Path, metavar='DIR',
+                        help='folder with a clone of example-parallel-robots, whose robots are '
+                        'left out without it')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output', metavar='DIR',
+                        help='where results go that no page shows (default: %(default)s)')
     options = parser.parse_args(arguments)
     pictures = options.document.parent / 'pictures'
     pictures.mkdir(exist_ok=True)
@@ -245,12 +301,15 @@ def main(arguments=None):
         # What is written from here on makes the checkout no other one.
         machine = description()
         measure(pictures, options.quick, options.only or PARTS)
+        told = f'Measured on {datetime.date.today().isoformat()}: {machine}.' + (
+            ' Quick version: fewer settings.' if options.quick else '')
+        measure_beside_others(pictures, options)
         if not options.only:
-            parts['machine'] = (
-                f'Measured on {datetime.date.today().isoformat()}: {machine}.' + (
-                    ' Quick version: fewer settings.' if options.quick else ''))
+            parts['machine'] = parts['methods machine'] = told
+        if MACHINES in (options.only or PARTS):
+            parts['machines machine'] = told
     parts.update(passages(pictures))
-    options.document.write_text(filled(options.document.read_text(), parts))
+    fill_pages(options.document.parent, parts)
     return 0
 
 

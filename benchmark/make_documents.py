@@ -81,12 +81,12 @@ def main(arguments=None):
     os.environ[COMMIT] = name
     doc = options.checkout / 'doc'
     how = [f'--{name}' for name in ('quick', 'measured') if getattr(options, name)]
-    make_accuracy_doc.main([*how, '--document', str(doc / 'accuracy.md')])
+    beside = ['--output', str(options.output), '--peers-python', options.peers_python,
+              *(['--models', str(options.models)] if options.models else [])]
+    make_accuracy_doc.main([*how, *beside, '--document', str(doc / 'accuracy.md')])
     if not options.measured or (options.output / 'peers.json').exists():
         make_performance_doc.main([
-            *how, '--document', str(doc / 'performance.md'), '--output', str(options.output),
-            '--peers-python', options.peers_python,
-            *(['--models', str(options.models)] if options.models else [])])
+            *how, *beside, '--document', str(doc / 'performance.md')])
     if not options.measured:
         measure_throughput(options.checkout, options.quick, options.peers_python)
     write_readme(options.checkout)

@@ -227,7 +227,7 @@ class Pinocchio:
                 pointer([[a, b] for a, _, b, _, _ in loops], np.int32),
                 pointer([whole for *_, whole in loops], np.int32),
                 pointer([[np.column_stack([frame.rotation, frame.translation])
-                         for frame in (one, other)] for _, one, _, other, _ in loops]),
+                          for frame in (one, other)] for _, one, _, other, _ in loops]),
                 ctypes.c_double(mu), ctypes.c_double(ACCURACY), iterations,
                 int(self._algorithm == 'lcaba')))
 

@@ -28,7 +28,7 @@ namespace odeint = boost::numeric::odeint;
 using State = std::vector<double>;
 
 // Steps that a whole motion may take.
-constexpr long MOST_STEPS = 20000;
+constexpr long MOST_STEPS = 5000;
 
 struct Machine
 {

@@ -81,7 +81,7 @@ def accuracy_advice(free, held, pictures, cheapest):
     kept, lost = ([energy[scene, *method] for scene in STABILISED]
                   for method in (('dop853', '1e-10'), ('rk4', '0.001')))
     steps = stabilisation_costs(pictures)
-    auto = [at(rate, 'evaluations', 1e-6, 'auto', 'dop853') for rate in (100, 1000)]
+    auto = at(100, 'evaluations', 1e-6, 'auto', 'dop853')
     advice = (
         f"""**Torques that are constant or change slowly: take `dop853`**, or `auto`, which steps
         by it. From an error of 1e-3 to 1e-9 the cost of `dop853` grows {growth('dop853')} times,
@@ -89,14 +89,14 @@ def accuracy_advice(free, held, pictures, cheapest):
         f"""**Torques held at 100 Hz: take `dop853`**, or `dopri5`, which makes fewer evaluations
         for coarse errors. For 1e-6 `rk4` needs
         {spread(at(100, 'evaluations', 1e-6, 'rk4', 'dop853'))} times as many evaluations.""",
-        f"""**Torques held at 1 kHz: take `rk4` or `dopri5`.** A period is a step, of 4 (`rk4`), 7
-        (`dopri5`) or 12 (`dop853`) evaluations: called from Python `rk4` takes
-        {spread(at(1000, 'cost', 1e-6, 'rk4', 'dop853'))} times the CPU time of `dop853` for an
-        error of 1e-6.""",
-        f"""**`auto` checks its error in the first second by a second run**: with held torques it
-        makes {spread(auto[0] + auto[1])} times the evaluations of `dop853` in that second. For a
-        machine behind a fast controller name the method:
-        `{{integrator: rk4, step_size: 1.0e-3}}`.""",
+        f"""**Torques held at 1 kHz: take `auto`, or `rk4` for coarse errors.** A period is a step,
+        of 4 (`rk4`), 7 (`dopri5`, which `auto` takes there) or 12 (`dop853`) evaluations: called
+        from Python, for an error of 1e-6, `rk4` takes
+        {spread(at(1000, 'cost', 1e-6, 'rk4', 'dop853'))} and `auto`
+        {spread(at(1000, 'cost', 1e-6, 'auto', 'dop853'))} times the CPU time of `dop853`.""",
+        f"""**`auto` checks its error in the first second by a second run**: with torques held at
+        100 Hz it makes {spread(auto)} times the evaluations of `dop853` in that second. At 1 kHz
+        the check takes over the steps of the run.""",
         """**Tolerance is not error.** It bounds the local error of each step. Begin with a
         tolerance ten times smaller than the error you want: the 3-RRR released from rest
         amplifies a small error in a base joint up to 32 times within a second.""",

@@ -11,6 +11,8 @@ steps ten times smaller.
 
     python benchmark/throughput.py                     three_rrr, 256 samples of 1000 steps
     python benchmark/throughput.py --sweep             and sweeps with a mass that varies
+    python benchmark/throughput.py --fidelity          which error at how many samples a second:
+                                                       torques held at 100 Hz, one second
 
 """
 
@@ -21,6 +23,7 @@ from pathlib import Path
 import sys
 import tempfile
 import time
+import warnings
 
 from machine import description, ROOT
 import numpy as np
@@ -28,10 +31,20 @@ import numpy as np
 sys.path.insert(0, str(ROOT))
 
 from peer_cases import load_scene  # noqa: E402,I100
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402,I100
+from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402,I100
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.sweep import sweep  # noqa: E402
+from closedloop_dynamics.visual.tables import markdown_table, write_csv  # noqa: E402
 
 STEP = 1e-3
+# Of fidelity: the time in which torques are held [s]; steps [s] and tolerances, accuracies.
+HELD = 1e-2
+FIXED_STEPS = {'rk4': (1e-2, 5e-3, 2e-3, 1e-3), 'heun': (2e-3, 1e-3),
+               'semi_implicit_euler': (1e-4,)}
+ADAPTIVE = (('dopri5', 'tolerance', (1e-6, 1e-8)), ('dop853', 'tolerance', (1e-6, 1e-9)),
+            ('auto', 'accuracy', (1e-3, 1e-6, 1e-9)))
+FIDELITY = ('engine', 'method', 'setting', 'error', 'samples_per_second')
+MUJOCO_STEPS = (('RK4', 0.3, (5e-3, 1e-3, 2e-4)), ('implicitfast', 0.3, (1e-3, 2e-4)))
 # MuJoCo's integrator, natural frequency of its loops' springs times the step.
 MUJOCO = (('RK4', 1.0), ('implicitfast', 0.3), ('Euler', 0.3))
 METHODS = (('rk4', 'projection'), ('heun', 'projection'), ('semi_implicit_euler', 'projection'),
@@ -139,6 +152,108 @@ def compared(scene, torques, repeats, mujoco=True, threads=(1,), clock=time.perf
             for what, _, final in tasks]
 
 
+def settings_of_ours(scene):
+    """Yield (method, setting, simulation) of fidelity, from coarse to fine."""
+    for integrator, steps in FIXED_STEPS.items():
+        for step in steps:
+            yield integrator, f'step {1e3 * step:g} ms', replace(
+                scene.method, integrator=integrator, stabilisation='projection', step_size=step)
+    for integrator, key, values in ADAPTIVE:
+        for value in values:
+            yield integrator, f'{key} {value:.0e}', replace(
+                scene.method, integrator=integrator, stabilisation='projection', step_size=HELD,
+                **{key: value})
+
+
+def mujoco_rollout(scene, torques, integrator, frequency, step):
+    """Return the function of a number of threads that makes MuJoCo's rollout, and what fills."""
+    import mujoco
+    from mujoco import rollout
+    from peer_mujoco import Engine
+    engine, start = Engine(scene), Simulation(scene)
+    model, held = engine.build(step, frequency / step, integrator), round(HELD / step)
+    spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    initial = np.zeros(mujoco.mj_stateSize(model, spec))
+    places = 1 + engine.order
+    initial[places], initial[1 + model.nq:1 + model.nq + model.nv] = start.position, start.velocity
+    initial = np.tile(initial, (len(torques), 1))
+    applied = np.zeros((len(torques), held * torques.shape[1], model.nv))
+    applied[:, :, list(scene.mechanism.coordinates.actuated)] = np.repeat(torques, held, axis=1)
+    state = np.zeros((*applied.shape[:2], initial.shape[1]))
+    sensors = np.zeros((*applied.shape[:2], model.nsensordata))
+
+    def run(count):
+        rollout.rollout(
+            model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
+            control_spec=int(mujoco.mjtState.mjSTATE_QFRC_APPLIED), state=state,
+            sensordata=sensors, persistent_pool=True)
+        return state[:, -1, places]
+
+    return run
+
+
+def fidelity(scene, samples, repeats, threads, mujoco=True, clock=time.perf_counter):
+    """
+    Return errors and samples a second: each a second long, torques of its own held at 100 Hz.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+    samples, repeats, threads : int
+        How many, how often measured (the shortest time counts), on how many threads.
+    mujoco : bool
+        Whether MuJoCo does the same.
+    clock : callable
+        Time [s].
+
+    Returns
+    -------
+    list of dict
+        Engine, method, setting, median of the samples' errors in the last positions [rad, m] and
+        samples a second.
+
+    """
+    periods, tasks = round(1.0 / HELD), []
+    torques = torques_for(scene, samples, periods)
+    for integrator, setting, method in settings_of_ours(scene):
+        simulation = Simulation(replace(scene, method=method))
+        steps = round(1.0 / method.step_size)
+
+        def run(count, one=simulation, steps=steps):
+            return one.rollout(torques, steps=steps, every=steps, threads=count).position[:, -1]
+
+        tasks.append(('closedloop_dynamics', integrator, setting, run))
+    for integrator, frequency, steps in MUJOCO_STEPS if mujoco else ():
+        tasks += [('MuJoCo', integrator, f'step {1e3 * step:g} ms', mujoco_rollout(
+            scene, torques, integrator, frequency, step)) for step in steps]
+    exact = Simulation(replace(scene, method=replace(
+        scene.method, integrator='dop853', stabilisation='projection', step_size=HELD,
+        tolerance=1e-12))).rollout(torques, every=periods).position[:, -1]
+    rows, names = [], scene.mechanism.coordinates
+    for engine, method, setting, run in tasks:
+        final = run(threads)
+        apart = [np.abs(names.apart(*pair)).max() for pair in zip(final, exact)]
+        times = []
+        for _ in range(repeats):
+            begin = clock()
+            run(threads)
+            times.append(clock() - begin)
+        rows.append({'engine': engine, 'method': method, 'setting': setting,
+                     'error': float(np.median(apart)), 'samples_per_second': samples / min(times)})
+    return rows
+
+
+def fidelity_table(rows):
+    """Return the rows in Markdown, the fastest first; also as a CSV file holds them."""
+    rows = sorted(({**row, **{key: float(row[key]) for key in FIDELITY[3:]}} for row in rows),
+                  key=lambda row: -row['samples_per_second'])
+    return markdown_table(('samples a second', 'error, median [rad, m]', 'method', 'setting'), [
+        (f'{row["samples_per_second"]:,.0f}', f'{row["error"]:.1e}',
+         f'{row["method"]}' + (' (MuJoCo)' if row['engine'] == 'MuJoCo' else ''), row['setting'])
+        for row in rows])
+
+
 def sweeps(scene, samples, threads, repeats):
     """Yield (what, {workers: samples per second}): a mass varies, so that models differ."""
     key = f'mechanism.bodies.{scene.mechanism.bodies[0].name}.mass'
@@ -180,8 +295,22 @@ def main(argv=None):
     parser.add_argument('--repeats', type=int, default=3)
     parser.add_argument('--without-mujoco', action='store_true')
     parser.add_argument('--sweep', action='store_true')
+    parser.add_argument('--csv', type=Path, metavar='FILE', help='of --fidelity, to write, too')
+    parser.add_argument('--fidelity', action='store_true',
+                        help='nothing but errors against samples a second, of all cores')
     arguments = parser.parse_args(argv)
     scene = load_scene(arguments.scene)
+    if arguments.fidelity:
+        threads = max(arguments.threads)
+        # How far off each method is stands in the table.
+        warnings.simplefilter('ignore', InaccuracyWarning)
+        rows = fidelity(scene, arguments.samples, arguments.repeats, threads,
+                        not arguments.without_mujoco)
+        print(f'{description()}\n{arguments.samples} samples of {arguments.scene}, {threads} '
+              f'threads\n\n{fidelity_table(rows)}')
+        if arguments.csv:
+            write_csv(arguments.csv, FIDELITY, [tuple(map(row.get, FIDELITY)) for row in rows])
+        return 0
     torques = torques_for(scene, arguments.samples, arguments.steps)
     print(f'{description()}\n{arguments.samples} samples of {arguments.scene}, '
           f'{arguments.steps} steps of {STEP:g} s\n')

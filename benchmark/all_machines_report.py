@@ -1,0 +1,178 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tables, sentences and the picture of what all_machines.py has measured."""
+
+from statistics import median
+
+from all_machines import OURS, RATES, read, TARGETS
+from matplotlib.figure import Figure
+from sentences import paragraph, spread
+
+from closedloop_dynamics.visual.pictures import COLORS, DOTS_PER_INCH  # noqa: I100
+from closedloop_dynamics.visual.tables import markdown_table, seconds
+
+MOTIONS = {0: 'free', 100: 'torques held at 100 Hz', 1000: 'torques held at 1 kHz'}
+NAMES = {0: 'free', 100: 'held 100', 1000: 'held 1000'}
+NOTHING = '-'
+# Errors that are told must be so much larger than what the reference is known to.
+ABOVE = 3.0
+COST, ERROR = 'cpu_time_per_second', 'error'
+# Marker, colour, whether it is filled, of at most five lines.
+LINES = (('default, 1e-3', 'o', COLORS[0], True), ('default, 1e-6', 's', COLORS[1], True),
+         ('default, 1e-9', '^', COLORS[2], True),
+         ('best of the others, 1e-3', 'o', '#333333', False),
+         ('best of the others, 1e-6', 's', '#333333', False))
+
+
+class Results:
+    """
+    What was measured, by machine.
+
+    Attributes
+    ----------
+    machines : dict of str to str
+        Kind by name, ``'scene'`` or ``'robot'``.
+
+    """
+
+    def __init__(self, path):
+        """Read a CSV file."""
+        self._rows, self.machines = {}, {}
+        for row in read(path):
+            self.machines[row['machine']] = row['kind']
+            self._rows.setdefault((row['machine'], row['rate']), []).append(row)
+
+    def ours(self, machine, rate, target):
+        """Return the row of the default method that was asked for an accuracy, or None."""
+        return next((row for row in self._rows.get((machine, rate), ()) if row['target'] == target
+                     and _kept(row, target)), None)
+
+    def other(self, machine, rate, target):
+        """Return the cheapest row of another simulator that keeps an error, or None."""
+        rows = [row for row in self._rows.get((machine, rate), ())
+                if row['engine'] != OURS and row[COST] == row[COST] and _kept(row, target)]
+        return min(rows, key=lambda row: row[COST], default=None)
+
+    def note(self, machine, rate):
+        """Return why there are no rows of the default method, or ''."""
+        return next((row['note'] for row in self._rows.get((machine, rate), ())
+                     if row['engine'] == OURS and row['note']), '')
+
+    def digit(self, machine, rate):
+        """Return what one more digit costs, as a share; None where it was not measured."""
+        ends = [self.ours(machine, rate, target) for target in (TARGETS[0], TARGETS[-1])]
+        if None in ends:
+            return None
+        return (ends[1][COST] / ends[0][COST]) ** (1.0 / 6.0) - 1.0
+
+
+def _kept(row, target):
+    """Return whether a row keeps an error, as far as the reference can tell."""
+    return row[ERROR] <= target and ABOVE * row['known_to'] <= target
+
+
+def table(results, rate):
+    """Return what each machine costs in a motion, and how much more with the best of others."""
+    rows = []
+    for machine in results.machines:
+        cells = []
+        for target in TARGETS:
+            one = results.ours(machine, rate, target)
+            cells.append(seconds(one[COST]) if one else NOTHING)
+        for target in TARGETS:
+            one, other = results.ours(machine, rate, target), results.other(machine, rate, target)
+            cells.append(NOTHING if other is None else f'{seconds(other[COST])}, {_who(other)}' + (
+                f' ({spread([other[COST] / one[COST]])})' if one else ''))
+        if any(cell != NOTHING for cell in cells):
+            rows.append((machine, *cells))
+    return markdown_table(
+        ('machine', *(f'default, {target:.0e}' for target in TARGETS),
+         *(f'others, {target:.0e} (times ours)' for target in TARGETS)), rows)
+
+
+def _who(row):
+    """Return whose row it is, and by which method, in short."""
+    method = row['setting'].partition(', tolerance')[0].partition(', step')[0]
+    return f'{row["engine"]} {method}'
+
+
+def digits(results):
+    """Return what one more digit costs, a sentence for each machine."""
+    lines = []
+    for machine in results.machines:
+        found = {NAMES[rate]: results.digit(machine, rate) for rate in RATES}
+        told = [f'{round(100.0 * share)} % ({name})' for name, share in found.items()
+                if share is not None]
+        if told:
+            lines.append(f'- `{machine}`: one more digit costs {", ".join(told)} of CPU time.')
+        else:
+            why = results.note(machine, 0).partition('; ')[0].partition('. ')[0]
+            lines.append(f'- `{machine}`: not told. {why}.')
+    return '\n'.join(lines)
+
+
+def summary(results):
+    """Return the whole in a few sentences."""
+    texts = []
+    for rate, motion in MOTIONS.items():
+        costs = [one[COST] for one in (
+            results.ours(machine, rate, 1e-6) for machine in results.machines) if one]
+        shares = [share for share in (
+            results.digit(machine, rate) for machine in results.machines) if share is not None]
+        pairs = [(results.ours(machine, rate, 1e-6), results.other(machine, rate, 1e-6))
+                 for machine in results.machines]
+        ratios = sorted(other[COST] / one[COST] for one, other in pairs if one and other)
+        if not costs:
+            continue
+        texts.append(
+            f'**{motion[0].upper()}{motion[1:]}**: of {len(costs)} machines half take no more '
+            f'than {seconds(median(costs))} of CPU time per simulated second for an accuracy of '
+            f'1e-6, the dearest {seconds(max(costs))}; one more digit costs '
+            f'{100.0 * median(shares):.0f} % in the middle.' + (
+                f' Another simulator keeps an error of 1e-6 on {len(ratios)} of them and takes '
+                f'{spread(ratios)} times as long, {spread([median(ratios)])} times in the middle.'
+                if ratios else ''))
+    return '\n'.join(paragraph(text, '* ', '  ') for text in texts)
+
+
+def passages(path):
+    """Return {name of a passage: its text} of the pages on accuracy."""
+    results = Results(path)
+    tables = {f'machines {NAMES[rate]}': table(results, rate) for rate in RATES}
+    return {'machines': summary(results), **tables, 'machines digits': digits(results)}
+
+
+def picture(path):
+    """Draw CPU time per simulated second of all machines."""
+    results = Results(path)
+    names = sorted(results.machines, key=lambda machine: (
+        results.machines[machine] == 'robot', getattr(
+            results.ours(machine, 0, 1e-6), 'get', lambda key: 0.0)(COST)))
+    figure = Figure(figsize=(12.0, 2.0 + 0.22 * len(names)), dpi=DOTS_PER_INCH,
+                    layout='constrained')
+    panels = figure.subplots(1, len(RATES), sharey=True, sharex=True)
+    for axes, rate in zip(panels, RATES):
+        axes.set_title(MOTIONS[rate], fontsize=10)
+        for (label, marker, color, filled), (chosen, target) in zip(LINES, (
+                *((results.ours, target) for target in TARGETS), (results.other, 1e-3),
+                (results.other, 1e-6))):
+            places = [(one[COST], number) for number, one in enumerate(
+                chosen(machine, rate, target) for machine in names) if one]
+            axes.plot(*zip(*places) if places else ((), ()), linestyle='', marker=marker,
+                      color=color, markersize=5, label=label,
+                      markerfacecolor=color if filled else 'none')
+        axes.set_xscale('log')
+        axes.set_xlabel('CPU time for one simulated second [s]')
+        axes.grid(color='#dddddd', linewidth=0.7)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+        robots = [number for number, machine in enumerate(names)
+                  if results.machines[machine] == 'robot']
+        if robots:
+            axes.axhline(robots[0] - 0.5, color='#999999', linewidth=0.8)
+    panels[0].set_yticks(range(len(names)), names)
+    panels[0].set_ylim(-0.7, len(names) - 0.3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=5,
+                  frameon=False, fontsize=9)
+    return figure
