@@ -18,7 +18,7 @@ from ..simulation.signals import Interrupted, program_watch
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
     'formulations', 'import', 'invert', 'kinematics', 'mirror', 'modes', 'plot', 'recover',
-    'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view')}
+    'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view', 'workspace')}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\

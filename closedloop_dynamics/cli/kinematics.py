@@ -80,9 +80,20 @@ def drives_of(arguments):
 
 
 def _drive(text):
-    """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE``."""
-    name, equals, course = text.partition('=')
-    parts = course.split(':')
+    """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, its drive and the count."""
+    name, drive, count = course(text)
+    return name, (drive, count)
+
+
+def course(text):
+    """
+    Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, a ``Drive`` and the count.
+
+    The count is None of a single value. Units are as for ``--drive``.
+
+    """
+    name, equals, ends = text.partition('=')
+    parts = ends.split(':')
     values = [_value(part) for part in parts[:2]]
     if not (name and equals and None not in values and (
             len(parts) == 1 or len(parts) == 3 and parts[2].isdecimal()
@@ -92,7 +103,13 @@ def _drive(text):
             f'{text!r}')
     units = [unit for _, unit in values if unit]
     start, *end = (number * UNITS[unit or (units or ['rad'])[0]] for number, unit in values)
-    return name, (Drive(start, *(end or [start])), int(parts[2]) if end else None)
+    return name, Drive(start, *(end or [start])), int(parts[2]) if end else None
+
+
+def value_of(text):
+    """Return a number with its unit in rad or m, None for what is none."""
+    found = _value(text)
+    return None if found is None else found[0] * UNITS[found[1] or 'rad']
 
 
 def _value(text):

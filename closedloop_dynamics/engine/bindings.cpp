@@ -272,6 +272,10 @@ const Entry entries[] = {
     "follow_drives",
     "follow_drives(model, work, manifold, drives, kept, unit, anchors, open, begin, values, q, "
     "position, velocity, acceleration): poses reached, share of the way to the next one"),
+  released<reach_poses>(
+    "reach_poses",
+    "reach_poses(model, work, manifold, drives, kept, unit, anchors, open, grid, seeds, values, "
+    "actuated, reached, position, rates): how many nodes of a grid are reached"),
   released<run_batch>(
     "run_batch",
     "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, scratch, "

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "interrupt.hpp"
 #include "loop_closure.hpp"
@@ -33,6 +34,8 @@ constexpr double ROUNDING = 1e-15, LONGEST = 0.5, STALLED = 1e-11;
 constexpr int MOST_CORRECTIONS = 20;
 // Shares of the way between two poses: the shortest that is tried.
 constexpr double SHORTEST = 1e-13;
+// The same between neighbours of a grid, of which another one may lead on.
+constexpr double SHORTEST_TO_NEIGHBOUR = 1e-6;
 
 /// One position of a branch, and what leads on from it.
 class Follower
@@ -102,6 +105,54 @@ public:
       model_.cut_point(drives_[k], column_) = values[k];
       model_.cut_point(drives_[k], column_ + 1) = 0.0;
       model_.cut_point(drives_[k], column_ + 2) = 0.0;
+    }
+  }
+
+  /// Move from driven values `from` on towards `to`, in steps whose share of the way is `share` at
+  /// first; returned is the share of the way at which the branch, or patience, ends; 1 where it
+  /// does not.
+  double advance(
+    const DenseVector & from, const DenseVector & to, Values q, Values trial, double & share,
+    double shortest, Interrupt * interrupt = nullptr)
+  {
+    way_ = to - from;
+    reached_ = from;
+    double done = 0.0;
+    while (done < 1.0) {
+      // A step takes some corrections, each by the factors of a matrix.
+      if (interrupt != nullptr && interrupt->after(3 * unit_.size)) {
+        break;
+      }
+      const double ahead = std::min(1.0, done + share);
+      aim_ = from + ahead * way_;
+      copy(q, trial);
+      if (step(reached_, aim_, trial)) {
+        copy(trial, q);
+        reached_ = aim_;
+        done = ahead;
+        share = std::min(1.0, 2.0 * share);
+      } else {
+        share *= 0.5;
+        if (share < shortest) {
+          break;
+        }
+      }
+    }
+    return done;
+  }
+
+  /// Note what the position taken last leads on by, and go on from there again.
+  void keep() {kept_inverse_ = inverse_;}
+  void restore() {inverse_ = kept_inverse_;}
+
+  /// Derivatives of some coordinates by the driven values in the position taken last, row by row.
+  void rates_of(Indices coordinates, Values out) const
+  {
+    for (Index row = 0; row < kept_.size; ++row) {
+      const Index number = kept_[row] - first_drive();
+      for (Index k = 0; number >= 0 && k < coordinates.size; ++k) {
+        out[k * drives_.size + number] = unit_[coordinates[k]] * inverse_(coordinates[k], row);
+      }
     }
   }
 
@@ -204,8 +255,8 @@ private:
   double open_;
   Index column_;
   RowMatrix jac_;
-  DenseMatrix matrix_, inverse_, next_;
-  DenseVector change_, right_, closure_, still_;
+  DenseMatrix matrix_, inverse_, next_, kept_inverse_;
+  DenseVector change_, right_, closure_, still_, way_, reached_, aim_;
   Eigen::PartialPivLU<DenseMatrix> lu_;
 };
 }  // namespace
@@ -217,7 +268,7 @@ std::pair<double, double> follow_drives(
 {
   Interrupt interrupt(interrupted, unit.size);
   Follower follower(model, work, manifold, drives, kept, unit, anchors, open);
-  DenseVector from = Eigen::Map<DenseVector>(begin.data, begin.size), way(begin.size), to, next;
+  DenseVector from = Eigen::Map<DenseVector>(begin.data, begin.size), to(begin.size);
   DenseVector tried(q.size);
   const Values trial{tried.data(), tried.size()};
   follower.drive(from);
@@ -226,36 +277,84 @@ std::pair<double, double> follow_drives(
   }
   double share = 1.0;
   for (Index k = 0; k < values.pages; ++k) {
-    to = from;
     for (Index n = 0; n < begin.size; ++n) {
-      way[n] = values[k](n, 0) - from[n];
+      to[n] = values[k](n, 0);
     }
-    double done = 0.0;
-    while (done < 1.0) {
-      // A step takes some corrections, each by the factors of a matrix.
-      if (interrupt.after(3 * unit.size)) {
-        return {static_cast<double>(k), done};
-      }
-      const double ahead = std::min(1.0, done + share);
-      next = from + ahead * way;
-      copy(q, trial);
-      if (follower.step(to, next, trial)) {
-        copy(trial, q);
-        to = next;
-        done = ahead;
-        share = std::min(1.0, 2.0 * share);
-      } else {
-        share *= 0.5;
-        if (share < SHORTEST) {
-          return {static_cast<double>(k), done};
-        }
-      }
+    const double done = follower.advance(from, to, q, trial, share, SHORTEST, &interrupt);
+    if (done < 1.0) {
+      return {static_cast<double>(k), done};
     }
     from = to;
     copy(q, position[k]);
     follower.complete(values[k], q, velocity[k], acceleration[k]);
   }
   return {static_cast<double>(values.pages), 0.0};
+}
+
+Index reach_poses(
+  const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  Indices kept, Values unit, Table anchors, double open, Indexes grid, Indices seeds,
+  Table values, Indices actuated, Indices reached, Table position, Table rates)
+{
+  Follower follower(model, work, manifold, drives, kept, unit, anchors, open);
+  const Index axes = grid.columns;
+  // The grid's shape, and the part of it that may be written.
+  const Indices shape = grid[0], first = grid[1], last = grid[2];
+  std::vector<Index> waiting(seeds.begin(), seeds.end()), place(axes), stride(axes, 1);
+  for (Index axis = axes - 1; axis > 0; --axis) {
+    stride[axis - 1] = stride[axis] * shape[axis];
+  }
+  Index sides = 1;
+  for (Index axis = 0; axis < axes; ++axis) {
+    sides *= 3;
+  }
+  DenseVector from(values.columns), to(values.columns), start(position.columns);
+  DenseVector tried(position.columns);
+  const Values here{start.data(), start.size()}, trial{tried.data(), tried.size()};
+  Index count = 0;
+  for (std::size_t next = 0; next < waiting.size(); ++next) {
+    const Index cell = waiting[next];
+    bool begun = false;
+    for (Index axis = 0, left = cell; axis < axes; ++axis) {
+      place[axis] = left / stride[axis];
+      left %= stride[axis];
+    }
+    // All neighbours, those across corners too: digits of 0, 1 and 2 for steps of -1, 0 and 1.
+    for (Index digits = 0; digits < sides; ++digits) {
+      bool inside = true;
+      Index neighbour = cell;
+      for (Index axis = 0, left = digits; axis < axes; ++axis, left /= 3) {
+        const Index step = left % 3 - 1, at = place[axis] + step;
+        inside = inside && at >= first[axis] && at < last[axis];
+        neighbour += step * stride[axis];
+      }
+      if (!inside || reached[neighbour] != 0) {
+        continue;
+      }
+      from = Eigen::Map<DenseVector>(values.row(cell), values.columns);
+      to = Eigen::Map<DenseVector>(values.row(neighbour), values.columns);
+      copy(position[cell], here);
+      if (!begun) {
+        follower.drive(from);
+        if (!follower.begin(here)) {
+          break;
+        }
+        follower.keep();
+        begun = true;
+      }
+      follower.restore();
+      double share = 1.0;
+      if (follower.advance(from, to, here, trial, share, SHORTEST_TO_NEIGHBOUR) < 1.0) {
+        continue;
+      }
+      copy(here, position[neighbour]);
+      follower.rates_of(actuated, rates[neighbour]);
+      reached[neighbour] = 1;
+      waiting.push_back(neighbour);
+      ++count;
+    }
+  }
+  return count;
 }
 
 }  // namespace closedloop

@@ -28,6 +28,18 @@ std::pair<double, double> follow_drives(
   Table anchors, double open, Values begin, Cube<double> values, Values q, Table position,
   Table velocity, Table acceleration, bool (* interrupted)());
 
+/// Reach the nodes of a grid of driven values, each from a neighbour on the same branch.
+///
+/// As above; `grid`: its shape, and the first and last (excluded) node along each axis that may be
+/// written, shape (3, axes); `seeds`: nodes that were reached before, whose neighbours are tried;
+/// `values`: driven values of all nodes, shape (n, drives); `actuated`: coordinates. Written of the
+/// nodes reached: `reached` 1, the positions, and the derivatives of the actuated coordinates by
+/// the driven values, shape (n, actuated * drives). Returned is how many were reached.
+Index reach_poses(
+  const Model &, const Workspace &, const Manifold &, Indices drives, Indices kept, Values unit,
+  Table anchors, double open, Indexes grid, Indices seeds, Table values, Indices actuated,
+  Indices reached, Table position, Table rates);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__DRIVEN_HPP_

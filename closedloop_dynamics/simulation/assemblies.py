@@ -109,7 +109,8 @@ def find_assemblies(mechanism, equations, values, start):
     unit = np.where(mechanism.coordinates.lengths, assembler.extent, 1.0)
     for k in range(STARTS):
         change = np.pi * unit * rng.uniform(-1.0, 1.0, assembler.nv) if k else 0.0 * unit
-        position = _closed(mechanism, equations, unit, mechanism.coordinates.moved(start, change))
+        position = closed_from(
+            mechanism, equations, unit, mechanism.coordinates.moved(start, change))
         if position is not None:
             found.add(position)
     found = found.positions
@@ -129,7 +130,7 @@ def _driven(mechanism, equations, values):
     return Assembler(mechanism, equations)
 
 
-def _closed(mechanism, equations, unit, q):
+def closed_from(mechanism, equations, unit, q):
     """Return a position that closes the loops, from any; None where Newton's method ends."""
     for _ in range(CORRECTIONS):
         moved = equations.move(q)

@@ -17,7 +17,7 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from .assemblies import marked_places
+from .assemblies import closed_from, marked_places
 from .assembly import Assembler, rank_of, TOLERANCE
 from .errors import SimulationError
 from .loop_model import independent, scaled
@@ -226,6 +226,86 @@ class DrivenKinematics:
         if motion.end is not None:
             raise BranchEndError(motion.end, 0)
         return motion.position[0]
+
+    def reach(self, grid, seeds, values, actuated, reached, position, rates):
+        """
+        Reach nodes of a grid of driven values from others; no other thread may use this meanwhile.
+
+        Parameters
+        ----------
+        grid : ndarray of int, shape (3, number of axes)
+            Nodes along each axis; the first, and the one behind the last, that may be written.
+        seeds : ndarray of int
+            Nodes whose positions are known.
+        values : ndarray, shape (n, m)
+            Driven values of all nodes [rad or m].
+        actuated : ndarray of int
+            Places of coordinates among the rates.
+        reached : ndarray of int, shape (n,)
+            Not zero where a node was reached; written.
+        position : ndarray, shape (n, nq)
+            Likewise [rad or m].
+        rates : ndarray, shape (n, number of actuated * m)
+            Derivatives of the actuated coordinates by the driven values; likewise.
+
+        Returns
+        -------
+        int
+            How many nodes were reached.
+
+        """
+        return native.reach_poses(
+            self._model, self._equations.work, self._manifold, self._drives, self._kept,
+            self._unit, self._anchors, OPEN * max(1.0, self._size), grid, seeds, values,
+            actuated, reached, position, rates)
+
+    def linearised(self, position):
+        """
+        Return what holds in a position, with derivatives by the scaled displacements.
+
+        Parameters
+        ----------
+        position : ndarray, shape (nq,)
+            Near one that closes the loops.
+
+        Returns
+        -------
+        loops : ndarray, shape (nl,)
+            Closure errors of the equations of the loops that are solved.
+        loops_jacobian : ndarray, shape (nl, nv)
+        values : ndarray, shape (m,)
+            Driven values.
+        values_jacobian : ndarray, shape (m, nv)
+
+        """
+        values = self.values_at(position)
+        jac, count = self._equations.jacobian() * self._unit, len(values)
+        kept = self._kept[self._kept < len(jac) - count]
+        return self._equations.closures()[0][kept], jac[kept], values, jac[len(jac) - count:]
+
+    @property
+    def unit(self):
+        """Return what scaled displacements are multiplied with, shape (nv,) [rad or m]."""
+        return self._unit
+
+    @property
+    def size(self):
+        """Return the extent of the mechanism [m]."""
+        return self._size
+
+    def rates_at(self, position, actuated):
+        """Return derivatives of coordinates by driven values, shape (number of actuated, m)."""
+        _, loops, _, drives = self.linearised(position)
+        right = np.zeros((len(self._unit), len(drives)))
+        right[len(loops):len(loops) + len(drives)] = np.eye(len(drives))
+        found = np.linalg.solve(np.concatenate((loops, drives, self._anchors)), right)
+        return self._unit[actuated, np.newaxis] * found[actuated]
+
+    def closed_from(self, values, position):
+        """Return a position with driven values from any other, None where none is found."""
+        column = self._model.cut_point.shape[1] - t.MOTION_COLUMNS
+        self._model.cut_point[self._drives, column] = values
+        return closed_from(self._mechanism, self._equations, self._unit, position)
 
     def _jacobian(self):
         """Return the Jacobian of all equations, and of the loops and the driving ones alone."""

@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop workspace``: what a platform reaches, how well, and where it is singular."""
+
+from argparse import ArgumentTypeError
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from .command import (
+    add_reading, add_scene, add_set, assignment, Command, mapping, positive, reading, require_free,
+    UsageError, with_numbers)
+from .kinematics import course, value_of
+from ..recording.workspace import (
+    compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
+from ..simulation.driven import BranchEndError
+from ..simulation.errors import AssemblyError
+from ..simulation.scene import load_scene
+from ..simulation.signals import program_watch
+from ..visual.progress import announced, parts_bar
+
+STATUS = 'status'
+# Of a percentage, a share.
+PERCENT = 100.0
+
+
+def _add_arguments(parser):
+    add_scene(parser)
+    add_reading(parser)
+    add_set(parser)
+    what = parser.add_argument_group('what is mapped')
+    what.add_argument('--point', metavar='NAME',
+                      help='named point of the platform; its body is the platform (default: the '
+                           'one named point on a body, if there is one)')
+    what.add_argument('--grid', type=_axis, action='append', default=[],
+                      metavar='AXIS=FROM:TO:COUNT',
+                      help="values of the point's x, y or z, such as x=-200mm:600mm:500, or one "
+                           'value that is held, z=0.5; units mm, m (default: around what is '
+                           'reached, 200 values in the plane, 40 in space)')
+    what.add_argument('--orientation', type=_angles, metavar='ANGLE[,ANGLE,ANGLE]',
+                      help='that is held: one angle in the plane, in space three about x, y and z '
+                           'of the world, one after the other; units deg, rad (default: that of '
+                           "the scene's start)")
+    what.add_argument('--turn', type=_axis, action='append', default=[],
+                      metavar='AXIS=FROM:TO:COUNT',
+                      help='many orientations instead, such as z=0:350deg:36: what is reached in '
+                           'one of them, and in all (the dexterous workspace)')
+    what.add_argument('--limit', type=_limit, action='append', default=[],
+                      metavar='JOINT=LOW:HIGH', help='range of a joint; may be repeated')
+    what.add_argument('--clearance', type=positive, metavar='METRES',
+                      help='least distance of links that no joint joins, each a segment between '
+                           'its joints (default: links may cross)')
+    what.add_argument('--torque-limit', type=assignment, action='append', default=[],
+                      metavar='JOINT=VALUE',
+                      help='of an actuated joint [N m or N], for the map of forces (default: 1)')
+    what.add_argument('--stiffness', type=assignment, action='append', default=[],
+                      metavar='JOINT=VALUE',
+                      help='of an actuated joint [N m/rad or N/m] (default: 1)')
+    parser.add_argument('--workers', type=_count, metavar='N',
+                        help='threads (default: one for each processor)')
+    parser.add_argument('--output', type=Path, metavar='FILE.nc', help='where to write the map')
+    parser.add_argument('--picture', type=Path, metavar='FILE.png', help='where to draw it')
+    parser.add_argument('--show', choices=(*QUANTITIES, STATUS), default='condition',
+                        help='what is drawn (default: condition)')
+    parser.add_argument('--resume', action='store_true',
+                        help='go on with FILE.nc, if there is one')
+    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
+
+
+def _axis(text):
+    """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name and its range."""
+    name, drive, count = course(text)
+    return name, (drive.start, drive.end, count or 1)
+
+
+def _angles(text):
+    """Convert one angle or three."""
+    values = [value_of(part) for part in text.split(',')]
+    if len(values) not in (1, 3) or None in values:
+        raise ArgumentTypeError(f'expected ANGLE or ANGLE,ANGLE,ANGLE, got {text!r}')
+    return tuple(values)
+
+
+def _limit(text):
+    """Convert ``JOINT=LOW:HIGH``."""
+    name, equals, ends = text.partition('=')
+    values = [value_of(part) for part in ends.split(':')]
+    if not (name and equals and len(values) == 2 and None not in values):
+        raise ArgumentTypeError(f'expected JOINT=LOW:HIGH, got {text!r}')
+    return name, tuple(values)
+
+
+def _count(text):
+    if not (text.isdecimal() and int(text) > 0):
+        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
+    return int(text)
+
+
+def _run(arguments):
+    if arguments.resume and arguments.output is None:
+        raise UsageError('--resume: expected --output FILE.nc beside it')
+    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
+        if path is not None and not (arguments.resume and option == '--output' and path.exists()):
+            require_free(arguments, path, option)
+    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    request = Request(
+        _point(arguments, scene), mapping(arguments.grid, '--grid'), arguments.orientation,
+        mapping(arguments.turn, '--turn'), mapping(arguments.torque_limit, '--torque-limit'),
+        mapping(arguments.stiffness, '--stiffness'), mapping(arguments.limit, '--limit'),
+        arguments.clearance)
+    with program_watch.noting() as received, parts_bar('nodes', scene.name) as show:
+        try:
+            found = compute(scene, request, arguments.workers, arguments.output,
+                            arguments.resume, show, lambda: not received)
+        except (BranchEndError, AssemblyError, WorkspaceFileError) as error:
+            raise UsageError(f'{scene.name}: {error}') from None
+        except ValueError as error:
+            raise UsageError(f'--{error}') from None
+    print(summary(scene, found))
+    if arguments.output is not None:
+        print(f'  output    {arguments.output}')
+    if received:
+        kept = '' if arguments.output is None else (
+            '; what is written is kept, and the same command with --resume goes on')
+        print(f'{arguments.prog}: interrupted{kept}', file=sys.stderr)
+        return 128 + received[0]
+    if arguments.picture is not None:
+        with announced('Drawing ...'):
+            _draw(arguments, scene, found)
+        print(f'  picture   {arguments.picture}')
+    return 0
+
+
+def _point(arguments, scene):
+    points = [point.name for point in scene.mechanism.points if point.body != 'ground']
+    if arguments.point is not None:
+        return arguments.point
+    if len(points) != 1:
+        raise UsageError(f'--point: expected one of {", ".join(points) or "none"}')
+    return points[0]
+
+
+def summary(scene, found):
+    """Return the numbers of a map as text."""
+    unit = ('m', 'm', 'm^2', 'm^3')[sum(len(axis.values) > 1 for axis in found.axes)]
+    shape = ' x '.join(str(len(axis.values)) for axis in found.axes)
+    lines = [f'{scene.name}: {found.request.point} on {shape} nodes']
+    angles = np.round(np.degrees(found.angles), 9) + 0.0
+    if len(angles) == 1:
+        held = ', '.join(f'{angle:.6g}' for angle in angles[0])
+        lines[0] += f', orientation {held} deg' if found.turned else ''
+        for k, meaning in enumerate(MEANINGS[1:], 1):
+            count = int((found.status == k).sum())
+            if count or k == REACHED:
+                lines.append(f'  {meaning:<24} {count} nodes, {count * found.node_size:.6g} '
+                             f'{unit}')
+    else:
+        some, whole = int((found.count > 0).sum()), int(found.dexterous.sum())
+        lines[0] += f', {len(angles)} orientations'
+        lines.append(f'  reached in one           {some} nodes, {some * found.node_size:.6g} '
+                     f'{unit}')
+        lines.append(f'  reached in all           {whole} nodes, {whole * found.node_size:.6g} '
+                     f'{unit}')
+        if found.missed:
+            lines.append(f'  no way was found to {len(found.missed)} of the orientations')
+    for name, values in found.quantities.items():
+        known = values[np.isfinite(values)]
+        if len(known):
+            lines.append(f'  {name:<24} {known.min():.6g} to {known.max():.6g} '
+                         f'{QUANTITIES[name][0]}, median {np.median(known):.6g}')
+    for kind in dict.fromkeys(curve.kind for curve in found.curves):
+        each = [curve for curve in found.curves if curve.kind == kind]
+        length = sum(float(np.linalg.norm(np.diff(curve.places, axis=0), axis=1).sum())
+                     for curve in each)
+        lines.append(f'  {kind + " curves":<24} {len(each)}, together {length:.6g} m')
+    lines += [f'  not computed: {note}' for note in found.notes]
+    return '\n'.join(lines)
+
+
+def _draw(arguments, scene, found):
+    # Only here, as it takes long to load.
+    from ..visual.motion import body_poses
+    from ..visual.workspace_picture import workspace_picture
+    long = [axis for axis in found.axes if len(axis.values) > 1]
+    shape = tuple(len(axis.values) for axis in long)
+    several = len(found.angles) > 1
+    values, label = found.quantities.get(arguments.show), arguments.show
+    if several:
+        values = np.where(found.count > 0, PERCENT * found.count / len(found.angles), np.nan)
+        label = 'orientations reached [%]'
+    elif values is not None:
+        unit = QUANTITIES[label][0]
+        label = f'{label} [{unit}]' if unit != '1' else f'{label} number'
+    machine = None
+    if scene.mechanism.planar and found.position is not None:
+        places = np.argwhere(found.status == REACHED)
+        if len(places):
+            middle = places[np.abs(places - places.mean(axis=0)).sum(axis=1).argmin()]
+            machine = scene.mechanism, body_poses(
+                scene.mechanism, found.position[tuple(middle)][np.newaxis])
+    workspace_picture(
+        [(axis.name, axis.values) for axis in long], found.status.reshape(shape),
+        None if values is None else values.reshape(shape), label,
+        f'{scene.name}: workspace of {found.request.point}', MEANINGS,
+        [(curve.kind, curve.places) for curve in found.curves],
+        found.dexterous.reshape(shape) if several else None, machine,
+        not several and arguments.show == 'condition').savefig(arguments.picture)
+
+
+COMMAND = Command(
+    name='workspace',
+    summary='what a platform reaches: map, singular curves, forces, stiffness',
+    description="""\
+Map what a point of a platform reaches in an orientation that is held, or in many: from
+the scene's start the machine is driven from node to node of a grid, and the branch (the
+working mode) is never left. Pieces that are not connected with it are looked for from
+random starts; small ones may be missed.
+
+Of every node in one orientation: the condition number of the Jacobian, the largest force
+in every direction that the actuated joints hold within their torque limits, the least
+stiffness of the point. On a grid along two axes, the curves of type-1 (serial) and type-2
+(parallel) singularities of the branch, which are followed, not sampled.
+
+FILE.nc is a NetCDF file. Ctrl-C leaves a valid one, which --resume goes on with.
+""",
+    epilog="""\
+examples:
+  closedloop workspace three_rrr --point platform_center --picture map.png
+  closedloop workspace three_rrr --point platform_center --orientation 20deg \\
+      --grid x=-0.3:1.2:500 --grid y=-0.4:1.1:500 --clearance 0.02 --output map.nc
+  closedloop workspace three_rrr --point platform_center --turn z=0:350deg:36
+  closedloop workspace stewart_platform --point platform_center --limit leg_1=-0.1:0.2
+""",
+    add_arguments=_add_arguments,
+    run=_run)
