@@ -152,6 +152,7 @@ def compute(scene, request: Request, workers: Optional[int] = None,
     scene : scene_records.Scene
         Of as many degrees of freedom as a point or a body has, without prescribed motions.
     request : Request
+        What is mapped.
     workers : int, optional
         Threads; as many as there are processors when not given.
     file : pathlib.Path, optional
@@ -487,7 +488,9 @@ def least_distance(mechanism, position):
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
+        Any.
     position : ndarray, shape (n, nq)
+        Joint coordinates [rad or m].
 
     """
     joined = {frozenset((joint.parent, joint.child)) for joint in mechanism.joints}

@@ -237,6 +237,7 @@ class PoseGrid:
         Parameters
         ----------
         position : ndarray, shape (nq,)
+            Joint coordinates [rad or m].
         most : int
             How many of the nearest nodes are tried.
 
@@ -496,7 +497,9 @@ def begun(platform, axes, angles=None, workers=None):
     Parameters
     ----------
     platform : Platform
+        Of the scene.
     axes : sequence of Axis
+        One for each axis of the world, in their order.
     angles : sequence of float, optional
         As for ``orientation_of``; those of the start when not given.
     workers : int, optional

@@ -264,6 +264,7 @@ def all_curves(curves, seeds):
     Parameters
     ----------
     curves : SingularCurves
+        Of one kind.
     seeds : iterable of ndarray, shape (nq,)
         Near singular positions, or not.
 
