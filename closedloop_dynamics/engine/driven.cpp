@@ -35,7 +35,7 @@ constexpr int MOST_CORRECTIONS = 20;
 // Shares of the way between two poses: the shortest that is tried.
 constexpr double SHORTEST = 1e-13;
 // The same between neighbours of a grid, of which another one may lead on.
-constexpr double SHORTEST_TO_NEIGHBOUR = 1e-6;
+constexpr double SHORTEST_TO_NEIGHBOUR = 1e-6, SHORTEST_ACROSS = 1e-2;
 
 /// One position of a branch, and what leads on from it.
 class Follower
@@ -322,11 +322,12 @@ Index reach_poses(
     // All neighbours, those across corners too: digits of 0, 1 and 2 for steps of -1, 0 and 1.
     for (Index digits = 0; digits < sides; ++digits) {
       bool inside = true;
-      Index neighbour = cell;
+      Index neighbour = cell, steps = 0;
       for (Index axis = 0, left = digits; axis < axes; ++axis, left /= 3) {
         const Index step = left % 3 - 1, at = place[axis] + step;
         inside = inside && at >= first[axis] && at < last[axis];
         neighbour += step * stride[axis];
+        steps += step != 0;
       }
       if (!inside || reached[neighbour] != 0) {
         continue;
@@ -344,7 +345,8 @@ Index reach_poses(
       }
       follower.restore();
       double share = 1.0;
-      if (follower.advance(from, to, here, trial, share, SHORTEST_TO_NEIGHBOUR) < 1.0) {
+      const double shortest = steps == 1 ? SHORTEST_TO_NEIGHBOUR : SHORTEST_ACROSS;
+      if (follower.advance(from, to, here, trial, share, shortest) < 1.0) {
         continue;
       }
       copy(here, position[neighbour]);
