@@ -75,7 +75,8 @@ bool fits(const System & system, const Stepper & stepper)
          runs.matrix.rows == ns && runs.matrix.columns == ns && runs.pivots.size == ns)) &&
          (stepper.kind >= stepper::STIFF_FIXED || (
            fits(tableau) && (stepper.is_fixed() || tableau.steps() > 0) &&
-           runs.scratch.pages == count && runs.scratch.rows >= std::max<Index>(tableau.a.rows, 1) + (
+           runs.scratch.pages == count &&
+           runs.scratch.rows >= std::max<Index>(tableau.a.rows, 1) + (
              stepper.is_fixed() ? 3 : static_cast<Index>(scratch::FIRST_SLOPE)) &&
            runs.scratch.columns == ns));
 }
