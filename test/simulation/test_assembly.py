@@ -11,6 +11,7 @@ from closedloop_dynamics.simulation.assembly import (
     angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.redundancy import geometry_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import numpy as np
 import pytest
@@ -30,6 +31,26 @@ def tangents(one, q):
     jac = one.jacobian(q)
     _, singular, right = np.linalg.svd(jac)
     return right[int(np.sum(singular > 1e-7 * singular[0])):]
+
+
+@pytest.mark.parametrize('name', scene_names())
+@pytest.mark.parametrize('held', [True, False])
+def test_the_engine_closes_loops_as_singular_values_do(monkeypatch, name, held):
+    scene, rng = load_scene(name), np.random.default_rng(5)
+    mechanism = scene.mechanism
+    one = Assembler(mechanism, geometry_of(mechanism).equations)
+    start, free = np.array(scene.initial.position), np.arange(one.nv)
+    if held and scene.initial.hold:
+        free = np.array([k for k in free if mechanism.coordinates.names[k] not in (
+            scene.initial.hold)])
+    guess = mechanism.coordinates.moved(
+        start, 0.02 * one.extent * rng.uniform(-1.0, 1.0, one.nv))
+    found, psi = one._closed(guess, free)
+    monkeypatch.setattr(Equations, 'closed', lambda *_: None)
+    dense, _ = one._closed(guess, free)
+    np.testing.assert_allclose(found, dense, rtol=0.0, atol=1e-9)
+    # The joints held may leave no closed position so far from the start.
+    assert held or np.abs(psi).max(initial=0.0) <= TOLERANCE * one.extent
 
 
 # Those in space have tests of their own (``test/mechanism/test_shipped_in_space.py``).
