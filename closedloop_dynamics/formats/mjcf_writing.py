@@ -9,6 +9,7 @@ import numpy as np
 
 from .in_space import in_space
 from .mjcf import START
+from .model import inertia_matrix
 from .pose import IDENTITY, Pose
 from .writing import (
     Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected,
@@ -23,6 +24,10 @@ ATTRIBUTES = {
 
 # Powers of springs and dampers that MuJoCo has.
 MOST_POWERS = 3
+# The least moment of inertia that it compiles, twice [kg m^2].
+LEAST_MOMENT = 2e-14
+# By which the largest moment is less than the sum of the others, so that it is after rounding.
+SLACK = 1e-12
 
 
 def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
@@ -200,7 +205,7 @@ def _add_body(bodies, parent, body, singles, place, acting):
     if not body.massless:
         ElementTree.SubElement(
             element, 'inertial', pos=numbers(*body.center_of_mass), mass=numbers(body.mass),
-            fullinertia=numbers(*moments_of(body)))
+            fullinertia=numbers(*_moments(body)))
     for single, at in singles:
         there = place.inverse @ at
         attributes = _acting_on(single, acting)
@@ -214,6 +219,24 @@ def _add_body(bodies, parent, body, singles, place, acting):
         if single.axis is not None:
             added.set('axis', numbers(*(there.rotation @ single.axis)))
         added.attrib.update(attributes)
+
+
+def _moments(body):
+    """
+    Return the moments of inertia of a body, as MuJoCo compiles them.
+
+    It refuses those of points and bars, and by rounding those of plates, whose largest moment is
+    the sum of the others: the smaller ones grow by as little as it takes.
+
+    """
+    moments, axes = np.linalg.eigh(inertia_matrix(moments_of(body)))
+    grown = np.maximum(moments, LEAST_MOMENT)
+    missing = (1.0 + SLACK) * grown[2] - grown[0] - grown[1]
+    grown[:2] += max(missing, 0.0) / 2.0
+    if np.array_equal(grown, moments):
+        return moments_of(body)
+    whole = axes @ np.diag(grown) @ axes.T
+    return whole[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
 
 
 def _acting_on(single, acting):

@@ -345,6 +345,17 @@ def test_loops_as_ball_constraints_of_drake(tmp_path, kind, count):
         sdf(tree(*CHAIN, cuts=[closing('prismatic', 'b7')]), drake=True)
 
 
+@pytest.mark.parametrize('moments', [
+    (0.0, 0.0, 0.0), (0.0, 0.02, 0.02), (0.01, 0.02, 0.03), (0.1 + 0.2, 0.6, 0.3)])
+def test_mjcf_has_inertias_that_mujoco_compiles(moments):
+    """A point, a bar and plates."""
+    mujoco = pytest.importorskip('mujoco')
+    mechanism = tree('revolute')
+    mechanism = replace(mechanism, bodies=(replace(mechanism.bodies[0], inertia=moments),))
+    model = mujoco.MjModel.from_xml_string(mjcf(mechanism, GRAVITY))
+    np.testing.assert_allclose(np.sort(model.body_inertia[1]), np.sort(moments), atol=1e-13)
+
+
 def test_mjcf_comes_back_where_it_started(tmp_path):
     pytest.importorskip('mujoco')
     mechanism = tree('free', 'revolute', 'universal', 'spherical', 'prismatic',
