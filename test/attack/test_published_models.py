@@ -38,6 +38,7 @@ LEAST_EXPORTED = {'dm_control': {'.xml': 20}, 'mujoco': {'.xml': 1},
                   'example-robot-data': {'.xml': 30, '.urdf': 30}}
 # From this condition of the inertia on accelerations have less digits than are compared.
 WORST = 1e10
+NONE, STANDARD = {'type': 'gravity', 'acceleration': (0.0, 0.0, 0.0)}, (0.0, 0.0, -9.81)
 # What every message begins with: the file, perhaps one that the model names, and its line.
 PLACE = re.compile(r'/[^\n]*?(:\d+)?: ')
 
@@ -64,8 +65,7 @@ def without_friction(imported):
 
 def with_gravity(imported):
     """Return an imported model with gravity, if it is none."""
-    none = {'type': 'gravity', 'acceleration': (0.0, 0.0, 0.0)}
-    return replace(imported, effects={'gravity': none, **imported.effects})
+    return replace(imported, effects={'gravity': NONE, **imported.effects})
 
 
 def state(simulation):
@@ -144,7 +144,9 @@ def again(simulation, imported, path, q, qd):
     path : pathlib.Path
         Where to write it; its suffix tells the format.
     q : ndarray, shape (nq,)
+        Coordinates.
     qd : ndarray, shape (nv,)
+        Rates.
 
     Returns
     -------
@@ -160,11 +162,12 @@ def again(simulation, imported, path, q, qd):
     mechanism, left_out, off = imported.mechanism, {}, {}
     path.write_text(writer(path.suffix)(
         mechanism, without_friction(imported).effects, q, left_out, imported.limits))
+    # URDF has the gravity that simulators take.
+    gravity = STANDARD if left_out.pop('gravity', None) else imported.effects.get(
+        'gravity', NONE)['acceleration']
+    simulation.set_effect('gravity', acceleration=list(gravity))
     for name in simulation.effects:
         simulation.set_effect(name, enabled=name not in left_out)
-    if 'gravity' in left_out:
-        # URDF has the one that simulators take.
-        simulation.set_effect('gravity', enabled=True, acceleration=[0.0, 0.0, -9.81])
     read = Simulation(scene_of_model(path, read_model(path)))
     names, there = mechanism.coordinates.names, read.mechanism.coordinates
     # SDF is drawn where it starts, and MJCF has a key frame.
