@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop export``: a mechanism with its loops in MJCF, URDF or SDF; a scene in C."""
+"""``closedloop export``: a mechanism in MJCF, URDF or SDF; a scene in C, or as an FMU."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -23,8 +23,9 @@ from ..simulation.modeling import extent
 from ..simulation.scene import load_scene, load_scene_or_mechanism
 from ..visual.progress import announced
 
-# How the name of a file ends that code is written to.
-C = '.c'
+# How the names of files end that code is written to.
+C, FMU = '.c', '.fmu'
+CODE = C, FMU
 
 
 def _add_arguments(parser):
@@ -32,30 +33,36 @@ def _add_arguments(parser):
                         help='a shipped scene or mechanism by its name, a YAML file, or a model')
     parser.add_argument('--output', metavar='FILE', type=Path, required=True,
                         help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
-                             f'or {C} tells the format')
+                             f'{C} or {FMU} tells the format')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     parser.add_argument('--drake', action='store_true',
                         help='SDF for Drake, which refuses loops of joints: pins and ball joints '
                              'that close loops become its ball constraints')
     parser.add_argument('--derivatives', action='store_true',
-                        help=f'with an output that ends with {C}: derivatives of accelerations '
-                             'and multipliers, and the Jacobian for CasADi, too')
+                        help=f'with an output that ends with {C} or {FMU}: derivatives, too: of '
+                             'accelerations and multipliers, and the Jacobian for CasADi; '
+                             'directional ones of a unit')
+    parser.add_argument('--fmi', metavar='VERSION', choices=('3.0', '2.0'), default=None,
+                        help=f'with an output that ends with {FMU}: 3.0 (the default) or 2.0')
     add_reading(parser)
 
 
 def _run(arguments):
     suffix = arguments.output.suffix.lower()
-    if suffix not in (*WRITERS, C):
+    if suffix not in (*WRITERS, *CODE):
         raise UsageError(f'--output: expected a name that ends with one of '
-                         f'{", ".join((*WRITERS, C))}, got {str(arguments.output)!r}')
-    write = None if suffix == C else writer(suffix)
+                         f'{", ".join((*WRITERS, *CODE))}, got {str(arguments.output)!r}')
+    write = None if suffix in CODE else writer(suffix)
     if arguments.drake and write is not sdf:
         raise UsageError('--drake: expected it with an output that ends with .sdf')
-    if arguments.derivatives and suffix != C:
-        raise UsageError(f'--derivatives: expected it with an output that ends with {C}')
+    if arguments.derivatives and suffix not in CODE:
+        raise UsageError('--derivatives: expected it with an output that ends with one of '
+                         f'{", ".join(CODE)}')
+    if arguments.fmi and suffix != FMU:
+        raise UsageError(f'--fmi: expected it with an output that ends with {FMU}')
     require_free(arguments, arguments.output)
-    if suffix == C:
-        return _write_c(arguments)
+    if suffix in CODE:
+        return (_write_c if suffix == C else _write_fmu)(arguments)
     with announced(READING):
         mechanism, effects, position, hold, limits = _read(
             arguments.scene, **reading(arguments))
@@ -85,29 +92,56 @@ def _run(arguments):
 def _write_c(arguments):
     """Write a scene as C and its header."""
     # Only here: no other format needs what generates code.
-    from ..simulation.c_source import c_source, left_out
-    from ..simulation.simulation import Simulation
-    if reading(arguments):
-        raise UsageError('--output: expected a scene to write C of; a model in another format '
-                         'becomes one by `closedloop import`')
+    from ..simulation.c_source import c_source
     header = arguments.output.with_suffix('.h')
     require_free(arguments, header)
-    try:
-        simulation = Simulation.from_scene(load_scene(arguments.scene))
-        text, declared = c_source(
-            simulation, arguments.output.stem, arguments.derivatives)
-    except AssemblyError as error:
-        raise UsageError(f'{arguments.scene}: {error}') from None
-    except ValueError as error:
-        raise UsageError(f'--output: {error}') from None
+    simulation, (text, declared) = _coded(arguments, lambda simulation: c_source(
+        simulation, arguments.output.stem, arguments.derivatives))
     arguments.output.write_text(text, encoding='utf-8')
     header.write_text(declared, encoding='utf-8')
     print(f'{arguments.output}, {header}: {len(simulation.position)} coordinates, '
           f'{len(simulation.joint_names)} rates, {len(simulation.system.lam)} multipliers')
+    _tell_left_out(simulation)
+    return 0
+
+
+def _write_fmu(arguments):
+    """Write a scene as a functional mock-up unit."""
+    from ..simulation.fmu import fmu
+    with announced('Writing and compiling the unit ...'):
+        simulation, unit = _coded(arguments, lambda simulation: fmu(
+            simulation, arguments.output.stem, arguments.fmi or '3.0', arguments.derivatives))
+    arguments.output.write_bytes(unit.archive)
+    kinds = 'co-simulation' + ('' if unit.no_exchange else ' and model exchange')
+    print(f'{arguments.output}: FMI {arguments.fmi or "3.0"}, {kinds}, '
+          f'{len(unit.variables)} variables')
+    if unit.no_exchange:
+        print(f'no model exchange: {unit.no_exchange}')
+    _tell_left_out(simulation)
+    return 0
+
+
+def _coded(arguments, write):
+    """Return the simulation of a scene, and what is written of it as code."""
+    from ..simulation.simulation import Simulation
+    if reading(arguments):
+        raise UsageError('--output: expected a scene to write C of; a model in another format '
+                         'becomes one by `closedloop import`')
+    try:
+        simulation = Simulation.from_scene(load_scene(arguments.scene))
+        return simulation, write(simulation)
+    except AssemblyError as error:
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--output: {error}') from None
+
+
+def _tell_left_out(simulation):
+    """Name the effects that have no part in the motion."""
+    from ..simulation.c_source import left_out
     sensors = left_out(simulation)
     if sensors:
         print(f'left out: {", ".join(sensors)}, which only measure')
-    return 0
 
 
 def _read(name, **asked):
@@ -143,7 +177,7 @@ def _closed(mechanism, position, hold, limits):
 
 COMMAND = Command(
     name='export',
-    summary='write a mechanism with its loops in another format (MJCF, URDF, SDF), or as C',
+    summary='write a mechanism with its loops as MJCF, URDF, SDF, C or an FMU',
     description="""\
 Write a mechanism for other programs: MJCF, whose equalities close the loops in
 MuJoCo, URDF with elements loop and constraint (URDF+, and proposed for URDF), or
@@ -154,7 +188,8 @@ robot description without loops, to show it, see closedloop urdf.
 
 A name that ends with .c gets C99, and a header beside it: evaluation, correction of
 the loops, a step, energies and points, for programs without this package
-(doc/export.md). What cannot be written so is refused.
+(doc/export.md). One that ends with .fmu gets a functional mock-up unit, with its
+sources and compiled for this machine. What cannot be written so is refused.
 """,
     epilog="""\
 examples:
@@ -162,6 +197,7 @@ examples:
   closedloop export my_robot.yaml --output my_robot.urdf
   closedloop export delta_robot --output delta_robot.sdf
   closedloop export stewart_platform --output stewart_platform.c
+  closedloop export three_rrr --output three_rrr.fmu
 """,
     add_arguments=_add_arguments,
     run=_run)

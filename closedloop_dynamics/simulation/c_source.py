@@ -9,17 +9,17 @@ import textwrap
 import numpy as np
 
 from .c_template import (
-    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, HEADER, JACOBIAN, PLAIN, SOURCE,
+    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, HEADER, JACOBIANS, PLAIN, SOURCE,
     WITH_QUATERNIONS)
 from .derivatives import refusals
 from .errors import SimulationError
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
-from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, RATE
+from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, JACOBIAN, RATE
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU)
 from ..core.codegen.scene_routines import (
-    ENERGY, PLACE, POINT, SceneUnrolling, VALUES)
+    ENERGY, PLACE, PLACE_RATE, POINT, SceneUnrolling, VALUES)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act
@@ -127,7 +127,7 @@ class _Text:
         """Return the source and the header."""
         words = self._words()
         words |= {word: _filled(text, words) if self.derivatives else '' for word, text in (
-            ('JACOBIAN', JACOBIAN), ('DIFFERENTIATE', DIFFERENTIATE))}
+            ('JACOBIANS', JACOBIANS), ('DIFFERENTIATE', DIFFERENTIATE))}
         return tuple(_filled(text, words) for text in (SOURCE, HEADER))
 
     def _words(self):
@@ -190,24 +190,30 @@ class _Text:
             'int energies_of', unrolled(lambda one: one.energies()),
             {Q: 'const double *q', QD: 'const double *qd', ENERGY: 'double *energies'})
         yield self._function(
-            'int places_of', unrolled(lambda one: one.places(rows)),
+            'int places_of', unrolled(lambda one: one.places(rows), without=PLACE_RATE),
             {Q: 'const double *q', PLACE: 'double *places'})
-
+        yield self._function(
+            'int velocities_of', unrolled(lambda one: one.places(rows), without=PLACE),
+            {Q: 'const double *q', QD: 'const double *qd', PLACE_RATE: 'double *velocities'})
+        yield self._function(
+            'int closures_of', unrolled(lambda one: one.closures(), DerivativeUnrolling),
+            {Q: 'const double *q', CLOSURE: 'double *errors', JACOBIAN: 'double *jacobian'})
         if self.derivatives:
             yield self._function(
                 'int derivatives_of',
                 unrolled(lambda one: one.derivatives(), DerivativeUnrolling),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
-                 LAM: 'const double *lam', DERIVATIVE: 'double *derivatives'})
+                 LAM: 'const double *lam', DERIVATIVE: 'double *derivatives',
+                 RATE: 'double *rates'})
 
-    def _unrolled(self, what, kind=SceneUnrolling):
-        """Return a routine of a new unrolling, but for outputs that C has no use for."""
+    def _unrolled(self, what, kind=SceneUnrolling, without=None):
+        """Return a routine of a new unrolling, but for an output that it has no use for."""
         table = self.system.effects
         one = kind(
             self.model, lambda forces: act(table, forces, self.laws),
             self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
         what(one)
-        one.outputs = [output for output in one.outputs if output[0] != RATE]
+        one.outputs = [output for output in one.outputs if output[0] != without]
         return one.named('')
 
     def _function(self, head, routine, parameters):

@@ -78,6 +78,15 @@ void @NAME@_energies(const @NAME@_model *model, const @NAME@_state *state, doubl
 /* Places of the named points in the world [m], @SPACE@ numbers each:
 @POINTS@ */
 void @NAME@_points(const @NAME@_model *model, const double *q, double *places);
+
+/* Their velocities [m/s]. */
+void @NAME@_velocities(
+  const @NAME@_model *model, const double *q, const double *qd, double *velocities);
+
+/* Errors of the closure equations, errors[NC] [m, rad], and their Jacobian, NC rows of NV numbers,
+ * in the order of the multipliers. */
+void @NAME@_closure(
+  const @NAME@_model *model, const double *q, double *errors, double *jacobian);
 @DIFFERENTIATE@
 /* CasADi's calling convention: casadi.external('@NAME@', './@NAME@.so') is the evaluation of the
  * default model as a function (q, qd, tau) -> (qdd, lam). */
@@ -226,6 +235,18 @@ void @NAME@_points(const @NAME@_model *model, const double *q, double *places)
   places_of(model, q, places);
 }
 
+void @NAME@_velocities(
+  const @NAME@_model *model, const double *q, const double *qd, double *velocities)
+{
+  velocities_of(model, q, qd, velocities);
+}
+
+void @NAME@_closure(
+  const @NAME@_model *model, const double *q, double *errors, double *jacobian)
+{
+  closures_of(model, q, errors, jacobian);
+}
+
 /* CasADi's calling convention. */
 
 enum { ARGUMENTS = 3, RESULTS = 2 };
@@ -289,7 +310,7 @@ int @NAME@_work(
   if (sz_w) {*sz_w = 0;}
   return 0;
 }
-@JACOBIAN@
+@JACOBIANS@
 #ifdef @UPPER@_MAIN
 #include <stdio.h>
 #include <stdlib.h>
@@ -347,13 +368,14 @@ int @NAME@_differentiate(
   double *lam, double *derivatives);
 """
 
-JACOBIAN = """
+JACOBIANS = """
 int @NAME@_differentiate(
   const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
   double *lam, double *derivatives)
 {
+  double rates[2 * NV * NC1];
   const int status = @NAME@_evaluate(model, q, qd, tau, qdd, lam);
-  if (status == @UPPER@_OK && !derivatives_of(model, q, qd, qdd, lam, derivatives)) {
+  if (status == @UPPER@_OK && !derivatives_of(model, q, qd, qdd, lam, derivatives, rates)) {
     return @UPPER@_SINGULAR;
   }
   return status;

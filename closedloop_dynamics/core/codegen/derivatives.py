@@ -20,7 +20,7 @@ from . import elimination, forward_dynamics
 from .expression_graph import (
     ADD, ARCTANGENT, CHOOSE, chosen, COSINE, DIVIDE, EXPONENTIAL, LOAD, LOGARITHM, logarithm,
     MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT, Symbol)
-from .function_table import LAM, QDD
+from .function_table import CLOSURE, LAM, QDD
 from .routines import zeros
 from .scene_routines import SceneUnrolling
 from .spatial import at_parent, rigid
@@ -30,8 +30,8 @@ from ..types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, PARENT, RHS, ROW, ROWS)
 
 # Outputs: d (qdd, lambda) / d (q, qd, tau), one column of nv + nc numbers behind the other; then
-# d (J qd) / d (q, qd), in columns of nc numbers.
-DERIVATIVE, RATE = 44, 45
+# d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
+DERIVATIVE, RATE, JACOBIAN = range(44, 47)
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
@@ -74,6 +74,20 @@ class DerivativeUnrolling(SceneUnrolling):
         for number, column in enumerate(columns):
             self.outputs += [(DERIVATIVE, number * count + n, value)
                              for n, value in enumerate(self._solved(column))]
+
+    def closures(self):
+        """Store the errors of the closure equations and their Jacobian, in the user's order."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        rates = zeros(self.nc)
+        for a, cut in enumerate(self.constant.cut):
+            for row, closure in enumerate(
+                    self.recursion.closures(self.model, a), start=cut[CUT_ROW]):
+                self.outputs.append((CLOSURE, row, closure.value))
+                rates[row] = closure.rate
+        for joint in range(self.nv):
+            column = differentiated(self.graph, list(rates), {self.qd[joint].place: 1.0})
+            self.outputs += [(JACOBIAN, row * self.nv + joint, value)
+                             for row, value in enumerate(column)]
 
     def residuals(self):
         """Return R without the torques, and C in the mechanism's order of equations."""

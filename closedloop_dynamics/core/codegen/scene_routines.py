@@ -17,9 +17,10 @@ from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
-# Inputs and outputs beside those of a function table: numbers of effects and of points; energies
-# and places.
+# Inputs and outputs beside those of a function table: numbers of effects and of points; energies,
+# places and their rates.
 VALUES, POINT, ENERGY, PLACE = range(40, 44)
+PLACE_RATE = 47
 
 
 class SceneUnrolling(Unrolling):
@@ -84,14 +85,17 @@ class SceneUnrolling(Unrolling):
                          (ENERGY, 2, forces.stored)]
 
     def places(self, rows):
-        """Places of points of bodies."""
+        """Places of points of bodies, and their velocities."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         size = len(self.model.gravity)
         points = self.symbols(POINT, (len(rows), size))
         for n, (row, point) in enumerate(zip(rows, points)):
             motion = self.recursion.motion[row]
-            place = add(motion.origin, times(motion.frame, in_space(point)))
+            offset = times(motion.frame, in_space(point))
+            place = add(motion.origin, offset)
+            rate = add(motion.velocity, cross(motion.spin, offset))
             self.outputs += [(PLACE, n * size + k, place[k]) for k in range(size)]
+            self.outputs += [(PLACE_RATE, n * size + k, rate[k]) for k in range(size)]
 
     def named(self, name):
         """Return what was unrolled as a routine."""

@@ -1,0 +1,1461 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The C of a functional mock-up unit: the interface of FMI 2.0 or 3.0 around the C of a scene.
+
+``fmu`` fills in the words. What both versions share comes first; their own functions, behind it,
+only carry arguments. The types are those of the standard's headers, which are not needed.
+
+"""
+
+COMMON = """\
+/* The interface of FMI @VERSION@ around @NAME@.c. */
+#include "@NAME@.c"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+
+#if defined _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum {
+  POINTS = @UPPER@_POINTS, SIZE = @SIZE@, INPUTS = @INPUTS@, PARAMETERS = @PARAMETERS@,
+  /* Independent coordinates; none where there is no model exchange. */
+  FREE = @FREE@, EXCHANGE = @EXCHANGE@, DERIVATIVES = @DERIVATIVES@
+};
+/* Value references, in this order. */
+enum {
+  TIME, TAU, POSITION = TAU + INPUTS, RATE = POSITION + NQ, ACCELERATION = RATE + NV,
+  MULTIPLIER = ACCELERATION + NV, PLACE = MULTIPLIER + NC, ENERGY = PLACE + SIZE * POINTS,
+  STATE = ENERGY + 3, CHANGE = STATE + 2 * FREE, PARAMETER = CHANGE + 2 * FREE,
+  STEP_SIZE = PARAMETER + PARAMETERS, FREEDOM, END = FREEDOM + FREE
+};
+/* Statuses, of the same numbers in both versions. */
+enum { OK, WARNING, DISCARD, ERROR };
+/* Modes, as bits. */
+enum {
+  INSTANTIATED = 1, INITIALIZATION = 2, EVENT = 4, CONTINUOUS = 8, STEP = 16, TERMINATED = 32,
+  RUNNING = EVENT | CONTINUOUS | STEP, ANY = 63
+};
+
+static const char token[] = "@TOKEN@";
+/* Freedoms that the inputs act in; the coordinate of each freedom, or -1 of rotations. */
+static const int input[INPUTS + 1] = {@INPUT@};
+static const int coordinate[NV] = {@COORDINATE@};
+/* How readily each freedom follows from the others: rotations always, driven ones seldom. */
+static const double weight[NV] = {@WEIGHT@};
+static const int first_choice[FREE + 1] = {@CHOICE@};
+/* Start values of parameters, whether each may be changed while the model runs, and what of the
+ * model follows: from place to place the parameter, the number of the model, and its share. */
+static const double parameter_start[PARAMETERS + 1] = {@STARTS@};
+static const unsigned char tunable[PARAMETERS + 1] = {@TUNABLE@};
+enum { SHARES = @SHARES@ };
+static const struct {int parameter; size_t number; double share;} shares[SHARES + 1] = {
+@SHARE@
+};
+
+/* All that a state of the unit is. */
+typedef struct {
+  @NAME@_model model;
+  @NAME@_state state;
+  double tau[NV], qdd[NV], lam[NC1], time, step_size;
+  double parameter[PARAMETERS + 1];
+  int choice[FREE + 1];
+  /* Determinant of the dependent coordinates where they were chosen. */
+  double chosen_at;
+  /* Whether coordinates have been set, so that the loops are open; whether accelerations are
+   * those of the state; in which mode the unit is. */
+  int open, known, mode;
+} Values;
+
+typedef struct {
+  Values values;
+  int exchange;
+  void *environment, *logger;
+  char name[256];
+} Instance;
+
+static void complain(const Instance *instance, const char *message);
+
+static int failed(const Instance *instance, int status, const char *message)
+{
+  complain(instance, message);
+  return status;
+}
+
+static const char *reason(int status)
+{
+  return status == @UPPER@_SINGULAR ? "closure equations depend on one another, or nearly" :
+    status == @UPPER@_OPEN ? "the loops cannot be closed: the step is too large" :
+    "the state left the finite numbers";
+}
+
+static int require(const Instance *instance, int modes, const char *function)
+{
+  return instance->values.mode & modes ? OK : failed(instance, ERROR, function);
+}
+
+/* Solve a x = b, both overwritten; returns the absolute value of the determinant of a. */
+static double solve(double a[NC1][NC1], double b[NC1])
+{
+  double determinant = 1.0;
+  for (int k = 0; k < NC; ++k) {
+    int best = k;
+    for (int i = k + 1; i < NC; ++i) {
+      best = fabs(a[i][k]) > fabs(a[best][k]) ? i : best;
+    }
+    for (int j = 0; j < NC; ++j) {
+      const double kept = a[k][j];
+      a[k][j] = a[best][j];
+      a[best][j] = kept;
+    }
+    const double kept = b[k];
+    b[k] = b[best];
+    b[best] = kept;
+    determinant *= fabs(a[k][k]);
+    for (int i = k + 1; i < NC; ++i) {
+      const double factor = a[i][k] / a[k][k];
+      for (int j = k; j < NC; ++j) {
+        a[i][j] -= factor * a[k][j];
+      }
+      b[i] -= factor * b[k];
+    }
+  }
+  for (int k = NC - 1; k >= 0; --k) {
+    for (int j = k + 1; j < NC; ++j) {
+      b[k] -= a[k][j] * b[j];
+    }
+    b[k] /= a[k][k];
+  }
+  return determinant;
+}
+
+static int is_chosen(const Values *values, int freedom)
+{
+  for (int n = 0; n < FREE; ++n) {
+    if (values->choice[n] == freedom) {
+      return 1;
+    }
+  }
+  return 0;
+}
+
+/* Complete changes of the independent freedoms so that J change = -right; returns as solve. */
+static double complete(
+  const Values *values, double jacobian[NC1][NV], const double *right, double *change)
+{
+  double a[NC1][NC1] = {{0.0}}, b[NC1] = {0.0};
+  int place = 0;
+  for (int i = 0; i < NC; ++i) {
+    b[i] = -right[i];
+  }
+  for (int j = 0; j < NV; ++j) {
+    const int own = is_chosen(values, j);
+    for (int i = 0; i < NC; ++i) {
+      if (own) {
+        b[i] -= jacobian[i][j] * change[j];
+      } else if (place < NC) {
+        a[i][place] = jacobian[i][j];
+      }
+    }
+    place += !own;
+  }
+  const double determinant = solve(a, b);
+  place = 0;
+  for (int j = 0; j < NV; ++j) {
+    if (!is_chosen(values, j) && place < NC) {
+      change[j] = b[place++];
+    }
+  }
+  return determinant;
+}
+
+/* Close the loops, the independent coordinates and rates as they are. */
+static int close_around(Values *values)
+{
+  enum { MOST = 30 };
+  static const double none[NC1] = {0.0};
+  @NAME@_state closed = values->state;
+  double error[NC1], jacobian[NC1][NV], change[NV];
+  int good = NC == 0;
+  normalise(closed.q);
+  for (int n = 0; NC > 0 && n < MOST; ++n) {
+    @NAME@_closure(&values->model, closed.q, error, jacobian[0]);
+    memset(change, 0, sizeof change);
+    complete(values, jacobian, error, change);
+    const double size = largest(change, NV);
+    if (!(size < 1.0)) {
+      return @UPPER@_OPEN;
+    }
+    move(closed.q, change);
+    /* Newton's method: what is left is the square of the last change. */
+    if (size < 1e-8) {
+      good = 1;
+      break;
+    }
+  }
+  @NAME@_closure(&values->model, closed.q, error, jacobian[0]);
+  if (!good || !(largest(error, NC) <= values->model.closure_limit)) {
+    return @UPPER@_OPEN;
+  }
+  complete(values, jacobian, none, closed.qd);
+  for (int i = 0; i < NV; ++i) {
+    if (!isfinite(closed.qd[i])) {
+      return @UPPER@_SINGULAR;
+    }
+  }
+  values->state = closed;
+  values->open = 0;
+  return @UPPER@_OK;
+}
+
+static int closed(Instance *instance)
+{
+  Values *values = &instance->values;
+  if (values->open) {
+    const int status = EXCHANGE ? close_around(values) :
+      @NAME@_correct(&values->model, &values->state);
+    if (status != @UPPER@_OK) {
+      return failed(instance, DISCARD, reason(status));
+    }
+    values->open = 0;
+  }
+  return OK;
+}
+
+static int evaluated(Instance *instance)
+{
+  Values *values = &instance->values;
+  const int status = closed(instance);
+  if (status == OK && !values->known) {
+    const int found = @NAME@_evaluate(
+      &values->model, values->state.q, values->state.qd, values->tau, values->qdd, values->lam);
+    if (found != @UPPER@_OK) {
+      return failed(instance, DISCARD, reason(found));
+    }
+    values->known = 1;
+  }
+  return status;
+}
+
+/* Determinant of the equations by the dependent coordinates, in the present position. */
+static double determinant_now(const Values *values)
+{
+  static const double none[NC1] = {0.0};
+  double error[NC1], jacobian[NC1][NV], change[NV] = {0.0};
+  @NAME@_closure(&values->model, values->state.q, error, jacobian[0]);
+  return complete(values, jacobian, none, change);
+}
+
+/* Choose independent coordinates anew, by elimination with complete pivoting. Returns whether
+ * they have changed. */
+static int choose(Values *values)
+{
+  double error[NC1], a[NC1][NV];
+  int dependent[NV] = {0}, used[NC1] = {0}, changed = 0;
+  @NAME@_closure(&values->model, values->state.q, error, a[0]);
+  for (int k = 0; k < NC; ++k) {
+    int row = -1, column = -1;
+    double best = 0.0;
+    for (int i = 0; i < NC; ++i) {
+      for (int j = 0; j < NV; ++j) {
+        if (!used[i] && !dependent[j] && weight[j] * fabs(a[i][j]) > best) {
+          best = weight[j] * fabs(a[i][j]);
+          row = i;
+          column = j;
+        }
+      }
+    }
+    if (row < 0) {
+      return 0;
+    }
+    used[row] = dependent[column] = 1;
+    for (int i = 0; i < NC; ++i) {
+      const double factor = used[i] ? 0.0 : a[i][column] / a[row][column];
+      for (int j = 0; j < NV; ++j) {
+        a[i][j] -= factor * a[row][j];
+      }
+    }
+  }
+  for (int j = 0, n = 0; j < NV; ++j) {
+    if (!dependent[j] && coordinate[j] < 0) {
+      return 0;
+    }
+    if (!dependent[j] && n < FREE) {
+      changed |= values->choice[n] != j;
+      values->choice[n++] = j;
+    }
+  }
+  values->chosen_at = determinant_now(values);
+  return changed;
+}
+
+static void begin(Values *values)
+{
+  memset(values, 0, sizeof *values);
+  values->model = @NAME@_default;
+  values->state = @NAME@_start;
+  values->step_size = @LONGEST@;
+  values->mode = INSTANTIATED;
+  memcpy(values->parameter, parameter_start, sizeof parameter_start);
+  memcpy(values->choice, first_choice, sizeof first_choice);
+}
+
+static Instance *instantiate(const char *name, const char *given, int exchange, void *environment,
+                             void *logger)
+{
+  Instance *instance = calloc(1, sizeof *instance);
+  if (!instance) {
+    return 0;
+  }
+  if (name) {
+    strncpy(instance->name, name, sizeof instance->name - 1);
+  }
+  instance->environment = environment;
+  instance->logger = logger;
+  instance->exchange = exchange;
+  if (!given || strcmp(given, token) != 0 || (exchange && !EXCHANGE)) {
+    complain(instance, given && strcmp(given, token) == 0 ? "this unit has no model exchange" :
+             "the token is not that of this unit");
+    free(instance);
+    return 0;
+  }
+  begin(&instance->values);
+  return instance;
+}
+
+static int finish_initialization(Instance *instance)
+{
+  int status = require(instance, INITIALIZATION, "ExitInitializationMode: not in its mode");
+  status = status == OK ? closed(instance) : status;
+  if (status == OK) {
+    Values *values = &instance->values;
+    values->chosen_at = EXCHANGE ? determinant_now(values) : 0.0;
+    values->mode = instance->exchange ? EVENT : STEP;
+  }
+  return status == DISCARD ? ERROR : status;
+}
+
+/* What of the model follows from the parameters. */
+static void derive(Values *values)
+{
+  double *number = (double *)&values->model;
+  memcpy(&values->model, &@NAME@_default, sizeof values->model);
+  for (int n = 0; n < SHARES; ++n) {
+    const int k = shares[n].parameter;
+    number[shares[n].number] +=
+      shares[n].share * (values->parameter[k] - parameter_start[k]);
+  }
+}
+
+static int set(Instance *instance, unsigned reference, double value)
+{
+  Values *values = &instance->values;
+  const int before = values->mode & (INSTANTIATED | INITIALIZATION);
+  if (!isfinite(value)) {
+    return failed(instance, ERROR, "set: a value is not finite");
+  }
+  values->known = 0;
+  if (reference >= TAU && reference < POSITION) {
+    values->tau[input[reference - TAU]] = value;
+  } else if (before && reference >= STATE && reference < CHANGE) {
+    const int n = (int)(reference - STATE);
+    if (n < FREE) {
+      values->state.q[coordinate[values->choice[n]]] = value;
+    } else {
+      values->state.qd[values->choice[n - FREE]] = value;
+    }
+    values->open = 1;
+  } else if (reference >= PARAMETER && reference < STEP_SIZE &&
+             (before || (tunable[reference - PARAMETER] && values->mode & (EVENT | STEP)))) {
+    values->parameter[reference - PARAMETER] = value;
+    derive(values);
+    values->open |= before != 0;
+  } else if (before && reference == STEP_SIZE && value > 0.0) {
+    values->step_size = value;
+  } else {
+    return failed(instance, ERROR,
+                  "set: such a variable cannot be set in this mode, or to this value");
+  }
+  return OK;
+}
+
+static int get(Instance *instance, unsigned reference, double *value)
+{
+  Values *values = &instance->values;
+  if (reference == TIME) {
+    *value = values->time;
+  } else if (reference < POSITION) {
+    *value = values->tau[input[reference - TAU]];
+  } else if (reference >= PARAMETER && reference < STEP_SIZE) {
+    *value = values->parameter[reference - PARAMETER];
+  } else if (reference == STEP_SIZE) {
+    *value = values->step_size;
+  } else if (reference >= FREEDOM) {
+    return failed(instance, ERROR, "get: no such variable of this type");
+  } else {
+    const int of_accelerations = (reference >= ACCELERATION && reference < PLACE) ||
+      (reference >= CHANGE + FREE && reference < PARAMETER);
+    const int status = of_accelerations ? evaluated(instance) : closed(instance);
+    if (status != OK) {
+      return status;
+    }
+    if (reference < RATE) {
+      *value = values->state.q[reference - POSITION];
+    } else if (reference < ACCELERATION) {
+      *value = values->state.qd[reference - RATE];
+    } else if (reference < MULTIPLIER) {
+      *value = values->qdd[reference - ACCELERATION];
+    } else if (reference < PLACE) {
+      *value = values->lam[reference - MULTIPLIER];
+    } else if (reference < ENERGY) {
+      double places[SIZE * POINTS + 1];
+      @NAME@_points(&values->model, values->state.q, places);
+      *value = places[reference - PLACE];
+    } else if (reference < STATE) {
+      double energies[3];
+      @NAME@_energies(&values->model, &values->state, energies);
+      *value = energies[reference - ENERGY];
+    } else if (reference < STATE + FREE) {
+      *value = values->state.q[coordinate[values->choice[reference - STATE]]];
+    } else if (reference < CHANGE) {
+      *value = values->state.qd[values->choice[reference - STATE - FREE]];
+    } else if (reference < CHANGE + FREE) {
+      *value = values->state.qd[values->choice[reference - CHANGE]];
+    } else {
+      *value = values->qdd[values->choice[reference - CHANGE - FREE]];
+    }
+  }
+  return OK;
+}
+
+static int get_freedom(Instance *instance, unsigned reference, int *value)
+{
+  if (reference < FREEDOM || reference >= END) {
+    return failed(instance, ERROR, "get: no such variable of this type");
+  }
+  *value = instance->values.choice[reference - FREEDOM];
+  return OK;
+}
+
+static int set_states(Instance *instance, const double *states, size_t count)
+{
+  Values *values = &instance->values;
+  if (require(instance, CONTINUOUS, "SetContinuousStates: not in continuous-time mode") != OK ||
+      count != 2 * FREE)
+  {
+    return ERROR;
+  }
+  for (int n = 0; n < FREE; ++n) {
+    values->state.q[coordinate[values->choice[n]]] = states[n];
+    values->state.qd[values->choice[n]] = states[FREE + n];
+  }
+  values->open = 1;
+  values->known = 0;
+  return OK;
+}
+
+static int get_range(Instance *instance, unsigned first, double *found, size_t count)
+{
+  int status = count == 2 * FREE ? OK : ERROR;
+  for (int n = 0; status == OK && n < 2 * FREE; ++n) {
+    status = get(instance, first + (unsigned)n, found + n);
+  }
+  return status;
+}
+
+/* At the end of a step: whether other coordinates had better be independent. */
+static int completed(Instance *instance, int *event)
+{
+  const Values *values = &instance->values;
+  int status = require(instance, CONTINUOUS, "CompletedIntegratorStep: not in its mode");
+  status = status == OK ? closed(instance) : status;
+  *event = status == OK && determinant_now(values) < 0.2 * values->chosen_at;
+  return status;
+}
+
+static int update(Instance *instance, int *changed)
+{
+  int status = require(instance, EVENT, "a discrete update: not in event mode");
+  *changed = 0;
+  status = status == OK ? closed(instance) : status;
+  if (status == OK && determinant_now(&instance->values) < 0.2 * instance->values.chosen_at) {
+    *changed = choose(&instance->values);
+    instance->values.chosen_at = determinant_now(&instance->values);
+  }
+  return status;
+}
+
+static int do_step(Instance *instance, double now, double size)
+{
+  Values *values = &instance->values, before;
+  if (require(instance, STEP, "DoStep: not in step mode") != OK) {
+    return ERROR;
+  }
+  if (!(fabs(now - values->time) <= 1e-9 * (1.0 + fabs(now))) || !(size > 0.0)) {
+    return failed(instance, ERROR, "DoStep: expected to go on from where the last step ended");
+  }
+  before = *values;
+  const double count = ceil(size / values->step_size - 1e-6);
+  const long steps = count < 1.0 ? 1 : (long)count;
+  for (long n = 0; n < steps; ++n) {
+    const int status = @NAME@_step(
+      &values->model, &values->state, values->tau, size / (double)steps);
+    if (status != @UPPER@_OK) {
+      *values = before;
+      return failed(instance, DISCARD, reason(status));
+    }
+  }
+  values->time = now + size;
+  values->known = 0;
+  return OK;
+}
+
+/* Changes of outputs by those of inputs and states. */
+static int differentiate(
+  Instance *instance, const unsigned *unknowns, size_t count, const unsigned *knowns,
+  size_t known_count, const double *seed, double *found)
+{
+#if @DERIVATIVES@
+  Values *values = &instance->values;
+  static double zero[NC1];
+  double jacobian[NC1][NV], right[NC1] = {0.0}, qdd[NV], lam[NC1];
+  double by[3][NV][NV + NC], rates_by[2][NV][NC1];
+  double dq[NV] = {0.0}, dqd[NV] = {0.0}, dtau[NV] = {0.0}, moved[NQ];
+  int status = require(
+    instance, INITIALIZATION | RUNNING, "GetDirectionalDerivative: not initialized");
+  status = status == OK ? evaluated(instance) : status;
+  if (status != OK) {
+    return status;
+  }
+  for (size_t n = 0; n < known_count; ++n) {
+    const unsigned k = knowns[n];
+    if (k >= TAU && k < POSITION) {
+      dtau[input[k - TAU]] += seed[n];
+    } else if (k >= STATE && k < STATE + FREE) {
+      dq[values->choice[k - STATE]] += seed[n];
+    } else if (k >= STATE + FREE && k < CHANGE) {
+      dqd[values->choice[k - STATE - FREE]] += seed[n];
+    } else {
+      return failed(instance, ERROR,
+                    "GetDirectionalDerivative: knowns are inputs and continuous states");
+    }
+  }
+  const double *q = values->state.q, *qd = values->state.qd;
+  if (@NAME@_evaluate(&values->model, q, qd, values->tau, qdd, lam) != @UPPER@_OK ||
+      !derivatives_of(&values->model, q, qd, qdd, lam, by[0][0], &rates_by[0][0][0]))
+  {
+    return failed(instance, DISCARD, reason(@UPPER@_SINGULAR));
+  }
+  /* Compact: rows of NC numbers. */
+  const double *by_position = &rates_by[0][0][0];
+  @NAME@_closure(&values->model, q, right, jacobian[0]);
+  complete(values, jacobian, zero, dq);
+  for (int i = 0; i < NC; ++i) {
+    right[i] = 0.0;
+    for (int j = 0; j < NV; ++j) {
+      right[i] += by_position[j * NC + i] * dq[j];
+    }
+  }
+  complete(values, jacobian, right, dqd);
+  rates(q, dq, moved);
+  for (size_t n = 0; n < count; ++n) {
+    unsigned k = unknowns[n];
+    if (k >= CHANGE && k < CHANGE + FREE) {
+      k = RATE + (unsigned)values->choice[k - CHANGE];
+    } else if (k >= CHANGE + FREE && k < PARAMETER) {
+      k = ACCELERATION + (unsigned)values->choice[k - CHANGE - FREE];
+    }
+    if (k >= POSITION && k < RATE) {
+      found[n] = moved[k - POSITION];
+    } else if (k >= RATE && k < ACCELERATION) {
+      found[n] = dqd[k - RATE];
+    } else if (k >= ACCELERATION && k < PLACE) {
+      const unsigned row = k - ACCELERATION;
+      found[n] = 0.0;
+      for (int j = 0; j < NV; ++j) {
+        found[n] += by[0][j][row] * dq[j] + by[1][j][row] * dqd[j] + by[2][j][row] * dtau[j];
+      }
+    } else if (k >= PLACE && k < ENERGY) {
+      double velocities[SIZE * POINTS + 1];
+      @NAME@_velocities(&values->model, q, dq, velocities);
+      found[n] = velocities[k - PLACE];
+    } else {
+      return failed(instance, ERROR,
+                    "GetDirectionalDerivative: such an unknown has no derivative");
+    }
+  }
+  return OK;
+#else
+  (void)unknowns;
+  (void)count;
+  (void)knowns;
+  (void)known_count;
+  (void)seed;
+  (void)found;
+  return failed(instance, ERROR, "this unit was written without derivatives");
+#endif
+}
+
+static int get_state(Instance *instance, void **state)
+{
+  if (!*state && !(*state = malloc(sizeof(Values)))) {
+    return failed(instance, ERROR, "no memory is left");
+  }
+  memcpy(*state, &instance->values, sizeof(Values));
+  return OK;
+}
+
+enum { SERIAL = sizeof token + sizeof(Values) };
+
+static int serialize(Instance *instance, const void *state, unsigned char *bytes, size_t size)
+{
+  if (!state || size < SERIAL) {
+    return failed(instance, ERROR, "SerializeFMUState: expected a state, and room for it");
+  }
+  memcpy(bytes, token, sizeof token);
+  memcpy(bytes + sizeof token, state, sizeof(Values));
+  return OK;
+}
+
+static int deserialize(Instance *instance, const unsigned char *bytes, size_t size, void **state)
+{
+  if (size < SERIAL || memcmp(bytes, token, sizeof token) != 0) {
+    return failed(instance, ERROR, "DeserializeFMUState: this is no state of this unit");
+  }
+  if (!*state && !(*state = malloc(sizeof(Values)))) {
+    return failed(instance, ERROR, "no memory is left");
+  }
+  memcpy(*state, bytes + sizeof token, sizeof(Values));
+  return OK;
+}
+
+static int restart(Instance *instance)
+{
+  begin(&instance->values);
+  return OK;
+}
+
+static int enter(Instance *instance, int from, int to, const char *complaint)
+{
+  const int status = require(instance, from, complaint);
+  if (status == OK) {
+    instance->values.mode = to;
+  }
+  return status;
+}
+"""
+
+FMI3 = """
+/* FMI 3.0. */
+typedef int fmi3Status;
+typedef unsigned fmi3ValueReference;
+typedef void (*fmi3LogMessageCallback)(void *, fmi3Status, const char *, const char *);
+
+static void complain(const Instance *instance, const char *message)
+{
+  if (instance->logger) {
+    fmi3LogMessageCallback log;
+    memcpy(&log, &instance->logger, sizeof log);
+    log(instance->environment, ERROR, "logStatusError", message);
+  }
+}
+
+EXPORT const char *fmi3GetVersion(void) {return "3.0";}
+
+EXPORT fmi3Status fmi3SetDebugLogging(
+  void *instance, bool on, size_t count, const char *const categories[])
+{
+  (void)instance;
+  (void)on;
+  (void)count;
+  (void)categories;
+  return OK;
+}
+
+static void *kept(fmi3LogMessageCallback log)
+{
+  void *logger;
+  memcpy(&logger, &log, sizeof logger);
+  return logger;
+}
+
+EXPORT void *fmi3InstantiateModelExchange(
+  const char *name, const char *given, const char *path, bool visible, bool logging,
+  void *environment, fmi3LogMessageCallback log)
+{
+  (void)path;
+  (void)visible;
+  (void)logging;
+  return instantiate(name, given, 1, environment, kept(log));
+}
+
+EXPORT void *fmi3InstantiateCoSimulation(
+  const char *name, const char *given, const char *path, bool visible, bool logging,
+  bool event_mode, bool early_return, const fmi3ValueReference intermediate[], size_t count,
+  void *environment, fmi3LogMessageCallback log, void (*update_between)(void))
+{
+  (void)path;
+  (void)visible;
+  (void)logging;
+  (void)early_return;
+  (void)intermediate;
+  (void)update_between;
+  if (event_mode || count) {
+    if (log) {
+      log(environment, ERROR, "logStatusError",
+          "this unit has neither event mode nor intermediate update in co-simulation");
+    }
+    return 0;
+  }
+  return instantiate(name, given, 0, environment, kept(log));
+}
+
+EXPORT void *fmi3InstantiateScheduledExecution(
+  const char *name, const char *given, const char *path, bool visible, bool logging,
+  void *environment, fmi3LogMessageCallback log, void (*tick)(void *), void (*lock)(void),
+  void (*unlock)(void))
+{
+  (void)name;
+  (void)given;
+  (void)path;
+  (void)visible;
+  (void)logging;
+  (void)tick;
+  (void)lock;
+  (void)unlock;
+  if (log) {
+    log(environment, ERROR, "logStatusError", "this unit has no scheduled execution");
+  }
+  return 0;
+}
+
+EXPORT void fmi3FreeInstance(void *instance) {free(instance);}
+
+EXPORT fmi3Status fmi3EnterInitializationMode(
+  Instance *instance, bool has_tolerance, double tolerance, double start, bool has_stop,
+  double stop)
+{
+  (void)has_tolerance;
+  (void)tolerance;
+  (void)has_stop;
+  (void)stop;
+  instance->values.time = start;
+  return enter(instance, INSTANTIATED, INITIALIZATION,
+               "EnterInitializationMode: not instantiated, or past it");
+}
+
+EXPORT fmi3Status fmi3ExitInitializationMode(Instance *instance)
+{
+  return finish_initialization(instance);
+}
+
+EXPORT fmi3Status fmi3EnterEventMode(Instance *instance)
+{
+  return enter(instance, CONTINUOUS, EVENT, "EnterEventMode: not in continuous-time mode");
+}
+
+EXPORT fmi3Status fmi3Terminate(Instance *instance)
+{
+  return enter(instance, RUNNING, TERMINATED, "Terminate: not initialized");
+}
+
+EXPORT fmi3Status fmi3Reset(Instance *instance) {return restart(instance);}
+
+EXPORT fmi3Status fmi3GetFloat64(
+  Instance *instance, const fmi3ValueReference references[], size_t count, double values[],
+  size_t value_count)
+{
+  int status = value_count == count ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = get(instance, references[n], values + n);
+  }
+  return status;
+}
+
+EXPORT fmi3Status fmi3SetFloat64(
+  Instance *instance, const fmi3ValueReference references[], size_t count, const double values[],
+  size_t value_count)
+{
+  int status = value_count == count ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = set(instance, references[n], values[n]);
+  }
+  return status;
+}
+
+EXPORT fmi3Status fmi3GetInt32(
+  Instance *instance, const fmi3ValueReference references[], size_t count, int32_t values[],
+  size_t value_count)
+{
+  int status = value_count == count ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    int value;
+    status = get_freedom(instance, references[n], &value);
+    if (status == OK) {
+      values[n] = value;
+    }
+  }
+  return status;
+}
+
+/* There are no variables of other types: with none asked for, all is well. */
+static fmi3Status without(const Instance *instance, size_t count)
+{
+  return count ? failed(instance, ERROR, "this unit has no variables of this type") : OK;
+}
+
+#define NO_GET(NAME, TYPE) \\
+  EXPORT fmi3Status fmi3Get ## NAME( \\
+    Instance *instance, const fmi3ValueReference references[], size_t count, TYPE values[], \\
+    size_t value_count) \\
+  { \\
+    (void)references; \\
+    (void)values; \\
+    (void)value_count; \\
+    return without(instance, count); \\
+  }
+#define NO_SET(NAME, TYPE) \\
+  EXPORT fmi3Status fmi3Set ## NAME( \\
+    Instance *instance, const fmi3ValueReference references[], size_t count, \\
+    const TYPE values[], size_t value_count) \\
+  { \\
+    (void)references; \\
+    (void)values; \\
+    (void)value_count; \\
+    return without(instance, count); \\
+  }
+NO_GET(Float32, float)
+NO_SET(Float32, float)
+NO_GET(Int8, int8_t)
+NO_SET(Int8, int8_t)
+NO_GET(UInt8, uint8_t)
+NO_SET(UInt8, uint8_t)
+NO_GET(Int16, int16_t)
+NO_SET(Int16, int16_t)
+NO_GET(UInt16, uint16_t)
+NO_SET(UInt16, uint16_t)
+NO_SET(Int32, int32_t)
+NO_GET(UInt32, uint32_t)
+NO_SET(UInt32, uint32_t)
+NO_GET(Int64, int64_t)
+NO_SET(Int64, int64_t)
+NO_GET(UInt64, uint64_t)
+NO_SET(UInt64, uint64_t)
+NO_GET(Boolean, bool)
+NO_SET(Boolean, bool)
+NO_GET(String, const char *)
+NO_SET(String, char *const)
+
+EXPORT fmi3Status fmi3GetBinary(
+  Instance *instance, const fmi3ValueReference references[], size_t count, size_t sizes[],
+  const uint8_t *values[], size_t value_count)
+{
+  (void)references;
+  (void)sizes;
+  (void)values;
+  (void)value_count;
+  return without(instance, count);
+}
+
+EXPORT fmi3Status fmi3SetBinary(
+  Instance *instance, const fmi3ValueReference references[], size_t count, const size_t sizes[],
+  const uint8_t *const values[], size_t value_count)
+{
+  (void)references;
+  (void)sizes;
+  (void)values;
+  (void)value_count;
+  return without(instance, count);
+}
+
+/* Of clocks: references, their number, and arrays. */
+#define NO_CLOCK(NAME, ...) \\
+  EXPORT fmi3Status fmi3 ## NAME( \\
+    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
+  { \\
+    (void)references; \\
+    (void)a; \\
+    (void)b; \\
+    (void)c; \\
+    return without(instance, count); \\
+  }
+#define NO_CLOCK_OF_ONE(NAME, ...) \\
+  EXPORT fmi3Status fmi3 ## NAME( \\
+    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
+  { \\
+    (void)references; \\
+    (void)a; \\
+    return without(instance, count); \\
+  }
+#define NO_CLOCK_OF_TWO(NAME, ...) \\
+  EXPORT fmi3Status fmi3 ## NAME( \\
+    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
+  { \\
+    (void)references; \\
+    (void)a; \\
+    (void)b; \\
+    return without(instance, count); \\
+  }
+NO_CLOCK_OF_ONE(GetClock, bool a[])
+NO_CLOCK_OF_ONE(SetClock, const bool a[])
+NO_CLOCK_OF_TWO(GetIntervalDecimal, double a[], int b[])
+NO_CLOCK(GetIntervalFraction, uint64_t a[], uint64_t b[], int c[])
+NO_CLOCK_OF_ONE(GetShiftDecimal, double a[])
+NO_CLOCK_OF_TWO(GetShiftFraction, uint64_t a[], uint64_t b[])
+NO_CLOCK_OF_ONE(SetIntervalDecimal, const double a[])
+NO_CLOCK_OF_TWO(SetIntervalFraction, const uint64_t a[], const uint64_t b[])
+NO_CLOCK_OF_ONE(SetShiftDecimal, const double a[])
+NO_CLOCK_OF_TWO(SetShiftFraction, const uint64_t a[], const uint64_t b[])
+
+/* All outputs may depend on all inputs and states; modelDescription.xml names no less. */
+EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(
+  Instance *instance, fmi3ValueReference reference, size_t *count)
+{
+  (void)reference;
+  (void)count;
+  return failed(instance, ERROR, "this unit tells no dependencies of single elements");
+}
+
+EXPORT fmi3Status fmi3GetVariableDependencies(
+  Instance *instance, fmi3ValueReference dependent, size_t elements[],
+  fmi3ValueReference independents[], size_t elements_of_these[], int kinds[], size_t count)
+{
+  (void)dependent;
+  (void)elements;
+  (void)independents;
+  (void)elements_of_these;
+  (void)kinds;
+  (void)count;
+  return failed(instance, ERROR, "this unit tells no dependencies of single elements");
+}
+
+EXPORT fmi3Status fmi3GetFMUState(Instance *instance, void **state)
+{
+  return get_state(instance, state);
+}
+
+EXPORT fmi3Status fmi3SetFMUState(Instance *instance, const void *state)
+{
+  if (!state) {
+    return failed(instance, ERROR, "SetFMUState: expected a state");
+  }
+  memcpy(&instance->values, state, sizeof(Values));
+  return OK;
+}
+
+EXPORT fmi3Status fmi3FreeFMUState(Instance *instance, void **state)
+{
+  (void)instance;
+  if (state) {
+    free(*state);
+    *state = 0;
+  }
+  return OK;
+}
+
+EXPORT fmi3Status fmi3SerializedFMUStateSize(Instance *instance, const void *state, size_t *size)
+{
+  (void)instance;
+  (void)state;
+  *size = SERIAL;
+  return OK;
+}
+
+EXPORT fmi3Status fmi3SerializeFMUState(
+  Instance *instance, const void *state, unsigned char bytes[], size_t size)
+{
+  return serialize(instance, state, bytes, size);
+}
+
+EXPORT fmi3Status fmi3DeserializeFMUState(
+  Instance *instance, const unsigned char bytes[], size_t size, void **state)
+{
+  return deserialize(instance, bytes, size, state);
+}
+
+EXPORT fmi3Status fmi3GetDirectionalDerivative(
+  Instance *instance, const fmi3ValueReference unknowns[], size_t count,
+  const fmi3ValueReference knowns[], size_t known_count, const double seed[], size_t seeds,
+  double found[], size_t results)
+{
+  return seeds == known_count && results == count ?
+    differentiate(instance, unknowns, count, knowns, known_count, seed, found) : ERROR;
+}
+
+EXPORT fmi3Status fmi3GetAdjointDerivative(
+  Instance *instance, const fmi3ValueReference unknowns[], size_t count,
+  const fmi3ValueReference knowns[], size_t known_count, const double seed[], size_t seeds,
+  double found[], size_t results)
+{
+  int status = seeds == count && results == known_count ? OK : ERROR;
+  for (size_t k = 0; status == OK && k < known_count; ++k) {
+    found[k] = 0.0;
+    for (size_t n = 0; status == OK && n < count; ++n) {
+      const double one = 1.0;
+      double change;
+      status = differentiate(instance, unknowns + n, 1, knowns + k, 1, &one, &change);
+      found[k] += status == OK ? seed[n] * change : 0.0;
+    }
+  }
+  return status;
+}
+
+EXPORT fmi3Status fmi3EnterConfigurationMode(Instance *instance)
+{
+  return failed(instance, ERROR, "this unit has no structural parameters");
+}
+
+EXPORT fmi3Status fmi3ExitConfigurationMode(Instance *instance)
+{
+  return failed(instance, ERROR, "this unit has no structural parameters");
+}
+
+EXPORT fmi3Status fmi3EvaluateDiscreteStates(Instance *instance)
+{
+  return require(instance, INITIALIZATION | EVENT, "EvaluateDiscreteStates: not in event mode");
+}
+
+EXPORT fmi3Status fmi3UpdateDiscreteStates(
+  Instance *instance, bool *again, bool *terminate, bool *nominals, bool *changed,
+  bool *has_next, double *next)
+{
+  int other = 0;
+  const int status = update(instance, &other);
+  (void)next;
+  *again = *terminate = *has_next = false;
+  *nominals = *changed = other != 0;
+  return status;
+}
+
+EXPORT fmi3Status fmi3EnterContinuousTimeMode(Instance *instance)
+{
+  return enter(instance, EVENT, CONTINUOUS, "EnterContinuousTimeMode: not in event mode");
+}
+
+EXPORT fmi3Status fmi3CompletedIntegratorStep(
+  Instance *instance, bool no_way_back, bool *event, bool *terminate)
+{
+  int wanted = 0;
+  const int status = completed(instance, &wanted);
+  (void)no_way_back;
+  *event = wanted != 0;
+  *terminate = false;
+  return status;
+}
+
+EXPORT fmi3Status fmi3SetTime(Instance *instance, double time)
+{
+  instance->values.time = time;
+  return require(instance, CONTINUOUS | EVENT, "SetTime: not in model exchange");
+}
+
+EXPORT fmi3Status fmi3SetContinuousStates(Instance *instance, const double states[], size_t count)
+{
+  return set_states(instance, states, count);
+}
+
+EXPORT fmi3Status fmi3GetContinuousStateDerivatives(
+  Instance *instance, double derivatives[], size_t count)
+{
+  return get_range(instance, CHANGE, derivatives, count);
+}
+
+EXPORT fmi3Status fmi3GetEventIndicators(Instance *instance, double indicators[], size_t count)
+{
+  (void)indicators;
+  return without(instance, count);
+}
+
+EXPORT fmi3Status fmi3GetContinuousStates(Instance *instance, double states[], size_t count)
+{
+  return get_range(instance, STATE, states, count);
+}
+
+EXPORT fmi3Status fmi3GetNominalsOfContinuousStates(
+  Instance *instance, double nominals[], size_t count)
+{
+  (void)instance;
+  for (size_t n = 0; n < count; ++n) {
+    nominals[n] = 1.0;
+  }
+  return OK;
+}
+
+EXPORT fmi3Status fmi3GetNumberOfEventIndicators(Instance *instance, size_t *count)
+{
+  (void)instance;
+  *count = 0;
+  return OK;
+}
+
+EXPORT fmi3Status fmi3GetNumberOfContinuousStates(Instance *instance, size_t *count)
+{
+  (void)instance;
+  *count = 2 * FREE;
+  return OK;
+}
+
+EXPORT fmi3Status fmi3EnterStepMode(Instance *instance)
+{
+  return failed(instance, ERROR, "EnterStepMode: there is no event mode in co-simulation");
+}
+
+EXPORT fmi3Status fmi3GetOutputDerivatives(
+  Instance *instance, const fmi3ValueReference references[], size_t count, const int32_t orders[],
+  double values[], size_t value_count)
+{
+  (void)references;
+  (void)orders;
+  (void)values;
+  (void)value_count;
+  return without(instance, count);
+}
+
+EXPORT fmi3Status fmi3DoStep(
+  Instance *instance, double now, double size, bool no_way_back, bool *event, bool *terminate,
+  bool *early, double *last)
+{
+  const int status = do_step(instance, now, size);
+  (void)no_way_back;
+  *event = *terminate = *early = false;
+  *last = instance->values.time;
+  return status;
+}
+
+EXPORT fmi3Status fmi3ActivateModelPartition(
+  Instance *instance, fmi3ValueReference clock, double time)
+{
+  (void)clock;
+  (void)time;
+  return failed(instance, ERROR, "this unit has no scheduled execution");
+}
+"""
+
+FMI2 = """
+/* FMI 2.0. */
+typedef int fmi2Status;
+typedef unsigned fmi2ValueReference;
+typedef struct {
+  void (*logger)(void *, const char *, fmi2Status, const char *, const char *, ...);
+  void *(*allocateMemory)(size_t, size_t);
+  void (*freeMemory)(void *);
+  void (*stepFinished)(void *, fmi2Status);
+  void *componentEnvironment;
+} fmi2CallbackFunctions;
+typedef struct {
+  int newDiscreteStatesNeeded, terminateSimulation, nominalsOfContinuousStatesChanged,
+    valuesOfContinuousStatesChanged, nextEventTimeDefined;
+  double nextEventTime;
+} fmi2EventInfo;
+
+static void complain(const Instance *instance, const char *message)
+{
+  if (instance->logger) {
+    void (*log)(void *, const char *, fmi2Status, const char *, const char *, ...);
+    memcpy(&log, &instance->logger, sizeof log);
+    log(instance->environment, instance->name, ERROR, "logStatusError", "%s", message);
+  }
+}
+
+EXPORT const char *fmi2GetTypesPlatform(void) {return "default";}
+EXPORT const char *fmi2GetVersion(void) {return "2.0";}
+
+EXPORT fmi2Status fmi2SetDebugLogging(
+  void *instance, int on, size_t count, const char *const categories[])
+{
+  (void)instance;
+  (void)on;
+  (void)count;
+  (void)categories;
+  return OK;
+}
+
+EXPORT void *fmi2Instantiate(
+  const char *name, int kind, const char *given, const char *path,
+  const fmi2CallbackFunctions *functions, int visible, int logging)
+{
+  void *logger = 0;
+  (void)path;
+  (void)visible;
+  (void)logging;
+  if (functions) {
+    memcpy(&logger, &functions->logger, sizeof logger);
+  }
+  return instantiate(
+    name, given, kind == 0, functions ? functions->componentEnvironment : 0, logger);
+}
+
+EXPORT void fmi2FreeInstance(void *instance) {free(instance);}
+
+EXPORT fmi2Status fmi2SetupExperiment(
+  Instance *instance, int has_tolerance, double tolerance, double start, int has_stop,
+  double stop)
+{
+  (void)has_tolerance;
+  (void)tolerance;
+  (void)has_stop;
+  (void)stop;
+  instance->values.time = start;
+  return require(instance, INSTANTIATED, "SetupExperiment: not instantiated, or past it");
+}
+
+EXPORT fmi2Status fmi2EnterInitializationMode(Instance *instance)
+{
+  return enter(instance, INSTANTIATED, INITIALIZATION,
+               "EnterInitializationMode: not instantiated, or past it");
+}
+
+EXPORT fmi2Status fmi2ExitInitializationMode(Instance *instance)
+{
+  return finish_initialization(instance);
+}
+
+EXPORT fmi2Status fmi2Terminate(Instance *instance)
+{
+  return enter(instance, RUNNING, TERMINATED, "Terminate: not initialized");
+}
+
+EXPORT fmi2Status fmi2Reset(Instance *instance) {return restart(instance);}
+
+EXPORT fmi2Status fmi2GetReal(
+  Instance *instance, const fmi2ValueReference references[], size_t count, double values[])
+{
+  int status = OK;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = get(instance, references[n], values + n);
+  }
+  return status;
+}
+
+EXPORT fmi2Status fmi2SetReal(
+  Instance *instance, const fmi2ValueReference references[], size_t count, const double values[])
+{
+  int status = OK;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = set(instance, references[n], values[n]);
+  }
+  return status;
+}
+
+EXPORT fmi2Status fmi2GetInteger(
+  Instance *instance, const fmi2ValueReference references[], size_t count, int values[])
+{
+  int status = OK;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = get_freedom(instance, references[n], values + n);
+  }
+  return status;
+}
+
+/* There are no other variables: with none asked for, all is well. */
+static fmi2Status without(const Instance *instance, size_t count)
+{
+  return count ? failed(instance, ERROR, "this unit has no such variables") : OK;
+}
+
+#define NONE(NAME, TYPE) \\
+  EXPORT fmi2Status fmi2 ## NAME( \\
+    Instance *instance, const fmi2ValueReference references[], size_t count, TYPE values[]) \\
+  { \\
+    (void)references; \\
+    (void)values; \\
+    return without(instance, count); \\
+  }
+NONE(SetInteger, const int)
+NONE(GetBoolean, int)
+NONE(SetBoolean, const int)
+NONE(GetString, const char *)
+NONE(SetString, const char *const)
+
+EXPORT fmi2Status fmi2GetFMUstate(Instance *instance, void **state)
+{
+  return get_state(instance, state);
+}
+
+EXPORT fmi2Status fmi2SetFMUstate(Instance *instance, const void *state)
+{
+  if (!state) {
+    return failed(instance, ERROR, "SetFMUstate: expected a state");
+  }
+  memcpy(&instance->values, state, sizeof(Values));
+  return OK;
+}
+
+EXPORT fmi2Status fmi2FreeFMUstate(Instance *instance, void **state)
+{
+  (void)instance;
+  if (state) {
+    free(*state);
+    *state = 0;
+  }
+  return OK;
+}
+
+EXPORT fmi2Status fmi2SerializedFMUstateSize(Instance *instance, const void *state, size_t *size)
+{
+  (void)instance;
+  (void)state;
+  *size = SERIAL;
+  return OK;
+}
+
+EXPORT fmi2Status fmi2SerializeFMUstate(
+  Instance *instance, const void *state, unsigned char bytes[], size_t size)
+{
+  return serialize(instance, state, bytes, size);
+}
+
+EXPORT fmi2Status fmi2DeSerializeFMUstate(
+  Instance *instance, const unsigned char bytes[], size_t size, void **state)
+{
+  return deserialize(instance, bytes, size, state);
+}
+
+EXPORT fmi2Status fmi2GetDirectionalDerivative(
+  Instance *instance, const fmi2ValueReference unknowns[], size_t count,
+  const fmi2ValueReference knowns[], size_t known_count, const double seed[], double found[])
+{
+  return differentiate(instance, unknowns, count, knowns, known_count, seed, found);
+}
+
+EXPORT fmi2Status fmi2EnterEventMode(Instance *instance)
+{
+  return enter(instance, EVENT | CONTINUOUS, EVENT, "EnterEventMode: not in model exchange");
+}
+
+EXPORT fmi2Status fmi2NewDiscreteStates(Instance *instance, fmi2EventInfo *info)
+{
+  int other = 0;
+  const int status = update(instance, &other);
+  memset(info, 0, sizeof *info);
+  info->nominalsOfContinuousStatesChanged = info->valuesOfContinuousStatesChanged = other;
+  return status;
+}
+
+EXPORT fmi2Status fmi2EnterContinuousTimeMode(Instance *instance)
+{
+  return enter(instance, EVENT, CONTINUOUS, "EnterContinuousTimeMode: not in event mode");
+}
+
+EXPORT fmi2Status fmi2CompletedIntegratorStep(
+  Instance *instance, int no_way_back, int *event, int *terminate)
+{
+  (void)no_way_back;
+  *terminate = 0;
+  return completed(instance, event);
+}
+
+EXPORT fmi2Status fmi2SetTime(Instance *instance, double time)
+{
+  instance->values.time = time;
+  return require(instance, CONTINUOUS | EVENT, "SetTime: not in model exchange");
+}
+
+EXPORT fmi2Status fmi2SetContinuousStates(Instance *instance, const double states[], size_t count)
+{
+  return set_states(instance, states, count);
+}
+
+EXPORT fmi2Status fmi2GetDerivatives(Instance *instance, double derivatives[], size_t count)
+{
+  return get_range(instance, CHANGE, derivatives, count);
+}
+
+EXPORT fmi2Status fmi2GetEventIndicators(Instance *instance, double indicators[], size_t count)
+{
+  (void)indicators;
+  return without(instance, count);
+}
+
+EXPORT fmi2Status fmi2GetContinuousStates(Instance *instance, double states[], size_t count)
+{
+  return get_range(instance, STATE, states, count);
+}
+
+EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(
+  Instance *instance, double nominals[], size_t count)
+{
+  (void)instance;
+  for (size_t n = 0; n < count; ++n) {
+    nominals[n] = 1.0;
+  }
+  return OK;
+}
+
+EXPORT fmi2Status fmi2SetRealInputDerivatives(
+  Instance *instance, const fmi2ValueReference references[], size_t count, const int orders[],
+  const double values[])
+{
+  (void)references;
+  (void)orders;
+  (void)values;
+  return without(instance, count);
+}
+
+EXPORT fmi2Status fmi2GetRealOutputDerivatives(
+  Instance *instance, const fmi2ValueReference references[], size_t count, const int orders[],
+  double values[])
+{
+  (void)references;
+  (void)orders;
+  (void)values;
+  return without(instance, count);
+}
+
+EXPORT fmi2Status fmi2DoStep(Instance *instance, double now, double size, int no_way_back)
+{
+  (void)no_way_back;
+  return do_step(instance, now, size);
+}
+
+EXPORT fmi2Status fmi2CancelStep(Instance *instance)
+{
+  return failed(instance, ERROR, "CancelStep: steps are made at once");
+}
+
+EXPORT fmi2Status fmi2GetStatus(Instance *instance, int kind, fmi2Status *value)
+{
+  (void)kind;
+  (void)value;
+  return failed(instance, DISCARD, "GetStatus: steps are made at once");
+}
+
+EXPORT fmi2Status fmi2GetRealStatus(Instance *instance, int kind, double *value)
+{
+  if (kind != 2) {
+    return failed(instance, DISCARD, "GetRealStatus: the last successful time alone is known");
+  }
+  *value = instance->values.time;
+  return OK;
+}
+
+EXPORT fmi2Status fmi2GetIntegerStatus(Instance *instance, int kind, int *value)
+{
+  (void)kind;
+  (void)value;
+  return failed(instance, DISCARD, "GetIntegerStatus: there is none");
+}
+
+EXPORT fmi2Status fmi2GetBooleanStatus(Instance *instance, int kind, int *value)
+{
+  if (kind != 3) {
+    return failed(instance, DISCARD, "GetBooleanStatus: there is none but termination");
+  }
+  *value = 0;
+  return OK;
+}
+
+EXPORT fmi2Status fmi2GetStringStatus(Instance *instance, int kind, const char **value)
+{
+  (void)kind;
+  (void)value;
+  return failed(instance, DISCARD, "GetStringStatus: there is none");
+}
+"""

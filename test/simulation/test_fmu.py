@@ -1,0 +1,445 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Functional mock-up units: the same runs as ours, all functions of the standard, and faults."""
+
+import ctypes
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
+from dataclasses import replace
+from importlib import import_module
+import io
+import re
+import subprocess
+from xml.etree import ElementTree
+from zipfile import ZipFile
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.engine import build
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.fmu import compiled, fmu
+from closedloop_dynamics.simulation.key_paths import changed, resolve
+from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.skipif(
+    not build.compiler(), reason='needs a C++ compiler, to compile what is written')
+RK4 = {'integrator': 'rk4', 'step_size': 1e-3, 'stabilisation': 'projection'}
+PRECISE = {'integrator': 'dop853', 'tolerance': 1e-12}
+
+
+def simulation_of(scene, method=None, values=()):
+    scene = load_scene(scene)
+    scene = changed(scene, {resolve(scene, key): value for key, value in dict(values).items()})
+    return Simulation.from_scene(replace(scene, method=replace(scene.method, **(method or RK4))))
+
+
+def sources_of(unit):
+    with ZipFile(io.BytesIO(unit.archive)) as archive:
+        return {name.partition('/')[2]: archive.read(name).decode()
+                for name in archive.namelist() if name.startswith('sources/')}
+
+
+class Unit:
+    """A unit in this process, called through ctypes."""
+
+    def __init__(self, folder, unit, version='3.0'):
+        with ZipFile(io.BytesIO(unit.archive)) as archive:
+            binary = next(name for name in archive.namelist() if name.startswith('binaries/'))
+            path = folder / f'unit{version}.so'
+            path.write_bytes(archive.read(binary))
+            root = ElementTree.fromstring(archive.read('modelDescription.xml'))
+        self.library = ctypes.CDLL(str(path))
+        self.token = (root.get('instantiationToken') or root.get('guid')).encode()
+        self.place = {one.name: n for n, one in enumerate(unit.variables)}
+
+    def instance(self, exchange=False):
+        make = getattr(self.library, f'fmi3Instantiate{"ModelExchange" if exchange else ""}'
+                                     f'{"" if exchange else "CoSimulation"}')
+        make.restype = c_void_p
+        more = () if exchange else (c_bool(0), c_bool(0), None, c_size_t(0))
+        found = make(b'one', self.token, None, c_bool(0), c_bool(0), *more, None, None,
+                     *(() if exchange else (None,)))
+        return c_void_p(found) if found else None
+
+    def started(self, exchange=False, values=None):
+        instance = self.instance(exchange)
+        assert self.call('EnterInitializationMode', instance, c_bool(0), c_double(0.0),
+                         c_double(0.0), c_bool(0), c_double(0.0)) == 0
+        if values:
+            assert self.put(instance, values) == 0
+        assert self.call('ExitInitializationMode', instance) == 0
+        return instance
+
+    def call(self, name, *arguments):
+        return getattr(self.library, f'fmi3{name}')(*arguments)
+
+    def get(self, instance, names):
+        places, found = self._places(names), np.zeros(len(names))
+        assert self.call('GetFloat64', instance, places, c_size_t(len(names)), _pointer(found),
+                         c_size_t(len(names))) == 0
+        return found
+
+    def put(self, instance, values):
+        places, given = self._places(values), np.array(list(values.values()), dtype=float)
+        return self.call('SetFloat64', instance, places, c_size_t(len(given)), _pointer(given),
+                         c_size_t(len(given)))
+
+    def step(self, instance, now, size):
+        flags, last = [c_bool() for _ in range(3)], c_double()
+        return self.call('DoStep', instance, c_double(now), c_double(size), c_bool(1),
+                         *map(byref, flags), byref(last))
+
+    def _places(self, names):
+        return (c_uint * len(names))(*(self.place[name] for name in names))
+
+
+def _pointer(array):
+    return c_void_p(array.ctypes.data)
+
+
+@pytest.mark.parametrize('scene', ('four_bar', 'rssr_four_bar'))
+def test_co_simulation_is_our_run(scene, tmp_path):
+    simulation = simulation_of(scene)
+    unit = Unit(tmp_path, fmu(simulation, 'machine'))
+    names = [name for name in unit.place if name.endswith('.q')][:2]
+    places = [simulation.coordinates.place[simulation.joint_names.index(name[:-2])]
+              for name in names]
+    drive = next(name for name in unit.place if name.endswith('.tau'))
+    pushed, free = unit.started(values={drive: 0.3}), unit.started()
+    other = simulation_of(scene)
+    for step in range(20):
+        assert unit.step(pushed, step * 0.01, 0.01) == unit.step(free, step * 0.01, 0.01) == 0
+    # Two at once, and neither is the other.
+    for instance, ours, torque in ((pushed, simulation, 0.3), (free, other, 0.0)):
+        ours.step({drive[:-4]: torque}, 0.2)
+        np.testing.assert_allclose(
+            unit.get(instance, names), ours.position[places], rtol=0, atol=1e-9)
+    assert np.abs(unit.get(pushed, names) - unit.get(free, names)).max() > 1e-4
+
+
+def test_model_exchange_goes_on_through_a_change_of_coordinates(tmp_path):
+    # The slider turns back where the crank is along the rod: only the crank decides there.
+    simulation = simulation_of('slider_crank', {'integrator': 'dop853', 'tolerance': 1e-12})
+    unit = Unit(tmp_path, fmu(simulation, 'machine'))
+    instance = unit.started(exchange=True)
+    names = [name for name in unit.place if re.fullmatch(r'\w+\.q', name)]
+
+    def states(function='GetContinuousStates'):
+        found = np.zeros(2)
+        assert unit.call(function, instance, _pointer(found), c_size_t(2)) == 0
+        return found
+
+    flags = [c_bool() for _ in range(5)]
+    assert unit.call('UpdateDiscreteStates', instance, *map(byref, flags), None) == 0
+    assert unit.call('EnterContinuousTimeMode', instance) == 0
+
+    def slope(given):
+        assert unit.call('SetContinuousStates', instance, _pointer(given), c_size_t(2)) == 0
+        return states('GetContinuousStateDerivatives')
+
+    size, steps = 1e-3, 400
+    for _ in range(steps):
+        x = states()
+        one = slope(x)
+        two = slope(x + 0.5 * size * one)
+        three = slope(x + 0.5 * size * two)
+        four = slope(x + size * three)
+        slope(x + size / 6 * (one + 2 * two + 2 * three + four))
+        event, end = c_bool(), c_bool()
+        assert unit.call(
+            'CompletedIntegratorStep', instance, c_bool(1), byref(event), byref(end)) == 0
+        if event.value:
+            assert unit.call('EnterEventMode', instance) == 0
+            assert unit.call('UpdateDiscreteStates', instance, *map(byref, flags), None) == 0
+            assert unit.call('EnterContinuousTimeMode', instance) == 0
+    simulation.step(None, steps * size)
+    ours = simulation.position[[simulation.joint_names.index(name[:-2]) for name in names]]
+    np.testing.assert_allclose(unit.get(instance, names), ours, rtol=0, atol=1e-7)
+
+
+def test_directional_derivatives_are_those_of_the_linear_model(tmp_path):
+    simulation = simulation_of('four_bar')
+    unit = Unit(tmp_path, fmu(simulation, 'machine', derivatives=True))
+    instance = unit.started(exchange=True)
+    linear = Linearisation(simulation, ['crank_joint']).linear_model(
+        outputs=('position', 'velocity', 'acceleration'))
+    knowns = ['independent.q[1]', 'independent.qd[1]', 'crank_joint.tau']
+    unknowns = [name for what in ('{}.q', 'der({}.q)', 'der({}.q,2)')
+                for name in map(what.format, simulation.joint_names)]
+    expected = np.hstack((linear.C, linear.D))
+    for k, known in enumerate(knowns):
+        found, one = np.zeros(len(unknowns)), np.ones(1)
+        assert unit.call(
+            'GetDirectionalDerivative', instance, unit._places(unknowns),
+            c_size_t(len(unknowns)), unit._places([known]), c_size_t(1), _pointer(one),
+            c_size_t(1), _pointer(found), c_size_t(len(unknowns))) == 0
+        np.testing.assert_allclose(
+            found, expected[:, k], rtol=0, atol=1e-10 * np.abs(expected).max())
+    adjoint, seed = np.zeros(3), np.eye(len(unknowns))[-1].copy()
+    assert unit.call(
+        'GetAdjointDerivative', instance, unit._places(unknowns), c_size_t(len(unknowns)),
+        unit._places(knowns), c_size_t(3), _pointer(seed), c_size_t(len(unknowns)),
+        _pointer(adjoint), c_size_t(3)) == 0
+    np.testing.assert_allclose(adjoint, expected[-1], atol=1e-10 * np.abs(expected).max())
+
+
+def test_parameters_are_numbers_of_the_scene(tmp_path):
+    simulation = simulation_of('four_bar')
+    unit = Unit(tmp_path, fmu(simulation, 'machine'))
+    # Together: what one of them does may not depend on another.
+    rng = np.random.default_rng(4)
+    values = {name: variable.start * (1.0 + 0.03 * rng.normal()) for name, variable in zip(
+        unit.place, fmu(simulation, 'machine', binary=False).variables)
+        if variable.causality == 'parameter' and name != 'step_size'}
+    assert len(values) >= 8 and 'mechanism.bodies.crank.mass' in values
+    instance = unit.started(values=values)
+    ours = simulation_of('four_bar', values={
+        re.sub(r'\[(\d)\]', r'.\1', name): value for name, value in values.items()})
+    ours.set_state(unit.get(instance, [f'{one}.q' for one in ours.joint_names]))
+    expected, _ = ours.forward_dynamics(ours.position, np.zeros(3))
+    found = unit.get(instance, [f'der({one}.q,2)' for one in ours.joint_names])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    # While it runs a mass may change, a length may not.
+    assert unit.put(instance, {'mechanism.bodies.crank.mass': 0.6}) == 0
+    assert unit.put(instance, {'mechanism.joints.coupler_joint.position[0]': 0.11}) == 3
+
+
+def test_states_are_kept_and_written(tmp_path):
+    unit = Unit(tmp_path, fmu(simulation_of('four_bar'), 'machine'))
+    instance = unit.started()
+    assert unit.step(instance, 0.0, 0.1) == 0
+    state, names = c_void_p(), ['crank_joint.q', 'der(crank_joint.q)']
+    assert unit.call('GetFMUState', instance, byref(state)) == 0
+    size = c_size_t()
+    assert unit.call('SerializedFMUStateSize', instance, state, byref(size)) == 0
+    text = (ctypes.c_ubyte * size.value)()
+    assert unit.call('SerializeFMUState', instance, state, text, size) == 0
+    assert unit.step(instance, 0.1, 0.1) == 0
+    expected = unit.get(instance, names)
+    assert unit.call('FreeFMUState', instance, byref(state)) == 0 and not state.value
+    assert unit.call('DeserializeFMUState', instance, text, size, byref(state)) == 0
+    assert unit.call('SetFMUState', instance, state) == 0
+    assert unit.step(instance, 0.1, 0.1) == 0
+    assert np.array_equal(unit.get(instance, names), expected)
+    text[0] ^= 1
+    assert unit.call('DeserializeFMUState', instance, text, size, byref(state)) == 3
+    unit.call('FreeFMUState', instance, byref(state))
+
+
+def test_faults_are_errors_and_leave_the_state(tmp_path):
+    unit = Unit(tmp_path, fmu(simulation_of('four_bar'), 'machine'))
+    right = unit.token
+    unit.token = b'another'
+    assert unit.instance() is None
+    unit.token = right
+    instance = unit.started()
+    before = unit.get(instance, ['crank_joint.q'])
+    assert unit.step(instance, 0.5, 0.01) == 3
+    assert unit.call('EnterInitializationMode', instance, c_bool(0), c_double(0), c_double(0),
+                     c_bool(0), c_double(0)) == 3
+    assert unit.put(instance, {'crank_joint.tau': float('nan')}) == 3
+    assert unit.put(instance, {'crank_joint.tau': 1e200}) == 0
+    assert unit.step(instance, 0.0, 0.01) == 2
+    assert np.array_equal(unit.get(instance, ['crank_joint.q']), before)
+    assert unit.call('Reset', instance) == 0
+    unit.call('FreeInstance', instance)
+
+
+@pytest.mark.parametrize('version', ('3.0', '2.0'))
+def test_every_function_of_the_standard_is_there_and_does_no_harm(version, tmp_path):
+    unit = fmu(simulation_of('four_bar'), 'machine', version)
+    program = tmp_path / 'calls.c'
+    files = sources_of(unit)
+    names = re.findall(r'EXPORT [^;{(]*?\b(fmi\d\w+)\(', files['fmu.c'])
+    typed = re.findall(r'^N\w+\((\w+), ', files['fmu.c'], re.M)
+    assert len(names) + len(typed) >= {'3.0': 70, '2.0': 40}[version]
+    # In a process with the sanitizer: an instance, a step, and each function without variables.
+    program.write_text('#include "fmu.c"\n' + (CALLS_3 if version == '3.0' else CALLS_2))
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    subprocess.run(
+        [*build.compiler(), '-x', 'c', '-std=c99', '-g', '-Wall', '-Wextra', '-Werror',
+         '-fsanitize=address,undefined', '-fno-sanitize-recover=all', program, '-o',
+         tmp_path / 'calls', '-lm'], check=True)
+    subprocess.run([tmp_path / 'calls'], check=True)
+
+
+CALLS_3 = """
+#define CHECK(wanted, call) if ((call) != (wanted)) {return __LINE__ & 127;}
+int main(void)
+{
+  Instance *me = fmi3InstantiateModelExchange("me", token, 0, 0, 0, 0, 0);
+  Instance *cs = fmi3InstantiateCoSimulation("cs", token, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+  bool a, b, c, d, e;
+  double one = 0.0, x[2 * FREE + 1];
+  size_t count;
+  void *state = 0;
+  int whole;
+  const unsigned freedom = FREEDOM, tau = TAU;
+  CHECK(0, !me || !cs)
+  CHECK(0, fmi3InstantiateScheduledExecution("", token, 0, 0, 0, 0, 0, 0, 0, 0) != 0)
+  CHECK(0, strcmp(fmi3GetVersion(), "3.0"))
+  CHECK(OK, fmi3SetDebugLogging(cs, true, 0, 0))
+  CHECK(OK, fmi3EnterInitializationMode(me, false, 0, 0, false, 0))
+  CHECK(OK, fmi3ExitInitializationMode(me))
+  CHECK(OK, fmi3EvaluateDiscreteStates(me))
+  CHECK(OK, fmi3UpdateDiscreteStates(me, &a, &b, &c, &d, &e, &one))
+  CHECK(OK, fmi3EnterContinuousTimeMode(me))
+  CHECK(OK, fmi3SetTime(me, 0.1))
+  CHECK(OK, fmi3GetContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi3SetContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi3GetContinuousStateDerivatives(me, x, 2 * FREE))
+  CHECK(OK, fmi3GetNominalsOfContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi3GetEventIndicators(me, x, 0))
+  CHECK(OK, fmi3GetNumberOfEventIndicators(me, &count))
+  CHECK(OK, fmi3GetNumberOfContinuousStates(me, &count))
+  CHECK(OK, fmi3CompletedIntegratorStep(me, true, &a, &b))
+  CHECK(OK, fmi3EnterEventMode(me))
+  CHECK(OK, fmi3GetInt32(me, &freedom, 1, &whole, 1))
+  CHECK(OK, fmi3Terminate(me))
+  CHECK(OK, fmi3EnterInitializationMode(cs, false, 0, 0, false, 0))
+  CHECK(OK, fmi3ExitInitializationMode(cs))
+  CHECK(OK, fmi3SetFloat64(cs, &tau, 1, &one, 1))
+  CHECK(OK, fmi3GetFloat64(cs, &tau, 1, &one, 1))
+  CHECK(OK, fmi3DoStep(cs, 0.0, 0.01, true, &a, &b, &c, &one))
+  CHECK(OK, fmi3GetFMUState(cs, &state))
+  CHECK(OK, fmi3SerializedFMUStateSize(cs, state, &count))
+  unsigned char *bytes = malloc(count);
+  CHECK(OK, fmi3SerializeFMUState(cs, state, bytes, count))
+  CHECK(OK, fmi3FreeFMUState(cs, &state))
+  CHECK(OK, fmi3DeserializeFMUState(cs, bytes, count, &state))
+  CHECK(OK, fmi3SetFMUState(cs, state))
+  CHECK(OK, fmi3FreeFMUState(cs, &state))
+  free(bytes);
+#define NOTHING(TYPE) CHECK(OK, fmi3Get ## TYPE(cs, 0, 0, 0, 0)) \\
+  CHECK(OK, fmi3Set ## TYPE(cs, 0, 0, 0, 0))
+  NOTHING(Float32) NOTHING(Int8) NOTHING(UInt8) NOTHING(Int16) NOTHING(UInt16) NOTHING(UInt32)
+  NOTHING(Int64) NOTHING(UInt64) NOTHING(Boolean) NOTHING(String)
+  CHECK(OK, fmi3SetInt32(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi3GetBinary(cs, 0, 0, 0, 0, 0))
+  CHECK(OK, fmi3SetBinary(cs, 0, 0, 0, 0, 0))
+  CHECK(OK, fmi3GetClock(cs, 0, 0, 0))
+  CHECK(OK, fmi3SetClock(cs, 0, 0, 0))
+  CHECK(OK, fmi3GetIntervalDecimal(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi3GetIntervalFraction(cs, 0, 0, 0, 0, 0))
+  CHECK(OK, fmi3GetShiftDecimal(cs, 0, 0, 0))
+  CHECK(OK, fmi3GetShiftFraction(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi3SetIntervalDecimal(cs, 0, 0, 0))
+  CHECK(OK, fmi3SetIntervalFraction(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi3SetShiftDecimal(cs, 0, 0, 0))
+  CHECK(OK, fmi3SetShiftFraction(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi3GetOutputDerivatives(cs, 0, 0, 0, 0, 0))
+  CHECK(ERROR, fmi3GetDirectionalDerivative(cs, &tau, 1, &tau, 1, &one, 1, &one, 1))
+  CHECK(ERROR, fmi3GetAdjointDerivative(cs, &tau, 1, &tau, 1, &one, 1, &one, 1))
+  CHECK(ERROR, fmi3GetNumberOfVariableDependencies(cs, 0, &count))
+  CHECK(ERROR, fmi3GetVariableDependencies(cs, 0, 0, 0, 0, 0, 0))
+  CHECK(ERROR, fmi3EnterConfigurationMode(cs))
+  CHECK(ERROR, fmi3ExitConfigurationMode(cs))
+  CHECK(ERROR, fmi3EnterStepMode(cs))
+  CHECK(ERROR, fmi3ActivateModelPartition(cs, 0, 0.0))
+  CHECK(OK, fmi3Reset(cs))
+  fmi3FreeInstance(me);
+  fmi3FreeInstance(cs);
+  return 0;
+}
+"""
+
+CALLS_2 = """
+#define CHECK(wanted, call) if ((call) != (wanted)) {return __LINE__ & 127;}
+int main(void)
+{
+  Instance *me = fmi2Instantiate("me", 0, token, 0, 0, 0, 0);
+  Instance *cs = fmi2Instantiate("cs", 1, token, 0, 0, 0, 0);
+  double one = 0.0, x[2 * FREE + 1];
+  size_t count;
+  void *state = 0;
+  int a, b;
+  const char *words;
+  fmi2EventInfo info;
+  const unsigned freedom = FREEDOM, tau = TAU;
+  CHECK(0, !me || !cs)
+  CHECK(0, strcmp(fmi2GetVersion(), "2.0") || strcmp(fmi2GetTypesPlatform(), "default"))
+  CHECK(OK, fmi2SetDebugLogging(cs, 1, 0, 0))
+  CHECK(OK, fmi2SetupExperiment(me, 0, 0, 0, 0, 0))
+  CHECK(OK, fmi2EnterInitializationMode(me))
+  CHECK(OK, fmi2ExitInitializationMode(me))
+  CHECK(OK, fmi2NewDiscreteStates(me, &info))
+  CHECK(OK, fmi2EnterContinuousTimeMode(me))
+  CHECK(OK, fmi2SetTime(me, 0.1))
+  CHECK(OK, fmi2GetContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi2SetContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi2GetDerivatives(me, x, 2 * FREE))
+  CHECK(OK, fmi2GetNominalsOfContinuousStates(me, x, 2 * FREE))
+  CHECK(OK, fmi2GetEventIndicators(me, x, 0))
+  CHECK(OK, fmi2CompletedIntegratorStep(me, 1, &a, &b))
+  CHECK(OK, fmi2EnterEventMode(me))
+  CHECK(OK, fmi2GetInteger(me, &freedom, 1, &a))
+  CHECK(OK, fmi2Terminate(me))
+  CHECK(OK, fmi2EnterInitializationMode(cs))
+  CHECK(OK, fmi2ExitInitializationMode(cs))
+  CHECK(OK, fmi2SetReal(cs, &tau, 1, &one))
+  CHECK(OK, fmi2GetReal(cs, &tau, 1, &one))
+  CHECK(OK, fmi2DoStep(cs, 0.0, 0.01, 1))
+  CHECK(OK, fmi2GetFMUstate(cs, &state))
+  CHECK(OK, fmi2SerializedFMUstateSize(cs, state, &count))
+  unsigned char *bytes = malloc(count);
+  CHECK(OK, fmi2SerializeFMUstate(cs, state, bytes, count))
+  CHECK(OK, fmi2FreeFMUstate(cs, &state))
+  CHECK(OK, fmi2DeSerializeFMUstate(cs, bytes, count, &state))
+  CHECK(OK, fmi2SetFMUstate(cs, state))
+  CHECK(OK, fmi2FreeFMUstate(cs, &state))
+  free(bytes);
+  CHECK(OK, fmi2SetInteger(cs, 0, 0, 0))
+  CHECK(OK, fmi2GetBoolean(cs, 0, 0, 0))
+  CHECK(OK, fmi2SetBoolean(cs, 0, 0, 0))
+  CHECK(OK, fmi2GetString(cs, 0, 0, 0))
+  CHECK(OK, fmi2SetString(cs, 0, 0, 0))
+  CHECK(OK, fmi2SetRealInputDerivatives(cs, 0, 0, 0, 0))
+  CHECK(OK, fmi2GetRealOutputDerivatives(cs, 0, 0, 0, 0))
+  CHECK(ERROR, fmi2GetDirectionalDerivative(cs, &tau, 1, &tau, 1, &one, &one))
+  CHECK(ERROR, fmi2CancelStep(cs))
+  CHECK(DISCARD, fmi2GetStatus(cs, 0, &a))
+  CHECK(OK, fmi2GetRealStatus(cs, 2, &one))
+  CHECK(DISCARD, fmi2GetIntegerStatus(cs, 0, &a))
+  CHECK(OK, fmi2GetBooleanStatus(cs, 3, &a))
+  CHECK(DISCARD, fmi2GetStringStatus(cs, 1, &words))
+  CHECK(OK, fmi2Reset(cs))
+  fmi2FreeInstance(me);
+  fmi2FreeInstance(cs);
+  return 0;
+}
+"""
+
+
+@pytest.mark.parametrize('version', ('3.0', '2.0'))
+def test_fmpy_finds_nothing_wrong_and_runs_it(version, tmp_path):
+    fmpy = pytest.importorskip('fmpy', reason='needs fmpy, from the Python package index')
+    path = tmp_path / 'machine.fmu'
+    path.write_bytes(fmu(simulation_of('four_bar'), 'machine', version, True).archive)
+    assert import_module('fmpy.validation').validate_fmu(str(path)) == []
+    for kind, method, tolerance in (
+            ('CoSimulation', RK4, 1e-9), ('ModelExchange', PRECISE, 1e-7)):
+        rows = fmpy.simulate_fmu(
+            str(path), fmi_type=kind, stop_time=0.5, output_interval=0.01,
+            relative_tolerance=1e-12)
+        ours = simulation_of('four_bar', method)
+        ours.step(None, 0.5)
+        found = [rows[f'{name}.q'][-1] for name in ours.joint_names]
+        np.testing.assert_allclose(found, ours.position, rtol=0, atol=tolerance)
+
+
+def test_the_command_writes_units_and_tells_what_they_lack(tmp_path, capsys):
+    assert main(['export', 'rssr_four_bar', '--output', str(tmp_path / 'a.fmu')]) == 0
+    assert 'no model exchange: an orientation' in capsys.readouterr().out
+    assert main(['export', 'cam_follower', '--output', str(tmp_path / 'b.fmu')]) == 1
+    assert 'effects.outline' in capsys.readouterr().err
+    assert main(['export', 'four_bar', '--output', str(tmp_path / 'c.c'), '--fmi', '2.0']) == 2
+    assert '--fmi: expected it with an output that ends with .fmu' in capsys.readouterr().err
+
+
+def test_what_does_not_compile_is_told_with_the_reason():
+    with pytest.raises(SimulationError, match='could not be compiled'):
+        compiled({'machine.c': '', 'fmu.c': 'no C'}, 'machine')
