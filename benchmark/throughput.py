@@ -68,36 +68,46 @@ def ours(scene, torques):
                lambda count, one=simulation: one.rollout(torques, threads=count), final)
 
 
-def mujocos(scene, torques):
-    """Yield the same for MuJoCo."""
+def mujoco_rollout(scene, torques, integrator, frequency, step, held):
+    """
+    Return a function of a number of threads that makes MuJoCo's rollout.
+
+    Its integrator, the natural frequency of its loops' springs times the step, the step [s], and
+    in how many of them each torque is held; the function returns the positions at the end.
+
+    """
     import mujoco
     from mujoco import rollout
     from peer_mujoco import Engine
-    engine = Engine(scene)
-    start = Simulation(scene)
-    applied = np.zeros((*torques.shape[:2], scene.mechanism.coordinates.nv))
-    applied[:, :, list(scene.mechanism.coordinates.actuated)] = torques
+    engine, start = Engine(scene), Simulation(scene)
+    model = engine.build(step, frequency / step, integrator)
+    spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    initial = np.zeros(mujoco.mj_stateSize(model, spec))
+    places = 1 + engine.order
+    initial[places], initial[1 + model.nq:1 + model.nq + model.nv] = start.position, start.velocity
+    initial = np.tile(initial, (len(torques), 1))
+    applied = np.zeros((len(torques), held * torques.shape[1], model.nv))
+    applied[:, :, list(scene.mechanism.coordinates.actuated)] = np.repeat(torques, held, axis=1)
+    # The arrays for the results are made before: only computing is timed.
+    state = np.zeros((*applied.shape[:2], initial.shape[1]))
+    sensors = np.zeros((*applied.shape[:2], model.nsensordata))
+
+    def run(count):
+        rollout.rollout(
+            model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
+            control_spec=int(mujoco.mjtState.mjSTATE_QFRC_APPLIED), state=state,
+            sensordata=sensors, persistent_pool=True)
+        return state[:, -1, places]
+
+    return run
+
+
+def mujocos(scene, torques):
+    """Yield the same for MuJoCo."""
+    import mujoco
     for integrator, frequency in MUJOCO:
-        model = engine.build(STEP, frequency / STEP, integrator)
-        spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
-        initial = np.zeros(mujoco.mj_stateSize(model, spec))
-        nq, nv = model.nq, model.nv
-        places = 1 + engine.order
-        initial[places], initial[1 + nq:1 + nq + nv] = start.position, start.velocity
-        initial = np.tile(initial, (len(torques), 1))
-        # The arrays for the results are made before: only computing is timed.
-        state = np.zeros((*torques.shape[:2], initial.shape[1]))
-        sensors = np.zeros((*torques.shape[:2], model.nsensordata))
-        control = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
-
-        def run(count, model=model, initial=initial, state=state, sensors=sensors):
-            rollout.rollout(
-                model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
-                control_spec=control, state=state, sensordata=sensors, persistent_pool=True)
-
-        run(1)
-        yield (f'MuJoCo {mujoco.__version__} rollout, {integrator}', run,
-               state[:, -1, places].copy())
+        run = mujoco_rollout(scene, torques, integrator, frequency, STEP, 1)
+        yield f'MuJoCo {mujoco.__version__} rollout, {integrator}', run, run(1).copy()
 
 
 def reference(scene, torques):
@@ -165,33 +175,6 @@ def settings_of_ours(scene):
                 **{key: value})
 
 
-def mujoco_rollout(scene, torques, integrator, frequency, step):
-    """Return the function of a number of threads that makes MuJoCo's rollout, and what fills."""
-    import mujoco
-    from mujoco import rollout
-    from peer_mujoco import Engine
-    engine, start = Engine(scene), Simulation(scene)
-    model, held = engine.build(step, frequency / step, integrator), round(HELD / step)
-    spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    initial = np.zeros(mujoco.mj_stateSize(model, spec))
-    places = 1 + engine.order
-    initial[places], initial[1 + model.nq:1 + model.nq + model.nv] = start.position, start.velocity
-    initial = np.tile(initial, (len(torques), 1))
-    applied = np.zeros((len(torques), held * torques.shape[1], model.nv))
-    applied[:, :, list(scene.mechanism.coordinates.actuated)] = np.repeat(torques, held, axis=1)
-    state = np.zeros((*applied.shape[:2], initial.shape[1]))
-    sensors = np.zeros((*applied.shape[:2], model.nsensordata))
-
-    def run(count):
-        rollout.rollout(
-            model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
-            control_spec=int(mujoco.mjtState.mjSTATE_QFRC_APPLIED), state=state,
-            sensordata=sensors, persistent_pool=True)
-        return state[:, -1, places]
-
-    return run
-
-
 def fidelity(scene, samples, repeats, threads, mujoco=True, clock=time.perf_counter):
     """
     Return errors and samples a second: each a second long, torques of its own held at 100 Hz.
@@ -226,7 +209,8 @@ def fidelity(scene, samples, repeats, threads, mujoco=True, clock=time.perf_coun
         tasks.append(('closedloop_dynamics', integrator, setting, run))
     for integrator, frequency, steps in MUJOCO_STEPS if mujoco else ():
         tasks += [('MuJoCo', integrator, f'step {1e3 * step:g} ms', mujoco_rollout(
-            scene, torques, integrator, frequency, step)) for step in steps]
+            scene, torques, integrator, frequency, step, round(HELD / step)))
+            for step in steps]
     exact = Simulation(replace(scene, method=replace(
         scene.method, integrator='dop853', stabilisation='projection', step_size=HELD,
         tolerance=1e-12))).rollout(torques, every=periods).position[:, -1]
