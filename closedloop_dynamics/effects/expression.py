@@ -9,10 +9,10 @@ Expressions in the time, as compiled code evaluates them: a list of operations o
 
 """
 
-import ast
+from functools import partial
 
-from ..mechanism.expressions import CONSTANTS, FUNCTIONS, parsed
-from ..mechanism.fields import among, FieldError, nearest, shown
+from ..mechanism.expressions import FUNCTIONS, ON_NUMBERS, value_of
+from ..mechanism.fields import FieldError, shown
 
 # Operations: a number, the time, of one number, of two numbers.
 NUMBER, TIME = 0, 1
@@ -22,14 +22,89 @@ TWO = ('add', 'sub', 'mul', 'div', 'pow', 'atan2', 'hypot', 'min', 'max')
 _CODES = {name: code for code, name in enumerate((*ONE, *TWO), 2)}
 (NEG, ABS, SIN, COS, TAN, ASIN, ACOS, ATAN, SQRT, EXP, LOG, RADIANS, DEGREES,
  ADD, SUB, MUL, DIV, POW, ATAN2, HYPOT, MIN, MAX) = range(2, 2 + len(_CODES))
-_OPERATORS = {ast.Add: ADD, ast.Sub: SUB, ast.Mult: MUL, ast.Div: DIV, ast.Pow: POW}
 # Of functions of one number x.
 _DERIVATIVES = {
-    'sin': 'cos(x)', 'cos': '-sin(x)', 'tan': '1/cos(x)**2', 'asin': '1/sqrt(1-x**2)',
-    'acos': '-1/sqrt(1-x**2)', 'atan': '1/(1+x**2)', 'sqrt': '0.5/sqrt(x)', 'exp': 'exp(x)',
-    'log': '1/x', 'radians': 'pi/180', 'degrees': '180/pi'}
+    SIN: 'cos(x)', COS: '-sin(x)', TAN: '1/cos(x)**2', ASIN: '1/sqrt(1-x**2)',
+    ACOS: '-1/sqrt(1-x**2)', ATAN: '1/(1+x**2)', SQRT: '0.5/sqrt(x)', EXP: 'exp(x)',
+    LOG: '1/x', RADIANS: 'pi/180', DEGREES: '180/pi'}
 MOST_STEPS = 2000
 EXPECTED = 'an expression in t of numbers, + - * / **, brackets and functions'
+
+
+class Term:
+    """An operation and its operands, terms or numbers; arithmetic on it is another one."""
+
+    __slots__ = ('code', 'operands')
+
+    def __init__(self, code, *operands):
+        """Keep them."""
+        self.code, self.operands = code, operands
+
+    def __add__(self, other):
+        """Add; nothing where the other is zero."""
+        return self if _is(other, 0.0) else Term(ADD, self, other)
+
+    def __radd__(self, other):
+        """Add to a number."""
+        return self if other == 0.0 else Term(ADD, other, self)
+
+    def __sub__(self, other):
+        """Subtract; nothing where the other is zero."""
+        return self if _is(other, 0.0) else Term(SUB, self, other)
+
+    def __rsub__(self, other):
+        """Subtract from a number."""
+        return -self if other == 0.0 else Term(SUB, other, self)
+
+    def __mul__(self, other):
+        """Multiply; a zero or a one decides alone."""
+        if _is(other, 0.0) or _is(other, 1.0):
+            return self if other else 0.0
+        return Term(MUL, self, other)
+
+    def __rmul__(self, other):
+        """Multiply a number."""
+        return self * other if other in (0.0, 1.0) else Term(MUL, other, self)
+
+    def __truediv__(self, other):
+        """Divide."""
+        if _is(other, 0.0):
+            raise ZeroDivisionError('division by zero')
+        return Term(DIV, self, other)
+
+    def __rtruediv__(self, other):
+        """Divide a number."""
+        return 0.0 if other == 0.0 else Term(DIV, other, self)
+
+    def __pow__(self, exponent):
+        """Raise to a power."""
+        return self if _is(exponent, 1.0) else Term(POW, self, exponent)
+
+    def __rpow__(self, base):
+        """Raise a number to a power."""
+        return Term(POW, base, self)
+
+    def __neg__(self):
+        """Negate; twice is nothing."""
+        return self.operands[0] if self.code == NEG else Term(NEG, self)
+
+    def __pos__(self):
+        """Leave it as it is."""
+        return self
+
+
+def _is(value, number):
+    return not isinstance(value, Term) and value == number
+
+
+def _called(name, *operands):
+    """Return a function of terms and numbers."""
+    if any(isinstance(one, Term) for one in operands):
+        return Term(_CODES[name], *operands)
+    return ON_NUMBERS[name](*operands)
+
+
+_FUNCTIONS = {name: partial(_called, name) for name in FUNCTIONS}
 
 
 def program(text):
@@ -41,10 +116,7 @@ def program(text):
     FieldError
 
     """
-    root = parsed(text)
-    if root is None:
-        raise FieldError(EXPECTED, shown(text))
-    return _program(root, text)
+    return _program(_term(text), text)
 
 
 def programs(text):
@@ -57,153 +129,75 @@ def programs(text):
         Where it is none, or has corners that no derivative tells.
 
     """
-    found, root = [program(text)], parsed(text)
+    terms = [_term(text)]
     for _ in range(2):
-        root = _derivative(root, text)
-        found.append(_program(root, text))
-    return tuple(found)
+        terms.append(_derivative(terms[-1], text))
+    return tuple(_program(one, text) for one in terms)
 
 
-def _program(root, text):
-    """Return a tree as one entry of the table."""
+def _term(text):
+    """Return the value of an expression: a term, or a number where it is one."""
+    return value_of(text, {'t': Term(TIME)}, _FUNCTIONS, EXPECTED)
+
+
+def _program(term, text):
+    """Return a term as one entry of the table."""
     steps = []
-    deepest = _translate(root, text, steps)
+    deepest = _append(term, steps)
     if len(steps) > MOST_STEPS:
         raise FieldError(f'an expression whose derivatives take {MOST_STEPS} operations at most',
                          f'{shown(text)}, which takes {len(steps)}')
     return (float(len(steps)), *(float(x) for step in steps for x in step), *((0.0,) * deepest))
 
 
-def _translate(node, text, steps):
-    """Append the operations of a node; return how deep their stack becomes."""
-    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-        steps.append((NUMBER, node.value))
+def _append(term, steps):
+    """Append the operations of a term or number; return how deep their stack becomes."""
+    if not isinstance(term, Term):
+        steps.append((NUMBER, term))
         return 1
-    if isinstance(node, ast.Name):
-        if node.id != 't' and node.id not in CONSTANTS:
-            known = ('t', *CONSTANTS)
-            raise FieldError(EXPECTED, f'{shown(text)} with the unknown name {node.id!r}',
-                             nearest(node.id, known) or f'there are {among(known)}')
-        steps.append((TIME, 0.0) if node.id == 't' else (NUMBER, CONSTANTS[node.id]))
-        return 1
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
-        depth = _translate(node.operand, text, steps)
-        if isinstance(node.op, ast.USub):
-            steps.append((NEG, 0.0))
-        return depth
-    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-        return _apply(_OPERATORS[type(node.op)], (node.left, node.right), text, steps)
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        name = node.func.id
-        if name not in FUNCTIONS:
-            raise FieldError(EXPECTED, f'{shown(text)} with the unknown function {name!r}',
-                             nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
-        if len(node.args) == FUNCTIONS[name]:
-            return _apply(_CODES[name], node.args, text, steps)
-    raise FieldError(EXPECTED, shown(text), f'functions: {among(FUNCTIONS)}')
-
-
-def _apply(code, operands, text, steps):
-    """Append operands and the operation on them."""
-    deepest = max(place + _translate(one, text, steps) for place, one in enumerate(operands))
-    steps.append((code, 0.0))
+    deepest = max((place + _append(one, steps) for place, one in enumerate(term.operands)),
+                  default=1)
+    steps.append((term.code, 0.0))
     return deepest
 
 
-_ZERO, _ONE = ast.Constant(0.0), ast.Constant(1.0)
+def _derivative(term, text):
+    """Return the derivative by t."""
+    if not isinstance(term, Term) or term.code == TIME:
+        return float(isinstance(term, Term))
+    code, operands = term.code, term.operands
+    rates = [_derivative(one, text) for one in operands]
+    if all(_is(one, 0.0) for one in rates):
+        return 0.0
+    if code in _DERIVATIVES:
+        return value_of(
+            _DERIVATIVES[code], {'x': operands[0]}, _FUNCTIONS, EXPECTED) * rates[0]
+    if code == NEG:
+        return -rates[0]
+    if code not in (ADD, SUB, MUL, DIV, POW, HYPOT, ATAN2):
+        raise FieldError('an expression without corners',
+                         f'{shown(text)} with {(*ONE, *TWO)[code - 2]}',
+                         'a motion has no jumps of its speed')
+    return _OF_TWO[code](term, *operands, *rates)
 
 
-def _derivative(node, text):
-    """Return the derivative by t of a tree that ``_translate`` takes."""
-    if isinstance(node, ast.Name):
-        return _ONE if node.id == 't' else _ZERO
-    if isinstance(node, ast.UnaryOp):
-        inner = _derivative(node.operand, text)
-        return _negative(inner) if isinstance(node.op, ast.USub) else inner
-    if isinstance(node, ast.BinOp):
-        return _of_operator(node, text)
-    if isinstance(node, ast.Call):
-        return _of_call(node, text)
-    return _ZERO
-
-
-def _of_operator(node, text):
-    """Return the derivative of a sum, a product, a quotient or a power."""
-    one, other = node.left, node.right
-    of_one, of_other = (_derivative(each, text) for each in (one, other))
-    if isinstance(node.op, ast.Add):
-        return _sum(of_one, of_other)
-    if isinstance(node.op, ast.Sub):
-        return _sum(of_one, _negative(of_other))
-    if isinstance(node.op, ast.Mult):
-        return _sum(_product(of_one, other), _product(one, of_other))
-    if isinstance(node.op, ast.Div):
-        return _sum(_quotient(of_one, other), _negative(
-            _quotient(_product(one, of_other), _product(other, other))))
-    found = _ZERO
-    if not _is(of_one, 0.0) and not _is(other, 0.0):
-        less = (ast.Constant(other.value - 1.0) if isinstance(other, ast.Constant)
-                else _sum(other, ast.Constant(-1.0)))
-        power = _ONE if _is(less, 0.0) else ast.BinOp(one, ast.Pow(), less)
-        found = _product(_product(other, power), of_one)
-    if not _is(of_other, 0.0):
-        found = _sum(found, _product(_product(node, _called('log', one)), of_other))
+def _of_power(term, base, exponent, of_base, of_exponent):
+    """Return the derivative of a power; a zero has no part in it."""
+    found = 0.0
+    if not _is(of_base, 0.0):
+        # Beside the power itself, whose base may be zero.
+        found = exponent * (1.0 if _is(exponent, 1.0) else base ** (exponent - 1.0)) * of_base
+    if not _is(of_exponent, 0.0):
+        found = found + term * _called('log', base) * of_exponent
     return found
 
 
-def _of_call(node, text):
-    """Return the derivative of a function."""
-    name, inner = node.func.id, [_derivative(one, text) for one in node.args]
-    if all(_is(one, 0.0) for one in inner):
-        return _ZERO
-    if name in _DERIVATIVES:
-        outer = _Put(node.args[0]).visit(parsed(_DERIVATIVES[name]))
-        return _product(outer, inner[0])
-    if name not in ('atan2', 'hypot'):
-        raise FieldError('an expression without corners', f'{shown(text)} with {name}',
-                         'a motion has no jumps of its speed')
-    (y, x), (of_y, of_x) = node.args, inner
-    if name == 'hypot':
-        return _quotient(_sum(_product(y, of_y), _product(x, of_x)), node)
-    return _quotient(_sum(_product(x, of_y), _negative(_product(y, of_x))),
-                     _sum(_product(x, x), _product(y, y)))
-
-
-class _Put(ast.NodeTransformer):
-    """Puts a tree in the place of x."""
-
-    def __init__(self, tree):
-        self._tree = tree
-
-    def visit_Name(self, node):  # noqa: N802
-        return self._tree if node.id == 'x' else node
-
-
-def _is(node, value):
-    return isinstance(node, ast.Constant) and node.value == value
-
-
-def _negative(node):
-    return node if _is(node, 0.0) else ast.UnaryOp(ast.USub(), node)
-
-
-def _sum(one, other):
-    if _is(one, 0.0) or _is(other, 0.0):
-        return other if _is(one, 0.0) else one
-    return ast.BinOp(one, ast.Add(), other)
-
-
-def _product(one, other):
-    if _is(one, 0.0) or _is(other, 0.0):
-        return _ZERO
-    if _is(one, 1.0) or _is(other, 1.0):
-        return other if _is(one, 1.0) else one
-    return ast.BinOp(one, ast.Mult(), other)
-
-
-def _quotient(one, other):
-    return one if _is(one, 0.0) else ast.BinOp(one, ast.Div(), other)
-
-
-def _called(name, argument):
-    return ast.Call(ast.Name(name), [argument], [])
+# Of a term of two operands, from it, these and their derivatives.
+_OF_TWO = {
+    ADD: lambda term, x, y, dx, dy: dx + dy,
+    SUB: lambda term, x, y, dx, dy: dx - dy,
+    MUL: lambda term, x, y, dx, dy: dx * y + x * dy,
+    DIV: lambda term, x, y, dx, dy: dx / y - x * dy / (y * y),
+    POW: _of_power,
+    HYPOT: lambda term, x, y, dx, dy: (x * dx + y * dy) / term,
+    ATAN2: lambda term, y, x, dy, dx: (x * dy - y * dx) / (x * x + y * y)}

@@ -21,10 +21,10 @@ from typing import Dict, Optional, Tuple, Union
 
 from .traced_effect import AXES, TracedEffect
 from ..core.codegen.expression_graph import (
-    arctangent, cosine, exponential, larger, logarithm, sine, smaller, square_root, Symbol)
+    arctangent, cosine, exponential, larger, logarithm, sine, smaller, square_root)
 from ..mechanism.checks import freedom, listed, name, number, one_of, vector
-from ..mechanism.expressions import CONSTANTS, evaluated, FUNCTIONS, parsed
-from ..mechanism.fields import among, at, FieldError, nearest, shown
+from ..mechanism.expressions import CONSTANTS, FUNCTIONS, value_of
+from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector
 
 EXPECTED = 'an expression of the names of this law, t, numbers, + - * / **, brackets and functions'
@@ -110,6 +110,9 @@ class Law(TracedEffect):
         What it stores [J].
     dissipation : str or None
         What it dissipates [W].
+    event : dict of str to str, or None
+        A name, which stands for 1 where the expression is less than zero and for 0 elsewhere; a
+        step ends where its sign changes.
     readings : dict of str to str, or None
         What is to be read beside its power, 3 at most.
 
@@ -119,7 +122,7 @@ class Law(TracedEffect):
         'forces': _named(_expression), 'joints': _named(freedom), 'distances': _named(_ends),
         'components': _named(_component), 'rates': _named(name), 'parameters': _named(number),
         'states': _named(_expression), 'start': _named(number), 'energy': _expression,
-        'dissipation': _expression, 'readings': _named(_expression)}
+        'dissipation': _expression, 'event': _named(_expression), 'readings': _named(_expression)}
 
     forces: Dict[str, str]
     joints: Optional[Dict[str, str]] = None
@@ -131,6 +134,7 @@ class Law(TracedEffect):
     start: Optional[Dict[str, float]] = None
     energy: Optional[str] = None
     dissipation: Optional[str] = None
+    event: Optional[Dict[str, str]] = None
     readings: Optional[Dict[str, str]] = None
 
     def numbers(self):
@@ -149,7 +153,7 @@ class Law(TracedEffect):
 
     def trace(self, law):
         """State the law."""
-        known, coordinates = {}, {}
+        known, coordinates = {'t': law.time}, {}
         measures = {'joints': lambda one: law.joint(one),
                     'distances': lambda ends: law.distance(*ends),
                     'components': lambda ends: law.component(*ends)}
@@ -168,49 +172,32 @@ class Law(TracedEffect):
                 one_of(tuple(self.states or ()), 'one of the states')(each)
         for each in self.states or ():
             _take(known, ('states', each), law.state(each, (self.start or {}).get(each, 0.0)))
+        for each, text in (self.event or {}).items():
+            law.event(_value(known, text, 'event', each))
+            _take(known, ('event', each), law.side)
         for each, text in self.forces.items():
             with at('forces'):
                 one_of(tuple(coordinates), 'one of the coordinates')(each)
-            coordinates[each].push(_value(law, known, text, 'forces', each))
+            coordinates[each].push(_value(known, text, 'forces', each))
         for each, text in (self.states or {}).items():
-            law.rate(each, _value(law, known, text, 'states', each))
+            law.rate(each, _value(known, text, 'states', each))
         for each, text in (self.readings or {}).items():
-            law.reading(each, _value(law, known, text, 'readings', each))
+            law.reading(each, _value(known, text, 'readings', each))
         if self.energy is not None:
-            law.store(_value(law, known, self.energy, 'energy'))
+            law.store(_value(known, self.energy, 'energy'))
         if self.dissipation is not None:
-            law.dissipate(_value(law, known, self.dissipation, 'dissipation'))
+            law.dissipate(_value(known, self.dissipation, 'dissipation'))
 
 
 def _take(known, path, symbol):
     """Let a name stand for a symbol, unless it stands for anything else."""
     each = path[-1]
-    if each in known or each in CONSTANTS or each in FUNCTIONS or each == 't':
+    if each in known or each in CONSTANTS or each in FUNCTIONS:
         raise FieldError('a name that stands for nothing else', shown(each), path=path)
     known[each] = symbol
 
 
-def _value(law, known, text, *path):
+def _value(known, text, *path):
     """Return the value of an expression on symbols."""
-    def value_of(each, whole):
-        if each in known or each in CONSTANTS:
-            return known[each] if each in known else CONSTANTS[each]
-        if each == 't':
-            return law.time
-        names = (*known, 't', *CONSTANTS)
-        raise FieldError(EXPECTED, f'{shown(whole)} with the unknown name {each!r}',
-                         nearest(each, names) or f'there are {among(names)}')
-
     with at(*path):
-        root = parsed(text)
-        if root is None:
-            raise FieldError(EXPECTED, shown(text))
-        try:
-            value = evaluated(root, text.strip(), value_of, ON_SYMBOLS, EXPECTED)
-        except FieldError:
-            raise
-        except (ArithmeticError, ValueError, RecursionError) as error:
-            raise FieldError(EXPECTED, f'{shown(text)}, which has no value', str(error)) from None
-        if not isinstance(value, Symbol) and not math.isfinite(value):
-            raise FieldError(EXPECTED, f'{shown(text)}, which is {value}')
-        return value
+        return value_of(text, known, ON_SYMBOLS, EXPECTED)

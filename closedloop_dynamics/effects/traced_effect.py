@@ -12,22 +12,27 @@ of the code, so that a change of them compiles nothing. The engine calls the cod
 """
 
 from dataclasses import fields
+from functools import cached_property
 import math
 
 from .effect import Effect, require_point
 from .table import (
     DISSIPATED, ForceElement, OWN, SPATIAL_TRACED, State, TRACED, VALUE_COLUMNS, WORK)
 from .user_code import defined, definition
-from ..core.codegen.expression_graph import ExpressionGraph, LOAD, Routine, Symbol
+from ..core.codegen.differentiation import differentiated
+from ..core.codegen.expression_graph import ExpressionGraph, LOAD, needed_for, Routine, Symbol
 from ..core.codegen.machine_code import LAW, machine_code
 from ..mechanism.checks import name as name_check
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, shown
 
-# Inputs and outputs of a routine: parameters; the time, then each coordinate and its rate; own
-# states; forces, rates of states, stored energy, dissipated power, readings.
+# Inputs and outputs of a routine: parameters; what is measured; own states; forces, rates of
+# states, stored energy, dissipated power, readings, then the gap of an event and its rate.
 PARAMETERS, MEASURED, STATES, RESULTS = range(4)
-# What is measured.
+# What is measured: the time; 1 where the gap of the event is less than zero; each coordinate and
+# its rate.
+TIME, SIDE, FIRST_COORDINATE = range(3)
+# What a coordinate is.
 JOINT, DISTANCE, COMPONENT = range(3)
 AXES = ('x', 'y', 'z')
 MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
@@ -77,15 +82,16 @@ class Tracing:
         in the world; COMPONENT, a point and an axis.
     states : dict of str to State
         By name.
-    follows_time : bool
-        Whether the time was asked for.
+    gap : Symbol or None
+        Of the event.
 
     """
 
     def __init__(self, parameters):
         """Begin with nothing."""
         self.graph, self._parameters = ExpressionGraph(), tuple(parameters)
-        self.coordinates, self.entries, self.states, self.follows_time = [], [], {}, False
+        self.coordinates, self.entries, self.states = [], [], {}
+        self.gap = None
         self.rates, self.readings, self.energy, self.dissipation = {}, {}, None, None
 
     def parameter(self, name):
@@ -95,8 +101,7 @@ class Tracing:
     @property
     def time(self):
         """Return the symbol of the time [s]."""
-        self.follows_time = True
-        return self.graph.put(LOAD, MEASURED, 0)
+        return self.graph.put(LOAD, MEASURED, TIME)
 
     def joint(self, name):
         """Return the coordinate of a joint of the tree [rad; m]."""
@@ -111,7 +116,7 @@ class Tracing:
         return self._coordinate(COMPONENT, point, axis)
 
     def _coordinate(self, *entry):
-        place = 1 + 2 * len(self.entries)
+        place = FIRST_COORDINATE + 2 * len(self.entries)
         self.entries.append(entry)
         self.coordinates.append(Coordinate(
             self.graph.put(LOAD, MEASURED, place), self.graph.put(LOAD, MEASURED, place + 1)))
@@ -134,6 +139,38 @@ class Tracing:
         self.states[name] = State(OWN, scale, start)
         return self.graph.put(LOAD, STATES, len(self.states) - 1)
 
+    def event(self, gap):
+        """
+        Return whether a gap is less than zero, for ``chosen``.
+
+        Methods with error control end a step where the gap changes its sign. Within a step the
+        side is the one on which it began: the law of each side is to go on beyond its end.
+
+        Parameters
+        ----------
+        gap : Symbol
+            Of coordinates, states, the time and parameters [m; rad; 1].
+
+        """
+        if self.gap is not None:
+            raise FieldError('at most 1 event', 'another one', path=('event',))
+        self.gap = gap
+        return self.side > 0.5
+
+    @property
+    def side(self):
+        """Return the symbol that is 1 where the gap of the event is less than zero, else 0."""
+        return self.graph.put(LOAD, MEASURED, SIDE)
+
+    @property
+    def gap_rate(self):
+        """Return the rate of the event's gap."""
+        seed = {one.value.place: one.rate for one in self.coordinates}
+        seed.update({self.graph.put(LOAD, STATES, place).place: self.rates[name]
+                     for place, name in enumerate(self.states)})
+        seed[self.graph.put(LOAD, MEASURED, TIME).place] = 1.0
+        return differentiated(self.graph, [self.gap], seed)[0]
+
     def rate(self, name, value):
         """Set the rate of a state."""
         self.rates[name] = value
@@ -150,14 +187,23 @@ class Tracing:
         """Let a number be read as one of ``Simulation.effect_readings``; three at most."""
         self.readings[name] = value
 
-    @property
+    @cached_property
+    def follows_time(self):
+        """Whether any result depends on the time."""
+        operations = self.graph.operations
+        needed = needed_for(operations, [
+            value.place for value in self.results if isinstance(value, Symbol)])
+        return any(operations[place] == (LOAD, MEASURED, TIME) for place in needed)
+
+    @cached_property
     def results(self):
         """Return the results of the routine: a list of Symbol or float."""
         readings = list(self.readings.values())
         return [*(one.force for one in self.coordinates),
                 *(self.rates[name] for name in self.states),
                 *(0.0 if one is None else one for one in (self.energy, self.dissipation)),
-                *readings, *(MOST_READINGS - len(readings)) * (0.0,)]
+                *readings, *(MOST_READINGS - len(readings)) * (0.0,),
+                *(() if self.gap is None else (self.gap, self.gap_rate))]
 
     @property
     def arithmetic(self):
@@ -246,12 +292,14 @@ class TracedEffect(Effect):
         if law.follows_time:
             clock = (State(OWN),)
         booked = law.energy is not None or law.dissipation is not None
-        head = float(len(clock)), float(len(law.states)), float(booked)
+        head = (float(len(clock)), float(len(law.states)), float(booked),
+                float(law.gap is not None))
         data = head, *(_entry(machine, *entry) for entry in law.entries)
         kind = TRACED if machine.mechanism.planar else SPATIAL_TRACED
         return ForceElement(
             kind, (len(law.entries), _address(law)), tuple(self.numbers().values()),
             (*clock, *law.states.values(), State(DISSIPATED if booked else WORK)),
+            touches=law.gap is not None,
             data=tuple((*entry, *(COLUMNS - len(entry)) * (0.0,)) for entry in data))
 
     def clock(self, time):
@@ -292,9 +340,24 @@ def _require_complete(law):
             ('parameters', law._parameters, VALUE_COLUMNS)):
         if len(found) > most:
             raise FieldError(f'at most {most} {what}', f'{len(found)}', path=(what,))
+    if law.gap is not None:
+        _require_gap(law)
     for value in law.results:
         if not isinstance(value, (Symbol, float, int)):
             raise FieldError('arithmetic on symbols and numbers', shown(value))
+
+
+def _require_gap(law):
+    """Refuse an event that depends on what has no rate before the accelerations are known."""
+    with at('event'):
+        if not isinstance(law.gap, Symbol):
+            raise FieldError('a gap that follows from what is measured', shown(law.gap))
+        known = {one.value.place for one in law.coordinates}
+        for place in needed_for(law.graph.operations, [law.gap.place]):
+            operation = law.graph.operations[place]
+            if operation[:2] == (LOAD, MEASURED) and operation[2] != TIME and place not in known:
+                raise FieldError('a gap of coordinates, states, the time and parameters',
+                                 'one of a rate, or of the event itself')
 
 
 def _entry(machine, kind, *ends):

@@ -17,7 +17,7 @@ from .registry import effect_type
 from .table import (
     DATA, EXTERNAL_FORCE, FIRST, JOINT_DAMPING, JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_FORCE,
     SPATIAL_POINT_SPRING, SPATIAL_TRACED, TRACED)
-from .traced_effect import COLUMNS, COMPONENT, JOINT, MEASURED, PARAMETERS
+from .traced_effect import COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS
 from ..core.codegen.expression_graph import chosen, replayed, square_root
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 
@@ -57,9 +57,11 @@ def refused(effects):
             continue
         if element.kind in (TRACED, SPATIAL_TRACED):
             law = effects.records[name].traced
-            if law.follows_time or law.states:
-                found[name] = f'{kind}: ' + (
-                    'it follows the time' if law.follows_time else 'it has states of its own')
+            reason = ('it has an event' if law.gap is not None else
+                      'it follows the time' if law.follows_time else
+                      'it has states of its own' if law.states else None)
+            if reason is not None:
+                found[name] = f'{kind}: {reason}'
         elif element.kind not in LAWS:
             found[name] = f'{kind}: {_REASONS.get(kind, "only the engine has its law")}'
     return found
@@ -95,7 +97,7 @@ def entries_of(table, row):
 
 
 def _of_user(forces, law, entries, values):
-    measured, pushes = [None], []
+    measured, pushes = FIRST_COORDINATE * [None], []
     for kind, first, second, *places in entries.tolist():
         first, second = int(first), int(second)
         if kind == JOINT:

@@ -170,6 +170,17 @@ bool is_finite(const EffectTable & effects, Index row)
     effects.data[effects.index(row, effect::DATA) + FLAT] == 0.0);
 }
 
+/// Whether a contact has less dissipated energy than before a step, by more than errors of
+/// integration: no law does that, but those that tell theirs otherwise.
+bool has_gained(const EffectTable & effects, Index row)
+{
+  const Index kind = effects.kind[row];
+  const double lost = effects.states[effects.index(row, effect::STATE)];
+  const double before = effects.contacts.trial(row, contact::LOST);
+  return kind != effect::TRACED && kind != effect::SPATIAL_TRACED &&
+         lost < before - FALLS * (std::abs(before) + effects.output(row, effect::STORED)) - CLOSED;
+}
+
 /// Whether a gap has changed otherwise than by its rates.
 bool is_far(const double * start, const double * now, double size)
 {
@@ -254,11 +265,7 @@ Trial judge_end(const EffectTable & effects, double size, Index sought)
         first = row;
       }
     }
-    const double lost = effects.states[effects.index(row, effect::STATE)];
-    const double before = contacts.trial(row, contact::LOST);
-    refused = refused ||
-      lost < before - FALLS * (std::abs(before) + effects.output(row, effect::STORED)) - CLOSED ||
-      (sign > 0.0 && is_far(start, now, size));
+    refused = refused || has_gained(effects, row) || (sign > 0.0 && is_far(start, now, size));
   }
   if (first >= 0) {
     disagree(search, size);

@@ -156,6 +156,10 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   const double least = LEAST * std::max(std::abs(reached), 1e-3);
   derivative(system, after, slopes[0]);
   const bool landed = freeze_modes(system);
+  if (landed) {
+    // Forces of a law may jump where its side changes, and the sign of the gap is rounding here.
+    derivative(system, after, slopes[0]);
+  }
   ContactSearch contacts;
   if (control[control::STEP_SIZE] > 0.0) {
     double turned = 0.0, moved = 0.0;

@@ -205,7 +205,10 @@ Status StiffRun::accepted_step(
   if (!all_finite(slope)) {
     return Status::NOT_FINITE;
   }
-  freeze_modes(system);
+  if (freeze_modes(system)) {
+    // As in error_control.cpp: the slope of the side on which the step begins.
+    derivative(system, state, slope);
+  }
   ContactSearch contacts;
   bool closed = true, last = false;
   int cuts = 0;

@@ -14,6 +14,12 @@ namespace
 {
 using namespace traced;  // NOLINT: columns of one table
 
+/// Number of the first entry: whether the law has an event, that is a gap and its rate behind its
+/// other results.
+constexpr Index EVENT = BOOKED + 1;
+/// What the routine gets before coordinates and rates: the time; 1 where the gap is less than zero.
+enum Input : Index {TIME, SIDE, COORDINATES};
+
 inline Vector2 point_of(const double * at, Vector2) {return vector2(at);}
 inline Vector3 point_of(const double * at, Vector3) {return vector3(at);}
 inline Vector2 unit(Index axis, Vector2) {return {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0};}
@@ -39,10 +45,11 @@ void apply_law(const EffectTable & table, Index row, Table body, Values q, Value
   const double * head = table.data.data + table.index(row, effect::DATA);
   const Index count = table.index(row, effect::FIRST), own = static_cast<Index>(head[OWN]);
   const Index state = table.index(row, effect::STATE), clock = static_cast<Index>(head[CLOCK]);
-  double measured[1 + 2 * MOST_COORDINATES], results[MOST_COORDINATES + MOST_STATES + 2 + READINGS];
+  double measured[COORDINATES + 2 * MOST_COORDINATES];
+  double results[MOST_COORDINATES + MOST_STATES + 2 + READINGS + 2];
   Line<V> lines[MOST_COORDINATES];
-  measured[0] = clock == 1 ? table.states[state] : 0.0;
-  double * coordinates = measured + 1;
+  measured[TIME] = clock == 1 ? table.states[state] : 0.0;
+  double * coordinates = measured + COORDINATES;
   for (Index k = 0; k < count; ++k) {
     const double * entry = head + (k + 1) * COLUMNS;
     const Index first = static_cast<Index>(entry[FIRST]);
@@ -59,9 +66,21 @@ void apply_law(const EffectTable & table, Index row, Table body, Values q, Value
       coordinates[2 * k + 1] = lines[k].rate;
     }
   }
-  run_law(
-    table.index(row, effect::SECOND), table.values.row(row), measured,
-    table.states.data + state + clock, results);
+  const auto run = [&](bool inside) {
+      measured[SIDE] = inside ? 1.0 : 0.0;
+      run_law(
+        table.index(row, effect::SECOND), table.values.row(row), measured,
+        table.states.data + state + clock, results);
+    };
+  const bool inside = table.contacts.mode[row] == contact::TOUCHING;
+  run(inside);
+  if (head[EVENT] == 1.0) {
+    // The gap belongs to both sides: only what follows from it may be that of the other one.
+    const double * gap = results + count + own + 2 + READINGS;
+    if (update_contact(table.contacts, row, gap[0], gap[1]) != inside) {
+      run(!inside);
+    }
+  }
   double power = 0.0;
   for (Index k = 0; k < count; ++k) {
     const double * entry = head + (k + 1) * COLUMNS;

@@ -28,7 +28,7 @@ CONSTANTS = {'pi': math.pi}
 FUNCTIONS = {**dict.fromkeys(
     ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees'), 1),
     'abs': 1, 'atan2': 2, 'hypot': 2, 'min': 2, 'max': 2}
-_FUNCTIONS = {name: getattr(math, name, None) or {'abs': abs, 'min': min, 'max': max}[name]
+ON_NUMBERS = {name: getattr(math, name, None) or {'abs': abs, 'min': min, 'max': max}[name]
               for name in FUNCTIONS}
 _OPERATORS = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
@@ -148,39 +148,21 @@ class Parameters:
             return text
         if isinstance(root, ast.Name) and not self.values and root.id not in CONSTANTS:
             return text
-        try:
-            value = evaluated(root, text, self._named, _FUNCTIONS, EXPECTED)
-        except (ArithmeticError, ValueError) as error:
-            if isinstance(error, FieldError):
-                raise
-            raise FieldError(EXPECTED, f'{shown(text)}, which has no value', str(error)) from None
-        if not math.isfinite(value):
-            raise FieldError(EXPECTED, f'{shown(text)}, which is {value}')
+        value = value_of(text, self.values, ON_NUMBERS, EXPECTED)
+        self.used.update(self.values.keys() & set(names))
         return value
 
-    def _named(self, name, text):
-        if name in self.values:
-            self.used.add(name)
-            return self.values[name]
-        if name in CONSTANTS:
-            return CONSTANTS[name]
-        known = [*self.values, *CONSTANTS]
-        raise FieldError(EXPECTED, f'{shown(text)} with the unknown name {name!r}',
-                         nearest(name, known) or f'there are {among(known)}')
 
-
-def evaluated(node, text, named, functions, expected):
+def value_of(text, known, functions, expected):
     """
-    Return the value of a node of an expression's tree, of numbers or of what computes like them.
+    Return the value of an expression, of numbers or of what computes like them.
 
     Parameters
     ----------
-    node : ast.AST
-        Of ``parsed``.
     text : str
-        The whole expression.
-    named : callable
-        Returns the value of a name, of the name and the text.
+        The expression.
+    known : mapping of str to number
+        What names stand for, beside CONSTANTS.
     functions : dict of str to callable
         By the names of FUNCTIONS.
     expected : str
@@ -189,20 +171,37 @@ def evaluated(node, text, named, functions, expected):
     Raises
     ------
     FieldError
-        Where it is none.
-    ArithmeticError, ValueError
-        Where it has no value.
+        Where it is none, names something else, or has no finite value.
 
     """
+    root, known = parsed(text), {**known, **CONSTANTS}
+    if root is None:
+        raise FieldError(expected, shown(text))
+    try:
+        value = _evaluated(root, text.strip(), known, functions, expected)
+    except FieldError:
+        raise
+    except (ArithmeticError, ValueError, RecursionError) as error:
+        raise FieldError(expected, f'{shown(text)}, which has no value', str(error)) from None
+    if isinstance(value, float) and not math.isfinite(value):
+        raise FieldError(expected, f'{shown(text)}, which is {value}')
+    return value
+
+
+def _evaluated(node, text, known, functions, expected):
+    """Return the value of a node of the tree of ``parsed``."""
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         if '_' not in ast.get_source_segment(text, node):
             return float(node.value)
     elif isinstance(node, ast.Name):
-        return named(node.id, text)
+        if node.id in known:
+            return known[node.id]
+        raise FieldError(expected, f'{shown(text)} with the unknown name {node.id!r}',
+                         nearest(node.id, known) or f'there are {among(known)}')
     elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
         operands = (node.operand,) if isinstance(node, ast.UnaryOp) else (node.left, node.right)
         value = _OPERATORS[type(node.op)](
-            *(evaluated(one, text, named, functions, expected) for one in operands))
+            *(_evaluated(one, text, known, functions, expected) for one in operands))
         if isinstance(value, complex):
             raise ValueError('a root of a negative number')
         return value
@@ -213,7 +212,7 @@ def evaluated(node, text, named, functions, expected):
                              nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
         if len(arguments) == FUNCTIONS[name]:
             return functions[name](
-                *(evaluated(one, text, named, functions, expected) for one in arguments))
+                *(_evaluated(one, text, known, functions, expected) for one in arguments))
     raise FieldError(expected, shown(text), 'numbers, names, + - * / **, brackets and '
                      f'the functions {among(FUNCTIONS)}')
 

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen.derivatives import differentiated
+from closedloop_dynamics.core.codegen.differentiation import differentiated
 from closedloop_dynamics.core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
     square_root)
