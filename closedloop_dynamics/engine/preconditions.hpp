@@ -8,6 +8,7 @@
 #include <limits>
 
 #include "arguments.hpp"
+#include "assembly.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
@@ -475,6 +476,20 @@ inline constexpr auto precondition<find_joint_forces> =
       (point.rows == 0 || (size == 6 && expected::has_shape(point, row.size, 3))) &&
       expected::has_shape(scratch, bodies, 2 * size) &&
       expected::has_shape(out, row.size, size));
+  };
+
+template<>
+inline constexpr auto precondition<close_loops> =
+  [](const Model & model, const Workspace & work, const Manifold & manifold, Table jac, Table gim,
+    Values q, Indices free) {
+    const char * found = expected::machine(
+      model, work, [&] {
+        const Index nv = model.joints();
+        return expected::has_shape(jac, model.equations(), nv) &&
+               expected::has_shape(gim, nv, nv) && q.size == coordinates_of(model) &&
+               expected::within(free, 0, nv);
+      });
+    return found != nullptr ? found : misfit(manifold, q.size, model.joints());
   };
 
 }  // namespace closedloop

@@ -49,7 +49,7 @@ ANY_LENGTH = {
     ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
     ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
     ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
-    ('run_samples', 3)}
+    ('run_samples', 3), ('close_loops', 6)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
 
 
