@@ -145,6 +145,45 @@ def test_units_of_drives(capsys, tmp_path):
     np.testing.assert_allclose(found, [found[2]] * 4, atol=1e-14)
 
 
+def test_duration_is_the_time_that_the_motion_takes(capsys, tmp_path):
+    rows, picture = tmp_path / 'rows.csv', tmp_path / 'turn.png'
+    code, _, errors = call(
+        capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11', '--duration', 0.5,
+        '--over', 'time', '--output', rows, '--picture', picture)
+    assert code == 0, errors
+    column = read(rows)
+    np.testing.assert_allclose(column['time'], np.linspace(0.0, 0.5, 11), atol=1e-12)
+    np.testing.assert_allclose(column['velocity.crank_joint'], 2.0, atol=1e-12)
+    assert picture.stat().st_size > 0
+    code, _, errors = call(capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11',
+                           '--duration', 0.5, '--speed', 2)
+    assert code == 2 and 'not allowed with argument' in errors
+
+
+def test_pictures_show_no_other_machine_than_the_recorded_one(capsys, tmp_path):
+    rows, longer = tmp_path / 'rows.csv', 'mechanism.cut_joints.cut_1.point_b.0=0.26'
+    code, _, errors = call(capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11',
+                           '--set', longer, '--output', rows)
+    assert code == 0, errors
+    plot = ('plot', rows, '--output', tmp_path / 'pictures', '--overwrite')
+    for command in (plot, (*plot, '--scene', 'four_bar', '--set', longer)):
+        code, _, errors = call(capsys, *command)
+        assert code == 0, errors
+    # The machine of the rows needs no other file where it is named with its numbers.
+    (tmp_path / 'rows.csv.scene.json').rename(tmp_path / 'elsewhere.json')
+    code, _, errors = call(capsys, *plot, '--scene', 'four_bar', '--set', longer)
+    assert code == 0, errors
+    code, _, errors = call(capsys, *plot, '--scene', 'four_bar')
+    assert code == 2 and 'expected rows of the mechanism of four_bar' in errors
+    (tmp_path / 'elsewhere.json').rename(tmp_path / 'rows.csv.scene.json')
+    other = ('--scene', 'four_bar', '--set', longer.replace('0.26', '0.27'))
+    for command in (plot, ('animate', rows, '--output', tmp_path / 'run.gif')):
+        code, _, errors = call(capsys, *command, *other)
+        assert code == 2 and 'mechanism.cut_joints.cut_1.point_b' in errors
+        code, _, errors = call(capsys, *command, '--set', longer)
+        assert code == 2 and '--set: expected it with --scene' in errors
+
+
 def driven_turn(scene, start=0.0, end=2.0 * math.pi, count=361, speed=1.0):
     run = DrivenRun(scene, {'crank_joint': Drive(start, end)}, count, speed)
     assert run.end is None

@@ -274,6 +274,7 @@ def add_recording(parser, name='recording', metavar='BAG_OR_CSV', nargs=None, wh
     parser.add_argument('--scene', metavar='SCENE',
                         help='the scene that was simulated (default: the one in the bag, or '
                              'beside the CSV file)')
+    add_set(parser)
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
 
@@ -285,7 +286,7 @@ def recording_of(arguments, path, other_machine=False):
     Parameters
     ----------
     arguments : argparse.Namespace
-        With those of ``add_recording``.
+        With those of ``add_recording``. Numbers that are set are those of ``--scene``.
     path : path-like
         Of the bag or file.
     other_machine : bool
@@ -301,7 +302,10 @@ def recording_of(arguments, path, other_machine=False):
     from ..recording.errors import RecordingError
     from ..recording.recording import read_recording
     from ..recording.rows import require_same_mechanism
-    scene = load_scene(arguments.scene) if arguments.scene else None
+    if arguments.set and not arguments.scene:
+        raise UsageError('--set: expected it with --scene, whose numbers it changes; a recording '
+                         'knows those that it was made with')
+    scene = with_numbers(load_scene(arguments.scene), arguments) if arguments.scene else None
     try:
         recording = read_recording(path, scene, arguments.namespace)
         if scene is not None and recording.changes and not other_machine:

@@ -38,9 +38,12 @@ def add_drive(parser, default=''):
                              'unit after one of both counts for both (default: rad and m). '
                              'JOINT=VALUE holds it. As many as there are degrees of freedom'
                              f'{default}')
-    parser.add_argument('--speed', type=positive, default=1.0, metavar='RATE',
-                        help='constant speed of the first drive that moves [rad/s or m/s]; the '
-                             'others take the same time (default: 1)')
+    pace = parser.add_mutually_exclusive_group()
+    pace.add_argument('--speed', type=positive, default=1.0, metavar='RATE',
+                      help='constant speed of the first drive that moves [rad/s or m/s]; the '
+                           'others take the same time (default: 1)')
+    pace.add_argument('--duration', type=positive, metavar='SECONDS',
+                      help='how long the motion takes instead')
     parser.add_argument('--branch', type=_branch, metavar='N',
                         help='number of the assembly at the first pose, as --assemblies lists '
                              "them (default: the branch of the scene's start, followed to there)")
@@ -57,7 +60,13 @@ def driven_run(arguments, scene):
     """
     try:
         drives, count = drives_of(arguments) if arguments.drive else (cycle(scene), POSES)
-        return DrivenRun(scene, drives, count, arguments.speed, arguments.branch)
+        speed = arguments.speed
+        if arguments.duration is not None:
+            # Of the first one that moves; a run refuses drives that all rest.
+            moves = [abs(drive.end - drive.start) for drive in drives.values()
+                     if drive.end != drive.start]
+            speed = moves[0] / arguments.duration if moves else speed
+        return DrivenRun(scene, drives, count, speed, arguments.branch)
     except BranchEndError as error:
         raise UsageError(f'--drive: {error}') from None
     except AssemblyError as error:
@@ -138,7 +147,9 @@ def _add_arguments(parser):
     parser.add_argument('--output', metavar='FILE.csv', type=Path,
                         help='where to write a row for each pose')
     parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help='where to draw it over the drive')
+                        help='where to draw it')
+    parser.add_argument('--over', choices=('drive', 'time'), default='drive',
+                        help='what it is drawn over (default: drive)')
     add_drawing(parser)
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 
@@ -159,7 +170,7 @@ def _run(arguments):
         write_scene(arguments.output, run.scene)
         write_csv(arguments.output, *table)
     if arguments.picture is not None:
-        _draw(arguments.picture, run, table)
+        _draw(arguments, run, table)
     if arguments.drawing is not None:
         write_drawing(arguments, from_rows(run.mechanism, *table), run.scene.name)
     print(summary(run, table))
@@ -250,13 +261,13 @@ def drive_axis(run):
     return values, f'{name} [m]'
 
 
-def _draw(path, run, table):
+def _draw(arguments, run, table):
     # Only here, as it takes long to load.
     from ..visual.pictures import over_drive
-    values, label = drive_axis(run)
+    values, label = drive_axis(run) if arguments.over == 'drive' else (run.time, 'time [s]')
     shown = {quantity: {name: (values, each) for name, each in lines.items()}
              for quantity, lines in curves(run, table).items()}
-    over_drive(shown, label, f'{run.scene.name}: driven').savefig(path)
+    over_drive(shown, label, f'{run.scene.name}: driven').savefig(arguments.picture)
 
 
 COMMAND = Command(
@@ -277,6 +288,8 @@ FILE.csv.scene.json, the scene with all overrides: plot, animate and view show i
     epilog="""\
 examples:
   closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --speed 10 --output turn.csv
+  closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --duration 2 --over time \\
+      --picture turn.png
   closedloop kinematics four_bar --drive rocker_joint=90:160deg:71
   closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png
   closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --drawing four_bar.svg

@@ -14,7 +14,7 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, add_set, assignment, checked_torques, Command, mapping, port,
+    add_reading, add_recording, assignment, checked_torques, Command, mapping, port,
     positive, read_scene, recording_of, require_free, UsageError, with_numbers)
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
@@ -62,7 +62,6 @@ def _add_arguments(parser):
                         help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
     parser.add_argument('--no-open', action='store_true', help='do not open a browser')
     add_reading(parser)
-    add_set(parser)
 
 
 def _run(arguments):
