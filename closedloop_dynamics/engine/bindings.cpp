@@ -142,6 +142,36 @@ inline constexpr auto precondition<follow> =
     return expected::first_of(found, misfit(manifold, q.size, model.joints()));
   };
 
+template<>
+inline constexpr auto precondition<reach_poses> =
+  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+    Indices kept, Values unit, Table anchors, double, Indexes grid, Indices seeds, Table values,
+    Indices actuated, Indices reached, Table position, Table rates) {
+    const Index nv = model.joints(), nodes = reached.size;
+    const char * found = expected::machine(
+      model, work, [&] {
+        bool good = grid.rows == 3 && grid.columns > 0;
+        Index count = 1;
+        for (Index axis = 0; good && axis < grid.columns; ++axis) {
+          const Index along = grid(0, axis);
+          good = along > 0 && along <= nodes && grid(1, axis) >= 0 && grid(2, axis) <= along;
+          count *= good ? along : 0;
+          good = good && count <= nodes;
+        }
+        const Index nc = model.equations();
+        return good && count == nodes && nv > 0 && unit.size == nv && drives.size <= nc &&
+               expected::within(drives, 0, model.cut.rows) &&
+               model.cut_point.columns >= cut::MOTION_COLUMNS &&
+               expected::within(kept, 0, nc) &&
+               expected::has_shape(anchors, nv - kept.size, nv) &&
+               expected::within(seeds, 0, nodes) && expected::within(actuated, 0, nv) &&
+               expected::has_shape(values, nodes, drives.size) &&
+               expected::has_shape(position, nodes, coordinates_of(model)) &&
+               expected::has_shape(rates, nodes, actuated.size * drives.size);
+      });
+    return expected::first_of(found, misfit(manifold, coordinates_of(model), nv));
+  };
+
 namespace
 {
 const Entry entries[] = {

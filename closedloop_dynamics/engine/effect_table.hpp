@@ -61,8 +61,9 @@ namespace traced
 constexpr Index MOST_COORDINATES = 16, MOST_STATES = 16, READINGS = 3;
 
 /// Numbers of the first entry: how many of the first states are the time; own states beside it;
-/// whether the law tells what it stores and dissipates, so that the rest is no work from outside.
-enum Head : Index {CLOCK, OWN, BOOKED};
+/// whether the law tells what it stores and dissipates, so that the rest is no work from outside;
+/// whether it has an event, that is a gap and its rate behind its other results.
+enum Head : Index {CLOCK, OWN, BOOKED, EVENT};
 /// Numbers of the others: what is measured, of which joint or bodies, or along which axis, and
 /// where the points are.
 enum Entry : Index {MEASURED, FIRST, SECOND, POINT_A, POINT_B = 6, COLUMNS = 9};

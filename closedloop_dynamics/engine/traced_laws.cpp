@@ -14,9 +14,6 @@ namespace
 {
 using namespace traced;  // NOLINT: columns of one table
 
-/// Number of the first entry: whether the law has an event, that is a gap and its rate behind its
-/// other results.
-constexpr Index EVENT = BOOKED + 1;
 /// What the routine gets before coordinates and rates: the time; 1 where the gap is less than zero.
 enum Input : Index {TIME, SIDE, COORDINATES};
 

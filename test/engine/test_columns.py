@@ -74,7 +74,8 @@ ENUMS = {
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
-         'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head'}
+         'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head',
+         'traced_laws.cpp: Input'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),

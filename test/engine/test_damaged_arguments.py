@@ -18,7 +18,9 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.drivers import build_driver
 from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -41,7 +43,8 @@ LINKED = ('system', 'run_batch')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
 # function returns that it has done nothing.
 ANY_LENGTH = {
-    ('largest', 0), ('sum_of_sizes', 0), ('nearest_to_path', 0), ('spread_torques', 0),
+    ('largest', 0), ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
+    ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 1), ('find_torques', 3), ('find_torques', 4),
     ('find_torques', 5), ('find_torques', 6), ('find_joint_forces', 4), ('advance_run', 2),
@@ -207,6 +210,12 @@ def calls(tmp_path_factory):
         for scene, joint in (('four_bar', 'crank_joint'), ('rssr_four_bar', 'crank')):
             kinematics, start = test_driven.driven(scene, {joint: 0.0})
             kinematics.follow([start, start + 0.1])
+        platform = Platform(load_scene('three_rrr'), 'platform_center')
+        grid = PoseGrid(platform, [
+            Axis(name, place + np.linspace(-0.02, 0.02, 3))
+            for name, place in zip('xy', platform.place)], workers=1)
+        grid.start_from(platform.start)
+        grid.spread()
     for simulation in simulations:
         use_kernels(simulation, recorder.note)
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):

@@ -96,7 +96,7 @@ def test_a_bag_is_drawn_as_its_own_machine_and_replayed_by_any(rows, monkeypatch
     _, scene = rows
     recording = Recording(motion=None, scene=scene, changes=[(scene, {})])
     monkeypatch.setattr(recordings, 'read_recording', lambda *arguments: recording)
-    given = Namespace(scene='four_bar', namespace=None)
+    given = Namespace(scene='four_bar', namespace=None, set=[])
     assert recording_of(given, 'bag', other_machine=True) is recording
     with pytest.raises(UsageError, match='rocker_joint.position differs; leave --scene out'):
         recording_of(given, 'bag')
