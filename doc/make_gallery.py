@@ -41,7 +41,8 @@ INTRODUCTION = """\
 # Gallery
 
 Twelve machines, each with the commands that made its picture and its numbers.
-`python doc/make_gallery.py` makes them again; the words are in [recipes.md](recipes.md#words-of-the-trade).
+`python doc/make_gallery.py` makes them again; the words are in
+[recipes.md](recipes.md#words-of-the-trade).
 """
 
 
