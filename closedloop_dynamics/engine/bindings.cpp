@@ -121,25 +121,54 @@ inline constexpr auto precondition<numbers_of_coordinates> =
     return misfit(manifold, q.size, manifold.empty() ? q.size : manifold.place.size);
   };
 
+namespace expected
+{
+/// What leads coordinates on by driven values, and what else must be true then.
+template<class Condition>
+const char * driven(
+  const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  Indices kept, Values unit, Table anchors, Condition && condition)
+{
+  const Index nv = model.joints(), nc = model.equations();
+  const char * found = machine(
+    model, work, [&] {
+      return nv > 0 && unit.size == nv && drives.size <= nc &&
+             within(drives, 0, model.cut.rows) &&
+             model.cut_point.columns >= cut::MOTION_COLUMNS && within(kept, 0, nc) &&
+             has_shape(anchors, nv - kept.size, nv) && condition();
+    });
+  return first_of(found, misfit(manifold, coordinates_of(model), nv));
+}
+
+/// A grid of so many nodes, and the part of it that may be written.
+inline bool is_grid(Indexes grid, Index nodes)
+{
+  bool good = grid.rows == 3 && grid.columns > 0;
+  Index count = 1;
+  for (Index axis = 0; good && axis < grid.columns; ++axis) {
+    const Index along = grid(0, axis);
+    good = along > 0 && along <= nodes && grid(1, axis) >= 0 && grid(2, axis) <= along;
+    count *= good ? along : 0;
+    good = good && count <= nodes;
+  }
+  return good && count == nodes;
+}
+}  // namespace expected
+
 template<>
 inline constexpr auto precondition<follow> =
   [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
     Indices kept, Values unit, Table anchors, double, Values begin, Cube<double> values, Values q,
     Table position, Table velocity, Table acceleration) {
-    const char * found = expected::machine(
-      model, work, [&] {
-        const Index nv = model.joints(), nc = model.equations(), poses = values.pages;
-        return nv > 0 && unit.size == nv && drives.size <= nc &&
-               expected::within(drives, 0, model.cut.rows) &&
-               model.cut_point.columns >= cut::MOTION_COLUMNS &&
-               expected::within(kept, 0, nc) &&
-               expected::has_shape(anchors, nv - kept.size, nv) && begin.size == drives.size &&
-               values.rows == drives.size && values.columns == cut::MOTION_COLUMNS &&
-               q.size == coordinates_of(model) && expected::has_shape(position, poses, q.size) &&
+    return expected::driven(
+      model, work, manifold, drives, kept, unit, anchors, [&] {
+        const Index nv = model.joints(), poses = values.pages;
+        return begin.size == drives.size && values.rows == drives.size &&
+               values.columns == cut::MOTION_COLUMNS && q.size == coordinates_of(model) &&
+               expected::has_shape(position, poses, q.size) &&
                expected::has_shape(velocity, poses, nv) &&
                expected::has_shape(acceleration, poses, nv);
       });
-    return expected::first_of(found, misfit(manifold, q.size, model.joints()));
   };
 
 template<>
@@ -147,29 +176,15 @@ inline constexpr auto precondition<reach_poses> =
   [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
     Indices kept, Values unit, Table anchors, double, Indexes grid, Indices seeds, Table values,
     Indices actuated, Indices reached, Table position, Table rates) {
-    const Index nv = model.joints(), nodes = reached.size;
-    const char * found = expected::machine(
-      model, work, [&] {
-        bool good = grid.rows == 3 && grid.columns > 0;
-        Index count = 1;
-        for (Index axis = 0; good && axis < grid.columns; ++axis) {
-          const Index along = grid(0, axis);
-          good = along > 0 && along <= nodes && grid(1, axis) >= 0 && grid(2, axis) <= along;
-          count *= good ? along : 0;
-          good = good && count <= nodes;
-        }
-        const Index nc = model.equations();
-        return good && count == nodes && nv > 0 && unit.size == nv && drives.size <= nc &&
-               expected::within(drives, 0, model.cut.rows) &&
-               model.cut_point.columns >= cut::MOTION_COLUMNS &&
-               expected::within(kept, 0, nc) &&
-               expected::has_shape(anchors, nv - kept.size, nv) &&
-               expected::within(seeds, 0, nodes) && expected::within(actuated, 0, nv) &&
+    return expected::driven(
+      model, work, manifold, drives, kept, unit, anchors, [&] {
+        const Index nodes = reached.size;
+        return expected::is_grid(grid, nodes) && expected::within(seeds, 0, nodes) &&
+               expected::within(actuated, 0, model.joints()) &&
                expected::has_shape(values, nodes, drives.size) &&
                expected::has_shape(position, nodes, coordinates_of(model)) &&
                expected::has_shape(rates, nodes, actuated.size * drives.size);
       });
-    return expected::first_of(found, misfit(manifold, coordinates_of(model), nv));
   };
 
 namespace
