@@ -90,11 +90,11 @@ def compared(path, imported):
     # Gains of drives act in none of both.
     if any(not one.quantity.endswith(' gain') for one in imported.omitted) or any(
             what.endswith(' taken') for what in imported.ignored):
-        return 'with something left out or mended, as told', 0.0
+        return 'with something left out or mended, as reported', 0.0
     try:
         simulation = Simulation(scene_of_model(path, without_friction(imported)))
     except AssemblyError:
-        # Something without mass moves alone, which is told.
+        # Something without mass moves alone, which is reported.
         return 'without mass', 0.0
     q, qd = state(simulation)
     theirs = SIMULATORS[path.suffix](path, simulation, q, qd)
@@ -122,12 +122,12 @@ def test_models_of_others_are_refused_in_words_or_right(wheel):
         counts[outcome] += 1
         if not off < 1e-10:
             bad.append(f'{path}: accelerations differ by {off:.1e}')
-    told(wheel, counts)
+    print_counts(wheel, counts)
     assert not bad, '\n'.join(bad)
     assert counts['tried'] - counts['refused'] >= LEAST[wheel]
 
 
-def told(wheel, counts):
+def print_counts(wheel, counts):
     print(f'{wheel}: ' + ', '.join(f'{count} {what}' for what, count in counts.items()))
 
 
@@ -142,7 +142,7 @@ def again(simulation, imported, path, q, qd):
     imported : formats.building.Imported
         As it was read.
     path : pathlib.Path
-        Where to write it; its suffix tells the format.
+        Where to write it; its suffix gives the format.
     q : ndarray, shape (nq,)
         Coordinates.
     qd : ndarray, shape (nv,)
@@ -217,7 +217,7 @@ def test_models_of_others_that_are_exported_have_the_same_accelerations(tmp_path
                 counts[what] += 1
                 if not by < 1e-10:
                     bad.append(f'{path}: accelerations {what} differ by {by:.1e}')
-    told(wheel, counts)
+    print_counts(wheel, counts)
     assert not bad, '\n'.join(bad)
     for suffix, count in LEAST_EXPORTED[wheel].items():
         assert counts[f'by the simulator of {suffix}'] >= count

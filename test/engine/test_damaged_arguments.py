@@ -101,7 +101,7 @@ def made(folder):
 
 
 def shape(given):
-    """Return what tells arguments apart."""
+    """Return a key that differs where arguments do."""
     if isinstance(given, tuple):
         return tuple(map(shape, given))
     return getattr(given, 'shape', type(given).__name__)
