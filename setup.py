@@ -76,6 +76,8 @@ setup(
     extras_require={
         # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.
         'bench': ['cmeel-eigen==3.4.1', 'exudyn==1.13.6', 'mujoco==4.0.0', 'pin==4.1.0'],
+        # To complete words of the command line in a shell.
+        'completion': ['argcomplete>=3.2'],
         # To write DXF files.
         'drawing': ['ezdxf>=1.3'],
         # To read MJCF and xacro files; to show the meshes of models.

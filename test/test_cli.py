@@ -14,6 +14,7 @@ import sys
 import time
 import warnings
 
+from closedloop_dynamics import __version__, scene_names
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.commands import COMMANDS
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -50,6 +51,33 @@ def test_help_teaches_every_command(capsys):
         code, own, _ = call(capsys, name, '--help')
         assert code == 0
         assert f'closedloop {name} ' in own and 'examples:' in own
+
+
+def test_version_is_that_of_the_package(capsys):
+    assert call(capsys, '--version')[:2] == (0, f'closedloop {__version__}\n')
+
+
+def test_list_shows_every_scene(capsys):
+    code, text, _ = call(capsys, 'list')
+    lines = {line.split()[0]: line for line in text.splitlines() if line}
+    assert code == 0 and set(scene_names()) < set(lines)
+    assert lines['stewart_platform'].split()[1:5] == ['space', '13', '5', '6']
+
+
+@pytest.mark.parametrize('line, expected', [
+    ('closedloop wor', 'workspace '), ('closedloop check stew', 'stewart_platform '),
+    ('closedloop compare four_bar thr', 'three_rrr'), ('closedloop simulate --integ',
+                                                       '--integrator '),
+    ('closedloop simulate {folder}/sce', '{folder}/scene.yaml ')])
+def test_shells_complete_commands_scenes_and_files(tmp_path, line, expected):
+    pytest.importorskip('argcomplete', reason='the extra completion is not installed')
+    (tmp_path / 'scene.yaml').touch()
+    line, expected = (text.format(folder=tmp_path) for text in (line, expected))
+    asked = {'_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(tmp_path / 'words'),
+             'COMP_LINE': line, 'COMP_POINT': str(len(line)), 'COMP_TYPE': '9'}
+    subprocess.run(PROGRAM, env={**ENVIRONMENT, **asked}, check=True, timeout=120)
+    words = (tmp_path / 'words').read_text().split('\013')
+    assert expected in words if expected == 'three_rrr' else words == [expected]
 
 
 def test_check_prints_the_description(capsys):

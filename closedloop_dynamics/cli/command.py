@@ -17,7 +17,7 @@ from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
 from ..simulation.motions import moving, require_actuated, with_motions
-from ..simulation.scene import load_scene
+from ..simulation.scene import load_scene, scene_names
 from ..simulation.scene_text import write_scene
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced
@@ -71,10 +71,23 @@ class HelpfulParser(ArgumentParser):
         super().__init__(
             formatter_class=RawDescriptionHelpFormatter, allow_abbrev=False, **options)
 
+    def add_argument(self, *names, **options):
+        """Add an argument; shells complete scenes by names and files."""
+        action = super().add_argument(*names, **options)
+        if str(action.metavar).endswith('SCENE'):
+            action.completer = _complete_scene
+        return action
+
     def error(self, message):
         """Say what is wrong and where to read on; exit with 2."""
         print(f'{self.prog}: {message}\nTry: {self.prog} --help', file=sys.stderr)
         self.exit(2)
+
+
+def _complete_scene(prefix, **_):
+    """Return the shipped scenes and files that a shell may complete a word to."""
+    from argcomplete.completers import FilesCompleter
+    return [*scene_names(), *FilesCompleter()(prefix)]
 
 
 def add_scene(parser):

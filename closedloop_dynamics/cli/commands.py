@@ -9,6 +9,7 @@ import sys
 import warnings
 
 from .command import add_code, FAILED, HelpfulParser, UsageError
+from .. import __version__
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
@@ -17,8 +18,9 @@ from ..simulation.signals import Interrupted, program_watch
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
-    'formulations', 'import', 'invert', 'kinematics', 'mirror', 'modes', 'plot', 'recover',
-    'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view', 'workspace')}
+    'formulations', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes', 'plot',
+    'recover', 'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view',
+    'workspace')}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
@@ -40,6 +42,7 @@ file could not be written completely; 2 a wrong option, scene, mechanism or reco
 def parser(names=tuple(COMMANDS)):
     """Return the parser of the whole command line, with some commands only."""
     whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
+    whole.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     commands = whole.add_subparsers(
         title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)
     for name in names:
@@ -68,8 +71,14 @@ def run(argv):
         # Names of files and texts of scenes need not be what the terminal can show.
         stream.reconfigure(errors='backslashreplace')
     argv = sys.argv[1:] if argv is None else argv
-    names = [name for name in argv[:1] if name in COMMANDS]
-    arguments = parser(names or COMMANDS).parse_args(argv)
+    completing = '_ARGCOMPLETE' in os.environ
+    words = os.environ['COMP_LINE'].split()[1:] if completing else argv
+    whole = parser([name for name in words[:1] if name in COMMANDS] or COMMANDS)
+    if completing:
+        # A shell asks for words that may follow; what it needs is in doc/install.md.
+        import argcomplete
+        argcomplete.autocomplete(whole)
+    arguments = whole.parse_args(argv)
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
         with program_watch.interrupting():
