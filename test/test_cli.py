@@ -64,6 +64,15 @@ def test_list_shows_every_scene(capsys):
     assert lines['stewart_platform'].split()[1:5] == ['space', '13', '5', '6']
 
 
+@pytest.mark.parametrize('command', [
+    ('mirror', 'four_bar'), ('invert', 'four_bar', '--ground', 'crank')])
+def test_no_scene_is_written_over_a_directory_or_into_none(capsys, tmp_path, command):
+    for path in (tmp_path, tmp_path / 'none' / 'scene.yaml'):
+        code, _, error = call(capsys, *command, '--output', path)
+        assert code == 2 and '--output: expected' in error
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize('line, expected', [
     ('closedloop wor', 'workspace '), ('closedloop check stew', 'stewart_platform '),
     ('closedloop compare four_bar thr', 'three_rrr'), ('closedloop simulate --integ',

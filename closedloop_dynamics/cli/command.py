@@ -212,13 +212,20 @@ def scene_to_change(arguments):
 
 
 def add_variant(parser):
-    """Add the arguments of a command that writes another scene, by ``write_variants``."""
+    """Add the arguments of a command that writes another scene, by ``write_variant``."""
     add_scene(parser)
     add_reading(parser)
     add_set(parser)
     parser.add_argument('--output', metavar='FILE.yaml', type=Path, required=True,
                         help='where to write the scene, with its mechanism')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+
+
+def write_variant(arguments, change):
+    """Write a changed scene to the file that the command line names; return the exit code."""
+    require_free(arguments, arguments.output)
+    return write_variants(arguments, lambda: {
+        arguments.output: change(scene_to_change(arguments))})
 
 
 def write_variants(arguments, make):
@@ -238,8 +245,6 @@ def write_variants(arguments, make):
     UsageError
 
     """
-    if not arguments.output.is_dir():
-        require_free(arguments, arguments.output)
     try:
         found = make()
         for one in found.values():

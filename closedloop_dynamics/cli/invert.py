@@ -3,7 +3,7 @@
 
 """``closedloop invert``: the same machine with another link as the ground."""
 
-from .command import add_variant, Command, scene_to_change, write_variants
+from .command import add_variant, Command, write_variant
 from ..simulation.inversion import inverted
 
 
@@ -13,8 +13,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    return write_variants(arguments, lambda: {
-        arguments.output: inverted(scene_to_change(arguments), arguments.ground)})
+    return write_variant(arguments, lambda scene: inverted(scene, arguments.ground))
 
 
 COMMAND = Command(

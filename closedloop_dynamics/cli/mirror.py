@@ -3,7 +3,7 @@
 
 """``closedloop mirror``: the mirror image of a machine."""
 
-from .command import add_variant, Command, scene_to_change, write_variants
+from .command import add_variant, Command, write_variant
 from ..simulation.mirror import AXES, mirrored
 
 
@@ -14,8 +14,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    return write_variants(arguments, lambda: {
-        arguments.output: mirrored(scene_to_change(arguments), arguments.axis)})
+    return write_variant(arguments, lambda scene: mirrored(scene, arguments.axis))
 
 
 COMMAND = Command(
