@@ -56,7 +56,7 @@ HEAD = """\
 
 Written by `python doc/make_scene_keys.py` from the code that reads the files; a test compares.
 SI units and radians. [Describe your own mechanism](describe_a_mechanism.md) shows them at work,
-[effects.md](effects.md) tells what the effects do.
+[effects.md](effects.md) describes the effects.
 """
 
 

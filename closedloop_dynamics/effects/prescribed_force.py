@@ -62,7 +62,7 @@ class PrescribedForce(Effect):
     fall : float or None
         How long it falls, zero or more [s]; as long as it rises when not given.
     period : float or None
-        After which a trapezoid, cycloid or table begins anew, positive [s]; never when not given.
+        After which a trapezoid, cycloid or table repeats, positive [s]; never when not given.
     times : tuple of floats or None
         Of a table, growing [s]; before and after it its ends hold.
     values : tuple of floats or None

@@ -57,7 +57,7 @@ class PrescribedMotion(Effect):
     ----------
     shape : str
         ``constant``, ``constant_speed``, ``sine``, ``trapezoid`` (of the speed), ``cycloid``,
-        ``table``, ``expression``, or ``commanded``: told while it runs.
+        ``table``, ``expression``, or ``commanded`` while it runs.
     joint : str or None
         What moves: a joint, or
     point : str or None
@@ -87,7 +87,7 @@ class PrescribedMotion(Effect):
     fall : float or None
         How long the way back takes, positive [s]; as long as the rise when not given.
     period : float or None
-        After which a trapezoid, cycloid or table begins anew, positive [s]; never when not given.
+        After which a trapezoid, cycloid or table repeats, positive [s]; never when not given.
     times : tuple of floats or None
         Of a table or a course that was commanded, growing [s].
     values : tuple of floats or None

@@ -146,7 +146,8 @@ class Joint:
     ----------
     name : str
     type : str
-        ``'revolute'`` or ``'prismatic'``; in space one of ``JOINT_FREEDOMS``.
+        ``'revolute'`` or ``'prismatic'``; in space also ``'helical'``, ``'cylindrical'``,
+        ``'universal'``, ``'spherical'``, ``'planar'``, ``'free'`` or ``'fixed'``.
     parent, child : str
         Names of bodies; the parent may be ``'ground'``.
     position : tuple of 2 or 3 floats
@@ -199,8 +200,9 @@ class CutJoint:
         ``'distance'``: the points stay ``length`` apart, the ends of a massless rod (1).
         ``'point_on_line'``: a pin in a slot, point a stays on the line through
         point b along the axis at ``angle`` in body b's frame (1).
-        In space one of ``SPATIAL_CUT_JOINT_EQUATIONS``; equations that always hold, such as
-        those out of the plane of a planar mechanism, are left out.
+        In space also ``'cylindrical'``, ``'universal'``, ``'spherical'``, ``'planar'``,
+        ``'helical'`` or ``'point_on_plane'``; equations that always hold, such as those out of
+        the plane of a planar mechanism, are left out.
     body_a, body_b : str
         Either may be ``'ground'``, not both.
     point_a, point_b : tuple of 2 or 3 floats
