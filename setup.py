@@ -90,7 +90,8 @@ setup(
         # What closedloop sweep writes to, and a cluster to run it on; each on its own is enough.
         'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'zarr>=3.0.8'],
         # colcon test looks for pytest here; without it, it finds no tests and passes.
-        'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout'],
+        'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout',
+                 'ruff==0.17.6'],
     },
     zip_safe=False,
     long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
