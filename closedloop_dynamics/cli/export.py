@@ -15,6 +15,8 @@ from ..formats.in_space import in_space
 from ..formats.model import free_name
 from ..formats.registry import is_model, read_model, writer, WRITERS
 from ..formats.sdf_writing import sdf
+from ..formats.urdf_loops import FORMS, GAZEBO
+from ..formats.urdf_writing import urdf_with_loops
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.far_assembly import find_closed
@@ -38,6 +40,11 @@ def _add_arguments(parser):
     parser.add_argument('--drake', action='store_true',
                         help='SDF for Drake, which refuses loops of joints: pins and ball joints '
                              'that close loops become its ball constraints')
+    parser.add_argument('--loops', choices=tuple(FORMS), default=None,
+                        help='with an output that ends with .urdf, how loops are written: '
+                             'constraint, as proposed for URDF (the default); loop, as in URDF+; '
+                             'drake, ball constraints; gazebo, joints of SDF in an element gazebo '
+                             'of a robot that is drawn with its loops closed')
     parser.add_argument('--derivatives', action='store_true',
                         help=f'with an output that ends with {C} or {FMU}: derivatives, too: of '
                              'accelerations and multipliers, and the Jacobian for CasADi; '
@@ -55,6 +62,8 @@ def _run(arguments):
     write = None if suffix in CODE else writer(suffix)
     if arguments.drake and write is not sdf:
         raise UsageError('--drake: expected it with an output that ends with .sdf')
+    if arguments.loops and write is not urdf_with_loops:
+        raise UsageError('--loops: expected it with an output that ends with .urdf')
     if arguments.derivatives and suffix not in CODE:
         raise UsageError('--derivatives: expected it with an output that ends with one of '
                          f'{", ".join(CODE)}')
@@ -70,16 +79,19 @@ def _run(arguments):
         mechanism, start = _closed(mechanism, position, hold, limits)
     drawn = mechanism.coordinates.start()
     moved = start is not None and bool(mechanism.coordinates.apart(start, drawn).any())
-    if start is None and write is sdf:
+    drawn_closed = write is sdf or arguments.loops == GAZEBO
+    if start is None and drawn_closed:
         raise MechanismError(f'{mechanism.name}: expected loops that are closed to write SDF, got '
                              'no such position (give a scene with a start near one)')
     left_out = {}
     options = {'drake': True} if arguments.drake else {}
+    if arguments.loops:
+        options['loops'] = arguments.loops
     text = write(mechanism, effects, start if moved else None, left_out, limits, **options)
     arguments.output.write_text(text, encoding='utf-8')
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')
-    if moved and write is sdf:
+    if moved and drawn_closed:
         print('drawn where the loops are closed; coordinates count from there: ' + ', '.join(
             f'{name} {value:.6g}' for name, value in zip(
                 mechanism.coordinates.names, mechanism.coordinates.apart(start, drawn))))
@@ -180,11 +192,11 @@ COMMAND = Command(
     summary='write a mechanism with its loops as MJCF, URDF, SDF, C or an FMU',
     description="""\
 Write a mechanism for other programs: MJCF, whose equalities close the loops in
-MuJoCo, URDF with elements loop and constraint (URDF+, and proposed for URDF), or
-SDF, whose joints form loops. SDF is drawn with its loops closed, and its coordinates
-count from there. Joints of several freedoms that a format does not have become several
-joints. Of the effects of a scene, gravity and what acts on joints is written. For a
-robot description without loops, to show it, see closedloop urdf.
+MuJoCo, URDF with elements that close loops (--loops), or SDF, whose joints form loops.
+SDF is drawn with its loops closed, and its coordinates count from there. Joints of
+several freedoms that a format does not have become several joints. Of the effects of a
+scene, gravity and what acts on joints is written. For a robot description to show, see
+closedloop urdf.
 
 A name that ends with .c gets C99, and a header beside it: evaluation, correction of
 the loops, a step, energies and points, for programs without this package
@@ -195,6 +207,7 @@ sources and compiled for this machine. What cannot be written so is refused.
 examples:
   closedloop export three_rrr --output three_rrr.xml
   closedloop export my_robot.yaml --output my_robot.urdf
+  closedloop export my_robot.yaml --loops drake --output my_robot_for_drake.urdf
   closedloop export delta_robot --output delta_robot.sdf
   closedloop export stewart_platform --output stewart_platform.c
   closedloop export three_rrr --output three_rrr.fmu

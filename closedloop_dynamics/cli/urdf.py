@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop urdf``: the spanning tree of a mechanism as a URDF robot description."""
+"""``closedloop urdf``: a mechanism as a URDF robot description."""
 
 from pathlib import Path
 
 from .command import Command, require_free, UsageError
+from ..formats.urdf_loops import CONSTRAINT, DRAKES, LOOP
 from ..simulation.scene import load_scene_or_mechanism
 from ..visual.urdf import urdf
 
@@ -15,6 +16,9 @@ def _add_arguments(parser):
                         help='a shipped scene or mechanism by its name, or a YAML file')
     parser.add_argument('--output', metavar='FILE', type=Path,
                         help='where to write it (default: the standard output)')
+    parser.add_argument('--loops', choices=(CONSTRAINT, LOOP, DRAKES), default=CONSTRAINT,
+                        help='how loops are written: as proposed for URDF (the default), as in '
+                             'URDF+, or as ball constraints of Drake')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 
 
@@ -23,7 +27,7 @@ def _run(arguments):
         require_free(arguments, arguments.output)
     subject = load_scene_or_mechanism(arguments.scene)
     try:
-        text = urdf(getattr(subject, 'mechanism', subject))
+        text = urdf(getattr(subject, 'mechanism', subject), loops=arguments.loops)
     except ValueError as error:
         raise UsageError(str(error)) from None
     if arguments.output is None:
@@ -40,12 +44,14 @@ COMMAND = Command(
 Write the spanning tree of a mechanism as URDF, for robot_state_publisher, RViz,
 Foxglove and whatever else reads robot descriptions. Links and joints have the
 names of the bodies and joints; the root link is world, ground is fixed to it. The
-plane of a planar mechanism is the x-y plane. URDF knows no loops: cut joints are left
-out, joint_states of the simulator close them.
+plane of a planar mechanism is the x-y plane. URDF itself knows no loops: cut joints
+are elements beside the tree that other parsers pass over, joint_states of the
+simulator close them.
 """,
     epilog="""\
 examples:
   closedloop urdf three_rrr
+  closedloop urdf delta_robot --loops drake
   closedloop urdf carpet_scraper --output carpet_scraper.urdf
 """,
     add_arguments=_add_arguments,

@@ -161,6 +161,9 @@ class _Reader:
         """Return what a link, or the world, is called in the model."""
         if frame == WORLD and frame not in self.model.links:
             return GROUND
+        if self.version == JOINTS_ALONE:
+            # The other format has given a link of that name another one, unless it is the ground.
+            return frame
         return self.model.link_name(frame, self.given)
 
     def read(self):

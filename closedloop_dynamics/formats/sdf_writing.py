@@ -8,21 +8,19 @@ SDF draws a machine once, with its loops closed, and counts coordinates from the
 
 """
 
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 
-from .in_space import in_space, X, Y, Z
+from .in_space import in_space
 from .model import inertia_matrix, MOMENTS, NO_LIMIT
-from .pose import IDENTITY, Pose, unturned
+from .pose import IDENTITY, unturned
 from .writing import (
-    Acting, APART, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers,
-    pose_of, reflected, Single, written)
+    Acting, APART, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of,
+    moved, numbers, pose_of, reflected, Single, written)
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
-    REVOLUTE, SPHERICAL, UNIVERSAL)
-from ..mechanism.rotations import about, of_quaternion, quaternion_of
+    FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import quaternion_of
 
 # Child of an element dynamics by the type of effect that acts on a joint.
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',
@@ -31,6 +29,9 @@ DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',
 DRAKE = 'http://drake.mit.edu'
 # SDF has no links without mass: theirs, in parts of the lightest body's.
 LEAST_MASS = 1e-12
+# Types of joints that can close loops; those that Drake's ball constraints can stand for.
+LOOP_JOINTS = REVOLUTE, PRISMATIC, FIXED, SPHERICAL, UNIVERSAL, HELICAL
+BALLS = SPHERICAL, REVOLUTE
 
 
 def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=False):
@@ -73,12 +74,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     ElementTree.SubElement(world, 'gravity').text = numbers(*gravity_of(effects))
     writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name), effects,
                   limits)
-    zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
-            if JOINT_FREEDOMS[joint.type] == 1}
-    shifted = replace(mechanism, couplings=tuple(replace(
-        one, offset=one.offset - sum(factor * zero[name] for name, factor in one.joints.items()))
-        for one in mechanism.couplings))
-    writer.mimics = mimics_of(shifted, 'SDF')
+    writer.mimics = mimics_of(counted_from(mechanism, start), 'SDF')
     waiting = list(mechanism.joints)
     while waiting:
         # What a joint is on is drawn before it, whatever their order in the mechanism.
@@ -90,7 +86,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     for point in mechanism.points:
         frame = ElementTree.SubElement(writer.model, 'frame', name=writer.links[point.name],
                                        attached_to=writer.links[point.body])
-        writer.add_pose(frame, unturned(point.position))
+        _add_pose(frame, unturned(point.position))
     if writer.drakes:
         root.set('xmlns:drake', DRAKE)
     if left_out is not None:
@@ -134,23 +130,11 @@ class _Sdf:
         if body is not None and not body.massless:
             mass, center, moments = body.mass, body.center_of_mass, moments_of(body)
         inertial = ElementTree.SubElement(link, 'inertial')
-        self.add_pose(inertial, unturned(center))
+        _add_pose(inertial, unturned(center))
         _text(inertial, 'mass', mass)
         inertia = ElementTree.SubElement(inertial, 'inertia')
         for tag, value in zip(MOMENTS, moments):
             _text(inertia, tag, value)
-
-    def add_pose(self, element, pose, relative_to=None):
-        """Add a pose, first of all children."""
-        child = ElementTree.Element('pose')
-        if relative_to:
-            child.set('relative_to', relative_to)
-        if np.array_equal(pose.rotation, np.eye(3)):
-            child.text = numbers(*pose.position, 0, 0, 0)
-        else:
-            child.set('rotation_format', 'quat_xyzw')
-            child.text = numbers(*pose.position, *quaternion_of(pose.rotation))
-        element.insert(0, child)
 
     def _singles(self, joint):
         """Return the joints that SDF has for a joint; none for one that floats."""
@@ -163,11 +147,11 @@ class _Sdf:
     def add_joint(self, joint, q):
         """Add a joint of the tree, drawn at its coordinates."""
         singles, place = self._singles(joint), pose_of(joint)
-        self.poses[joint.child] = self.poses[joint.parent] @ place @ _moved(joint, q)
+        self.poses[joint.child] = self.poses[joint.parent] @ place @ moved(joint, q)
         if not singles:
             if joint.actuated:
                 raise self._error('joints', joint, 'actuated', 'false', 'true')
-            self.add_pose(self.elements[joint.child], self.poses[joint.child])
+            _add_pose(self.elements[joint.child], self.poses[joint.child])
             return
         parent = joint.parent
         for number, single in enumerate(singles):
@@ -180,22 +164,13 @@ class _Sdf:
                 self.links[child] = child
                 self._add_link(child)
             count = {SPHERICAL: 4, UNIVERSAL: 2, FIXED: 0}.get(single.type, 1)
-            element = self._joint(single.name, single.type, parent, child)
-            before, after = _drawn(single, joint, q[:count])
-            self.add_pose(element, place @ before, self.links[parent])
-            self.add_pose(self.elements[child], after, single.name)
+            element = _joint(self.model, single.name, single.type, 'world' if parent == GROUND
+                             else self.links[parent], self.links[child])
+            before, after = drawn(single, joint, q[:count])
+            _add_pose(element, place @ before, self.links[parent])
+            _add_pose(self.elements[child], after, single.name)
             self._add_axes(element, single, joint, q[:count])
             parent, place, q = child, IDENTITY, q[count:]
-
-    def _joint(self, name, kind, parent, child):
-        """Add an element joint with its ends."""
-        element = ElementTree.SubElement(
-            self.model, 'joint', name=name,
-            type={SPHERICAL: 'ball', HELICAL: 'screw'}.get(kind, kind))
-        for tag, body in (('parent', parent), ('child', child)):
-            ElementTree.SubElement(element, tag).text = (
-                'world' if body == GROUND else self.links[body])
-        return element
 
     def _add_axes(self, element, single, joint, q):
         """Add axes and lead, what acts along them, and that a joint is driven."""
@@ -244,39 +219,21 @@ class _Sdf:
                     _text(mimic, tag, value)
 
     def add_loop(self, cut):
-        """Add a joint that closes a loop, where its second body has it."""
-        if cut.type not in (REVOLUTE, PRISMATIC, FIXED, SPHERICAL, UNIVERSAL, HELICAL):
+        """Add a joint that closes a loop."""
+        if cut.type not in LOOP_JOINTS:
             raise self._error('cut_joints', cut, 'type',
                               'a joint that SDF has, not cylindrical or planar,', repr(cut.type))
-        # SDF has joints in the world only as parents.
-        a, b = (cut.body_a, cut.point_a, cut.axis_a), (cut.body_b, cut.point_b, cut.axis_b)
-        (parent, _, first), (child, point, second) = (a, b) if cut.body_b != GROUND else (b, a)
-        element = self._joint(cut.name, cut.type, parent, child)
-        self.add_pose(element, unturned(point), self.links[child])
-        across = self.poses[child].rotation.T @ self.poses[parent].rotation
-        if cut.type == UNIVERSAL:
-            _add_axis(element, 0, across @ first)
-            _add_axis(element, 1, second)
-        elif cut.type not in (FIXED, SPHERICAL):
-            axis = across @ first if second is None else second
-            if cut.type == HELICAL:
-                _text(element, 'screw_thread_pitch', 2.0 * np.pi * cut.lead)
-            _add_axis(element, 0, axis)
-        physics = ElementTree.SubElement(ElementTree.SubElement(element, 'physics'), 'simbody')
-        _text(physics, 'must_be_loop_joint', 'true')
+        add_loop_joint(self.model, cut, {**self.links, GROUND: 'world'}, self.poses)
 
     def add_ball_constraints(self, cut):
-        """Add what closes a loop in Drake: a hinge is a ball at each of two points of its axis."""
-        if cut.type not in (SPHERICAL, REVOLUTE):
+        """Add what closes a loop in Drake."""
+        if cut.type not in BALLS:
             raise self._error('cut_joints', cut, 'type',
                               'spherical or revolute for Drake', repr(cut.type))
         self.drakes = True
-        for along in (0.0, APART) if cut.type == REVOLUTE else (0.0,):
+        for ends in balls(cut):
             element = ElementTree.SubElement(self.model, 'drake:ball_constraint')
-            for end, point, body, place, axis in (
-                    ('A', 'AP', cut.body_a, cut.point_a, cut.axis_a),
-                    ('B', 'BQ', cut.body_b, cut.point_b, cut.axis_b)):
-                place = np.array(place) + (along * np.array(axis) if along else 0.0)
+            for end, point, (body, place) in zip('AB', ('AP', 'BQ'), ends):
                 _text(element, f'drake:ball_constraint_body_{end}',
                       'world' if body == GROUND else self.links[body])
                 ElementTree.SubElement(
@@ -285,6 +242,83 @@ class _Sdf:
     def _error(self, section, record, key, expected, got):
         return MechanismError(f'{self.mechanism.name}: {section}.{record.name}.{key}: expected '
                               f'{expected} to write SDF, got {got}')
+
+
+def add_loop_joint(model, cut, links, poses):
+    """
+    Add a joint of SDF that closes a loop, where its second body has it.
+
+    Parameters
+    ----------
+    model : ElementTree.Element
+        To which it is added.
+    cut : CutJoint
+        In space, its type one of LOOP_JOINTS.
+    links : dict of str to str
+        Names of the links of bodies and ground.
+    poses : dict of str to Pose
+        Of bodies and ground, as they are drawn: with the loop closed.
+
+    """
+    # SDF has joints in the world only as parents.
+    a, b = (cut.body_a, cut.point_a, cut.axis_a), (cut.body_b, cut.point_b, cut.axis_b)
+    (parent, _, first), (child, point, second) = (a, b) if cut.body_b != GROUND else (b, a)
+    element = _joint(model, cut.name, cut.type, links[parent], links[child])
+    _add_pose(element, unturned(point), links[child])
+    across = poses[child].rotation.T @ poses[parent].rotation
+    if cut.type == UNIVERSAL:
+        _add_axis(element, 0, across @ first)
+        _add_axis(element, 1, second)
+    elif cut.type not in (FIXED, SPHERICAL):
+        axis = across @ first if second is None else second
+        if cut.type == HELICAL:
+            _text(element, 'screw_thread_pitch', 2.0 * np.pi * cut.lead)
+        _add_axis(element, 0, axis)
+    physics = ElementTree.SubElement(ElementTree.SubElement(element, 'physics'), 'simbody')
+    _text(physics, 'must_be_loop_joint', 'true')
+
+
+def balls(cut):
+    """
+    Return the ball joints that close a loop as a joint does: a hinge is two on its axis.
+
+    Parameters
+    ----------
+    cut : CutJoint
+        In space, its type one of BALLS.
+
+    Returns
+    -------
+    list of tuples
+        (body A, place on it [m]), (body B, place on it [m]) of each.
+
+    """
+    return [tuple((body, np.array(place) + (along * np.array(axis) if along else 0.0))
+                  for body, place, axis in ((cut.body_a, cut.point_a, cut.axis_a),
+                                            (cut.body_b, cut.point_b, cut.axis_b)))
+            for along in ((0.0, APART) if cut.type == REVOLUTE else (0.0,))]
+
+
+def _joint(model, name, kind, parent, child):
+    """Add an element joint with its ends."""
+    element = ElementTree.SubElement(
+        model, 'joint', name=name, type={SPHERICAL: 'ball', HELICAL: 'screw'}.get(kind, kind))
+    for tag, link in (('parent', parent), ('child', child)):
+        ElementTree.SubElement(element, tag).text = link
+    return element
+
+
+def _add_pose(element, pose, relative_to=None):
+    """Add a pose, first of all children."""
+    child = ElementTree.Element('pose')
+    if relative_to:
+        child.set('relative_to', relative_to)
+    if np.array_equal(pose.rotation, np.eye(3)):
+        child.text = numbers(*pose.position, 0, 0, 0)
+    else:
+        child.set('rotation_format', 'quat_xyzw')
+        child.text = numbers(*pose.position, *quaternion_of(pose.rotation))
+    element.insert(0, child)
 
 
 def _add_axis(element, number, axis):
@@ -297,33 +331,3 @@ def _text(element, tag, value):
     """Add a child with a number or a word."""
     ElementTree.SubElement(element, tag).text = (
         value if isinstance(value, str) else numbers(value))
-
-
-def _drawn(single, joint, q):
-    """Return where a joint's frame is in the one before it, and its child in that, at q."""
-    frame, child, after = np.eye(3), np.eye(3), np.zeros(3)
-    if single.type == SPHERICAL:
-        frame = of_quaternion(q)
-    elif single.type == UNIVERSAL:
-        frame, child = about(joint.axis, q[0]), about(joint.second_axis, q[1])
-    elif single.type in (REVOLUTE, HELICAL):
-        child = about(single.axis, q[0])
-        if single.type == HELICAL:
-            after = joint.lead * q[0] * np.array(single.axis)
-    elif single.type == PRISMATIC:
-        after = q[0] * np.array(single.axis)
-    return Pose(frame, np.zeros(3)), Pose(child, after)
-
-
-def _moved(joint, q):
-    """Return where a joint's child is in its frame."""
-    pose = IDENTITY
-    if joint.type == FREE:
-        return Pose(of_quaternion(q[3:]), np.array(q[:3]))
-    kinds = {CYLINDRICAL: ((REVOLUTE, joint.axis), (PRISMATIC, joint.axis)),
-             PLANAR: ((PRISMATIC, X), (PRISMATIC, Y), (REVOLUTE, Z))}.get(
-                 joint.type, ((joint.type, joint.axis),))
-    for number, (kind, axis) in enumerate(kinds):
-        frame, child = _drawn(Single('', kind, axis), joint, q[number:])
-        pose = pose @ frame @ child
-    return pose

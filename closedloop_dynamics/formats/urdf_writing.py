@@ -1,30 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mechanisms as URDF, their loops as elements ``loop`` and ``constraint``."""
+"""Mechanisms as URDF with what closes their loops."""
 
 from xml.etree import ElementTree
 
 import numpy as np
 
-from .in_space import in_space, Z
+from .in_space import in_space
 from .model import GRAVITY, MOMENTS, NO_LIMIT
-from .pose import Pose
+from .pose import IDENTITY
+from .urdf_loops import add_loops, add_origin, CONSTRAINT, GAZEBO
 from .writing import (
-    Acting, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
-    written)
-from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL)
-from ..mechanism.rotations import angles_of, of_quaternion
+    Acting, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, moved,
+    numbers, pose_of, written)
+from ..mechanism.coordinates import WITH_ORIENTATION
+from ..mechanism.mechanism import FREE, GROUND, HELICAL, PRISMATIC, REVOLUTE
 
 # Attribute of an element dynamics by the type of effect that acts on a joint.
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction'}
 
 
-def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=None):
+def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=None,
+                    loops=CONSTRAINT):
     """
-    Return a mechanism as URDF, its loops as elements loop and constraint.
+    Return a mechanism as URDF with its loops.
 
     Parameters
     ----------
@@ -33,11 +33,14 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
     effects : dict of str to dict, optional
         Keys of effects, of which damping and friction of joints are written.
     start : ndarray, shape (nq,), optional
-        Coordinates, for which URDF has no place.
+        Coordinates that close the loops; zero if not given. URDF has no place for them: they are
+        drawn where loops are of the form ``gazebo``, which count coordinates from there.
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one freedom, None where there is none.
+    loops : str
+        How they are written: one of ``urdf_loops.FORMS``.
 
     Returns
     -------
@@ -51,6 +54,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
 
     """
     mechanism = in_space(mechanism)
+    places = mechanism.coordinates
+    zero = places.start() if start is None or loops != GAZEBO else np.asarray(start, dtype=float)
     robot = ElementTree.Element('robot', name=mechanism.name)
     ElementTree.SubElement(robot, 'link', name=GROUND)
     for body in mechanism.bodies:
@@ -62,10 +67,11 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 MOMENTS, map(numbers, moments_of(body)))))
     acting = Acting(mechanism, effects, lambda joint: chain(mechanism, joint, balls=False), limits)
-    mimics = mimics_of(mechanism, 'URDF')
+    mimics = mimics_of(counted_from(mechanism, zero), 'URDF')
     for joint in mechanism.joints:
         parent, singles = joint.parent, chain(mechanism, joint, balls=False)
-        for number, single in enumerate(singles):
+        q = zero[places.coordinates[joint.name]]
+        for number, (single, origin) in enumerate(zip(singles, _origins(joint, singles, q))):
             child = joint.child
             if number < len(singles) - 1:
                 child = f'{joint.name}_link_{number + 1}'
@@ -76,14 +82,13 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
             element = ElementTree.SubElement(robot, 'joint', name=single.name, type=kind)
             ElementTree.SubElement(element, 'parent', link=parent)
             ElementTree.SubElement(element, 'child', link=child)
-            if number == 0:
-                _add_origin(element, pose_of(joint))
+            if origin is not IDENTITY:
+                add_origin(element, origin)
             if single.axis is not None:
                 ElementTree.SubElement(element, 'axis', xyz=numbers(*single.axis))
-            _add_dynamics(element, single, joint, acting, mimics)
+            _add_dynamics(element, single, joint, acting, mimics, _counted(joint, q, number))
             parent = child
-    for cut in mechanism.cut_joints:
-        _loop(mechanism, robot, cut)
+    add_loops(robot, mechanism, loops, _poses(mechanism, zero))
     if left_out is not None:
         left_out.update(acting.left)
         if tuple(gravity_of(effects).tolist()) != GRAVITY:
@@ -91,8 +96,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
     return written(robot)
 
 
-def _add_dynamics(element, single, joint, acting, mimics):
-    """Add limits that URDF asks for, what acts on a joint, and what it mimics."""
+def _add_dynamics(element, single, joint, acting, mimics, zero):
+    """Add limits, counted from zero, what acts on a joint, and what it mimics."""
     if single.type in (REVOLUTE, PRISMATIC):
         torque, speed = acting.drive(single.name, speeds=True)
         limit = ElementTree.SubElement(
@@ -101,7 +106,8 @@ def _add_dynamics(element, single, joint, acting, mimics):
         ends = acting.limits(single.name)
         if ends or single.type == PRISMATIC:
             for key, one in zip(('lower', 'upper'), ends or (-NO_LIMIT, NO_LIMIT)):
-                limit.set(key, numbers(one))
+                # Those that are none stay so wherever it is drawn.
+                limit.set(key, numbers(one if abs(one) >= NO_LIMIT else one - zero))
     if single.type in (REVOLUTE, PRISMATIC):
         found = {kind: acting.each(single.name, kind) for kind in DYNAMICS}
         values = {DYNAMICS[kind]: numbers(keys[0][JOINT_EFFECTS[kind]])
@@ -117,43 +123,34 @@ def _add_dynamics(element, single, joint, acting, mimics):
                                offset=numbers(offset))
 
 
-def _loop(mechanism, robot, cut):
-    """Add what closes a loop."""
-    if cut.type == UNIVERSAL:
-        element = ElementTree.SubElement(robot, 'constraint', name=cut.name, type=cut.type)
-        for end, body, point, axis in (('parent', cut.body_a, cut.point_a, cut.axis_a),
-                                       ('child', cut.body_b, cut.point_b, cut.axis_b)):
-            ElementTree.SubElement(element, end, link=body)
-            ElementTree.SubElement(element, f'{end}_origin', xyz=numbers(*point))
-            ElementTree.SubElement(element, f'{end}_axis', xyz=numbers(*axis))
-        return
-    if cut.type not in (REVOLUTE, PRISMATIC, FIXED, SPHERICAL, CYLINDRICAL, PLANAR):
-        raise MechanismError(
-            f'{mechanism.name}: cut_joints.{cut.name}.type: expected one that URDF has a tag for, '
-            f'got {cut.type!r}')
-    if cut.type in (FIXED, PRISMATIC):
-        frame_a, frame_b, axis = of_quaternion(cut.orientation).T, np.eye(3), cut.axis_b
-    elif cut.type == SPHERICAL:
-        frame_a, frame_b, axis = np.eye(3), np.eye(3), None
-    else:
-        frame_a, frame_b, axis = _along(cut.axis_a), _along(cut.axis_b), Z
-    element = ElementTree.SubElement(robot, 'loop', name=cut.name, type=cut.type)
-    for tag, body, point, frame in (('predecessor', cut.body_a, cut.point_a, frame_a),
-                                    ('successor', cut.body_b, cut.point_b, frame_b)):
-        end = ElementTree.SubElement(element, tag, link=body)
-        _add_origin(end, Pose(frame, np.array(point)))
-    if axis is not None:
-        ElementTree.SubElement(element, 'axis', xyz=numbers(*axis))
+def _origins(joint, singles, q):
+    """Return the poses of the single joints of a joint, drawn at its coordinates."""
+    if joint.type in WITH_ORIENTATION:
+        return [pose_of(joint) @ moved(joint, q), *(IDENTITY for _ in singles[1:])]
+    found = []
+    for number, single in enumerate(singles):
+        value = _counted(joint, q, number)
+        before = IDENTITY if number else pose_of(joint)
+        if value:
+            frame, child = drawn(single, joint, [value])
+            before = before @ frame @ child
+        found.append(before)
+    return found
 
 
-def _along(axis):
-    """Return a frame with an axis as its z."""
-    axis = np.array(axis)
-    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    across /= np.linalg.norm(across)
-    return np.column_stack([across, np.cross(axis, across), axis])
+def _counted(joint, q, number):
+    """Return the coordinate of a single joint at coordinates of its joint [rad or m]."""
+    if joint.type in WITH_ORIENTATION or not len(q):
+        return 0.0
+    return joint.lead * q[0] if joint.type == HELICAL and number else q[number]
 
 
-def _add_origin(element, pose):
-    ElementTree.SubElement(element, 'origin', xyz=numbers(*pose.position),
-                           rpy=numbers(*angles_of(pose.rotation)))
+def _poses(mechanism, q):
+    """Return the poses of bodies and ground, in that of the ground, at coordinates."""
+    found, waiting = {GROUND: IDENTITY}, list(mechanism.joints)
+    while waiting:
+        joint = next(one for one in waiting if one.parent in found)
+        waiting.remove(joint)
+        found[joint.child] = found[joint.parent] @ pose_of(joint) @ moved(
+            joint, q[mechanism.coordinates.coordinates[joint.name]])
+    return found

@@ -10,6 +10,7 @@ at all is refused.
 
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -17,13 +18,13 @@ import numpy as np
 
 from .in_space import X, Y, Z
 from .model import NO_LIMIT
-from .pose import Pose
+from .pose import IDENTITY, Pose
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.couplings import measured
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import about, of_quaternion
 
 # Effects on joints that formats know, and the key of the number of each.
 JOINT_EFFECTS = {
@@ -226,6 +227,58 @@ def gravity_of(effects):
 def pose_of(joint):
     """Return the pose of a joint's frame in that of its parent."""
     return Pose(of_quaternion(joint.orientation), np.array(joint.position, dtype=float))
+
+
+def drawn(single, joint, q):
+    """
+    Return where a single joint's frame is in the one before it, and its child in that.
+
+    Parameters
+    ----------
+    single : Single
+        One of the joints that stand for a joint.
+    joint : Joint
+        The joint.
+    q : sequence
+        Coordinates of the single joint [rad or m].
+
+    """
+    frame, child, after = np.eye(3), np.eye(3), np.zeros(3)
+    if single.type == SPHERICAL:
+        frame = of_quaternion(q)
+    elif single.type == UNIVERSAL:
+        frame, child = about(joint.axis, q[0]), about(joint.second_axis, q[1])
+    elif single.type in (REVOLUTE, HELICAL):
+        child = about(single.axis, q[0])
+        if single.type == HELICAL:
+            after = joint.lead * q[0] * np.array(single.axis)
+    elif single.type == PRISMATIC:
+        after = q[0] * np.array(single.axis)
+    return Pose(frame, np.zeros(3)), Pose(child, after)
+
+
+def moved(joint, q):
+    """Return the pose of a joint's child in its frame, at its coordinates [rad or m]."""
+    pose = IDENTITY
+    if joint.type == FREE:
+        return Pose(of_quaternion(q[3:]), np.array(q[:3]))
+    kinds = {CYLINDRICAL: ((REVOLUTE, joint.axis), (PRISMATIC, joint.axis)),
+             PLANAR: ((PRISMATIC, X), (PRISMATIC, Y), (REVOLUTE, Z))}.get(
+                 joint.type, ((joint.type, joint.axis),))
+    for number, (kind, axis) in enumerate(kinds):
+        frame, child = drawn(Single('', kind, axis), joint, q[number:])
+        pose = pose @ frame @ child
+    return pose
+
+
+def counted_from(mechanism, start):
+    """Return a mechanism whose couplings count coordinates of joints from a start, shape (nq,)."""
+    places = mechanism.coordinates
+    zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
+            if JOINT_FREEDOMS[joint.type] == 1}
+    return replace(mechanism, couplings=tuple(replace(
+        one, offset=one.offset - sum(factor * zero[name] for name, factor in one.joints.items()))
+        for one in mechanism.couplings))
 
 
 def moments_of(body):

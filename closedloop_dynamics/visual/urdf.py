@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The spanning tree of a mechanism as a URDF robot description.
+The spanning tree of a mechanism as a URDF robot description, and what closes its loops.
 
-URDF has no loops: the cut joints are left out, and the joint positions that
-close them come from the simulation. The plane of a planar mechanism is the x-y plane
-of ``world``, angles are about z, units are SI (REP 103). With it,
-``joint_states`` alone moves the machine in RViz and Foxglove.
+URDF has no loops: the cut joints are elements beside the tree that some programs read and all
+others pass over (``formats.urdf_loops``). Joint positions that close them come from the
+simulation. The plane of a planar mechanism is the x-y plane of ``world``, angles are about z,
+units are SI (REP 103). With it, ``joint_states`` alone moves the machine in RViz and Foxglove.
 
 URDF has no screws: a helical joint becomes one that turns, under its own name, and one that slides
 with it (``mimic``). Universal, cylindrical and planar joints are chains of joints of one freedom,
@@ -16,13 +16,16 @@ called as their coordinates are; spherical and free ones are ``floating``: their
 
 """
 
+from dataclasses import replace
 import math
 from xml.etree import ElementTree
 
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
+from ..formats.in_space import in_space
 from ..formats.model import MOMENTS
+from ..formats.urdf_loops import add_loops, CONSTRAINT, FORMS
 from ..formats.writing import numbers, written
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import (
@@ -46,9 +49,9 @@ SCREW, SLIDE = '_screw', '_slide'
 PART = '_part'
 
 
-def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
+def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', loops=CONSTRAINT):
     """
-    Return the URDF of the spanning tree.
+    Return the URDF of the spanning tree, with its loops.
 
     Parameters
     ----------
@@ -57,6 +60,9 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
         of a ``ros2_control`` element, if there are any.
     command_topic, state_topic : str
         Where the hardware interface of that element finds a simulator.
+    loops : str
+        How loops are written: ``constraint``, ``loop`` or ``drake`` (``formats.urdf_loops``). A
+        cut joint that the form has no word for becomes a comment.
 
     Returns
     -------
@@ -93,9 +99,22 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
             _add_bars(link, marked_points(mechanism, body.name), material, size)
     for joint in mechanism.joints:
         (_add_joint if mechanism.planar else _add_spatial_joint)(robot, joint, size)
+    _add_loops(robot, mechanism, loops)
     if mechanism.actuated_joints:
         _add_hardware(robot, mechanism, command_topic, state_topic)
     return f'<?xml version="1.0"?>\n{written(robot)}'
+
+
+def _add_loops(robot, mechanism, form):
+    """Add what closes the loops, and a comment for each cut joint that has no form."""
+    whole = in_space(mechanism)
+    known = [cut for cut in whole.cut_joints if cut.type in FORMS[form]]
+    for cut in whole.cut_joints:
+        if cut not in known:
+            robot.append(ElementTree.Comment(
+                f' {cut.name}: {cut.type} between {cut.body_a} and {cut.body_b}, which no '
+                f'{form} is '))
+    add_loops(robot, replace(whole, cut_joints=tuple(known)), form)
 
 
 def _require_names(mechanism):

@@ -4,13 +4,17 @@
 """Mechanisms that are written in other formats and read again move as before."""
 
 from dataclasses import replace
+from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.mjcf_writing import mjcf
+from closedloop_dynamics.formats.model import NO_LIMIT
 from closedloop_dynamics.formats.registry import read_model, writer
 from closedloop_dynamics.formats.sdf_writing import sdf
+from closedloop_dynamics.formats.urdf_loops import FORMS
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
+from closedloop_dynamics.formats.writing import numbers
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
@@ -74,6 +78,13 @@ def accelerations(mechanism, q, qd):
     return np.linalg.lstsq(whole, right, rcond=1e-12)[0][:len(qd)]
 
 
+def by_joint(mechanism, q, qd):
+    """Return the accelerations of joints of one freedom by name."""
+    found, places = accelerations(mechanism, q, qd), mechanism.coordinates.rates
+    return {name: found[places[name]][0] for name in mechanism.joint_names
+            if len(found[places[name]]) == 1}
+
+
 def closed_state(mechanism):
     """Return coordinates and rates of a mechanism with its loops closed."""
     loops, rng = Loops(mechanism, 1.0), np.random.default_rng(3)
@@ -99,13 +110,42 @@ def read_again(tmp_path, text, suffix):
     return read_model(path).mechanism
 
 
-@pytest.mark.parametrize('kind', ['spherical', 'revolute', 'fixed', 'cylindrical', 'planar',
-                                  'universal', 'prismatic'])
-def test_urdf_with_every_loop(tmp_path, kind):
+@pytest.mark.parametrize('form, kind', [
+    (form, kind) for form in ('constraint', 'loop', 'drake') for kind in FORMS[form]])
+def test_urdf_with_every_loop(tmp_path, form, kind):
     mechanism = tree(*CHAIN, cuts=[closing(kind, 'b7')])
-    again = read_again(tmp_path, urdf_with_loops(mechanism), '.urdf')
+    text = urdf_with_loops(mechanism, loops=form)
+    assert f'<{"drake:ball_constraint" if form == "drake" else form}' in text
+    again = read_again(tmp_path, text, '.urdf')
     assert again.actuated_joints == ('j0',)
+    if form != 'drake':
+        assert [(cut.name, cut.type) for cut in again.cut_joints] == [('cut', kind)]
     same_motion(mechanism, again)
+
+
+@pytest.mark.parametrize('kinds, kind', [
+    *((CHAIN, kind) for kind in FORMS['gazebo'] if kind != 'helical'),
+    (('revolute', 'helical', 'cylindrical', 'prismatic', 'revolute', 'revolute', 'revolute',
+      'revolute'), 'universal'),
+    (('revolute', 'planar', 'universal', 'fixed', 'prismatic', 'revolute'), 'revolute'),
+    (('revolute', 'prismatic', 'spherical', 'spherical'), 'spherical')])
+def test_urdf_that_is_drawn_with_its_loops_closed(tmp_path, kinds, kind):
+    mechanism = tree(*kinds, cuts=[closing(kind, f'b{len(kinds) - 1}')])
+    found, qd = closed_state(mechanism)
+    expected = by_joint(mechanism, found.q, qd)
+    again = read_again(
+        tmp_path, urdf_with_loops(mechanism, start=found.q, loops='gazebo'), '.urdf')
+    drawn = again.coordinates.start()
+    assert max(Loops(again, 1.0).gaps(drawn).values()) < 1e-12
+    assert [(cut.name, cut.type) for cut in again.cut_joints] == [('cut', kind)]
+    if 'helical' in kinds:
+        # A screw turns, and slides with that.
+        qd = np.insert(qd, 2, 0.1 * qd[1])
+    found = by_joint(again, drawn, qd)
+    same = sorted(set(found) & set(expected))
+    assert same[0] == 'j0' and len(same) > 1
+    np.testing.assert_allclose([found[name] for name in same],
+                               [expected[name] for name in same], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize('kind', ['spherical', 'revolute', 'fixed'])
@@ -286,6 +326,14 @@ def test_limits_of_joints_are_written_and_read_again(tmp_path, suffix):
                      for name, some in limits.items()}
 
 
+def test_limits_count_from_where_a_robot_is_drawn():
+    text = urdf_with_loops(tree('prismatic', 'revolute'), {}, np.array([0.25, 0.5]), limits={
+        'j0': (-1.0, None), 'j1': (-0.5, 1.5)}, loops='gazebo')
+    ends = [(limit.get('lower'), limit.get('upper'))
+            for limit in ElementTree.fromstring(text).iter('limit')]
+    assert ends == [('-1.25', numbers(NO_LIMIT)), ('-1', '1')]
+
+
 def test_limits_of_drives_are_written(tmp_path):
     mujoco = pytest.importorskip('mujoco')
     mechanism = tree('revolute', 'prismatic')
@@ -464,6 +512,11 @@ def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, cap
     assert main(['export', 'three_rrr', '--output', 'r.step']) == 2
     assert main(['export', 'three_rrr', '--output', 'd.urdf', '--drake']) == 2
     assert main(['export', 'three_rrr', '--output', 'd.sdf', '--drake']) == 0
+    assert main(['export', 'three_rrr', '--output', 'l.sdf', '--loops', 'loop']) == 2
+    capsys.readouterr()
+    assert main(['export', 'three_rrr', '--output', 'l.urdf', '--loops', 'gazebo']) == 0
+    assert 'drawn where the loops are closed; coordinates count' in capsys.readouterr().out
+    assert max(Loops(read_model('l.urdf').mechanism, 1.0).gaps(np.zeros(7)).values()) < 1e-10
     assert 'expected a name that ends with one of .mjcf, .xml, .urdf' in capsys.readouterr().err
     assert main(['export', 'rssr_four_bar', '--output', 'r.sdf']) == 0
     # Links whose joints have their names are called otherwise.
@@ -491,6 +544,8 @@ def test_what_formats_cannot_say_is_refused():
             (sdf, tree('spherical'), 'joints.j0.actuated: expected false to write SDF, got true'),
             (urdf_with_loops, tree('revolute', 'prismatic', 'revolute', couplings=[
                 Coupling('c', {'j0': 1.0, 'j1': 1.0, 'j2': 1.0})]),
-             'couplings.c: expected two joints')):
+             'couplings.c: expected two joints'),
+            (urdf_with_loops, tree(*CHAIN, cuts=[closing('helical', 'b7')]),
+             "cut_joints.cut.type: expected one of revolute, .* constraint are, got 'helical'")):
         with pytest.raises(MechanismError, match=said):
             write(mechanism)

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import math
+from test.formats.test_writing import same_motion
 from test.reference import spatial_machines
 from test.reference.spatial_maximal import matrix
 from test.simulation.test_orientations import arm
@@ -13,6 +14,8 @@ from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.formats.in_space import in_space
+from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism
@@ -252,6 +255,30 @@ def test_command_writes_what_the_function_returns(tmp_path, capsys):
     assert output.read_text() == expected
     assert main(['urdf', 'three_rrr', '--output', str(output)]) == 2
     assert '--overwrite' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('form', ['constraint', 'loop', 'drake'])
+@pytest.mark.parametrize('name', ['three_rrr', 'carpet_scraper', 'slider_crank', 'bennett'])
+def test_description_is_the_whole_machine(name, form, tmp_path):
+    mechanism = read_mechanism(shipped_path('mechanisms', name))
+    path = tmp_path / 'machine.urdf'
+    path.write_text(urdf(mechanism, loops=form))
+    again = read_model(path).mechanism
+    assert again.joint_names == mechanism.joint_names
+    assert again.actuated_joints == mechanism.actuated_joints
+    if form != 'drake':
+        assert [cut.name for cut in again.cut_joints] == [
+            cut.name for cut in mechanism.cut_joints]
+    same_motion(in_space(mechanism), again)
+
+
+def test_loops_that_have_no_form_are_comments():
+    mechanism = read_mechanism(shipped_path('mechanisms', 'scissor_lift'))
+    text = urdf(mechanism)
+    assert text.count('<constraint ') == 5 and text.count('point_on_line between') == 2
+    assert '<!-- slot_below: point_on_line between b_1 and ground' in text
+    assert 'xmlns:drake' not in urdf(read_mechanism(shipped_path('mechanisms', 'cam_follower')),
+                                     loops='drake')
 
 
 @pytest.mark.parametrize('scene', SCENES)
