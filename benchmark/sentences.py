@@ -179,13 +179,13 @@ def speed(pictures):
     best = motion_ratios(pictures, 'peers', 1e-6).values()
     return paragraph(f"""
         **Fast**: code is generated for the mechanism at hand ([measurements](doc/performance.md)).
-        An evaluation of the two planar machines takes
-        {spread(_of(plane, 'Pinocchio', *pinocchio))} times less time than Pinocchio's in a C++
-        loop and {spread(_of(plane, 'MuJoCo', *mujoco))} times less than MuJoCo's; of a Stewart
+        An evaluation of the two planar machines is
+        {spread(_of(plane, 'Pinocchio', *pinocchio))} times faster than Pinocchio's in a C++ loop
+        and {spread(_of(plane, 'MuJoCo', *mujoco))} times faster than MuJoCo's; of a Stewart
         platform and a Delta robot
-        {spread(_of(space, 'Pinocchio', *pinocchio) + _of(space, 'MuJoCo', *mujoco))} times less
-        than either. A whole planar motion with an error of 1e-6 rad costs {spread(best)} times
-        less than with the best of them.""", '- ', '  ')
+        {spread(_of(space, 'Pinocchio', *pinocchio) + _of(space, 'MuJoCo', *mujoco))} times
+        faster than either. A whole planar motion with an error of 1e-6 rad is {spread(best)} times
+        faster than with the best of them.""", '- ', '  ')
 
 
 def space_speed(pictures):
@@ -196,8 +196,8 @@ def space_speed(pictures):
     mujoco = ('mj_forward, from Python', 'mj_step (Euler), C loop')
     constraint, lcaba = 'evaluation, C++ loop', 'evaluation by lcaba, C++ loop'
     return paragraph(f"""
-        An evaluation takes {spread(_of(ratios, 'Pinocchio', constraint))} times less time than
-        with `constraintDynamics`, {spread(_of(ratios, 'Pinocchio', lcaba))} times less than with
-        `lcaba` and one iteration, and {spread(_of(ratios, 'MuJoCo', *mujoco))} times less than
-        with MuJoCo. Whole motions cost {spread(coarse)} times less than with the best of the
-        others for an error of 1e-6, and {spread(fine)} times less for 1e-9.""")
+        An evaluation is {spread(_of(ratios, 'Pinocchio', constraint))} times faster than with
+        `constraintDynamics`, {spread(_of(ratios, 'Pinocchio', lcaba))} times faster than with
+        `lcaba` and one iteration, and {spread(_of(ratios, 'MuJoCo', *mujoco))} times faster than
+        with MuJoCo. Whole motions are {spread(coarse)} times faster than with the best of the
+        others for an error of 1e-6, and {spread(fine)} times for 1e-9.""")
