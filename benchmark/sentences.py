@@ -134,8 +134,8 @@ def accuracy_costs(settings, cheapest):
         On the 3-RRR an error of 1e-6 rad after one second costs {seconds(coarse.cost)} of CPU time
         with `dop853`, {share(coarse.cost)}; an error of 1e-9 rad costs
         {spread([fine.cost / coarse.cost])} times that. The default, `auto`, chooses the steps for
-        an accuracy of 1e-6 and checks it by a second run beside the first: it was
-        {auto.error:.0e} rad off for {seconds(auto.cost)} ([doc/accuracy.md](doc/accuracy.md)).""")
+        an accuracy of 1e-6 and checks it by a second run beside the first: its error
+        was {auto.error:.0e} rad, at {seconds(auto.cost)} ([doc/accuracy.md](doc/accuracy.md)).""")
 
 
 def evaluation_ratios(pictures, name, scenes=None):
