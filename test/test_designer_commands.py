@@ -266,6 +266,22 @@ def test_shaking_is_what_the_joints_exert_on_the_ground(tmp_path):
     np.testing.assert_allclose(moment, -about, atol=1e-7 * np.abs(about).max())
 
 
+def test_shaking_in_space_is_what_the_joints_exert_on_the_ground():
+    scene = replace(load_scene('bennett'), effects={})
+    run = DrivenRun(scene, {'joint_1': Drive(0.5, 6.0)}, 61, 20.0)
+    column = by_name(run.table())
+    force, moment = design.shaking(run)
+    pins = {'joint_1': (0.0, 0.0, 0.0), 'joint_4': scene.mechanism.cut_joints[0].point_b}
+    joints, about = np.zeros((2, *force.shape))
+    for name, place in pins.items():
+        pushed = np.stack([column[f'force.{name}.{axis}'] for axis in 'xyz'], axis=1)
+        joints += pushed
+        about += np.cross(place, pushed) + np.stack(
+            [column[f'force.{name}.torque_{axis}'] for axis in 'xyz'], axis=1)
+    np.testing.assert_allclose(force, -joints, atol=1e-7 * np.abs(joints).max())
+    np.testing.assert_allclose(moment, -about, atol=1e-7 * np.abs(about).max())
+
+
 @pytest.mark.parametrize('lengths, kind, grashof', [
     ((6.0, 2.0, 7.0, 9.0), 'crank-rocker', 'Grashof'),
     ((6.0, 9.0, 7.0, 2.0), 'rocker-crank', 'Grashof'),

@@ -158,10 +158,10 @@ def _loads(run, column, values, at):
     force, moment = design.shaking(run)
     size = np.linalg.norm(force, axis=1)
     rows = [('', 'largest', 'at', 'rms')]
-    for what, each in (('force [N]', size), ('moment about the origin [N m]', moment)):
-        if each is not None:
-            one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
-            rows.append((what, f'{one.value:.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
+    for what, each in (('force [N]', size),
+                       ('moment about the origin [N m]', design.signed_or_size(moment))):
+        one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
+        rows.append((what, f'{one.value:.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
     yield 'Shaking force and moment', rows, [
         '<p class="note">What the inertia of the bodies exerts on the ground; weights and other '
         'forces are not part of it.</p>']

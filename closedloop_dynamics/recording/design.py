@@ -13,6 +13,7 @@ from ..mechanism.four_bar import bars
 from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
 from ..simulation.assembly import Assembler
 from ..simulation.key_paths import changed, numbers, resolve
+from ..simulation.modeling import extent
 from ..simulation.redundancy import geometry_of
 from ..visual.motion import body_poses, named_point, pose_of, world_points
 
@@ -220,33 +221,55 @@ def shaking(run):
     -------
     force : ndarray, shape (n, 2), in space (n, 3)
         [N].
-    moment : ndarray, shape (n,), or None
-        About the origin of the world, in the plane [N m].
+    moment : ndarray, shape (n,), in space (n, 3)
+        About the origin of the world [N m].
 
     """
     mechanism, coordinates = run.mechanism, run.mechanism.coordinates
     fastest = np.abs(run.velocity).max()
     step = STEP / max(fastest, np.sqrt(np.abs(run.acceleration).max()), 1e-12)
-    mass = np.array([body.mass for body in mechanism.bodies])
-    inertia = [body.inertia for body in mechanism.bodies]
-    places, angles = [], []
+    bodies = [(body.name, *_point_masses(body, extent(mechanism))) for body in mechanism.bodies]
+    mass, places = np.concatenate([masses for _, masses, _ in bodies]), []
     for n in range(-2, 3):
         ahead = np.array([
             coordinates.moved(q, n * step * qd + 0.5 * (n * step) ** 2 * qdd)
             for q, qd, qdd in zip(run.position, run.velocity, run.acceleration)])
         poses = body_poses(mechanism, ahead)
-        places.append(np.stack([world_points(
-            pose_of(mechanism, poses, body.name), body.center_of_mass)
-            for body in mechanism.bodies], axis=1))
-        angles.append(poses[..., 2])
+        places.append(np.concatenate([world_points(pose_of(mechanism, poses, name), points)
+                                      for name, _, points in bodies], axis=1))
     weights = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12.0 * step * step)
     acceleration = np.tensordot(weights, np.array(places), 1)
-    force = -np.einsum('b,nbk->nk', mass, acceleration)
+    force = -mass[:, np.newaxis] * acceleration
     if not mechanism.planar:
-        return force, None
-    (x, y), (ax, ay) = (np.moveaxis(each, -1, 0) for each in (places[2], acceleration))
-    spin = np.tensordot(weights, np.array(angles), 1)
-    return force, -((x * ay - y * ax) @ mass) - spin @ np.array(inertia)
+        return force.sum(axis=1), np.cross(places[2], force).sum(axis=1)
+    (x, y), (fx, fy) = (np.moveaxis(each, -1, 0) for each in (places[2], force))
+    return force.sum(axis=1), (x * fy - y * fx).sum(axis=1)
+
+
+def signed_or_size(moment):
+    """Return the moments of ``shaking`` in the plane, and their magnitudes in space, (n,)."""
+    return moment if moment.ndim == 1 else np.linalg.norm(moment, axis=1)
+
+
+def _point_masses(body, size):
+    """
+    Return masses [kg], shape (n,), and places in the body's frame [m], shape (n, 2 or 3).
+
+    Together they have the mass, the centre of mass and the inertia of the body: pairs at a
+    distance on the principal axes, and one mass, which may be negative, at the centre.
+
+    """
+    center = np.array(body.center_of_mass)
+    if len(center) == 2:
+        second = 0.5 * body.inertia * np.eye(2)
+    else:
+        xx, yy, zz, xy, xz, yz = (*body.inertia, *3 * (0.0,))[:6]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    moments, axes = np.linalg.eigh(second)
+    pairs = np.repeat(0.5 * moments / size ** 2, 2)
+    ends = size * np.repeat(axes.T, 2, axis=0) * np.tile([1.0, -1.0], len(center))[:, np.newaxis]
+    return np.append(pairs, body.mass - pairs.sum()), np.vstack([center + ends, center])
 
 
 def key_numbers(run, table, torques, forces) -> Dict[str, float]:
@@ -279,8 +302,7 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
         found[f'largest force {what} [N]'] = float(force.max())
     force, moment = shaking(run)
     found['largest shaking force [N]'] = float(np.linalg.norm(force, axis=1).max())
-    if moment is not None:
-        found['largest shaking moment [N m]'] = float(np.abs(moment).max())
+    found['largest shaking moment [N m]'] = float(np.abs(signed_or_size(moment)).max())
     return found
 
 
