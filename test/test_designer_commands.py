@@ -126,6 +126,7 @@ def test_kinematics_lists_assemblies_and_starts_on_one(capsys, tmp_path):
     (['--drive', 'crank_joint=0:1:5', '--drive', 'rocker_joint=1'], 'degrees of freedom (1)'),
     (['--drive', 'crank_joint=0:1:5', '--speed', '0'], 'expected a finite number > 0'),
     (['--drive', 'crank_joint=0:1:5', '--branch', '0'], 'expected a whole number from 1 on'),
+    (['--drive', 'cut_1=0:1:5', '--drive', 'crank_joint=1'], 'which follow from one another'),
     (['--drive', 'crank_joint=0:1:5', '--branch', '7'], '--branch: expected the number of an'),
     ([], '--drive')])
 def test_kinematics_refuses_what_makes_no_sense(capsys, options, message):
@@ -391,6 +392,10 @@ def test_report_refuses_what_it_cannot_drive(capsys, tmp_path):
     page = tmp_path / 'page.html'
     code, _, errors = call(capsys, 'report', 'three_rrr', '--output', page)
     assert code == 2 and 'one actuated joint, which turns; got theta_1, theta_6, theta_7' in errors
+    code, _, errors = call(capsys, 'report', 'geneva_drive', '--output', page)
+    assert code == 2 and 'got 1: driver_joint; wheel_joint can still move' in errors
+    code, text, errors = call(capsys, 'report', 'rssr_four_bar', '--output', page)
+    assert code == 0 and 'degrees of freedom  2 (1 idle: rods that turn' in text, errors
     page.write_text('mine')
     code, _, errors = call(capsys, 'report', 'four_bar', '--output', page)
     assert code == 2 and 'add --overwrite' in errors and page.read_text() == 'mine'

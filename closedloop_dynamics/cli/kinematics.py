@@ -74,8 +74,13 @@ def driven_run(arguments, scene):
     except UsageError:
         raise
     except ValueError as error:
-        raise UsageError(f'--{"" if str(error).startswith("branch") else "drive: "}{error}') \
-            from None
+        raise UsageError(_of_option(error)) from None
+
+
+def _of_option(error):
+    """Return the message of a ValueError with its option in front."""
+    message = str(error).removeprefix('drives: ')
+    return f'--{"" if message.startswith("branch") else "drive: "}{message}'
 
 
 def drives_of(arguments):
@@ -190,7 +195,7 @@ def _list_assemblies(arguments, scene):
     except AssemblyError as error:
         raise UsageError(f'{scene.name}: {error}') from None
     except ValueError as error:
-        raise UsageError(f'--drive: {error}') from None
+        raise UsageError(_of_option(error)) from None
     header = ('branch', *(name.removeprefix('position.')
                           for name in scene.mechanism.coordinates.columns('position')))
     rows = [[str(number), *(f'{value:.6g}' for value in position)]

@@ -113,12 +113,14 @@ def _sections(arguments, scene, run, table, spent):
 def _mechanism(scene, run, table, at):
     name, _ = design.drive_values(run)
     joint = name if name in scene.mechanism.coordinates.names else None
-    rows = [('', ''), ('degrees of freedom', str(
-        design.degrees_of_freedom(scene, run.position[0]))),
-        ('drive', ', '.join(f'{one} from {at(each[0]) if one == name else f"{each[0]:.6g}"} to '
-                            f'{at(each[-1]) if one == name else f"{each[-1]:.6g}"}'
-                            for one, each in run.driven.items())
-         + f' in {run.time[-1]:.6g} s, {len(run.time)} poses')]
+    freedoms = str(design.degrees_of_freedom(scene, run.position[0]))
+    if run.idle:
+        freedoms += f' ({run.idle} idle: rods that turn about themselves)'
+    drives = ', '.join(f'{one} from {at(each[0]) if one == name else f"{each[0]:.6g}"} to '
+                       f'{at(each[-1]) if one == name else f"{each[-1]:.6g}"}'
+                       for one, each in run.driven.items())
+    rows = [('', ''), ('degrees of freedom', freedoms),
+            ('drive', f'{drives} in {run.time[-1]:.6g} s, {len(run.time)} poses')]
     bars = joint and four_bar(scene.mechanism, joint)
     if bars:
         base, crank, coupler, rocker = bars.lengths

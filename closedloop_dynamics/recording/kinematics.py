@@ -66,6 +66,8 @@ class DrivenRun:
     position, velocity, acceleration : ndarray, shape (n, nq), (n, nv), (n, nv)
     driven : dict of str to ndarray, shape (n,)
         Driven values, by name [rad or m].
+    idle : int
+        Degrees of freedom that only turn rods about themselves, and need no drive.
     end : simulation.driven.BranchEnd or None
         Where the branch ends.
 
@@ -111,6 +113,7 @@ class DrivenRun:
             raise BranchEndError(error.end._replace(reason=(
                 f"On the way from the scene's start to the first pose: {error}")), 0) from None
         motion = kinematics.follow(values)
+        self.idle = kinematics.idle
         self.position, self.velocity, self.acceleration, self.end = motion
         found = len(self.position)
         self.time = duration * shares[:found]

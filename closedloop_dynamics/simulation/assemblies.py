@@ -3,22 +3,31 @@
 
 """All assemblies of a mechanism in which every degree of freedom is driven."""
 
+from dataclasses import replace
 from typing import List, NamedTuple, Optional
 
 import numpy as np
 
-from .assembly import Assembler, TOLERANCE
+from .assembly import Assembler, rank_of, TOLERANCE
 from .errors import AssemblyError
+from .modeling import extent
 from .planar_assemblies import all_planar, NotProved
 from .redundancy import geometry_of
 from .state import State
 from ..core import types as t
-from ..mechanism.mechanism import GROUND, PRISMATIC, SPHERICAL
+from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, SPHERICAL
 
 # Random starts, where no method finds all; Newton corrections of each, and the longest.
 STARTS, CORRECTIONS, LONGEST = 400, 40, 0.5
 # Assemblies whose joints, cut points and named points are nearer are the same [of the size].
 SAME = 1e-6
+# Speeds of points in a motion without effect, against the size, that are rounding.
+STILL = 1e-6
+# Joints that move by less than this share of the most are not named, and how many are.
+MOVES, MOST_NAMES = 0.05, 4
+# Names of directions of points.
+AXES = {tuple(float(one == k) for one in range(size)): name
+        for size in (2, 3) for k, name in enumerate('xyz'[:size])}
 # Legs of variable length between two bodies: at most so many assemblies (Lazard; Ronga and Vust).
 STEWART, LEGS = 40, 6
 
@@ -96,7 +105,17 @@ def find_assemblies(mechanism, equations, values, start):
     -------
     Assembled
 
+    Raises
+    ------
+    ValueError
+        Where less is driven than there are degrees of freedom.
+
     """
+    unit = np.where(mechanism.coordinates.lengths, extent(mechanism), 1.0)
+    needed, free, _ = drives_needed(
+        mechanism, equations.move(start).jacobian() * unit, unit, start)
+    if len(values) < needed:
+        raise ValueError(too_few(mechanism, needed, free * unit))
     assembler = _driven(mechanism, equations, values)
     reason = 'in space no method here finds all'
     if mechanism.planar:
@@ -106,7 +125,6 @@ def find_assemblies(mechanism, equations, values, start):
             reason = str(error)
     found = _Distinct(mechanism, assembler.extent)
     rng = np.random.default_rng(0)
-    unit = np.where(mechanism.coordinates.lengths, assembler.extent, 1.0)
     for k in range(STARTS):
         change = np.pi * unit * rng.uniform(-1.0, 1.0, assembler.nv) if k else 0.0 * unit
         position = closed_from(
@@ -174,6 +192,77 @@ class _Distinct:
         if all(np.abs(places - other).max() > SAME * self._size for other in self._places):
             self._places.append(places)
             self.positions.append(position)
+
+
+def drives_needed(mechanism, jacobian, unit, position):
+    """
+    Return how many driven values determine a mechanism, and what moves in spite of those it has.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Its ``motions`` are what is driven.
+    jacobian : ndarray, shape (n, nv)
+        Of the loops and the driving equations at the position, by scaled displacements.
+    unit : ndarray, shape (nv,)
+        What these are multiplied with [rad or m].
+    position : ndarray, shape (nq,)
+        Closing the loops.
+
+    Returns
+    -------
+    needed : int
+        Degrees of freedom at and near the position, without idle ones.
+    free : ndarray, shape (n, nv)
+        Scaled displacements with the driven values at rest, idle ones left out.
+    idle : ndarray, shape (n, nv)
+        Those that only turn rods between ball or universal joints about themselves.
+
+    """
+    loops = replace(mechanism, motions=())
+    freedoms = Assembler(loops, geometry_of(loops).equations).degrees_of_freedom(position)
+    null = np.linalg.svd(jacobian)[2][rank_of(jacobian):]
+    if all(_is_idle(mechanism, position, row * unit) for row in null):
+        return freedoms - len(null), null[:0], np.ascontiguousarray(null)
+    return freedoms, null, null[:0].copy()
+
+
+def too_few(mechanism, needed, rates):
+    """Return a message: what else moves, at rates of shape (n, nv), and could be driven."""
+    names = driven_names(mechanism)
+    return (f'drives: expected as many driven values as there are degrees of freedom ({needed}), '
+            f'got {len(names)}: {", ".join(names)}; '
+            f'{moving_joints(mechanism.coordinates, np.abs(rates).max(axis=0))} can still move')
+
+
+def driven_names(mechanism):
+    """Return the names of what is driven: joints, and points."""
+    return tuple(motion.freedom or motion.point + (
+        f'.{AXES[motion.direction]}' if motion.direction in AXES else '')
+        for motion in mechanism.motions)
+
+
+def moving_joints(coordinates, rates):
+    """Return the names of the joints that move most."""
+    sizes = np.abs(rates)
+    most = sizes.max(initial=0.0)
+    order = [int(k) for k in np.argsort(-sizes, kind='stable')[:MOST_NAMES]
+             if sizes[k] > MOVES * most]
+    return ', '.join(coordinates.names[k] for k in sorted(order))
+
+
+def _is_idle(mechanism, position, rates):
+    """Return whether only rods between ball or universal joints turn about themselves."""
+    coordinates, most = mechanism.coordinates, np.abs(rates).max()
+    # A wheel on its axle moves no point of these, either.
+    wheels = [coordinates.index[joint.name] for joint in mechanism.joints
+              if JOINT_FREEDOMS[joint.type] == 1]
+    if np.abs(rates[wheels]).max(initial=0.0) > STILL * most:
+        return False
+    step, geometry = 1e-6, geometry_of(mechanism)
+    one, other = (marked_places(mechanism, geometry, coordinates.moved(
+        position, sign * step * rates)) for sign in (1.0, -1.0))
+    return np.abs(one - other).max(initial=0.0) <= STILL * step * extent(mechanism) * most
 
 
 def marked_places(mechanism, geometry, position):

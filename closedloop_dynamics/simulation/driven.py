@@ -17,8 +17,8 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from .assemblies import closed_from, marked_places
-from .assembly import Assembler, rank_of, TOLERANCE
+from .assemblies import closed_from, driven_names, drives_needed, moving_joints, too_few
+from .assembly import TOLERANCE
 from .errors import SimulationError
 from .loop_model import independent, scaled
 from .modeling import extent
@@ -34,13 +34,6 @@ OPEN = 10.0 * TOLERANCE
 # Where a branch ends, its scaled Jacobian has a singular value below this; and the driving
 # equations have at least such a share in what contradicts itself there, unless loops alone do.
 SINGULAR, DRIVEN = 1e-3, 1e-4
-# Joints that move by less than this share of the most are not named, and how many are.
-MOVES, MOST_NAMES = 0.05, 4
-# Names of directions of points.
-AXES = {tuple(float(one == k) for one in range(size)): name
-        for size in (2, 3) for k, name in enumerate('xyz'[:size])}
-# Speeds of points in a motion without effect, against the size, that are rounding.
-STILL = 1e-6
 
 
 class BranchEnd(NamedTuple):
@@ -162,9 +155,7 @@ class DrivenKinematics:
     @property
     def names(self) -> Tuple[str, ...]:
         """Names of what is driven: joints, and points."""
-        return tuple(motion.freedom or motion.point + (
-            f'.{AXES[motion.direction]}' if motion.direction in AXES else '')
-            for motion in self._mechanism.motions)
+        return driven_names(self._mechanism)
 
     def values_at(self, position):
         """Return the driven values of a position, shape (m,) [rad or m]."""
@@ -284,6 +275,11 @@ class DrivenKinematics:
         return self._equations.closures()[0][kept], jac[kept], values, jac[len(jac) - count:]
 
     @property
+    def idle(self):
+        """Return how many freedoms only turn rods about themselves."""
+        return len(self._anchors)
+
+    @property
     def unit(self):
         """Return what scaled displacements are multiplied with, shape (nv,) [rad or m]."""
         return self._unit
@@ -333,32 +329,16 @@ class DrivenKinematics:
             raise ValueError(
                 'drives: expected a joint, or a point along a direction, that is driven, got '
                 'none')
-        names = ', '.join(self.names)
-        freedoms = self._freedoms()
-        null = np.linalg.svd(jac)[2][rank_of(jac):]
-        idle = len(null) > 0 and all(self._is_idle(row * self._unit) for row in null)
-        self._anchors = np.ascontiguousarray(null) if idle else self._anchors
-        freedoms -= len(self._anchors)
-        if len(drives) != freedoms:
-            more = ', which follow from one another' if len(drives) > freedoms else ''
-            raise ValueError(
-                f'drives: expected as many driven values as there are degrees of freedom '
-                f'({freedoms}), got {len(drives)}: {names}{more}')
-        if (len(null) and not idle) or not self._choose():
+        needed, null, self._anchors = drives_needed(
+            self._mechanism, jac, self._unit, self.position)
+        if len(drives) != needed:
+            raise ValueError(too_few(self._mechanism, needed, null * self._unit)
+                             if len(drives) < needed else
+                             f'drives: expected as many driven values as there are degrees of '
+                             f'freedom ({needed}), got {len(drives)}: '
+                             f'{", ".join(self.names)}, which follow from one another')
+        if len(null) or not self._choose():
             raise BranchEndError(self._end_here('The start'), 0)
-
-    def _freedoms(self):
-        """Return the degrees of freedom of the loops at and near the position."""
-        free = replace(self._mechanism, motions=())
-        return Assembler(free, geometry_of(free).equations).degrees_of_freedom(self.position)
-
-    def _is_idle(self, rates):
-        """Return whether no joint, cut point or named point moves at some rates."""
-        step = 1e-6
-        one, other = (marked_places(self._mechanism, self._geometry, self._coordinates.moved(
-            self.position, sign * step * rates)) for sign in (1.0, -1.0))
-        return np.abs(one - other).max(initial=0.0) <= (
-            STILL * step * self._size * np.abs(rates).max())
 
     def _end_here(self, where=None):
         """Say why the branch ends in the present position."""
@@ -378,7 +358,7 @@ class DrivenKinematics:
             return BranchEnd(values, self.position.copy(), UNCLEAR, (
                 f'{where} is no singular position, but no position that closes the loops was '
                 'found next to it.'))
-        names = self._moving(motion)
+        names = moving_joints(self._coordinates, motion)
         share = np.abs(left[len(loops):, rank - 1]).max()
         if share < DRIVEN:
             return BranchEnd(values, self.position.copy(), CHANGE_POINT, (
@@ -390,14 +370,6 @@ class DrivenKinematics:
         return BranchEnd(values, self.position.copy(), LIMIT, (
             f'{where} is {kind}: with {", ".join(dict.fromkeys(self.names))} at rest, {names} '
             'can still move, and what is driven can go no further on this branch.'))
-
-    def _moving(self, motion):
-        """Return the names of the joints that move most in a motion."""
-        sizes = np.abs(motion)
-        most = sizes.max(initial=0.0)
-        order = [int(k) for k in np.argsort(-sizes, kind='stable')[:MOST_NAMES]
-                 if sizes[k] > MOVES * most]
-        return ', '.join(self._coordinates.names[k] for k in sorted(order))
 
     def _shown(self, motion, value):
         """Return a driven value with its unit."""

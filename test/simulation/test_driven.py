@@ -50,7 +50,7 @@ def driven(scene, drives=None, points=None):
     ('four_bar', ['crank_joint'], []), ('four_bar', ['cut_1'], []),
     ('scissor_lift', None, []), ('bennett', None, []), ('rssr_four_bar', None, []),
     ('delta_robot', None, []), ('stewart_platform', None, []), ('geared_five_bar', None, []),
-    ('geneva_drive', None, []),
+    ('geneva_drive', ['driver_joint', 'wheel_joint'], []),
     ('three_rrr_horizontal', ['theta_6'], ['platform_center'])])
 def test_rates_and_accelerations_are_differences_of_positions(scene, drives, points):
     actuated = load_scene(scene).mechanism.actuated_joints
@@ -234,6 +234,16 @@ def test_too_few_drives_and_different_counts_are_refused():
     model = load_scene('three_rrr').model()
     with pytest.raises(ValueError, match=r'degrees of freedom \(3\), got 1: theta_1'):
         model.solve({'theta_1': 1.0})
+    for ask in (model.solve, model.assemblies):
+        with pytest.raises(ValueError, match='theta_1; theta_3, .* can still move'):
+            ask({'theta_1': 1.0})
+    # A wheel that turns about its own axle moves no point, and is not driven by the other one.
+    for ask in (load_scene('geneva_drive').model().solve,
+                load_scene('geneva_drive').model().assemblies):
+        with pytest.raises(ValueError, match=r'\(2\), got 1: driver_joint; wheel_joint can still'):
+            ask({'driver_joint': 0.0})
+    # Neither does a rod between balls; it needs no drive.
+    assert len(load_scene('rssr_four_bar').model().assemblies({'crank': 0.1}).states) >= 2
     with pytest.raises(ValueError, match='2 in drives: theta_1, 3 in drives: theta_6'):
         model.solve({'theta_1': [1.0, 1.0], 'theta_6': [1.0, 1.0, 1.0], 'theta_7': 1.0})
     with pytest.raises(ValueError, match='prescribes no motions'):
