@@ -49,7 +49,6 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
-from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
@@ -64,8 +63,8 @@ RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
 GATHERING = 2.0
 # What stands for the topic of wrenches.
 WRENCHES = 'wrenches'
-# The newest state is enough.
-QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# The newest state is enough; it must not be lost, for a machine at rest publishes it once.
+QOS = QoSProfile(depth=1)
 # A position drive moves its joint like a critically damped spring of this rate at most [1/s], of
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
@@ -355,6 +354,8 @@ class Attached:
 
     def _pose_as_model(self):
         """Have the simulator take over the pose of the model."""
+        if not self._states.get_subscription_count():
+            raise FieldError('a simulator that takes states', 'none yet: try again', path=('pose',))
         places = self._names.place
         self._states.publish(JointState(
             name=[name for name, place in zip(self._names.names, places) if place >= 0],
