@@ -12,6 +12,7 @@ from closedloop_dynamics import load_scene
 from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
 from closedloop_dynamics.recording import design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
+from closedloop_dynamics.recording.transmission import transmission_angle
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 import numpy as np
 import pytest
@@ -195,7 +196,7 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
     # Norton, Design of Machinery: links of 2, 7, 9 on a base of 6.
     scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
     run = driven_turn(scene)
-    angle = np.degrees(design.transmission_angle(run.mechanism, run.position, 'crank_joint'))
+    angle = np.degrees(transmission_angle(run.mechanism, run.position, 'crank_joint'))
     np.testing.assert_allclose(angle[[0, 180]], [25.2088, 58.4119], atol=5e-5)
     assert angle.argmin() in (0, 360) and angle.max() <= 90.0
     code, text, errors = call(
@@ -212,7 +213,7 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
 
 def test_transmission_angles_do_not_depend_on_where_the_loop_is_cut(tmp_path):
     scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
-    expected = design.transmission_angle(
+    expected = transmission_angle(
         scene.mechanism, driven_turn(scene, count=73).position, 'crank_joint')
     text = (tmp_path / 'machine.yaml').read_text()
     text = text.replace('parent: crank, child: coupler, position: [crank, 0]',
@@ -226,8 +227,46 @@ def test_transmission_angles_do_not_depend_on_where_the_loop_is_cut(tmp_path):
         f'coupler_joint: {beta - 1.0!r}', f'coupler_joint: {beta - psi + math.pi!r}'))
     other = load_scene(tmp_path / 'other.yaml')
     run = driven_turn(other, count=73)
-    found = design.transmission_angle(run.mechanism, run.position, 'crank_joint')
+    found = transmission_angle(run.mechanism, run.position, 'crank_joint')
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_transmission_angles_of_linkages_in_others_of_rods_sliders_and_in_space():
+    def angles(name, drive):
+        scene = load_scene(name)
+        model = scene.model()
+        place = float(model.assemble().q[model.coordinates.index[drive]])
+        run = DrivenRun(scene, {drive: Drive(place, place + 1.0)}, 21, 1.0)
+        evaluated = model.evaluate(model.state(run.position))
+        return transmission_angle(run.mechanism, run.position, drive), run, evaluated.points
+
+    # Hoeken's linkage within the leg: by the law of cosines, lengths 0.0625 and 0.0625 on 0.05.
+    found, run, _ = angles('hoeken_pantograph_leg', 'theta_1')
+    diagonal = np.abs(0.025 * np.exp(1j * run.driven['theta_1']) - 0.05)
+    inner = 2.0 * np.arcsin(0.5 * diagonal / 0.0625)
+    np.testing.assert_allclose(found, np.minimum(inner, np.pi - inner), atol=1e-12)
+    # A massless rod of 0.28 from the crank to the shank, whose pin is 0.0632 from the knee.
+    found, run, _ = angles('humanoid_knee', 'motor')
+    pin = 0.3j - 0.04 * np.exp(1j * run.driven['motor'])
+    arm = math.hypot(0.06, 0.02)
+    inner = np.arccos((arm ** 2 + 0.28 ** 2 - np.abs(pin) ** 2) / (2.0 * arm * 0.28))
+    np.testing.assert_allclose(found, np.minimum(inner, np.pi - inner), atol=1e-12)
+    # A slider along x: the connecting rod's angle from the slide.
+    found, run, _ = angles('slider_crank', 'crank_joint')
+    lengths = load_scene('slider_crank').mechanism
+    crank, rod = (abs(next(x for x in place if x)) for place in (
+        next(joint.position for joint in lengths.joints if joint.parent == 'crank'),
+        lengths.cut_joints[0].point_a))
+    np.testing.assert_allclose(
+        found, np.arccos(np.abs(crank * np.sin(run.driven['crank_joint'])) / rod), atol=1e-12)
+    # In space: the rocker's end moves across its arm, about x.
+    found, run, points = angles('rssr_four_bar', 'crank')
+    end, turn = points['rocker_end'], run.driven['crank']
+    rod = end - 0.1 * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    way = np.cross([1.0, 0.0, 0.0], end - [0.4, 0.3, 0.0])
+    shares = (rod * way).sum(axis=1) / np.linalg.norm(rod, axis=1) / np.linalg.norm(way, axis=1)
+    np.testing.assert_allclose(found, np.arcsin(np.abs(shares)), atol=1e-12)
+    assert angles('geared_five_bar', 'crank_1_joint')[0] is None
 
 
 def test_hoekens_point_moves_along_a_line(tmp_path):

@@ -21,6 +21,7 @@ from .kinematics import add_drive, curves, drive_axis, driven_run, forces, torqu
 from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name
+from ..recording.transmission import transmission_angle
 from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to
 
@@ -93,7 +94,7 @@ def _sections(arguments, scene, run, table, spent):
          'longest part of the drive over which a quantity stays within '
          f'{design.DWELL:.0%} of its stroke. Time ratio: of the slower stroke to the quicker '
          'one over a whole turn.</p>']))
-    angle = design.transmission_angle(run.mechanism, run.position, name)
+    angle = transmission_angle(run.mechanism, run.position, name)
     if angle is not None:
         found.append(('Transmission angle', [
             ('', 'angle [deg]', 'at'),

@@ -9,8 +9,8 @@ from typing import Dict, NamedTuple, Tuple
 import numpy as np
 
 from .kinematics import by_name, Drive, DrivenRun
-from ..mechanism.four_bar import bars
-from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
+from .transmission import transmission_angle
+from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
@@ -104,57 +104,6 @@ def degrees_of_freedom(scene, position):
     """Return the degrees of freedom of a scene's mechanism near a position."""
     mechanism = scene.mechanism
     return Assembler(mechanism, geometry_of(mechanism).equations).degrees_of_freedom(position)
-
-
-def transmission_angle(mechanism, position, drive):
-    """
-    Return the transmission angle over a motion, shape (n,) [rad], at most pi / 2.
-
-    Between coupler and output link of a four-bar linkage; between the coupler and the normal of
-    the slide where a slider closes the loop instead. None for other mechanisms.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    position : ndarray, shape (n, nq)
-        Joint coordinates.
-    drive : str
-        The driven joint.
-
-    """
-    poses = body_poses(mechanism, position)
-    chain = bars(mechanism, drive)
-    if chain is not None:
-        ways = [world_points(pose_of(mechanism, poses, body), end - start)
-                - world_points(pose_of(mechanism, poses, body), np.zeros(2))
-                for body, start, end, _ in chain[2:]]
-        one, other = (np.arctan2(way[:, 1], way[:, 0]) for way in ways)
-        return _acute(one - other)
-    if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1:
-        return None
-    cut, = mechanism.cut_joints
-    joints = {joint.child: joint for joint in mechanism.joints}
-    driven = next((joint for joint in mechanism.joints if joint.name == drive), None)
-    if driven is None or driven.parent != GROUND or cut.type != REVOLUTE:
-        return None
-    ends = {cut.body_a: cut.point_a, cut.body_b: cut.point_b}
-    coupler = next((body for body in ends if body in joints
-                    and joints[body].parent == driven.child), None)
-    output = next((body for body in ends if body in joints and joints[body].parent == GROUND
-                   and body != driven.child), None)
-    if coupler is None or output is None or joints[output].type != PRISMATIC or (
-            joints[coupler].type != REVOLUTE):
-        return None
-    names = [body.name for body in mechanism.bodies]
-    # A slider's frame has the x axis along the slide.
-    along = poses[:, names.index(coupler), 2] + math.atan2(*reversed(ends[coupler]))
-    return _acute(along - poses[:, names.index(output), 2] - 0.5 * math.pi)
-
-
-def _acute(angle):
-    """Return angles between lines, at most pi / 2."""
-    return np.arccos(np.clip(np.abs(np.cos(angle)), 0.0, 1.0))
 
 
 def drive_values(run):
