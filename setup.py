@@ -80,6 +80,8 @@ setup(
         'completion': ['argcomplete>=3.2'],
         # To write DXF files.
         'drawing': ['ezdxf>=1.3'],
+        # Environments for reinforcement learning.
+        'gymnasium': ['gymnasium>=1.1'],
         # To read MJCF and xacro files; to show the meshes of models.
         'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
         # For Pythons without a ROS installation: Jazzy from PyPI.

@@ -11,11 +11,13 @@ first line is a comment with the file's name. A comment before a block says how 
     <!-- exits with 2 -->                     the exit code expected
     <!-- each in a terminal of its own -->    nodes, run together, ended by Ctrl-C
     <!-- with what was recorded above -->     after these nodes, with the bag they leave behind
+    <!-- needs gymnasium -->                  run where that module is installed
     <!-- not run: why -->
 
 """
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
@@ -125,6 +127,9 @@ def test_commands_and_scripts_do_what_the_page_says(page, scratch, capsys):
     write_files(page, scratch)
     for block in blocks_of(page):
         if block.note.startswith('not run: ') or block.note in (TERMINALS, AFTERWARDS):
+            continue
+        needed = re.fullmatch(r'needs (\w+)', block.note)
+        if needed and find_spec(needed[1]) is None:
             continue
         if block.kind == 'python':
             script = scratch / f'line_{block.line}.py'
