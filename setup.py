@@ -82,6 +82,8 @@ setup(
         'drawing': ['ezdxf>=1.3'],
         # Environments for reinforcement learning.
         'gymnasium': ['gymnasium>=1.1'],
+        # Forward dynamics as a function of JAX.
+        'jax': ['jax>=0.4.34'],
         # To read MJCF and xacro files; to show the meshes of models.
         'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
         # For Pythons without a ROS installation: Jazzy from PyPI.

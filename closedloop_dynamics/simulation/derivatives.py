@@ -174,7 +174,7 @@ class Differentiator:
                 'Effects have other expressions or ends now: make a new Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
         self._lam[:] = self._system.lam
-        q, qd = (np.ascontiguousarray(one, dtype=float) for one in (position, velocity))
+        q, qd = (np.array(one, dtype=float) for one in (position, velocity))
         if not native.call(self._table, 0, q, qd) or not np.isfinite(self._found).all():
             raise SingularityError(
                 'The accelerations have no derivatives here: closure equations depend on one '

@@ -175,6 +175,15 @@ def test_derivatives_by_torque_solve_the_dense_equations():
         system @ found.by_torque, np.eye(nv + nc)[:, :nv], rtol=0, atol=1e-9)
 
 
+def test_states_that_cannot_be_written_are_read():
+    simulation = simulation_of('slider_crank')
+    state = simulation.snapshot()
+    assert not state.q.flags.writeable
+    found = Differentiator(simulation)(state.q, state.qd)
+    np.testing.assert_array_equal(
+        found.by_position, Differentiator(simulation)(state.q.tolist(), state.qd).by_position)
+
+
 def test_parameters_are_read_anew():
     simulation = simulation_of('four_bar', {'damper': JointDamping('crank_joint', 0.1)})
     differentiate = Differentiator(simulation)

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Forward dynamics as a function of JAX: values, derivatives, batches, refusals."""
+
+from closedloop_dynamics import load_scene, SimulationError
+import numpy as np
+import pytest
+
+jax = pytest.importorskip('jax', reason='the extra jax is not installed')
+
+
+@pytest.fixture(autouse=True)
+def in_64_bits():
+    with jax.enable_x64(True):
+        yield
+
+
+def moving(name, seed=0):
+    """Return a model, its function, and a state with torques, away from rest."""
+    from closedloop_dynamics import Simulation
+    from closedloop_dynamics.simulation.jax_dynamics import jax_dynamics
+    model = load_scene(name).model()
+    torque = np.random.default_rng(seed).normal(size=len(model.actuated_joints))
+    simulation = Simulation(model, method='rk4')
+    simulation.step(torque, 0.1)
+    return model, jax_dynamics(model), (simulation.position, simulation.velocity, torque)
+
+
+@pytest.mark.parametrize('name', ('three_rrr', 'slider_crank', 'rssr_four_bar'))
+def test_values_and_derivatives_are_those_of_differences(name):
+    model, dynamics, state = moving(name)
+    found = model.evaluate(model.state(*state[:2]), state[2])
+    for value, expected in zip(dynamics(*state), (found.acceleration, found.multipliers)):
+        np.testing.assert_allclose(value, expected, rtol=1e-10, atol=1e-10)
+    turned = [first for first, _ in model.coordinates.balls]
+
+    def at(place, change):
+        moved = [one.copy() for one in state]
+        moved[place] += change
+        for first in turned:
+            moved[0][first:first + 4] /= np.linalg.norm(moved[0][first:first + 4])
+        return np.concatenate(dynamics(*moved))
+
+    random = np.random.default_rng(1)
+    for place, one in enumerate(state):
+        change = random.normal(size=one.shape)
+        changes = [np.zeros_like(other) for other in state]
+        changes[place] = change
+        _, along = jax.jvp(dynamics, state, tuple(changes))
+        step = 1e-3
+        slope = sum(weight * (at(place, k * step * change) - at(place, -k * step * change))
+                    for k, weight in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))) / step
+        np.testing.assert_allclose(
+            np.concatenate(along), slope, rtol=0, atol=1e-7 * max(1.0, np.abs(slope).max()))
+
+
+def test_reverse_is_forward_compiled_and_batched():
+    _, dynamics, state = moving('three_rrr')
+
+    def cost(*given):
+        acceleration, multipliers = dynamics(*given)
+        return (acceleration ** 2).sum() + jax.numpy.sin(multipliers).sum()
+
+    gradient = jax.grad(cost, argnums=(0, 1, 2))(*state)
+    compiled = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(*state)
+    for place, one in enumerate(gradient):
+        np.testing.assert_allclose(compiled[place], one, rtol=1e-12)
+        for k, expected in enumerate(one):
+            changes = [np.zeros_like(other) for other in state]
+            changes[place][k] = 1.0
+            _, found = jax.jvp(cost, state, tuple(changes))
+            assert abs(found - expected) <= 1e-12 * np.abs(one).max()
+    torques = np.random.default_rng(2).normal(size=(5, 3))
+    many, _ = jax.vmap(dynamics, in_axes=(None, None, 0))(*state[:2], torques)
+    for row, torque in zip(many, torques):
+        np.testing.assert_array_equal(row, dynamics(*state[:2], torque)[0])
+
+
+def test_what_has_no_derivatives_is_refused():
+    from closedloop_dynamics.simulation.jax_dynamics import jax_dynamics
+    with pytest.raises(SimulationError, match='gear_1'):
+        jax_dynamics(load_scene('three_rrr_payload_friction').model())
+    with jax.enable_x64(False), pytest.raises(RuntimeError, match='64 bits'):
+        jax_dynamics(load_scene('three_rrr').model())
+    _, dynamics, state = moving('four_bar')
+    with pytest.raises(ValueError, match='JVP'):
+        jax.hessian(lambda q: dynamics(q, *state[1:])[0].sum())(state[0])
