@@ -25,8 +25,8 @@ def jax_dynamics(model):
     Returns
     -------
     callable
-        Of ``q``, shape (nq,), ``qd``, shape (nv,), and torques of the actuated joints, shape (na,);
-        returns accelerations, shape (nv,), and Lagrange multipliers, shape (nc,). It has first
+        Of ``q``, shape (nq,), ``qd``, shape (nv,), and torques of the actuated joints, shape
+        (na,); returns accelerations, shape (nv,), and multipliers, shape (nc,). It has first
         derivatives, forward and reverse: as ``derivatives.Derivatives``, each coordinate is
         changed alone, and quaternions as if they were divided by their norm. What it is called
         with closes the loops. States of a batch (``jax.vmap``) are evaluated one by one.
