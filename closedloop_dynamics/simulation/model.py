@@ -5,7 +5,7 @@
 
 from collections.abc import Callable, Mapping
 from threading import RLock
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING
 import warnings
 
 import numpy as np
@@ -25,6 +25,9 @@ from .scene_records import Scene
 from .state import State
 from ..integration.evaluation import Evaluator
 from ..mechanism.fields import at
+
+if TYPE_CHECKING:
+    from .linearisation import LinearModel
 
 # Warnings of one call, at most.
 MOST_NOTES = 3
@@ -87,6 +90,8 @@ class Model(Names):
         self._lock = RLock()
         # By what is driven.
         self._driven: Dict[Any, DrivenKinematics] = {}
+        # By independent joints: the system that it is of, and what linearises.
+        self._linear: Dict[Any, Tuple[Any, Any]] = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':
         """
@@ -361,6 +366,53 @@ class Model(Names):
         if not found:
             raise ValueError('state: expected at least one, got an empty batch')
         return InverseDynamicsResult(*map(frozen, zip(*found)))
+
+    def linearise(self, state: State, torque: Optional[Numbers] = None, *,
+                  period: Optional[float] = None, outputs: Sequence[str] = ('position',),
+                  independent: Optional[Sequence[str]] = None) -> 'LinearModel':
+        """
+        Return the motion near a state, to first order, in independent coordinates.
+
+        Parameters
+        ----------
+        state : State
+            A single one, closing the loops.
+        torque : mapping, or sequence of shape (na,), optional
+            As for ``evaluate``.
+        period : float, optional
+            Of a model in discrete time, torques held [s]; in continuous time when not given.
+        outputs, independent
+            As for ``linearisation.Linearisation``, which has equilibria and modes, too.
+
+        Returns
+        -------
+        linearisation.LinearModel
+
+        Raises
+        ------
+        SimulationError
+            Where an effect has no derivative, with its name and the reason.
+        SingularityError
+            Where closure equations depend on one another.
+        ValueError
+            For a batch, a state of another mechanism, and other arguments that make no sense.
+
+        """
+        # What it needs of SciPy takes long to load.
+        from .linearisation import Linearisation
+        self._work.require_state(state)
+        if state.is_batch:
+            raise ValueError(f'state: expected one state, got a batch of {len(state)}')
+        chosen = None if independent is None else tuple(independent)
+        with self._lock:
+            work = self._work.at(state)
+            system, linearisation = self._linear.get(chosen, (None, None))
+            if system is not work.system:
+                linearisation = Linearisation(work, chosen)
+                self._linear[chosen] = work.system, linearisation
+            if period is None:
+                return linearisation.linear_model(state.q, state.qd, torque, outputs)
+            return linearisation.discrete_model(period, state.q, state.qd, torque, outputs)
 
     def inertia(self, state: State) -> np.ndarray:
         """Return the generalized inertia matrix of the spanning tree, shape (..., nv, nv)."""

@@ -181,6 +181,85 @@ def test_a_threefold_stewart_platform_has_two_pairs_of_equal_frequencies():
     assert (gaps < 1e-7).sum() == 2 and (gaps > 1e-3).sum() == 3
 
 
+@pytest.mark.parametrize('scene', ('three_rrr_vertical', 'rssr_four_bar'))
+def test_a_model_is_linearised_in_any_state(scene):
+    simulation = simulation_of(scene, **ACCURATE)
+    model, linearisation = load_scene(scene).model(), Linearisation(simulation)
+    torque = dict.fromkeys(simulation.actuated_joints[:1], 0.5)
+    for _ in range(2):
+        simulation.step(torque, 0.05)
+        state = simulation.snapshot()
+        for found, expected in (
+                (model.linearise(state, torque, outputs=('velocity',)),
+                 linearisation.linear_model(torque=torque, outputs=('velocity',))),
+                (model.linearise(state, torque, period=0.01),
+                 linearisation.discrete_model(0.01, torque=torque))):
+            assert (found.states, found.inputs, found.outputs, found.period) == (
+                expected.states, expected.inputs, expected.outputs, expected.period)
+            for name in 'ABCD':
+                exact = getattr(expected, name)
+                np.testing.assert_allclose(getattr(found, name), exact, rtol=0, atol=1e-10 * max(
+                    1.0, np.abs(exact).max(initial=0.0)))
+        # Evaluations are not disturbed.
+        np.testing.assert_allclose(model.evaluate(state, torque).acceleration,
+                                   simulation.forward_dynamics(state.q, state.qd, torque)[0],
+                                   rtol=1e-9, atol=1e-9)
+
+
+def test_batches_and_choices_that_do_not_do_are_refused_by_a_model():
+    model = load_scene('four_bar').model()
+    state = model.assemble()
+    assert model.linearise(state, independent=('rocker_joint',)).states == (
+        'position.rocker_joint', 'velocity.rocker_joint')
+    assert model.linearise(state).states[0] == 'position.crank_joint'
+    with pytest.raises(ValueError, match='state: expected one state, got a batch of 2'):
+        model.linearise(type(state).stack([state, state]))
+    with pytest.raises(ValueError, match='independent: expected names of'):
+        model.linearise(state, independent=('elbow',))
+    with pytest.raises(SimulationError, match='effects.buffer'):
+        load_scene('slider_crank_end_stop').model().linearise(
+            load_scene('slider_crank_end_stop').model().assemble())
+
+
+@pytest.mark.parametrize('scene, joint', (
+    ('four_bar', 'crank_joint'), ('slider_crank', 'crank_joint')))
+def test_linkages_of_one_degree_follow_virtual_power(scene, joint):
+    simulation = simulation_of(scene)
+    model, linearisation = load_scene(scene).model(), Linearisation(simulation)
+    step = 1e-3
+
+    def slopes(place):
+        """Return first and second derivative of the potential along the branch."""
+        state = model.solve({joint: place + step * np.arange(-3, 4)})
+        height = model.evaluate(state).stored_energy
+        first = (height[4:] - height[2::-1]) @ np.array((3 / 4, -3 / 20, 1 / 60)) / step
+        second = ((height[4:] + height[2::-1] - 2.0 * height[3]) @ np.array(
+            (3 / 2, -3 / 20, 1 / 90)) / step ** 2)
+        return state[3], first, second
+
+    state, first, _ = slopes(simulation.position[0])
+    held = linearisation.static_torque(state.q)
+    assert held[joint] == pytest.approx(first, rel=1e-8)
+    rest = linearisation.equilibrium()
+    state, first, second = slopes(rest.position[0])
+    assert abs(first) < 1e-8 * abs(held[joint]) + 1e-9
+    # A rate of one: twice the kinetic energy is the inertia about the joint.
+    moving = model.assemble(state.q, _rates(model, state, joint), hold=[joint])
+    inertia = 2.0 * model.evaluate(moving).kinetic_energy
+    mode, = linearisation.modes(rest.position)
+    assert mode.frequency == pytest.approx(
+        math.sqrt(second / inertia) / (2.0 * math.pi), rel=1e-6)
+
+
+def _rates(model, state, joint):
+    """Return rates that close the loops with a rate of one in a joint."""
+    jacobian, own = model.constraint_jacobian(state), model.joint_names.index(joint)
+    rest = np.setdiff1d(np.arange(len(state.qd)), own)
+    rates = np.ones(len(state.qd))
+    rates[rest] = -np.linalg.solve(jacobian[:, rest], jacobian[:, own])
+    return rates
+
+
 def test_independent_coordinates_may_be_chosen(tmp_path):
     simulation = parallelogram(tmp_path)
     model = Linearisation(simulation, ('c',)).linear_model(torque={'a': 1.0})
