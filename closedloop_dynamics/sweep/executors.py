@@ -25,7 +25,6 @@ import time
 
 import numpy as np
 
-from .batch import failed, run_batch
 from ..simulation.errors import SimulationError
 
 # Between two looks how many workers a cluster has [s].
@@ -347,7 +346,7 @@ class Task:
         return self.lost > 1
 
 
-def dispatched(engine, job, plan, tasks, keep_going):
+def dispatched(engine, call, given_up, tasks, keep_going):
     """
     Compute tasks, in any order.
 
@@ -355,10 +354,11 @@ def dispatched(engine, job, plan, tasks, keep_going):
     ----------
     engine : object
         Of ``executors``.
-    job : Job
-        What all samples have in common.
-    plan : Plan
-        Of the sweep.
+    call : callable
+        Takes samples, returns the function that computes them, and its arguments.
+    given_up : callable
+        Takes samples whose worker is lost whenever they run, even alone, and the reason; returns
+        what is yielded for them.
     tasks : iterable of ndarray of int
         Samples that are computed together.
     keep_going : callable
@@ -366,8 +366,8 @@ def dispatched(engine, job, plan, tasks, keep_going):
 
     Yields
     ------
-    Batch
-        Each sample once. One whose worker is lost whenever it runs, even alone, has failed.
+    object
+        What the function returns; each sample once.
 
     Raises
     ------
@@ -378,8 +378,7 @@ def dispatched(engine, job, plan, tasks, keep_going):
     fresh, again, running = iter(tasks), deque(), {}
 
     def submit(task):
-        future = engine.submit(run_batch, job, task.samples, plan.values(task.samples),
-                               plan.torques_of(task.samples))
+        future = engine.submit(*call(task.samples))
         running[future] = task
 
     def hand_out():
@@ -404,13 +403,14 @@ def dispatched(engine, job, plan, tasks, keep_going):
             done, _ = wait(running, timeout=ASK_EVERY, return_when=FIRST_COMPLETED)
             broken = False
             for future in done:
-                broken = (yield from _result(future, running.pop(future), job, again)) or broken
+                task = running.pop(future)
+                broken = (yield from _result(future, task, given_up, again)) or broken
             if broken:
                 # The others on their way are lost with the pool.
                 wait(running, timeout=ASK_EVERY)
                 for future in list(running):
                     future.cancel()
-                    yield from _result(future, running.pop(future), job, again)
+                    yield from _result(future, running.pop(future), given_up, again)
                 engine.renew()
             hand_out()
     finally:
@@ -423,28 +423,29 @@ def _next(fresh):
     return None if samples is None else Task(samples)
 
 
-def _result(future, task, job, again):
-    """Yield a batch, or see to a lost task; return whether all other work is lost, too."""
+def _result(future, task, given_up, again):
+    """Yield a result, or see to a lost task; return whether all other work is lost, too."""
     try:
-        batch = future.result(0)
+        found = future.result(0)
     except (CancelledError, OSError):
         # The connection to the engine, or the time to wait for a pool that is lost: nothing that
         # tells against these samples.
         again.append(task)
         return True
     except Exception as error:
-        yield from _lost(task, error, job, again)
+        yield from _lost(task, error, given_up, again)
         return isinstance(error, BrokenExecutor)
-    yield batch
+    yield found
     return False
 
 
-def _lost(task, error, job, again):
+def _lost(task, error, given_up, again):
     """Put a task back, sample by sample the second time; give it up the third."""
     lost = task.lost + 1
     if task.suspect:
         reason = str(error) or type(error).__name__
-        yield failed(job, task.samples, f'the worker that ran it was lost, each time: {reason}')
+        yield given_up(
+            task.samples, f'the worker that ran it was lost, each time: {reason}')
     elif lost == 1:
         again.append(Task(task.samples, lost))
     else:

@@ -5,11 +5,12 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 import re
 
 import numpy as np
 
-from .batch import Job, SAMPLE_FAILED
+from .batch import failed, Job, run_batch, SAMPLE_FAILED
 from .executors import dispatched, engine_for
 from .plan import combined, Plan, variation
 from .storage import checked_path, Layout, opened
@@ -134,13 +135,20 @@ def _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_
     # Those of one batch lie together in the file, whichever of them are missing.
     starts = np.flatnonzero(np.diff(missing // layout.batch)) + 1
     tasks = np.split(missing, starts)
-    for batch in dispatched(engine, job, plan, tasks, keep_going):
+    for batch in dispatched(engine, calls(job, plan), partial(failed, job), tasks, keep_going):
         storage.write(batch)
         outcome.done += len(batch.samples)
         outcome.failed += int((batch.status == SAMPLE_FAILED).sum())
-        outcome.reasons.update(_kind(reason) for reason in batch.reasons if reason)
+        outcome.reasons.update(without_numbers(reason) for reason in batch.reasons if reason)
         if on_progress is not None:
             on_progress(outcome)
+
+
+def calls(job, plan):
+    """Return what returns the function, with its arguments, that computes samples."""
+    def call(samples):
+        return run_batch, job, samples, plan.values(samples), plan.torques_of(samples)
+    return call
 
 
 def batch_size(layout):
@@ -154,6 +162,6 @@ def batch_size(layout):
     return int(max(1, min(layout.samples // BATCHES, LARGEST_BATCH, most)))
 
 
-def _kind(reason):
+def without_numbers(reason):
     """Return a reason without its numbers, which differ from sample to sample."""
     return NUMBER.sub('...', reason)

@@ -4,11 +4,13 @@
 """Batches are handed out so that no sample is lost and none doubled, whatever workers do."""
 
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from functools import partial
 
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.sweep.batch import Job, SAMPLE_DONE, SAMPLE_FAILED
+from closedloop_dynamics.sweep.batch import failed, Job, SAMPLE_DONE, SAMPLE_FAILED
 from closedloop_dynamics.sweep.executors import dispatched, EngineError, Handed, Inline
 from closedloop_dynamics.sweep.plan import Grid, Plan
+from closedloop_dynamics.sweep.runner import calls
 import numpy as np
 import pytest
 
@@ -53,7 +55,8 @@ class Lossy(Inline):
 
 def run(engine):
     """Return the samples that came back, and their status, in the order of samples."""
-    batches = list(dispatched(engine, JOB, PLAN, iter(TASKS), keep_going(engine)))
+    batches = list(dispatched(engine, calls(JOB, PLAN), partial(failed, JOB), iter(TASKS),
+                              keep_going(engine)))
     samples = np.concatenate([batch.samples for batch in batches])
     status = np.concatenate([batch.status for batch in batches])
     return np.sort(samples), status[np.argsort(samples)], batches
