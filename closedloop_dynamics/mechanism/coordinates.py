@@ -354,18 +354,18 @@ class Coordinates:
 
         Parameters
         ----------
-        q : ndarray, shape (nq,)
+        q : ndarray, shape (..., nq)
             Quaternions are composed with the exponential of their change.
-        change : ndarray, shape (nv,)
+        change : ndarray, shape (..., nv)
             [rad, m].
 
         """
         single = self.place >= 0
         q = q.copy()
-        q[self.place[single]] += change[single]
+        q[..., self.place[single]] += change[..., single]
         for first, rate in self.balls:
-            turned = composed(q[first:first + 4], _exponential(change[rate:rate + 3]))
-            q[first:first + 4] = turned / np.linalg.norm(turned)
+            turned = composed(q[..., first:first + 4], _exponential(change[..., rate:rate + 3]))
+            q[..., first:first + 4] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
         return q
 
     def apart(self, q, other):
@@ -434,7 +434,7 @@ class Coordinates:
 
 
 def _exponential(turn):
-    """Return the quaternion of a rotation vector."""
-    angle = float(np.linalg.norm(turn))
+    """Return the quaternions of rotation vectors, shape (..., 3)."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     share = 0.5 * np.sinc(0.5 * angle / np.pi)
-    return np.array([*(share * turn), math.cos(0.5 * angle)])
+    return np.concatenate([share * turn, np.cos(0.5 * angle)], axis=-1)

@@ -24,10 +24,10 @@ from .fields import among, at, FieldError, mapping, nearest, shown
 
 LONGEST = 500
 CONSTANTS = {'pi': math.pi}
-# Function -> how many numbers it takes.
+# Function -> how many numbers it may take.
 FUNCTIONS = {**dict.fromkeys(
-    ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees'), 1),
-    'abs': 1, 'atan2': 2, 'hypot': 2, 'min': 2, 'max': 2}
+    ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees',
+     'abs'), (1,)), **dict.fromkeys(('atan2', 'hypot', 'min', 'max'), (2,))}
 ON_NUMBERS = {name: getattr(math, name, None) or {'abs': abs, 'min': min, 'max': max}[name]
               for name in FUNCTIONS}
 _OPERATORS = {
@@ -153,7 +153,7 @@ class Parameters:
         return value
 
 
-def value_of(text, known, functions, expected):
+def value_of(text, known, functions, expected, takes=FUNCTIONS):
     """
     Return the value of an expression, of numbers or of what computes like them.
 
@@ -164,9 +164,11 @@ def value_of(text, known, functions, expected):
     known : mapping of str to number
         What names stand for, beside CONSTANTS.
     functions : dict of str to callable
-        By the names of FUNCTIONS.
+        By the names in ``takes``.
     expected : str
         What the expression should have been.
+    takes : dict of str to tuple of int, optional
+        How many operands each function may take.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def value_of(text, known, functions, expected):
     if root is None:
         raise FieldError(expected, shown(text))
     try:
-        value = _evaluated(root, text.strip(), known, functions, expected)
+        value = _evaluated(root, text.strip(), known, functions, expected, takes)
     except FieldError:
         raise
     except (ArithmeticError, ValueError, RecursionError) as error:
@@ -188,7 +190,7 @@ def value_of(text, known, functions, expected):
     return value
 
 
-def _evaluated(node, text, known, functions, expected):
+def _evaluated(node, text, known, functions, expected, takes):
     """Return the value of a node of the tree of ``parsed``."""
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         if '_' not in ast.get_source_segment(text, node):
@@ -201,20 +203,20 @@ def _evaluated(node, text, known, functions, expected):
     elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
         operands = (node.operand,) if isinstance(node, ast.UnaryOp) else (node.left, node.right)
         value = _OPERATORS[type(node.op)](
-            *(_evaluated(one, text, known, functions, expected) for one in operands))
+            *(_evaluated(one, text, known, functions, expected, takes) for one in operands))
         if isinstance(value, complex):
             raise ValueError('a root of a negative number')
         return value
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         name, arguments = node.func.id, node.args
-        if name not in FUNCTIONS:
+        if name not in takes:
             raise FieldError(expected, f'{shown(text)} with the unknown function {name!r}',
-                             nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
-        if len(arguments) == FUNCTIONS[name]:
+                             nearest(name, takes) or f'there are {among(takes)}')
+        if len(arguments) in takes[name]:
             return functions[name](
-                *(_evaluated(one, text, known, functions, expected) for one in arguments))
+                *(_evaluated(one, text, known, functions, expected, takes) for one in arguments))
     raise FieldError(expected, shown(text), 'numbers, names, + - * / **, brackets and '
-                     f'the functions {among(FUNCTIONS)}')
+                     f'the functions {among(takes)}')
 
 
 def parsed(text):
