@@ -10,9 +10,9 @@ import sys
 from .command import (
     add_directory, add_reading, assignment, Command, FAILED, free_paths, read_scene, UsageError,
     with_numbers)
-from .kinematics import add_drive, drive_axis, driven_run, forces, torques
+from .kinematics import add_drive, drive_axis, driven_run
 from ..recording import design
-from ..recording.kinematics import by_name
+from ..recording.kinematics import by_name, forces, torques
 from ..recording.rows import write_scene
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
@@ -128,7 +128,7 @@ def _percent(value):
 def _draw(runs, paths, curves):
     # Only here, as it takes long to load.
     from ..visual import pictures
-    from ..visual.motion import body_poses, named_point
+    from ..visual.motion import named_paths
     from ..visual.views import FRONT, PLANE
     title, shown, traced = 'drive torques and joint forces', {}, {}
     labels, planar = set(), True
@@ -141,9 +141,7 @@ def _draw(runs, paths, curves):
             shown.setdefault(f'force {name}\n[N]', {})[label] = x, force
         mechanism = run.mechanism
         planar = planar and mechanism.planar
-        poses = body_poses(mechanism, run.position)
-        traced[label] = {point.name: named_point(mechanism, poses, point.name)
-                         for point in mechanism.points}
+        traced[label] = named_paths(mechanism, run.position)
     if not planar:
         # A plane among others in space: its points lie at z = 0.
         traced = {label: {name: _in_space(places) for name, places in points.items()}

@@ -14,7 +14,8 @@ from .command import (
     add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
     require_drawing, require_free, UsageError, with_numbers, write_drawing)
 from ..recording.design import cycle, POSES
-from ..recording.kinematics import assemblies, by_name, Drive, DrivenRun
+from ..recording.kinematics import (
+    assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
@@ -22,7 +23,6 @@ from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
-UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 MOST_POSES = 1_000_000
 # Units of quantities, of angles and of lengths.
 QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
@@ -59,13 +59,7 @@ def driven_run(arguments, scene):
 
     """
     try:
-        drives, count = drives_of(arguments) if arguments.drive else (cycle(scene), POSES)
-        speed = arguments.speed
-        if arguments.duration is not None:
-            # Of the first one that moves; a run refuses drives that all rest.
-            moves = [abs(drive.end - drive.start) for drive in drives.values()
-                     if drive.end != drive.start]
-            speed = moves[0] / arguments.duration if moves else speed
+        drives, count, speed = paced(arguments, scene)
         return DrivenRun(scene, drives, count, speed, arguments.branch)
     except BranchEndError as error:
         raise UsageError(f'--drive: {error}') from None
@@ -81,6 +75,27 @@ def _of_option(error):
     """Return the message of a ValueError with its option in front."""
     message = str(error).removeprefix('drives: ')
     return f'--{"" if message.startswith("branch") else "drive: "}{message}'
+
+
+def paced(arguments, scene, poses=POSES):
+    """
+    Return drives by name, the number of poses and the speed that a command line asks for.
+
+    Raises
+    ------
+    UsageError
+    ValueError
+        For a scene without a cycle, where no drives are given.
+
+    """
+    drives, count = drives_of(arguments) if arguments.drive else (cycle(scene), poses)
+    speed = arguments.speed
+    if arguments.duration is not None:
+        # Of the first one that moves; a run refuses drives that all rest.
+        moves = [abs(drive.end - drive.start) for drive in drives.values()
+                 if drive.end != drive.start]
+        speed = moves[0] / arguments.duration if moves else speed
+    return drives, count, speed
 
 
 def drives_of(arguments):
@@ -222,22 +237,6 @@ def summary(run, table):
         lines.append(f'  force     {what}: at most {force[place]:.6g} N at {name} = '
                      f'{values[place]:.6g}')
     return '\n'.join(lines)
-
-
-def torques(run, column):
-    """Return what the drives exert, by joint or driven coordinate, shape (n,) [N m or N]."""
-    if run.mechanism.motions:
-        return {name: column[f'motion.{motion.name}.force'] for name, motion in zip(
-            run.driven, run.mechanism.motions)}
-    return {name: column[f'effort.{name}'] for name in run.mechanism.actuated_joints}
-
-
-def forces(column):
-    """Return the magnitudes of the forces in all joints, by name, shape (n,) [N]."""
-    names = dict.fromkeys(name.split('.', 1)[1].rpartition('.')[0] for name in column
-                          if name.startswith('force.'))
-    return {name: np.linalg.norm([column[f'force.{name}.{axis}'] for axis in 'xyz'
-                                  if f'force.{name}.{axis}' in column], axis=0) for name in names}
 
 
 def curves(run, table):

@@ -17,10 +17,10 @@ from scipy.integrate import trapezoid
 from .command import (
     add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
     UsageError, with_numbers)
-from .kinematics import add_drive, curves, drive_axis, driven_run, forces, torques
+from .kinematics import add_drive, curves, drive_axis, driven_run
 from ..mechanism.four_bar import four_bar
 from ..recording import design
-from ..recording.kinematics import by_name
+from ..recording.kinematics import by_name, forces, torques
 from ..recording.transmission import transmission_angle
 from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to

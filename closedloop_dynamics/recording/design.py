@@ -180,9 +180,8 @@ def shaking(run):
     bodies = [(body.name, *_point_masses(body, extent(mechanism))) for body in mechanism.bodies]
     mass, places = np.concatenate([masses for _, masses, _ in bodies]), []
     for n in range(-2, 3):
-        ahead = np.array([
-            coordinates.moved(q, n * step * qd + 0.5 * (n * step) ** 2 * qdd)
-            for q, qd, qdd in zip(run.position, run.velocity, run.acceleration)])
+        ahead = coordinates.moved(
+            run.position, n * step * run.velocity + 0.5 * (n * step) ** 2 * run.acceleration)
         poses = body_poses(mechanism, ahead)
         places.append(np.concatenate([world_points(pose_of(mechanism, poses, name), points)
                                       for name, _, points in bodies], axis=1))
@@ -306,7 +305,40 @@ def length_keys(scene):
                  for axis, value in enumerate(place) if abs(value) > 0.0)
 
 
-def sensitivity(scene, run, keys) -> Sensitivity:
+def output_numbers(mechanism, position, driven):
+    """
+    Return names and values of joints and points.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Any.
+    position : ndarray, shape (n, nq)
+        Joint coordinates.
+    driven : sequence of str
+        Joints that are left out.
+
+    Returns
+    -------
+    names : list of str
+    values : ndarray, shape (n, number of names)
+        [rad or m].
+
+    """
+    coordinates = mechanism.coordinates
+    single = [name for name, place in zip(coordinates.names, coordinates.place) if place >= 0]
+    names = [name for name in single if name not in driven]
+    columns = [position[:, coordinates.place[coordinates.index[name]]] for name in names]
+    poses = body_poses(mechanism, position)
+    for point in mechanism.points:
+        places = named_point(mechanism, poses, point.name)
+        for axis, column in zip('xyz', places.T):
+            names.append(f'point.{point.name}.{axis}')
+            columns.append(column)
+    return names, np.stack(columns, axis=1)
+
+
+def sensitivity(scene, run, keys, numbers_of=output_numbers) -> Sensitivity:
     """
     Return the derivatives of joints and points by lengths, with the driven joints held.
 
@@ -323,6 +355,9 @@ def sensitivity(scene, run, keys) -> Sensitivity:
         Of joints.
     keys : sequence of str
         Key paths of numbers.
+    numbers_of : callable, optional
+        Returns names and values of what is differentiated, smooth in the positions, as
+        ``output_numbers``, by default.
 
     Raises
     ------
@@ -339,23 +374,24 @@ def sensitivity(scene, run, keys) -> Sensitivity:
         jacobians.append(equations.move(position).jacobian()[:, free].copy())
         inverses.append(np.linalg.pinv(jacobians[-1], rcond=NOTHING))
     jacobians, inverses = np.array(jacobians), np.array(inverses)
-    names, found = _output_numbers(mechanism, run.position, run.driven)[0], []
+    names, found = numbers_of(mechanism, run.position, run.driven)[0], []
     for key in keys:
         path = resolve(scene, key)
         value = known['.'.join(path)]
         step = STENCIL_STEP * max(abs(value), 1e-3)
         others = [changed(scene, {path: value + k * step}).mechanism for k in STENCIL]
-        psi = sum(weight * _closures(other, run.position)
-                  for weight, other in zip(STENCIL.values(), others)) / step
+        # A named point is on no loop.
+        psi = np.zeros(jacobians.shape[:2]) if path[:2] == ('mechanism', 'points') else sum(
+            weight * _closures(other, run.position)
+            for weight, other in zip(STENCIL.values(), others)) / step
         change = np.zeros((len(run.position), coordinates.nv))
         change[:, free] = -np.einsum('nij,nj->ni', inverses, psi)
         left = psi + np.einsum('nij,nj->ni', jacobians, change[:, free])
         if np.abs(left).max(initial=0.0) > OPENS * max(1.0, np.abs(psi).max(initial=0.0)):
             raise ValueError(f'{key}: no position closes the loops at another length')
         values = sum(
-            weight * _output_numbers(other, np.array([
-                coordinates.moved(q, k * step * each)
-                for q, each in zip(run.position, change)]), run.driven)[1]
+            weight * numbers_of(
+                other, coordinates.moved(run.position, k * step * change), run.driven)[1]
             for (k, weight), other in zip(STENCIL.items(), others)) / step
         found.append(values)
     return Sensitivity(tuple(keys), tuple(names), np.stack(found, axis=2))
@@ -365,18 +401,3 @@ def _closures(mechanism, positions):
     """Return the errors of the closure equations, shape (n, number of equations)."""
     equations = geometry_of(mechanism).equations
     return np.array([equations.move(position).closures()[0].copy() for position in positions])
-
-
-def _output_numbers(mechanism, position, driven):
-    """Return names and values of joints and points, shape (n, number of outputs)."""
-    coordinates = mechanism.coordinates
-    single = [name for name, place in zip(coordinates.names, coordinates.place) if place >= 0]
-    names = [name for name in single if name not in driven]
-    columns = [position[:, coordinates.place[coordinates.index[name]]] for name in names]
-    poses = body_poses(mechanism, position)
-    for point in mechanism.points:
-        places = named_point(mechanism, poses, point.name)
-        for axis, column in zip('xyz', places.T):
-            names.append(f'point.{point.name}.{axis}')
-            columns.append(column)
-    return names, np.stack(columns, axis=1)

@@ -4,6 +4,7 @@
 """Motion, drive torques and joint forces of a mechanism that is driven at constant rates."""
 
 from dataclasses import replace
+import math
 from typing import Dict, NamedTuple
 
 import numpy as np
@@ -20,6 +21,8 @@ from ..simulation.redundancy import geometry_of
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
+# Units of values that are written with one.
+UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
 
 class Drive(NamedTuple):
@@ -97,7 +100,7 @@ class DrivenRun:
         if len(mechanism.motions) != len(drives):
             raise ValueError('expected a scene that prescribes no motions of its own, got '
                              f'{", ".join(one.name for one in mechanism.motions)}')
-        start = _start(scene)
+        start = start_position(scene)
         if branch is not None:
             start = _assembly(mechanism, start, [each.start for each in drives.values()], branch)
         kinematics = DrivenKinematics(mechanism, start)
@@ -172,10 +175,10 @@ def assemblies(scene, drives):
 
     """
     mechanism = with_motions(_driven_scene(scene, drives, 1.0))
-    return _assembled(mechanism, _start(scene), [each.start for each in drives.values()])
+    return _assembled(mechanism, start_position(scene), [each.start for each in drives.values()])
 
 
-def _start(scene):
+def start_position(scene):
     """Return the position of a scene's start, assembled."""
     assembler = Assembler(scene.mechanism, geometry_of(scene.mechanism).equations)
     return assembler.positions(scene.initial.position, scene.initial.hold)
@@ -197,6 +200,22 @@ def by_name(table) -> Dict[str, np.ndarray]:
     """Return the columns of ``DrivenRun.table`` by name."""
     names, rows = table
     return dict(zip(names, rows.T))
+
+
+def torques(run, column):
+    """Return what the drives exert, by joint or driven coordinate, shape (n,) [N m or N]."""
+    if run.mechanism.motions:
+        return {name: column[f'motion.{motion.name}.force'] for name, motion in zip(
+            run.driven, run.mechanism.motions)}
+    return {name: column[f'effort.{name}'] for name in run.mechanism.actuated_joints}
+
+
+def forces(column):
+    """Return the magnitudes of the forces in all joints, by name, shape (n,) [N]."""
+    names = dict.fromkeys(name.split('.', 1)[1].rpartition('.')[0] for name in column
+                          if name.startswith('force.'))
+    return {name: np.linalg.norm([column[f'force.{name}.{axis}'] for axis in 'xyz'
+                                  if f'force.{name}.{axis}' in column], axis=0) for name in names}
 
 
 def _is_freedom(scene, name):

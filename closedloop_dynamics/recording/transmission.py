@@ -51,6 +51,28 @@ def transmission_angle(mechanism, position, drive):
         The driven joint.
 
     """
+    found = [np.arctan2(np.abs(along), np.abs(across))
+             for along, across in transmission_parts(mechanism, position, drive)]
+    return np.min(found, axis=0) if found else None
+
+
+def transmission_parts(mechanism, position, drive):
+    """
+    Return what the tangent of the transmission angle of each coupler is the ratio of.
+
+    Smooth in the position, but for where a part is zero.
+
+    Parameters
+    ----------
+    mechanism, position, drive
+        As for ``transmission_angle``.
+
+    Returns
+    -------
+    list of (ndarray, ndarray), shape (n,)
+        Of either sign: the coupler's part along the way that its pin can go, and across it.
+
+    """
     joints = list(_joints(mechanism))
     grounded = {joint.other_than(GROUND): joint for joint in joints
                 if joint.type in (REVOLUTE, PRISMATIC) and joint.end_in(GROUND) is not None}
@@ -74,8 +96,8 @@ def transmission_angle(mechanism, position, drive):
         along = (line * way).sum(axis=-1)
         across = (line * _across(way)).sum(axis=-1) if mechanism.planar else np.linalg.norm(
             np.cross(line, way), axis=-1)
-        found.append(np.arctan2(np.abs(along), np.abs(across)))
-    return np.min(found, axis=0) if found else None
+        found.append((along, across))
+    return found
 
 
 def _across(vectors):

@@ -275,6 +275,13 @@ def named_point(mechanism, poses, name):
     return world_points(pose_of(mechanism, poses, point.body), point.position)
 
 
+def named_paths(mechanism, position):
+    """Return the places of all named points, shape (n, 2) or (n, 3), of positions, (n, nq)."""
+    poses = body_poses(mechanism, position)
+    return {point.name: named_point(mechanism, poses, point.name)
+            for point in mechanism.points}
+
+
 def poses_in_space(poses):
     """Return poses of shape (..., 3), x, y and angle, or (..., 7) as they are, as (..., 7)."""
     if poses.shape[-1] == POSE:
