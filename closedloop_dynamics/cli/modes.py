@@ -4,18 +4,22 @@
 """``closedloop modes``: frequencies, damping and shapes of small motions about a position."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 
 from .command import (
-    add_scene, add_set, add_torque, checked_torques, Command, mapping, UsageError, with_numbers)
+    add_scene, add_set, add_torque, checked_torques, Command, mapping, positive, require_free,
+    UsageError, with_numbers)
+from ..recording.modes import mode_motion, mode_table, usual_amplitude
+from ..recording.rows import write_scene
 from ..simulation.linearisation import Linearisation
 from ..simulation.scene import load_scene
 from ..visual.progress import announced
-from ..visual.tables import text_table
+from ..visual.tables import text_table, write_csv
 
-# How many joints a shape is told by.
-MOST_JOINTS = 4
+# How many joints a shape is told by, and how many shapes are drawn.
+MOST_JOINTS, MOST_SHAPES = 4, 12
 STABILITY = {True: 'stable', False: 'unstable', None: 'not decided to first order'}
 
 
@@ -26,12 +30,30 @@ def _add_arguments(parser):
                         help="stay in the scene's start, under the torques that hold it (default: "
                              'go to the position near it that the torques given hold)')
     add_set(parser)
+    parser.add_argument('--picture', metavar='FILE.png', type=Path,
+                        help=f'where to draw the shapes, of the first {MOST_SHAPES} modes')
+    parser.add_argument('--output', metavar='FILE.csv', type=Path,
+                        help='where to write the motion of one mode, without growth or decay, '
+                             'for animate and view')
+    parser.add_argument('--mode', metavar='NUMBER', type=int,
+                        help='with --output, which one (default: 1)')
+    parser.add_argument('--amplitude', metavar='SIZE', type=positive,
+                        help='with --output or --picture, of the joint that moves most [rad or '
+                             'm] (default: one that can be seen)')
+    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 
 
 def _run(arguments):
     torque = mapping(arguments.torque, '--torque')
     if arguments.hold_start and torque:
         raise UsageError('--torque: expected none with --hold-start, which finds the torques')
+    if arguments.mode is not None and arguments.output is None:
+        raise UsageError('--mode: expected it with --output')
+    if arguments.amplitude is not None and arguments.output is arguments.picture:
+        raise UsageError('--amplitude: expected it with --output or --picture')
+    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
+        if path is not None:
+            require_free(arguments, path, option)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     with announced('Compiling derivatives and looking for a position at rest ...'):
         simulation = checked_torques(arguments.scene, scene, torque)
@@ -52,7 +74,38 @@ def _run(arguments):
              f'{mode.eigenvalue.real:.4g}', _shape(simulation.joint_names, mode.shape)]
             for number, mode in enumerate(modes, 1)]
     print(text_table(('mode', 'frequency [Hz]', 'damping', 'growth [1/s]', 'shape'), rows))
+    if arguments.output is not None:
+        number = arguments.mode or 1
+        if not 1 <= number <= len(modes):
+            raise UsageError(f'--mode: expected a number from 1 to {len(modes)}, got {number}')
+        motion = mode_motion(linearisation, modes[number - 1], position,
+                             _amplitude(arguments, scene, modes[number - 1]))
+        begun, *table = mode_table(scene, motion, torque)
+        write_scene(arguments.output, begun)
+        write_csv(arguments.output, *table)
+        print(f'mode {number}: {arguments.output}')
+    if arguments.picture is not None:
+        _draw(arguments, scene, linearisation, modes[:MOST_SHAPES], position)
+        print(f'modes 1 to {min(len(modes), MOST_SHAPES)}: {arguments.picture}')
     return 0
+
+
+def _amplitude(arguments, scene, mode):
+    """Return the amplitude of a mode [rad or m]."""
+    return arguments.amplitude or usual_amplitude(scene.mechanism, mode)
+
+
+def _draw(arguments, scene, linearisation, modes, position):
+    """Draw shapes: the position, and both ends of the motion."""
+    if not modes:
+        raise UsageError('--picture: expected a mechanism with modes, got none')
+    # Only here, as it takes long to load.
+    from ..visual.pictures import shapes
+    deflections = {
+        f'mode {number}: {mode.frequency:.4g} Hz': np.array([position, *mode_motion(
+            linearisation, mode, position, _amplitude(arguments, scene, mode), 1, 4).position[
+                [0, 2]]]) for number, mode in enumerate(modes, 1)}
+    shapes(scene.mechanism, deflections, f'{scene.name}: modes').savefig(arguments.picture)
 
 
 def _listed(names, values):
@@ -84,6 +137,8 @@ examples:
   closedloop modes three_rrr_vertical
   closedloop modes four_bar --torque crank_joint=0.5
   closedloop modes carpet_scraper --hold-start
+  closedloop modes three_rrr_vertical --picture modes.png
+  closedloop modes three_rrr_vertical --mode 2 --output mode_2.csv; closedloop view mode_2.csv
 """,
     add_arguments=_add_arguments,
     run=_run)

@@ -410,27 +410,48 @@ class Linearisation:
                 longest *= 0.5
             last = along @ _downhill(model.A[len(own):, :len(own)], response, wanting)
             last = last * min(1.0, longest / max(np.abs(last).max(), 1e-300))
-            q = self._closed(q, last)
+            q, _ = self.deflected(q, last, rest)
         raise SimulationError(
             f'No equilibrium was found near the position given: {MOST_STEPS} steps left '
             f'accelerations of {np.abs(wanting).max():.3g}. Give a position nearer to it, or '
             'torques that hold one.')
 
-    def _closed(self, q, change):
-        """Return a position moved by a change, the loops closed again."""
+    def deflected(self, position, change, rates):
+        """
+        Return a state near a position, with the loops closed.
+
+        Parameters
+        ----------
+        position : sequence, shape (nq,)
+            Closing the loops.
+        change, rates : array_like, shape (nv,)
+            Of the coordinates [rad or m], and of the state [rad/s or m/s], as far as the loops
+            leave them.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nq,), (nv,)
+
+        Raises
+        ------
+        SimulationError
+            Where the loops cannot be closed there.
+
+        """
         system = self._simulation.system
-        state = self._simulation.integrated.copy()
-        moved = state[:len(q)]
-        moved[:] = q
+        state, nq = self._simulation.integrated.copy(), len(position)
+        moved, moving = state[:nq], state[nq:nq + len(rates)]
+        moved[:], moving[:] = position, rates
         if system.manifold is None:
             moved += change
         else:
-            native.move(system.manifold, moved, change, 1.0)
-        if not native.stabilise(system.native, STABILISATIONS['projection'], state):
-            raise SimulationError('No equilibrium was found near the position given: the loops '
-                                  'cannot be closed on the way. Give a position nearer to it.')
+            native.move(system.manifold, moved, np.array(change), 1.0)
+        closed = native.stabilise(system.native, STABILISATIONS['projection'], state)
         self._simulation.touch()
-        return moved.copy()
+        if not closed:
+            raise SimulationError('The loops cannot be closed that far from the position given: '
+                                  'give one nearer to what is sought, or a smaller amplitude.')
+        return moved.copy(), moving.copy()
 
     def _resting(self, q, torque, model, rate):
         """Return an equilibrium."""

@@ -174,6 +174,46 @@ def positions(motion, title):
     return figure
 
 
+def shapes(mechanism, deflections, title):
+    """
+    Draw shapes of motion, each in a panel: one position strong, others pale behind it.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        What is drawn.
+    deflections : dict of str to ndarray, shape (n, nq)
+        By the titles of the panels; the first position of each is the strong one.
+    title : str
+        Of the picture.
+
+    """
+    columns = min(len(deflections), 3)
+    rows = -(-len(deflections) // columns)
+    figure = matplotlib.figure.Figure(
+        figsize=(1.0 + 4.0 * columns, 1.4 + 3.6 * rows), layout='constrained',
+        dpi=DOTS_PER_INCH)
+    panels = figure.subplots(rows, columns, squeeze=False).flat
+    poses = {name: body_poses(mechanism, each) for name, each in deflections.items()}
+    everything = np.concatenate(list(poses.values()))
+    view = PLANE if mechanism.planar else perspective(all_places(mechanism, everything))
+    for name, each in poses.items():
+        axes = next(panels)
+        # All to one scale.
+        artist = MechanismArtist(axes, mechanism, np.concatenate((each, everything)), view)
+        axes.set_title(name, fontsize=10, loc='left')
+        artist.ground()
+        for index in range(1, len(each)):
+            artist.bodies(index, 0.25)
+        artist.bodies(0)
+    for axes in panels:
+        axes.axis('off')
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    figure.legend(handles=artist.legend_handles(), loc='outside lower center', ncols=4,
+                  fontsize=9, frameon=False)
+    return figure
+
+
 def _largest_force(motion):
     """Return the largest constraint force that is known [N]."""
     return np.nanmax(magnitudes(motion.forces))

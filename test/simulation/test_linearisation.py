@@ -10,6 +10,8 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.recording.modes import mode_motion
+from closedloop_dynamics.recording.rows import read_rows
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
@@ -310,3 +312,51 @@ def test_the_command_prints_modes(capsys):
     assert 'expected none with --hold-start' in capsys.readouterr().err
     assert main(['modes', 'slider_crank_end_stop']) == 1
     assert 'effects.buffer' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('scene', ('three_rrr_vertical', 'carpet_scraper'))
+def test_a_mode_goes_on_by_itself(scene):
+    scene = load_scene(scene)
+    simulation = Simulation.from_scene(scene)
+    linearisation, model = Linearisation(simulation), scene.model()
+    rest = linearisation.equilibrium()
+    lowest = model.evaluate(model.state(rest.position)).energy
+    for mode in linearisation.modes(rest.position, rest.torque):
+        motion = mode_motion(linearisation, mode, rest.position, 1e-3, 2, 20)
+        assert motion.time[20] == pytest.approx(1.0 / mode.frequency) and len(motion.time) == 41
+        found = model.evaluate(model.state(motion.position, motion.velocity))
+        assert found.closure.max() < 1e-9
+        energy = found.energy - lowest
+        assert np.ptp(energy) < 0.01 * energy.mean()
+        # From the largest deflection, at rest, a run follows it.
+        run = Simulation(model, model.state(motion.position[0], motion.velocity[0]),
+                         {'integrator': 'dop853', 'tolerance': 1e-10})
+        run.step(None, motion.time[5])
+        np.testing.assert_allclose(run.position, motion.position[5], rtol=0, atol=2e-5)
+
+
+def test_the_command_draws_modes_and_writes_their_motion(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(['modes', 'four_bar', '--hold-start', '--picture', 'modes.png', '--output',
+                 'mode.csv', '--amplitude', '0.1']) == 0
+    assert 'mode 1: mode.csv' in capsys.readouterr().out
+    assert (tmp_path / 'modes.png').read_bytes().startswith(b'\x89PNG')
+    motion, scene = read_rows(tmp_path / 'mode.csv')
+    assert np.abs(scene.model().assemble().q - motion.position[0]).max() < 1e-9
+    ends = motion.position[[0, 20]]
+    middle = Simulation.from_scene('four_bar').position
+    largest = np.abs(ends - middle).max(axis=1)
+    np.testing.assert_allclose(largest, 0.1, rtol=0.2)
+    assert main(['animate', 'mode.csv', '--output', 'mode.gif']) == 0
+    assert main(['view', 'mode.csv', '--save', 'mode.html']) == 0
+    for arguments, message in (
+            (['--mode', '2', '--output', 'two.csv'], '--mode: expected a number from 1 to 1'),
+            (['--mode', '1'], '--mode: expected it with --output'),
+            (['--amplitude', '1'], '--amplitude: expected it with'),
+            (['--output', 'mode.csv'], 'mode.csv exists')):
+        capsys.readouterr()
+        assert main(['modes', 'four_bar', *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert main(['modes', 'four_bar', '--output', 'far.csv', '--amplitude', '3']) == 1
+    assert 'The loops cannot be closed that far' in capsys.readouterr().err
+    assert not (tmp_path / 'far.csv').exists()
