@@ -427,6 +427,18 @@ def test_sensitivity_refuses_lengths_that_close_no_loop():
         design.sensitivity(scene, run, ['parameters.b'])
 
 
+def test_a_report_is_no_wider_than_paper(capsys, tmp_path):
+    page = tmp_path / 'page.html'
+    code, _, errors = call(capsys, 'report', 'hoeken_pantograph_leg', '--drive',
+                           'theta_1=0:1:5', '--output', page)
+    assert code == 0, errors
+    text = page.read_text()
+    rows = text.split('<tr>')[1:]
+    assert max(row.count('<th>') + row.count('<td ') for row in rows) <= 8
+    for key in design.length_keys(load_scene('hoeken_pantograph_leg')):
+        assert f'<th>{key.removeprefix("mechanism.")}</th>' in text, key
+
+
 def test_report_refuses_what_it_cannot_drive(capsys, tmp_path):
     page = tmp_path / 'page.html'
     code, _, errors = call(capsys, 'report', 'three_rrr', '--output', page)

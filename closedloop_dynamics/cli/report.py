@@ -31,9 +31,15 @@ h1 {font-size: 1.5em} h2 {font-size: 1.15em; margin-top: 1.8em; border-bottom: 1
 table {border-collapse: collapse; margin: .6em 0}
 th, td {text-align: left; padding: .15em 1.2em .15em 0; vertical-align: top}
 th {font-weight: normal; color: #555; border-bottom: 1px solid #ddd}
-td.number {font-variant-numeric: tabular-nums} img {max-width: 100%} p.note {color: #555}
-@media print {h2 {break-after: avoid} img, table {break-inside: avoid}}
+td.number {font-variant-numeric: tabular-nums} p.note {color: #555}
+img {display: block; max-width: 100%}
+@media print {
+  body {margin: 0; font-size: 10pt}
+  h2 {break-after: avoid} img, table {break-inside: avoid} img {max-height: 16cm}
+}
 """
+# Lengths in one table of sensitivities.
+WIDEST = 4
 
 
 def _add_arguments(parser):
@@ -181,16 +187,19 @@ def _tolerances(arguments, scene, run):
         return title, [('', '')], [f'<p class="note">Not computed: {escape(str(error))}.</p>']
     most = np.abs(found.derivatives).max(axis=0)
     shown = [k for k in range(len(keys)) if most[:, k].max() > 0.0]
-    rows = [('', *(keys[k].removeprefix('parameters.').removeprefix('mechanism.') for k in shown),
-             '1 sigma', 'worst case')]
-    for what, row, sigma, worst in zip(
-            found.outputs, most, found.sigma(arguments.tolerance),
-            found.worst(arguments.tolerance)):
-        rows.append((what, *(f'{row[k]:.3g}' for k in shown), f'{sigma:.3g}', f'{worst:.3g}'))
-    return title, rows, [
-        '<p class="note">Largest change over the drive with each length [rad/m, m/m], and the '
-        f'largest error [rad, m] where every length is off by {arguments.tolerance:g} m: all at '
-        'their worst, and one standard deviation where that is three of each.</p>']
+    # Of many lengths, several tables below one another: a page is only so wide.
+    tables = [_table([
+        ('', *(keys[k].removeprefix('parameters.').removeprefix('mechanism.') for k in some)),
+        *((what, *(f'{row[k]:.3g}' for k in some)) for what, row in zip(found.outputs, most))])
+        for some in (shown[first:first + WIDEST] for first in range(0, len(shown), WIDEST))]
+    return title, [('', '1 sigma', 'worst case'), *(
+        (what, f'{sigma:.3g}', f'{worst:.3g}') for what, sigma, worst in zip(
+            found.outputs, found.sigma(arguments.tolerance),
+            found.worst(arguments.tolerance)))], [
+        '<p class="note">Largest error over the drive [rad, m] where every length is off by '
+        f'{arguments.tolerance:g} m: all at their worst, and one standard deviation where that '
+        'is three of each. Below, the largest change over the drive with each length '
+        '[rad/m, m/m].</p>', *tables]
 
 
 def _rms(values, times):
@@ -233,14 +242,18 @@ def _page(arguments, scene, sections):
              f'<p>{escape(scene.mechanism.description or "")}</p>']
     for name, (header, *rows), more in sections:
         parts.append(f'<h2>{escape(name)}</h2>')
-        if rows:
-            cells = ['<tr>' + ''.join(f'<th>{escape(cell)}</th>' for cell in header) + '</tr>'
-                     if any(header) else '']
-            cells += ['<tr>' + ''.join(f'<td class="number">{escape(cell)}</td>' for cell in row)
-                      + '</tr>' for row in rows]
-            parts.append(f'<table>{"".join(cells)}</table>')
-        parts += more
+        parts += [_table([header, *rows])] * bool(rows) + more
     return '\n'.join([*parts, '</body></html>\n'])
+
+
+def _table(rows):
+    """Return a table of HTML, its header the first row unless that is empty."""
+    header, *rows = rows
+    cells = ['<tr>' + ''.join(f'<th>{escape(cell)}</th>' for cell in header) + '</tr>'
+             if any(header) else '']
+    cells += ['<tr>' + ''.join(f'<td class="number">{escape(cell)}</td>' for cell in row)
+              + '</tr>' for row in rows]
+    return f'<table>{"".join(cells)}</table>'
 
 
 COMMAND = Command(

@@ -49,7 +49,7 @@ def test_cognates_trace_the_same_curve(tmp_path, name):
         other = one.scene.model()
         start = other.assemble().q[other.coordinates.index[drive]]
         found = other.solve({drive: start + rate - rate[0]})
-        np.testing.assert_allclose(other.evaluate(found).points['tool'], tool, rtol=0, atol=2e-12)
+        np.testing.assert_allclose(other.evaluate(found).points['tool'], tool, rtol=0, atol=1e-13)
         assert one.scene.effects == scene.effects
         assert np.ptp(tool[:, 0]) > 0.05
 
