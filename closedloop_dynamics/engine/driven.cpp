@@ -59,7 +59,8 @@ public:
   bool begin(Values q)
   {
     outward(model_, q, view(still_), work_);
-    return invert(inverse_);
+    fill_matrix();
+    return invert();
   }
 
   /// Move from the driven values `from` on to `to`; false, and `q` of no meaning, where that is
@@ -86,6 +87,15 @@ public:
   /// Rates and accelerations in the position taken last, into rows.
   void complete(Table values, Values q, Values velocity, Values acceleration)
   {
+    bool rests = true;
+    for (Index k = 0; k < drives_.size; ++k) {
+      rests = rests && values(k, 1) == 0.0 && values(k, 2) == 0.0;
+    }
+    if (rests) {
+      std::fill(velocity.begin(), velocity.end(), 0.0);
+      std::fill(acceleration.begin(), acceleration.end(), 0.0);
+      return;
+    }
     for (Index k = 0; k < drives_.size; ++k) {
       model_.cut_point(drives_[k], column_ + 1) = values(k, 1);
       model_.cut_point(drives_[k], column_ + 2) = values(k, 2);
@@ -142,8 +152,16 @@ public:
   }
 
   /// Note what the position taken last leads on by, and go on from there again.
-  void keep() {kept_inverse_ = inverse_;}
-  void restore() {inverse_ = kept_inverse_;}
+  void keep()
+  {
+    kept_inverse_ = inverse_;
+    kept_inverted_ = inverted_;
+  }
+  void restore()
+  {
+    inverse_ = kept_inverse_;
+    inverted_ = kept_inverted_;
+  }
 
   /// Derivatives of some coordinates by the driven values in the position taken last, row by row.
   void rates_of(Indices coordinates, Values out) const
@@ -172,26 +190,27 @@ private:
     }
   }
 
-  bool invert(DenseMatrix & to)
+  bool invert()
   {
-    fill_matrix();
     lu_.compute(matrix_);
-    to = lu_.inverse();
-    return to.allFinite();
+    inverse_ = lu_.inverse();
+    inverted_ = matrix_;
+    return inverse_.allFinite();
   }
 
   /// Whether the position is on the branch of the last one; takes it if so.
   bool stays()
   {
     fill_matrix();
-    next_.noalias() = inverse_ * matrix_;
-    next_.diagonal().array() -= 1.0;
-    if (!(next_.norm() < SAME_BRANCH)) {
-      return false;
+    // A bound of the change, where that is enough, and the change.
+    if (!(inverse_.norm() * (matrix_ - inverted_).norm() < SAME_BRANCH)) {
+      next_.noalias() = inverse_ * matrix_;
+      next_.diagonal().array() -= 1.0;
+      if (!(next_.norm() < SAME_BRANCH)) {
+        return false;
+      }
     }
-    lu_.compute(matrix_);
-    inverse_ = lu_.inverse();
-    return inverse_.allFinite();
+    return invert();
   }
 
   bool move_by_change(Values q)
@@ -255,7 +274,7 @@ private:
   double open_;
   Index column_;
   RowMatrix jac_;
-  DenseMatrix matrix_, inverse_, next_, kept_inverse_;
+  DenseMatrix matrix_, inverse_, inverted_, next_, kept_inverse_, kept_inverted_;
   DenseVector change_, right_, closure_, still_, way_, reached_, aim_;
   Eigen::PartialPivLU<DenseMatrix> lu_;
 };

@@ -332,7 +332,7 @@ class Coordinates:
 
     def unit(self, q):
         """
-        Return coordinates with quaternions of norm 1.
+        Return coordinates, shape (nq,) or (n, nq), with quaternions of norm 1.
 
         Raises
         ------
@@ -342,10 +342,11 @@ class Coordinates:
         """
         q = np.array(q, dtype=float)
         for first, rate in self.balls.tolist():
-            turn = tuple(q[first:first + 4].tolist())
-            if not abs(math.hypot(*turn) - 1.0) <= UNIT_NORM:
+            turns = q[..., first:first + 4]
+            near = np.abs(np.linalg.norm(turns, axis=-1) - 1.0) <= UNIT_NORM
+            for place in map(tuple, np.argwhere(~near)):
                 with at(self.joint_of(self.names[rate]), 'orientation'):
-                    q[first:first + 4] = orientation(turn)
+                    turns[place] = orientation(tuple(turns[place].tolist()))
         return q
 
     def moved(self, q, change):

@@ -199,15 +199,13 @@ class Model(Names):
         nothing = np.zeros((*batch, self._work.own_states))
         given = State(time, place, rates, nothing if own is None else own, self.coordinates)
         self._work.require_state(given)
-        if not (len(self.coordinates.balls) or own is None and self._work.own_states):
-            return given
-        each = given.each
         if len(self.coordinates.balls):
-            each = [State(one.time, self.coordinates.unit(one.q), one.qd, one.own,
-                          self.coordinates) for one in each]
-        if own is None and self._work.own_states:
-            with self._lock:
-                each = [self._work.begun(one.time, one.q, one.qd) for one in each]
+            given = State(given.time, self.coordinates.unit(given.q), given.qd, given.own,
+                          self.coordinates)
+        if own is not None or not self._work.own_states:
+            return given
+        with self._lock:
+            each = [self._work.begun(one.time, one.q, one.qd) for one in given.each]
         return each[0] if not given.is_batch else State.stack(each) if each else given
 
     def solve(self, drives: Optional[Mapping[str, ArrayLike]] = None,

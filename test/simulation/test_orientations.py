@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import load_scene
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -512,3 +513,21 @@ def test_effects_act_on_single_numbers_of_joints_behind_orientations():
                          ('table.y', Sensor())):
         with pytest.raises(FieldError):
             Simulation(replace(made, effects={name.partition('.')[0]: effect}))
+
+
+def test_batches_of_states_have_unit_quaternions_as_single_states_do():
+    model = load_scene('rssr_four_bar').model()
+    q = np.tile(model.assemble().q, (3, 1))
+    first, _ = model.coordinates.balls[0]
+    q[1, first:first + 4] *= 1.0 + 5e-7
+    batch = model.state(q)
+    for each, place in zip(batch, q):
+        np.testing.assert_array_equal(each.q, model.state(place).q)
+    assert abs(np.linalg.norm(batch.q[1, first:first + 4]) - 1.0) < 1e-15
+    q[2, first:first + 4] *= 1.1
+    with pytest.raises(ValueError, match='got one of norm 1.1') as found:
+        model.state(q)
+    with pytest.raises(ValueError, match='got one of norm 1.1') as alone:
+        model.state(q[2])
+    assert str(found.value) == str(alone.value)
+    assert len(model.state(q[:0])) == 0
