@@ -39,8 +39,8 @@ def _add_arguments(parser):
                              'those of splines as smooth as it allows (default: 0, through all '
                              'of them)')
     parser.add_argument('--output', metavar='BAG_OR_CSV', type=Path, required=True,
-                        help='a new bag with joint_states and constraint_forces, or a file *.csv '
-                             'with the forces in all joints')
+                        help='a new bag with joint_states, constraint_forces/CUT and '
+                             'joint_forces/JOINT, or a file *.csv with the same')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE.csv if it exists')
 
 
@@ -72,7 +72,7 @@ def _run(arguments):
             times[-1], 's', simulation.scene.name) as show:
         try:
             for k in forces_along(simulation, joints, times, positions, arguments.deviation):
-                write(stamps[k], times[k])
+                write(stamps[k], float(times[k]))
                 largest.look()
                 show(times[k])
         except SimulationError as error:

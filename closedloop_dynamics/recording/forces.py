@@ -12,6 +12,7 @@ from .contents import Topic
 from .message_numbers import NANOSECONDS, stamp_of
 from .reading import Bag
 from .recording import RecordingError
+from .run import moving_joints
 from .writer import BagFiles
 from ..simulation.completion import Completion, CompletionError
 
@@ -152,7 +153,8 @@ class ForceBag:
     """
     Writes states and constraint forces of a simulation into a new bag.
 
-    A context; ``path`` is its directory, which must not exist. Topics are those of the simulator.
+    A context; ``path`` is its directory, which must not exist. Topics are those of the simulator,
+    and ``joint_forces/JOINT``: what the parent exerts on the child at the child's origin.
 
     """
 
@@ -162,6 +164,10 @@ class ForceBag:
         self._states = self._add('/joint_states', STATE)
         self._forces = [self._add(f'/constraint_forces/{cut.name}', WRENCH)
                         for cut in simulation.cut_joints]
+        self._moving = moving_joints(simulation)
+        self._forces += [
+            self._add(f'/joint_forces/{simulation.mechanism.joints[place].name}', WRENCH)
+            for place in self._moving]
 
     def __enter__(self):
         return self
@@ -188,7 +194,8 @@ class ForceBag:
         self._put(self._states, stamp, state, STATE)
         header = types['std_msgs/msg/Header'](stamp=header.stamp, frame_id='world')
         vector = types['geometry_msgs/msg/Vector3']
-        for channel, wrench in zip(self._forces, simulation.constraint_forces):
+        for channel, wrench in zip(self._forces, (
+                *simulation.constraint_forces, *simulation.joint_forces[self._moving])):
             torque, force = (0.0, 0.0, wrench[0]), (*wrench[1:], 0.0)
             if len(wrench) == 6:
                 torque, force = wrench[:3], wrench[3:]

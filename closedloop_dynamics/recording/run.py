@@ -102,7 +102,7 @@ def columns(simulation, all_forces=False, costs=False):
     if all_forces:
         parts = _force_parts(simulation)
         names += [f'force.{simulation.mechanism.joints[place].name}.{part}'
-                  for place in _moving(simulation) for part in parts]
+                  for place in moving_joints(simulation) for part in parts]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
               for axis in 'xyz'[:len(point.position)]]
     for quantity in QUANTITIES:
@@ -130,7 +130,7 @@ def row(simulation, seconds, all_forces=False):
         values += [readings['force'], readings['power']]
     if all_forces:
         places = list(_force_parts(simulation).values())
-        values += simulation.joint_forces[_moving(simulation)][:, places].ravel().tolist()
+        values += simulation.joint_forces[moving_joints(simulation)][:, places].ravel().tolist()
     values += simulation.points.ravel().tolist()
     if simulation.cut_joint_names:
         for quantity in (simulation.cut_position, simulation.cut_velocity,
@@ -145,7 +145,7 @@ def _toothed(simulation):
             if coupling.radius is not None]
 
 
-def _moving(simulation):
+def moving_joints(simulation):
     """Return the places of the joints of the tree that are not fixed."""
     return [place for place, joint in enumerate(simulation.mechanism.joints)
             if JOINT_FREEDOMS[joint.type]]

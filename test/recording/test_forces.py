@@ -48,6 +48,15 @@ def test_torques_and_forces_are_those_that_acted(tmp_path, capsys, scene, joints
         scale = np.abs(forces[:, k]).max()
         assert np.abs(met - forces[:, k])[20:-20].max() < 1e-5 * scale
     assert f'{simulation.cut_joints[0].name}: force of at most' in out.out
+    acted = read_with_rosbags(tmp_path / 'motion')
+    for name in simulation.joint_names:
+        for (stamp, met), (other, expected) in list(zip(
+                found[f'/joint_forces/{name}'], acted[f'/joint_forces/{name}']))[20:-20]:
+            assert stamp == other
+            np.testing.assert_allclose(
+                constraint_force(met.wrench, simulation.mechanism.planar),
+                constraint_force(expected.wrench, simulation.mechanism.planar),
+                atol=1e-5 * np.abs(forces).max())
 
 
 def test_a_table_has_the_forces_of_all_joints(tmp_path):
@@ -57,6 +66,8 @@ def test_a_table_has_the_forces_of_all_joints(tmp_path):
     assert main(arguments) == 0
     names, *rows = (tmp_path / 'forces.csv').read_text().splitlines()
     assert 'force.crank_joint.x' in names and len(rows) == 30
+    numbers = np.array([row.split(',') for row in rows], dtype=float)
+    np.testing.assert_allclose(numbers[:, 0], 0.002 * np.arange(30), atol=1e-12)
     assert main(arguments) == 2
     assert main([*arguments, '--overwrite']) == 0
 
