@@ -6,8 +6,11 @@
 from pathlib import Path
 
 from .command import Command, require_free, UsageError
+from ..effects.end_stop import stops_of
 from ..formats.urdf_loops import CONSTRAINT, DRAKES, LOOP
 from ..simulation.scene import load_scene_or_mechanism
+from ..simulation.simulation import Simulation
+from ..visual.srdf import srdf
 from ..visual.urdf import urdf
 
 
@@ -19,15 +22,24 @@ def _add_arguments(parser):
     parser.add_argument('--loops', choices=(CONSTRAINT, LOOP, DRAKES), default=CONSTRAINT,
                         help='how loops are written: as proposed for URDF (the default), as in '
                              'URDF+, or as ball constraints of Drake')
+    parser.add_argument('--srdf', metavar='FILE', type=Path,
+                        help='also write what MoveIt is to know (SRDF): the group of the driven '
+                             'joints, the start of a scene as its state, all others passive')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 
 
 def _run(arguments):
-    if arguments.output is not None:
-        require_free(arguments, arguments.output)
+    for path in filter(None, (arguments.output, arguments.srdf)):
+        require_free(arguments, path)
     subject = load_scene_or_mechanism(arguments.scene)
+    mechanism = getattr(subject, 'mechanism', subject)
     try:
-        text = urdf(getattr(subject, 'mechanism', subject), loops=arguments.loops)
+        text = urdf(mechanism, loops=arguments.loops,
+                    limits=stops_of(getattr(subject, 'effects', {})))
+        if arguments.srdf is not None:
+            states = {} if subject is mechanism else {
+                'start': Simulation.from_scene(subject).position}
+            arguments.srdf.write_text(srdf(mechanism, states), encoding='utf-8')
     except ValueError as error:
         raise UsageError(str(error)) from None
     if arguments.output is None:
@@ -52,6 +64,7 @@ simulator close them.
 examples:
   closedloop urdf three_rrr
   closedloop urdf delta_robot --loops drake
+  closedloop urdf delta_robot --output delta.urdf --srdf delta.srdf
   closedloop urdf carpet_scraper --output carpet_scraper.urdf
 """,
     add_arguments=_add_arguments,

@@ -66,3 +66,9 @@ class EndStop(Effect):
             self.stiffness, -math.inf if self.lower is None else self.lower,
             math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),),
             touches=True)
+
+
+def stops_of(effects):
+    """Return lower and upper end of joints [rad; m] that have both, from effects by name."""
+    return {effect.joint: (effect.lower, effect.upper) for effect in effects.values()
+            if isinstance(effect, EndStop) and None not in (effect.lower, effect.upper)}

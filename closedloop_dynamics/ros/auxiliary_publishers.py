@@ -5,6 +5,7 @@
 
 from array import array
 
+from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.simulation.scene_text import scene_text
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
@@ -37,7 +38,7 @@ class Descriptions:
         try:
             self._robot.publish(String(data=urdf(
                 simulation.mechanism, *map(node.resolve_topic_name, (
-                    'joint_command', 'joint_states')))))
+                    'joint_command', 'joint_states')), limits=stops_of(simulation.effects))))
         except ValueError as error:
             node.get_logger().warning(f'no robot_description: {error}')
         self.follow()

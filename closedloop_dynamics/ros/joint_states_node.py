@@ -9,6 +9,7 @@ that close the loops are found for each message, and published with its stamp.
 
 """
 
+from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
@@ -84,7 +85,8 @@ class JointStatesNode(Node):
             simulation.mechanism.cut_coordinates, prefix='complete_')
         self._no_forces = np.zeros((0, 3 if simulation.mechanism.planar else 6))
         self._description = self.create_publisher(String, 'robot_description', LATCHED_QOS)
-        self._description.publish(String(data=urdf(simulation.mechanism)))
+        self._description.publish(String(data=urdf(
+            simulation.mechanism, limits=stops_of(simulation.effects))))
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_subscription(
             JointState, 'joint_states', self.on_joint_states, MEASURED_QOS)

@@ -49,7 +49,8 @@ SCREW, SLIDE = '_screw', '_slide'
 PART = '_part'
 
 
-def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', loops=CONSTRAINT):
+def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', loops=CONSTRAINT,
+         limits=None):
     """
     Return the URDF of the spanning tree, with its loops.
 
@@ -63,6 +64,9 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', l
     loops : str
         How loops are written: ``constraint``, ``loop`` or ``drake`` (``formats.urdf_loops``). A
         cut joint that the form has no word for becomes a comment.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of freedoms [rad or m]; of those that are not named there is
+        none.
 
     Returns
     -------
@@ -99,10 +103,31 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', l
             _add_bars(link, marked_points(mechanism, body.name), material, size)
     for joint in mechanism.joints:
         (_add_joint if mechanism.planar else _add_spatial_joint)(robot, joint, size)
+    _limit(robot, limits or {})
     _add_loops(robot, mechanism, loops)
     if mechanism.actuated_joints:
         _add_hardware(robot, mechanism, command_topic, state_topic)
     return f'<?xml version="1.0"?>\n{written(robot)}'
+
+
+def _limit(robot, limits):
+    """Give joints their ends: where they turn, they become revolute ones."""
+    for element in robot.findall('joint'):
+        if element.get('name') not in limits:
+            continue
+        limit = element.find('limit')
+        if limit is None:
+            element.set('type', 'revolute')
+            limit = ElementTree.SubElement(
+                element, 'limit', effort=numbers(NO_LIMIT), velocity=numbers(NO_LIMIT))
+        for key, value in zip(('lower', 'upper'), limits[element.get('name')]):
+            limit.set(key, numbers(value))
+
+
+def joint_names(mechanism):
+    """Return the names of the joints of the URDF that move, and follow from no other."""
+    return [name for joint in mechanism.joints if joint.type != FIXED
+            for name in ([step[0] for _, step in _chain(joint)] or [joint.name])]
 
 
 def _add_loops(robot, mechanism, form):

@@ -14,15 +14,18 @@ from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.space import SpatialGeometry
 from closedloop_dynamics.visual.motion import body_poses
+from closedloop_dynamics.visual.srdf import srdf
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
@@ -279,6 +282,52 @@ def test_loops_that_have_no_form_are_comments():
     assert '<!-- slot_below: point_on_line between b_1 and ground' in text
     assert 'xmlns:drake' not in urdf(read_mechanism(shipped_path('mechanisms', 'cam_follower')),
                                      loops='drake')
+
+
+def test_joints_with_two_stops_have_limits(tmp_path):
+    scene = load_scene('delta_robot')
+    path = tmp_path / 'delta.urdf'
+    path.write_text(urdf(scene.mechanism, limits=stops_of(scene.effects)))
+    hip, = (joint for joint in ElementTree.parse(path).getroot().findall('joint')
+            if joint.get('name') == 'hip_2')
+    assert hip.get('type') == 'revolute'
+    limit = hip.find('limit').attrib
+    assert [float(limit[key]) for key in ('lower', 'upper')] == pytest.approx(
+        np.deg2rad([-60.0, 70.0]))
+    assert read_model(path).limits['hip_1'] == pytest.approx(tuple(np.deg2rad([-60.0, 70.0])))
+
+
+@pytest.mark.parametrize('name', ['delta_robot', 'three_rrr', 'humanoid_ankle', 'excavator_arm'])
+def test_semantic_description_names_every_joint_once(name):
+    simulation = Simulation.from_scene(name)
+    robot = ElementTree.fromstring(urdf(simulation.mechanism))
+    # What MoveIt takes for joints with a position of their own.
+    moving = [joint.get('name') for joint in robot.findall('joint')
+              if joint.get('type') != 'fixed' and joint.find('mimic') is None]
+    semantic = ElementTree.fromstring(srdf(
+        simulation.mechanism, {'start': simulation.position}))
+    assert semantic.get('name') == robot.get('name')
+    group = [joint.get('name') for joint in semantic.findall('group/joint')]
+    passive = [joint.get('name') for joint in semantic.findall('passive_joint')]
+    assert group == list(simulation.actuated_joints)
+    assert sorted(group + passive) == sorted(moving)
+    state = {joint.get('name'): float(joint.get('value'))
+             for joint in semantic.findall('group_state/joint')}
+    names = simulation.coordinates.names
+    assert state == {names[k]: simulation.position[simulation.coordinates.place[k]]
+                     for k in simulation.coordinates.actuated}
+    links = {link.get('name') for link in robot.findall('link')}
+    pairs = [(one.get('link1'), one.get('link2')) for one in semantic.findall(
+        'disable_collisions')]
+    assert pairs and len(set(pairs)) == len(pairs) and {one for pair in pairs
+                                                        for one in pair} <= links
+
+
+def test_semantic_description_needs_something_to_plan_for():
+    with pytest.raises(ValueError, match='rope_hoist: expected a driven joint'):
+        mechanism = read_mechanism(shipped_path('mechanisms', 'rope_hoist'))
+        srdf(replace(mechanism, joints=tuple(
+            replace(joint, actuated=False) for joint in mechanism.joints)))
 
 
 @pytest.mark.parametrize('scene', SCENES)
