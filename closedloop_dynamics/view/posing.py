@@ -6,8 +6,9 @@
 import numpy as np
 
 # Corrections; how far a joint moves in one at most [rad, m], so that no branch is left; damping of
-# directions in which a point can hardly move, as a share of those in which it can best.
-CORRECTIONS, FARTHEST, DAMPING = 12, 0.2, 0.05
+# directions in which a point can hardly move, as a share of those in which it can best: it fades
+# as the goal comes near.
+CORRECTIONS, FARTHEST, DAMPING = 20, 0.2, 0.05
 # Singular values of the loops' Jacobian below this times the largest leave their motion free.
 FREE = 1e-9
 DIFFERENCE = 1e-6
@@ -83,9 +84,10 @@ def point_to(simulation, name, place):
 
 def joint_to(simulation, name, value):
     """
-    Move to the state, at rest, in which a joint has a value [rad or m].
+    Move to the state, at rest, in which a joint has a value [rad or m], or is near to it.
 
-    The other driven joints stay as they are.
+    The other driven joints stay as they are; where they and the loops do not let it have that
+    value, it is as near as small moves lead.
 
     Raises AssemblyError as ``point_to`` does.
 
@@ -113,7 +115,8 @@ def _follow(simulation, goal):
         scale = np.trace(square)
         if not (scale > 0.0 and np.abs(missing).max() > NEAR):
             return
-        damped = square + DAMPING ** 2 * scale * np.eye(len(missing))
+        damping = DAMPING * min(1.0, np.abs(missing).max() / FARTHEST)
+        damped = square + damping ** 2 * scale * np.eye(len(missing))
         change = free @ (moves.T @ np.linalg.solve(damped, missing))
         change *= min(1.0, FARTHEST / max(np.abs(change).max(), 1e-12))
         if not np.abs(change).max() > NEAR:

@@ -13,6 +13,9 @@ import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
+# Where the machine is busy, states are answered late: less so in simulated time that passes slowly.
+SLOWLY = {'real_time_factor': 0.3}
+
 
 @pytest.fixture
 def spinning(context, make_node):
@@ -96,7 +99,7 @@ def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):
 
 
 def test_a_running_simulator_is_stepped_posed_and_held(spinning):
-    simulator = spinning(SimulatorNode, scene='three_rrr_vertical', step_size=0.002)
+    simulator = spinning(SimulatorNode, scene='three_rrr_vertical', step_size=0.002, **SLOWLY)
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
     with Client(served(viewer)) as client:
         client.until(lambda client: client.row is not None)
@@ -104,6 +107,12 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
         client.until(lambda client: not client.controls['playing'])
         while not simulator.paused:
             threading.Event().wait(0.01)
+        # How far it has fallen depends on the host.
+        client.ask('reset')
+        while simulator.simulation.time:
+            threading.Event().wait(0.01)
+        start = np.float32(simulator.simulation.position[0])
+        client.until(lambda client: plotted(client, 'joint position', 'theta_1') == start)
         time = simulator.simulation.time
         # Loops are closed by a model of the viewer's own, and stay closed in the simulator.
         client.ask('kinematic', on=True)
@@ -134,8 +143,9 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
         wanted = client.controls['drives']['theta_1']['value']
         client.ask('play')
         start = client.time
-        client.until(lambda client: client.time > start + 3.0)
-        assert plotted(client, 'joint position', 'theta_1') == pytest.approx(wanted, abs=0.02)
+        # It sags first, as far as its host is slow.
+        client.until(lambda client: client.time > start + 0.5 and abs(
+            plotted(client, 'joint position', 'theta_1') - wanted) < 0.02)
         assert plotted(client, 'drive torque or force', 'theta_1') != 0.0
         refused = client.controls['refused']
         client.ask('pose', joint='theta_1', value=1.0)
@@ -143,7 +153,7 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
 
 
 def test_a_point_of_a_running_simulator_is_pulled(spinning):
-    simulator = spinning(SimulatorNode, scene='three_rrr')
+    simulator = spinning(SimulatorNode, scene='three_rrr', **SLOWLY)
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
     wrench = simulator.live.wrench
     with Client(served(viewer)) as client, Client(viewer.server.url) as other:
@@ -169,7 +179,7 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
             at = at + np.float32(away)
             client.ask('pull', at=at.tolist())
             start = client.time
-            client.until(lambda client: client.time > start + 1.0 and np.abs(
+            client.until(lambda client: client.time > start + 0.1 and np.abs(
                 client.row[7 * body:7 * body + 3] - at).max() < 5e-3)
         assert wrench.counts['wrenches taken'] > 20 and not wrench.counts['wrenches refused']
         assert client.controls['grabbed'] == [body, place]
