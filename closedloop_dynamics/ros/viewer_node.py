@@ -355,7 +355,7 @@ class Attached:
     def _pose_as_model(self):
         """Have the simulator take over the pose of the model."""
         if not self._states.get_subscription_count():
-            raise FieldError('a simulator that takes states', 'none yet: try again', path=('pose',))
+            raise FieldError('a simulator that takes states', 'none yet', path=('pose',))
         places = self._names.place
         self._states.publish(JointState(
             name=[name for name, place in zip(self._names.names, places) if place >= 0],

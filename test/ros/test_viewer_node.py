@@ -13,7 +13,7 @@ import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-# Where the machine is busy, states are answered late: less so in simulated time that passes slowly.
+# A busy host answers late: less so in simulated time that passes slowly.
 SLOWLY = {'real_time_factor': 0.3}
 
 
