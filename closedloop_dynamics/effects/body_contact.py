@@ -4,7 +4,8 @@
 """
 Contact of a point or roller of one body with a line, a circle or a curve of another.
 
-The roller is a circle of radius r about a named point (0: the point itself), in space a ball,
+In the place of a roller a body may have a flat face, an endless line, on which a curve rests. The
+roller is a circle of radius r about a named point (0: the point itself), in space a ball,
 which touches a plane, a sphere or a cylinder of the other body. With depth d, by
 which it reaches beyond the line or curve, its rate d', and the sliding rate v:
 
@@ -33,7 +34,7 @@ import numpy as np
 from . import curve
 from .effect import Effect, require_point
 from .table import (
-    CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, ForceElement, LINE_CONTACT,
+    CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, FACE_CONTACT, ForceElement, LINE_CONTACT,
     SPATIAL_BODY_CONTACT, State)
 from ..mechanism.checks import (
     boolean, direction, list_of, name, not_negative, number, one_of, positive, text)
@@ -42,7 +43,8 @@ from ..mechanism.mechanism import Vector3
 
 # Shape -> the keys that it needs, and those that it may have.
 IN_PLANE = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
-            'curve': ((), ('x', 'y', 'radii', 'polar', 'closed', 'interpolation', 'hollow'))}
+            'curve': ((), ('x', 'y', 'radii', 'polar', 'closed', 'interpolation', 'hollow')),
+            'face': ((), ('angle', 'x', 'y', 'radii', 'polar', 'interpolation'))}
 IN_SPACE = {'plane': (('normal',), ()), 'sphere': (('other_radius',), ('hollow',)),
             'cylinder': (('other_radius', 'axis'), ('hollow',))}
 SHAPES = {**IN_PLANE, **IN_SPACE}
@@ -85,19 +87,21 @@ class BodyContact(Effect):
     Attributes
     ----------
     point : str
-        A named point: the centre of the roller.
+        A named point: the centre of the roller, or on the flat face.
     other : str
         A named point of the other body: on the line or plane, the centre of the circle or
         sphere, on a cylinder's axis, or where the curve's coordinates begin; its axes are those
         of its body.
     shape : str
-        ``line``, ``circle`` or ``curve``; in space ``plane``, ``sphere`` or ``cylinder``.
+        ``line``, ``circle`` or ``curve``, or ``face`` for a curve that the flat face of the
+        point's body touches; in space ``plane``, ``sphere`` or ``cylinder``.
     stiffness : float
         k, positive [N/m^n].
     radius : float
-        r of the roller, zero or more [m].
+        r of the roller, zero or more [m]; a face has none.
     angle : float or None
-        Of a line, in the other body's axes [rad]; free on its left; 0 when not given.
+        Of a line, in the other body's axes, or of a face, in those of the point's body [rad];
+        free on its left; 0 when not given.
     normal : tuple of 3 floats or None
         Of a plane, towards its free side, in the other body's axes.
     axis : tuple of 3 floats or None
@@ -181,10 +185,13 @@ class BodyContact(Effect):
         if self.restitution is not None and self.damping is not None:
             raise FieldError('this key or restitution', 'both', path=('damping',))
         self._require_keys()
+        if self.shape == 'face' and self.radius:
+            raise FieldError('none of a face', f'{self.radius:g}', path=('radius',))
         if self.hollow and self.other_radius and self.radius >= self.other_radius:
             raise FieldError(f'less than the radius around it ({self.other_radius:g})',
                              f'{self.radius:g}', path=('radius',))
-        object.__setattr__(self, '_pieces', self._curve() if self.shape == 'curve' else ())
+        object.__setattr__(self, '_pieces',
+                           self._curve() if self.shape in ('curve', 'face') else ())
 
     @property
     def pieces(self):
@@ -246,7 +253,9 @@ class BodyContact(Effect):
         kind, one, other = {
             'line': (LINE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
             'circle': (CIRCLE_CONTACT, self.other_radius, -1.0 if self.hollow else 1.0),
-            'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0)}[self.shape]
+            'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0),
+            'face': (FACE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
+        }[self.shape]
         return ForceElement(kind, (a, b), (
             *place_a, *place_b, self.radius, one, self.stiffness, self.exponent, loss,
             self.friction, self.slip_velocity, other), (State(DISSIPATED),), touches=True,

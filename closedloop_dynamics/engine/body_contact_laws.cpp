@@ -119,6 +119,23 @@ void apply_curve_contact(
   press(table, row, body, center, to_world(body, b, found.normal), found.distance);
 }
 
+void apply_face_contact(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  const Values values = table.values[row];
+  const Index b = table.index(row, effect::SECOND);
+  // The face is a line of the first body; its normal points away from that.
+  const Vector2 line =
+    to_world(body, table.index(row, effect::FIRST), Vector2{values[5], values[11]});
+  const Vector2 out = {-line.y, line.x};
+  const double cosine = body(b, plane::COS), sine = body(b, plane::SIN);
+  const Vector2 deepest = furthest_of_curve(
+    table, row, {-cosine * out.x - sine * out.y, sine * out.x - cosine * out.y});
+  const Vector2 place = other_point(table, row, body) + to_world(body, b, deepest);
+  press(
+    table, row, body, place, -out, dot(out, place - roller_center(table, row, body)));
+}
+
 void apply_spatial_body_contact(
   const EffectTable & table, Index row, Table body, Values, Values, Values)
 {

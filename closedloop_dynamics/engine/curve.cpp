@@ -158,6 +158,40 @@ CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 
   return {{-tangent.y / length, tangent.x / length}, 0.0};
 }
 
+Vector2 furthest_of_curve(const EffectTable & table, Index row, Vector2 direction)
+{
+  const Values pieces = pieces_of_curve(table, row);
+  double furthest = -std::numeric_limits<double>::infinity(), place = 0.0;
+  const double * best = pieces.data;
+  for (const double * c = pieces.data; c < pieces.data + pieces.size; c += COLUMNS) {
+    // The height of a piece is a cubic, which never leaves the span of its Bezier coefficients.
+    double height[4];
+    for (int k = 0; k < 4; ++k) {
+      height[k] = direction.x * c[k] + direction.y * c[4 + k];
+    }
+    const double rise = height[1] / 3.0, second = height[0] + 2.0 * rise + height[2] / 3.0;
+    const double last = height[0] + height[1] + height[2] + height[3];
+    if (!(std::max({height[0], height[0] + rise, second, last}) > furthest)) {
+      continue;
+    }
+    // The ends, and where the slope h1 + 2 h2 u + 3 h3 u^2 falls through zero.
+    const double root =
+      std::sqrt(std::max(0.0, height[2] * height[2] - 3.0 * height[1] * height[3]));
+    const double top = height[2] > 0.0 ?
+      -(height[2] + root) / (3.0 * height[3]) : height[1] / (root - height[2]);
+    for (double u : {0.0, 1.0, top}) {
+      const double found =
+        height[0] + u * (height[1] + u * (height[2] + u * height[3]));
+      if (0.0 <= u && u <= 1.0 && found > furthest) {
+        furthest = found;
+        best = c;
+        place = u;
+      }
+    }
+  }
+  return evaluate(best, place).place;
+}
+
 ChordDistance nearest_to_chord(Values pieces, Vector2 start, Vector2 end)
 {
   const Index count = pieces.size / COLUMNS;

@@ -30,6 +30,10 @@ struct CurveDistance
 CurveDistance distance_from_curve(
   const EffectTable &, Index row, Vector2 point, bool closed);
 
+/// The place of the curve of an effect that lies furthest in a direction, in the frame of the
+/// curve's body [m].
+Vector2 furthest_of_curve(const EffectTable &, Index row, Vector2 direction);
+
 /// How near a straight path comes to a curve between its ends. Along a straight path the distance
 /// from a straight piece has one valley: it counts where its lowest place is between the ends.
 struct ChordDistance

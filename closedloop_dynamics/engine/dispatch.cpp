@@ -56,6 +56,8 @@ void apply_law(
       return apply_circle_contact(table, row, body, q, qd, tau);
     case effect::CURVE_CONTACT:
       return apply_curve_contact(table, row, body, q, qd, tau);
+    case effect::FACE_CONTACT:
+      return apply_face_contact(table, row, body, q, qd, tau);
     case effect::SPATIAL_PRESCRIBED_FORCE:
       return apply_spatial_prescribed_force(table, row, body, q, qd, tau);
     case effect::SPATIAL_BUSHING:

@@ -63,6 +63,7 @@ Law apply_spatial_contact;
 Law apply_line_contact;
 Law apply_circle_contact;
 Law apply_curve_contact;
+Law apply_face_contact;
 Law apply_spatial_body_contact;
 
 // Cables over guides and pulleys (cable_laws.cpp).

@@ -334,6 +334,7 @@ Index numbers_of_entry(Index kind, bool planar)
     case effect::SPATIAL_CABLE:
       return planar ? 5 : 6;
     case effect::CURVE_CONTACT:
+    case effect::FACE_CONTACT:
       return 8;
     default:
       return 0;

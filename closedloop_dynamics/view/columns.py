@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .effect_shapes import normal_in_space, normal_of, outline_of
+from .effect_shapes import face_normal, normal_in_space, normal_of, outline_of
 from ..core.types import SMALLEST_PIVOT
 from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
@@ -347,8 +347,15 @@ class SimulationRows:
                     out, foot, self._places[record.point].body, other.body)
             return foot, np.array([readings['normal_force'] * out, friction])
         turn = turn[:2, :2]
-        out = turn @ normal_of(record, self._outlines[name], turn.T @ away)
-        return center - record.radius * out, np.array([
+        if record.shape == 'face':
+            out = self._turn(self._places[record.point].body)[:2, :2] @ face_normal(record)
+            outline = self._outlines[name] @ turn.T
+            foot = center - away + outline[np.argmin(outline @ out)]
+            out = -out
+        else:
+            out = turn @ normal_of(record, self._outlines[name], turn.T @ away)
+            foot = center - record.radius * out
+        return foot, np.array([
             readings['normal_force'] * out, readings['friction_force'] * out[::-1] * (1.0, -1.0)])
 
     def _sliding(self, normal, place, body, other=GROUND):

@@ -84,8 +84,8 @@ def wires(mechanism, effects, rows, heights, above):
                       for point, some in ((record.point, _ball(record.radius)),
                                           (record.other, rings_of(record))) for ring in some]
             continue
-        for point, places in ((record.point, _circle(record.radius)),
-                              (record.other, outline_of(record))):
+        rolling = _line(record) if record.shape == 'face' else _circle(record.radius)
+        for point, places in ((record.point, rolling), (record.other, outline_of(record))):
             if len(places):
                 body = points[point].body
                 found.append({'name': name, 'body': rows[body], 'places': [
@@ -95,12 +95,9 @@ def wires(mechanism, effects, rows, heights, above):
 
 
 def outline_of(contact):
-    """Return the line, circle or curve of a body contact about its point, shape (n, 2) [m]."""
+    """Return the line, circle or curve about the other point of a contact, shape (n, 2) [m]."""
     if contact.shape == 'line':
-        # How long it is, is not told: it is drawn short.
-        angle, half = contact.angle or 0.0, SHORT * (contact.radius or 1.0)
-        along = half * np.array([math.cos(angle), math.sin(angle)])
-        return np.array([-along, along])
+        return _line(contact)
     if contact.shape == 'circle':
         return _circle(contact.other_radius)
     pieces = np.array(contact.pieces)
@@ -108,6 +105,16 @@ def outline_of(contact):
     places = np.stack([pieces[:, :4] @ powers.T, pieces[:, 4:] @ powers.T], axis=-1).reshape(-1, 2)
     end = pieces[-1].reshape(2, 4).sum(axis=1)
     return np.vstack([places, end])
+
+
+def _line(contact):
+    """Return a short part of the endless line of a contact about its point, shape (2, 2) [m]."""
+    angle = contact.angle or 0.0
+    half = SHORT * (contact.radius or 1.0)
+    if contact.pieces:
+        half = np.abs(np.array(contact.pieces)[:, [0, 4]]).max()
+    along = half * np.array([math.cos(angle), math.sin(angle)])
+    return np.array([-along, along])
 
 
 def rings_of(contact):
@@ -153,8 +160,7 @@ def normal_of(contact, outline, place):
 
     """
     if contact.shape == 'line':
-        angle = contact.angle or 0.0
-        return np.array([-math.sin(angle), math.cos(angle)])
+        return face_normal(contact)
     if contact.shape == 'circle':
         out = -place if contact.hollow else place
         return out / (np.linalg.norm(out) or 1.0)
@@ -165,6 +171,12 @@ def normal_of(contact, outline, place):
     # The free side is on the left.
     x, y = along[nearest] / np.linalg.norm(along[nearest])
     return np.array([-y, x])
+
+
+def face_normal(contact):
+    """Return the normal of a line or face to its free side, in its body, shape (2,)."""
+    angle = contact.angle or 0.0
+    return np.array([-math.sin(angle), math.cos(angle)])
 
 
 def _circle(radius):

@@ -3,6 +3,7 @@
 
 """Contact between bodies: lift of a cam, impacts, momentum, curves."""
 
+from dataclasses import replace
 import math
 
 from closedloop_dynamics.effects import curve
@@ -109,6 +110,63 @@ def test_an_eccentric_lifts_its_follower_by_its_closed_form():
         assert found['depth'] == pytest.approx(1e-5 * math.sqrt(1.0 - tilt ** 2), abs=2e-8)
 
 
+def flat_faced(turning=False):
+    """Return ``cam`` with a face in the place of the roller, which may turn about its middle."""
+    machine = cam()
+    if not turning:
+        return machine
+    return replace(machine, bodies=(*machine.bodies, Body('plate', 0.2, (0.005, 0), 1e-4)),
+                   joints=(*machine.joints, Joint('tilt', 'revolute', 'follower', 'plate', (0, 0),
+                                                  -math.pi / 2)),
+                   points=(machine.points[0], Point('roller', 'plate', (0.002, 0.001))))
+
+
+# The face looks down: its free side is on the left of a line that points to the left. The axes of
+# the follower are turned by a quarter.
+FACE = {'shape': 'face', 'angle': math.pi / 2}
+
+
+def test_a_flat_face_rests_on_the_support_function_of_an_ellipse():
+    angles = 2.0 * np.pi * np.arange(360) / 360
+    touch = BodyContact('roller', 'axle', stiffness=1e7, x=tuple(0.04 * np.cos(angles)),
+                        y=tuple(0.03 * np.sin(angles)), **FACE)
+    for turn in np.linspace(0.0, 6.0, 13):
+        # Height and, by its derivative, the arm at which the face presses: s and s'.
+        height = math.hypot(0.04 * math.sin(turn), 0.03 * math.cos(turn))
+        arm = (0.04 ** 2 - 0.03 ** 2) * math.sin(turn) * math.cos(turn) / height
+        simulation = simulated(flat_faced(), {'touch': touch}, [turn, height - 1e-5],
+                               step_size=1e-4)
+        assert simulation.effect_readings('touch')['depth'] == pytest.approx(1e-5, abs=2e-10)
+        # 100 N lift the follower of 0.5 kg and turn the cam back.
+        assert simulation.acceleration == pytest.approx([-100.0 * arm / 0.1, 200.0], rel=3e-5)
+
+
+@pytest.mark.parametrize('turning', [False, True])
+def test_an_eccentric_disc_is_a_roller_to_a_flat_face(turning):
+    """Seen from the other side, a roller of the cam touches a line of the follower."""
+    machine, angles = flat_faced(turning), 2.0 * np.pi * np.arange(720) / 720
+    machine = replace(machine, points=(*machine.points, Point('middle', 'cam', (0.01, 0.002))))
+    law = {'stiffness': 1e5, 'exponent': 1.5, 'damping': 0.3, 'friction': 0.2}
+    line = math.pi if turning else math.pi / 2
+    face = BodyContact('roller', 'middle', 'face', angle=line, x=tuple(0.03 * np.cos(angles)),
+                       y=tuple(0.03 * np.sin(angles)), **law)
+    disc = BodyContact('middle', 'roller', 'line', radius=0.03, angle=line, **law)
+    states = []
+    for touch in (face, disc):
+        simulation = simulated(
+            machine, {'gravity': EARTH, 'touch': touch}, [0.3, 0.045] + [0.05] * turning,
+            [8.0, 0.0] + [0.0] * turning, step_size=2e-4)
+        most = 0.0
+        for _ in range(20):
+            simulation.step(duration=0.005)
+            most = max(most, simulation.effect_readings('touch')['normal_force'])
+        states.append(np.concatenate((simulation.position, simulation.velocity)))
+        assert most > 10.0
+        assert_balanced(simulation, 1e-6)
+    # The spline is within 1e-12 m of the circle: 1e-8 N, which turn the light plate by 1e-7 rad/s.
+    assert np.allclose(*states, rtol=0.0, atol=1e-7)
+
+
 def test_an_eccentric_is_an_expression_in_the_angle():
     # A circle of radius 0.03 about a place 0.01 from the axle.
     outline = '0.01*cos(a) + sqrt(0.03**2 - (0.01*sin(a))**2)'
@@ -190,7 +248,9 @@ CURVE = {'shape': 'curve', 'x': (0.0, 1.0, 0.0), 'y': (0.0, 0.0, 1.0)}
     ({'shape': 'curve', 'radii': (1.0, -1.0, 1.0)}, 'radii[1]'),
     ({'shape': 'curve', 'radii': (1.0, 1.0, 1.0), 'polar': '1.0 + 0.1*sin(a)'}, 'x'),
     ({'shape': 'curve', 'polar': '1.0 + 2*sin(a)'}, 'polar'),
-    ({'shape': 'curve', 'polar': '1.0 + sin(b)'}, 'polar')])
+    ({'shape': 'curve', 'polar': '1.0 + sin(b)'}, 'polar'),
+    ({'shape': 'face', 'polar': '1.0', 'radius': 0.1}, 'radius'), ({'shape': 'face'}, 'x'),
+    ({'shape': 'face', 'polar': '1.0', 'hollow': True}, 'hollow')])
 def test_impossible_contacts_are_refused(values, key):
     with pytest.raises(FieldError) as refusal:
         BodyContact('front', 'rear', **{'stiffness': 1.0, **values})
