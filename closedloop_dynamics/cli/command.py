@@ -452,6 +452,14 @@ def positive(text):
     return value
 
 
+def not_negative(text):
+    """Convert an option's value to a finite number >= 0."""
+    value = _number(text)
+    if not 0.0 <= value < math.inf:
+        raise ArgumentTypeError(f'expected a finite number >= 0, got {text!r}')
+    return value
+
+
 def port(text):
     """Convert an option's value to the number of a port; 0: any that is free."""
     if not (text.isdecimal() and len(text) < 6 and int(text) < 65536):

@@ -18,8 +18,8 @@ from ..simulation.signals import Interrupted, program_watch
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
-    'formulations', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes', 'plot',
-    'recover', 'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view',
+    'formulations', 'identify', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes',
+    'plot', 'recover', 'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view',
     'workspace')}
 
 USAGE, BROKEN_PIPE = 2, 141

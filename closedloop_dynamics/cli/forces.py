@@ -3,16 +3,15 @@
 
 """``closedloop forces``: the torques and forces that a recorded motion takes."""
 
-from argparse import ArgumentTypeError
 from contextlib import contextmanager
 import csv
-import math
 from pathlib import Path
 import sys
 
 import numpy as np
 
-from .command import add_set, Command, FAILED, require_free, UsageError, with_numbers
+from .command import (
+    add_set, Command, FAILED, not_negative, require_free, UsageError, with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.recording import RecordingError
 from ..recording.run import columns, row
@@ -34,7 +33,7 @@ def _add_arguments(parser):
     parser.add_argument('--joints', metavar='NAMES',
                         help='measured joints, with commas between them (default: the actuated '
                              'ones); the others follow from the loops')
-    parser.add_argument('--deviation', metavar='ERROR', type=_not_negative, default=0.0,
+    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
                         help='standard deviation of a position [rad or m]: accelerations are '
                              'those of splines as smooth as it allows (default: 0, through all '
                              'of them)')
@@ -42,16 +41,6 @@ def _add_arguments(parser):
                         help='a new bag with joint_states, constraint_forces/CUT and '
                              'joint_forces/JOINT, or a file *.csv with the same')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE.csv if it exists')
-
-
-def _not_negative(text):
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise ArgumentTypeError(f'expected a finite number >= 0, got {text!r}')
-    return value
 
 
 def _run(arguments):

@@ -69,9 +69,38 @@ def read_rows(path, scene=None):
         if scene is not None:
             require_same_mechanism(path, known, scene)
         scene = known
+    names, table = read_table(path, lambda names: _require_columns(path, scene, names))
+    motion = from_rows(scene.mechanism, names, table)
+    _require_geometry(path, scene, motion, dict(zip(names, table.T)))
+    return motion, scene
+
+
+def read_table(path, require):
+    """
+    Read the numbers of a CSV file.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the file.
+    require : callable
+        Takes the names of the columns, refuses others than are expected.
+
+    Returns
+    -------
+    names : list of str
+    table : ndarray, shape (n, number of names)
+
+    Raises
+    ------
+    RecordingError
+        Where there are no rows, or something is no number.
+    OSError
+
+    """
     with open(path, newline='', encoding='utf-8') as file:
         names, *rows = [*csv.reader(file)] or [[]]
-    _require_columns(path, scene, names)
+    require(names)
     try:
         table = np.array(rows, dtype=float).reshape(len(rows), len(names))
     except ValueError as error:
@@ -79,9 +108,7 @@ def read_rows(path, scene=None):
             f'{path}: expected a number in each column of each row: {error}') from None
     if not len(table):
         raise RecordingError(f'{path}: expected rows, got none')
-    motion = from_rows(scene.mechanism, names, table)
-    _require_geometry(path, scene, motion, dict(zip(names, table.T)))
-    return motion, scene
+    return names, table
 
 
 def require_same_mechanism(path, recorded, given):

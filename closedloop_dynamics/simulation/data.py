@@ -639,6 +639,30 @@ class Data(Names):
             ('velocity', velocity), ('acceleration', acceleration)))
         return self._inverse.solve(q, qd, qdd)
 
+    def tree_torque(self, position: np.ndarray, velocity: np.ndarray,
+                    acceleration: np.ndarray) -> np.ndarray:
+        """
+        Compute what the joints of the spanning tree exert in a motion, the loops open.
+
+        Parameters
+        ----------
+        position : ndarray, shape (nq,)
+            [rad or m].
+        velocity, acceleration : ndarray, shape (nv,)
+            They need not close the loops.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+            I qdd + c - tau_effects [N m or N]: torques of drives and J^T lambda add up to it.
+            Effects are those of a steady motion, as for ``inverse_dynamics``; friction that
+            depends on forces in joints is that of the forces felt last.
+
+        """
+        self._fresh = False
+        self._effects.follow_time(self._table.states, self.time)
+        return self._inverse.needed(position, velocity, acceleration)
+
 
 def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:
     """

@@ -72,7 +72,7 @@ class InverseDynamics:
         jac = self._jacobian(q, qd, qdd)
         table = self._table
         while True:
-            torque, lam = self._least_torques(self._needed(q, qd, qdd), jac)
+            torque, lam = self._least_torques(self.needed(q, qd, qdd), jac)
             if table.loaded[0] == 0:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
@@ -105,8 +105,21 @@ class InverseDynamics:
                 'that forward_dynamics returns.')
         return jac
 
-    def _needed(self, q, qd, qdd):
-        """Return what torques and constraint forces must add up to at the joints."""
+    def needed(self, q, qd, qdd):
+        """
+        Return what torques and constraint forces must add up to at the joints.
+
+        Parameters
+        ----------
+        q, qd, qdd : ndarray
+            As for ``solve``; they need not close the loops.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+            I qdd + c - tau_effects, the loops open [N m or N].
+
+        """
         need, table, system = np.zeros(len(qd)), self._table, self._system
         native.outward(system.model, q, qd, system.work)
         if len(table.kind):

@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop identify``: parameters of a mechanism from a recorded motion."""
+
+from argparse import ArgumentTypeError
+from pathlib import Path
+import sys
+
+from .command import (
+    add_scene, add_set, Command, FAILED, not_negative, positive, require_free, UsageError,
+    with_numbers)
+from ..recording.measurements import read_measurements
+from ..simulation.completion import CompletionError
+from ..simulation.scene import load_scene
+from ..studies.excitation import excite
+from ..studies.identification import driven_joints, identify, measured_joints
+from ..visual.progress import announced
+from ..visual.tables import text_table
+
+AMPLITUDE, HARMONICS = 0.3, 3
+
+
+def _add_arguments(parser):
+    parser.add_argument('recording', metavar='BAG_OR_CSV', nargs='?',
+                        help='a bag, or what `closedloop simulate --output` wrote; none with '
+                             '--excite')
+    add_scene(parser)
+    parser.add_argument('--vary', metavar='KEY', nargs='+', action='extend', required=True,
+                        help='numbers to be identified, by their key paths: '
+                             'mechanism.bodies.crank.mass, effects.grease.coefficient, '
+                             'parameters.l; mechanism.bodies.crank: mass, centre of mass and '
+                             'inertia; mechanism.bodies: those of all bodies')
+    add_set(parser)
+    parser.add_argument('--joints', metavar='NAMES',
+                        help='measured joints, with commas between them (default: driven ones, '
+                             'where they decide all others); the others follow from the loops')
+    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
+                        help='standard deviation of a position [rad or m]: rates and '
+                             'accelerations are those of splines as smooth as it allows '
+                             '(default: 0, those recorded)')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+    parser.add_argument('--picture', metavar='FILE.png', type=Path,
+                        help='where to draw recorded efforts, and what is left of them')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+    group = parser.add_argument_group('a motion to record')
+    group.add_argument('--excite', metavar='SECONDS', type=positive,
+                       help='find a motion of this period that shows the numbers well, in place '
+                            'of identifying them')
+    group.add_argument('--amplitude', metavar='SIZE', type=positive, default=AMPLITUDE,
+                       help='the most that a joint moves away from its start [rad or m] '
+                            f'(default: {AMPLITUDE})')
+    group.add_argument('--harmonics', metavar='N', type=_harmonics, default=HARMONICS,
+                       help=f'terms of each Fourier series (default: {HARMONICS})')
+
+
+def _harmonics(text):
+    if not (text.isdecimal() and 2 <= int(text) <= 20):
+        raise ArgumentTypeError(f'expected a whole number from 2 to 20, got {text!r}')
+    return int(text)
+
+
+def _run(arguments):
+    if (arguments.recording is None) == (arguments.excite is None):
+        raise UsageError('expected a recording to identify from, or --excite, which needs none')
+    if arguments.picture is not None:
+        require_free(arguments, arguments.picture, '--picture')
+    scene = with_numbers(load_scene(arguments.scene), arguments)
+    try:
+        joints = tuple(name.strip() for name in arguments.joints.split(',')) if (
+            arguments.joints) else measured_joints(scene)
+        return (_identify if arguments.excite is None else _excite)(arguments, scene, joints)
+    except CompletionError as error:
+        print(f'{arguments.prog}: {error}', file=sys.stderr)
+        return FAILED
+    except (OSError, ValueError) as error:
+        raise UsageError(str(error)) from None
+
+
+def _excite(arguments, scene, joints):
+    with announced('Looking for a motion ...'):
+        found = excite(scene, arguments.vary, arguments.excite, arguments.amplitude,
+                       arguments.harmonics, joints=joints)
+    print(f'{scene.name}: condition number {found.condition:.4g}, of a motion at random '
+          f'{found.first:.4g}')
+    for name, series in found.series.items():
+        print(f'--motion "{name}={series}"')
+    return 0
+
+
+def _identify(arguments, scene, joints):
+    with announced('Reading and compiling ...'):
+        driven = driven_joints(scene)
+        measured = read_measurements(arguments.recording, scene, joints, driven,
+                                     arguments.deviation, arguments.namespace)
+        found = identify(
+            scene, arguments.vary, measured.motion, measured.effort, measured.others)
+    print(f'{arguments.recording}: {len(found.samples)} of {len(measured.time)} instants of '
+          f'{scene.name}, motion from {", ".join(joints)}, efforts of '
+          f'{", ".join(driven) or "no joint"}; condition number {found.condition:.4g}')
+    if found.estimates:
+        print(text_table(('key', 'value', 'standard deviation', 'share', ''), [
+            (key, f'{one.value:.8g}', f'{one.deviation:.2g}', f'{100.0 * one.relative:.2g} %',
+             'identified' if one.identified else 'not identified')
+            for key, one in found.estimates.items()]))
+    if found.combinations:
+        print('sums and moments that are known:')
+    for one in found.combinations:
+        print(f'  {one}' + ('' if one.estimate is None else (
+            f' = {one.estimate.value:.8g}, standard deviation {one.estimate.deviation:.2g}')))
+    for what, names in (('not known alone', found.unknown),
+                        ('without influence on this motion', found.unseen)):
+        if names:
+            print(f'{what}: {", ".join(names)}')
+    for name, deviation in found.deviations.items():
+        print(f'left of the efforts: {deviation:.3g} N m or N in {name} (standard deviation)')
+    if arguments.picture is not None:
+        _draw(arguments, scene, measured, found)
+        print(f'picture in {arguments.picture}')
+    for name, share in found.impossible.items():
+        print(f'{arguments.prog}: mechanism.bodies.{name}: no distribution of mass has these '
+              f'numbers: an eigenvalue of the pseudo-inertia matrix is {share:.2g} of the largest',
+              file=sys.stderr)
+    return FAILED if found.impossible else 0
+
+
+def _draw(arguments, scene, measured, found):
+    # Only here, as it takes long to load.
+    from ..visual.pictures import over_drive
+    time = measured.time[found.samples]
+    curves = {'recorded effort [N m, N]': {
+        name: (time, effort[found.samples]) for name, effort in measured.effort.items()}}
+    curves['left of it [N m, N]'] = {
+        name: (time, left) for name, left in zip(found.deviations, found.residuals.T)}
+    over_drive(curves, 'time [s]', f'{scene.name}: efforts, and what the identified numbers leave '
+               'of them').savefig(arguments.picture)
+
+
+COMMAND = Command(
+    name='identify',
+    summary='parameters of a mechanism from a recorded motion',
+    description="""\
+Read a motion and the efforts of the drives, and find the numbers of the scene that
+explain them: masses, centres of mass and inertias by linear least squares, in which forces
+of the loops have no part; lengths, friction, springs and other numbers by nonlinear
+ones. For each: the standard deviation, and whether it is below 10 % of the value. Where the
+motion shows sums of parameters alone, these are named, and their parts get no numbers.
+Numbers begin as they are in the scene. Exit code 1: a body came out that cannot exist, or
+the motion does not follow from the measured joints.
+""",
+    epilog="""\
+examples:
+  closedloop identify run.csv four_bar --vary mechanism.bodies.coupler.mass
+  closedloop identify my_bag three_rrr_horizontal --vary mechanism.bodies --picture left.png
+  closedloop identify four_bar --vary mechanism.bodies --excite 2 --amplitude 1
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,912 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Parameters of a mechanism from a motion and the efforts of its drives.
+
+Along a motion that closes the loops, with N(q) the motions of the joints of the spanning tree for
+a unit rate of each independent coordinate, constraint forces drop out of inverse dynamics:
+
+    N^T (Y p + e) = N^T tau
+
+Y p is what masses, first moments and inertias p take (linear, ``inertial_parameters``), e what
+known masses and effects take. Columns of N^T Y that depend on one another tell which sums of
+parameters the motion shows (base parameters, Gautier and Khalil 1990), found by a QR factorisation
+with pivoting. The sums follow from weighted least squares, whose weights are the inverse standard
+deviations of what is left in each independent coordinate. All other numbers (lengths, coefficients
+of effects) are varied around that: variable projection, whose gradient is that of the whole
+problem (Golub and Pereyra 1973, Kaufman 1975). There are no derivatives by these numbers: they are
+central differences of fourth order, exact to rounding where the torques are linear in a number.
+
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+import math
+from typing import Dict, NamedTuple, Optional, Tuple
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.optimize import least_squares
+
+from .inertial_parameters import BodyParameters, pseudo_inertia, unit_rows
+from ..core import types as t
+from ..core.codegen import space
+from ..effects.registry import effect_type
+from ..effects.table import JOINT_FRICTION, OWN
+from ..engine import native
+from ..mechanism.fields import among, FieldError
+from ..mechanism.mechanism import MechanismError
+from ..simulation.assembly import rank_from
+from ..simulation.completion import Completion, CompletionError
+from ..simulation.data import Data
+from ..simulation.errors import SimulationError
+from ..simulation.key_paths import changed, numbers, resolve
+from ..simulation.modeling import extent
+from ..simulation.redundancy import geometry_of
+
+# Columns, scaled to length one, are dependent below DEPENDENT; shares of others below NOTHING are
+# rounding; parameters whose torques are below UNSEEN of those of the largest have no influence.
+DEPENDENT, NOTHING, UNSEEN = 1e-8, 1e-7, 1e-11
+# Where independent coordinates decide the others by less, the motion is refused.
+UNDECIDED = 1e-6
+# A parameter is identified where its standard deviation is below this share of it.
+IDENTIFIED = 0.1
+# Of a normal distribution, for intervals of 95 %.
+QUANTILE = 1.959963984540054
+# Weights are found anew so many times; no standard deviation is below this share of the torques.
+WEIGHTINGS, LEAST_DEVIATION = 3, 1e-12
+# Differences by a number: the step, as a share of the number, and weights by steps.
+STEP = 1e-3
+CENTRAL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
+FORWARD = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+# Least squares end where numbers change by less than this share; evaluations of them at most.
+CONVERGED, MOST_EVALUATIONS = 1e-13, 200
+# Whose joint rests at rates below this has dry friction of any size [rad/s or m/s].
+REST = 1e-6
+# Joints further from where they were seen are on another branch [rad, or of the size].
+ELSEWHERE = 0.2
+# Of a body's mass and the mechanism's size: parameters of a body that are small.
+SMALL = 0.1
+BODY_KEYS = ('mass', 'center_of_mass', 'inertia')
+# What of a scene decides which torques a motion takes.
+VARIED = ('mechanism', 'effects', 'parameters')
+
+
+class IdentificationError(ValueError):
+    """Parameters that cannot be identified from what was given; the message says why."""
+
+
+class Estimate(NamedTuple):
+    """
+    A number that was identified.
+
+    Attributes
+    ----------
+    value : float
+        In the SI unit of its key.
+    deviation : float
+        Standard deviation; of efforts whose errors are independent of one another.
+
+    """
+
+    value: float
+    deviation: float
+
+    @property
+    def relative(self):
+        """Return the standard deviation as a share of the value."""
+        return self.deviation / abs(self.value) if self.value else math.inf
+
+    @property
+    def identified(self):
+        """Return whether that is below 10 %."""
+        return self.relative < IDENTIFIED
+
+    @property
+    def interval(self):
+        """Return the ends of the interval that holds the true value in 95 % of all cases."""
+        return (self.value - QUANTILE * self.deviation, self.value + QUANTILE * self.deviation)
+
+
+class Combination(NamedTuple):
+    """
+    A sum of parameters of which only the sum has an influence on the motion.
+
+    Attributes
+    ----------
+    terms : dict of str to float
+        Factors by parameter; the first one is 1.
+    estimate : Estimate or None
+        Of the sum; None where a number is in it that the torques are not linear in: then the sum
+        is that of small changes.
+
+    """
+
+    terms: Dict[str, float]
+    estimate: Optional[Estimate]
+
+    def __str__(self):
+        """Return the sum as text."""
+        text = ''
+        for name, factor in self.terms.items():
+            size = '' if f'{abs(factor):.6g}' == '1' else f'{abs(factor):.6g}*'
+            sign = '-' if factor < 0.0 else '+'
+            text += f' {sign} {size}{name}' if text else f'{"-" * (factor < 0.0)}{size}{name}'
+        return text
+
+
+@dataclass(frozen=True)
+class Identification:
+    """
+    What a motion tells of the parameters.
+
+    Attributes
+    ----------
+    estimates : dict of str to Estimate
+        By key path, of those that are known alone.
+    combinations : tuple of Combination
+        Sums that are known where their parts are not, and parameters of bodies that are known
+        where the keys that they follow from are not.
+    unknown : tuple of str
+        Key paths that the motion does not tell alone.
+    unseen : tuple of str
+        Parameters without any influence on the motion.
+    impossible : dict of str to float
+        Bodies, with all their numbers known, that no distribution of mass has: the smallest
+        eigenvalue of the pseudo-inertia matrix, as a share of the largest.
+    deviations : dict of str to float
+        Standard deviation of what is left of the efforts, by independent coordinate [N m or N].
+    residuals : ndarray, shape (n, number of independent coordinates)
+        Torques of the identified parameters less the recorded ones [N m or N].
+    samples : ndarray of int, shape (n,)
+        Which of the instants given these are: the others have a joint with dry friction at rest.
+    condition : float
+        Of the base parameters' regressor, its columns scaled to length one.
+
+    """
+
+    estimates: Dict[str, Estimate]
+    combinations: Tuple[Combination, ...]
+    unknown: Tuple[str, ...]
+    unseen: Tuple[str, ...]
+    impossible: Dict[str, float]
+    deviations: Dict[str, float]
+    residuals: np.ndarray
+    samples: np.ndarray
+    condition: float
+
+
+def identify(scene, keys, motion, effort, others=None):
+    """
+    Identify parameters of a mechanism.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        The mechanism as far as it is known; numbers that vary begin as they are there.
+    keys : sequence of str
+        What varies, by key path: ``'mechanism.bodies.crank.mass'``, ``'effects.grease.
+        coefficient'``, ``'parameters.length'``; ``'mechanism.bodies.crank'`` stands for all of
+        mass, centre of mass and inertia, ``'mechanism.bodies'`` for those of all bodies.
+    motion : mapping of str to array_like, shape (3, n)
+        Positions, rates and accelerations of measured joints [rad or m, and per s and s^2]: they
+        have to determine all others, whose motion follows from the loops.
+    effort : mapping of str to array_like, shape (n,)
+        Of every joint of the tree that a drive acts in [N m or N].
+    others : mapping of str to array_like, shape (n,), optional
+        Positions that other joints were seen at: they show that the mechanism stayed on the branch
+        of the scene's start, and are used for nothing else.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    IdentificationError
+        Where effects or drives are such that inverse dynamics does not know them, or nothing can
+        be learnt.
+    CompletionError
+        Where the motion does not follow from the measured joints.
+    ValueError
+        For keys, joints and arrays that do not fit.
+
+    """
+    return Identifier(scene, keys, motion, others).solve(effort)
+
+
+def measured_joints(scene):
+    """
+    Return the joints whose motion decides that of all others: driven ones, or else all.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        With what moves its joints.
+
+    Returns
+    -------
+    tuple of str
+
+    """
+    bare, driven = _without_motions(scene)
+    names = bare.mechanism.coordinates.single_names
+    chosen = tuple(name for name in driven if name in names)
+    try:
+        Completion(bare.mechanism, chosen, Data(bare).position)
+    except ValueError:
+        return tuple(names)
+    return chosen
+
+
+def driven_joints(scene):
+    """Return the joints of the tree that a drive acts in: actuated, or moved as prescribed."""
+    return _without_motions(scene)[1]
+
+
+class Identifier:
+    """
+    The equations of a motion: efforts go in, parameters come out.
+
+    What depends on the motion alone is computed once.
+
+    Parameters
+    ----------
+    scene, keys, motion, others
+        As for ``identify``.
+
+    Attributes
+    ----------
+    independent : tuple of str
+        Coordinates that the equations are those of: driven ones where possible.
+    driven : tuple of str
+        Joints whose efforts are needed.
+
+    Raises
+    ------
+    CompletionError, IdentificationError, ValueError
+
+    """
+
+    def __init__(self, scene, keys, motion, others=None):
+        """Complete the motion, and find what the linear parameters take along it."""
+        self._scene, self.driven = _without_motions(scene)
+        self._keys = _expanded(self._scene, keys)
+        joints, motion = _arrays(motion, 3, 'motion')
+        self._linear = {}
+        for key in self._keys:
+            words = key.split('.')
+            if words[:2] == ['mechanism', 'bodies'] and words[3] in BODY_KEYS:
+                self._linear.setdefault(words[2], []).append('.'.join(words[3:]))
+        self._along = _Along(self._scene, self._linear, joints, motion, self.driven)
+        _refuse(self._along.data)
+        self._require_branch(others or {})
+        linear = {f'mechanism.bodies.{body.name}.{key}' for body in self._along.bodies
+                  for key in body.depends}
+        self._nonlinear = [key for key in self._keys if key not in linear]
+        self._paths = {key: resolve(self._scene, key) for key in self._nonlinear}
+        self._start = np.array([numbers(self._scene)[key] for key in self._nonlinear])
+        size = extent(self._scene.mechanism)
+        self._scales = np.array([
+            abs(value) or (size if key.startswith('mechanism') else 1.0)
+            for key, value in zip(self._nonlinear, self._start)])
+        self._latest = self._start, self._along
+        self.independent = self._along.independent
+        self._samples = _moving(self._along)
+
+    def _require_branch(self, others):
+        """Refuse a motion on another branch than the one that other joints were seen on."""
+        joints, values = _arrays(others, 1, 'others')
+        mechanism = self._scene.mechanism
+        coordinates, size = mechanism.coordinates, extent(mechanism)
+        positions = np.array([position for position, _, _ in self._along.states])
+        for name, seen in zip(joints, values[0].T):
+            if name not in coordinates.single_names or len(seen) != len(positions):
+                raise ValueError(f'others: {name}: expected {len(positions)} positions of one of '
+                                 f'{", ".join(coordinates.single_names)}, got {len(seen)}')
+            place = coordinates.index[name]
+            apart = seen - positions[:, coordinates.place[place]]
+            if coordinates.lengths[place]:
+                apart = apart / size
+            else:
+                apart = np.abs((apart + np.pi) % (2.0 * np.pi) - np.pi)
+            if np.abs(apart).max() > ELSEWHERE:
+                sample = int(np.argmax(np.abs(apart) > ELSEWHERE))
+                raise IdentificationError(
+                    f'motion: sample {sample}: expected {name} where the loops put it, at '
+                    f'{positions[sample, coordinates.place[place]]:.4g}, got {seen[sample]:.4g}: '
+                    'the mechanism has passed a singular position, or began on another branch '
+                    'than the scene; take another part, another start or other measured joints')
+
+    @property
+    def regressor(self):
+        """
+        Torques of a unit of each linear parameter, shape (n, independent, parameters).
+
+        Of the samples in which no joint with dry friction rests.
+
+        """
+        return self._along.regressor[self._samples]
+
+    @property
+    def parameters(self):
+        """Linear parameters, a tuple of ``inertial_parameters.Parameter``."""
+        return self._along.parameters
+
+    def influence(self):
+        """
+        Return what parameters of usual sizes take along the motion, around the scene.
+
+        Returns
+        -------
+        ndarray, shape (n, number of independent coordinates, parameters)
+            Linear ones, then the others [N m or N].
+
+        """
+        along = self._along
+        found = [along.regressor[self._samples] * along.typical]
+        if self._nonlinear:
+            found.append(self._slopes(self._start, along.values) * self._scales)
+        return np.concatenate(found, axis=2)
+
+    def solve(self, effort):
+        """
+        Identify the parameters.
+
+        Parameters
+        ----------
+        effort
+            As for ``identify``.
+
+        Returns
+        -------
+        Identification
+
+        """
+        torque = self._generalized(effort)
+        rows = torque.size
+        if rows <= len(self._keys):
+            raise IdentificationError(
+                f'motion: expected more equations than the {len(self._keys)} numbers that vary, '
+                f'got {rows}: {len(torque)} instants of {len(self.independent)} coordinates')
+        numbers_now, along, slopes = self._start, self._along, None
+        size = np.sqrt(np.mean(np.square(torque + along.size[self._samples]), axis=0)).max()
+        deviations = np.full(torque.shape[1], size or 1.0)
+        for _ in range(WEIGHTINGS):
+            if self._nonlinear:
+                numbers_now = self._nonlinear_fit(numbers_now, torque, deviations)
+                along = self._at(numbers_now)
+            wanted = self._wanted(along, torque)
+            if along.parameters and not (
+                    np.abs(wanted).max() > UNSEEN * np.abs(along.size).max()):
+                raise IdentificationError(
+                    'effort: expected a torque, or a known mass or force that acts beside what '
+                    'varies, got none: the parameters are then known but for a common factor')
+            fit = _Linear(along.regressor[self._samples], wanted, deviations,
+                          along.values, along.typical)
+            if self._nonlinear:
+                slopes = self._slopes(numbers_now, fit.values)
+                fit = _Linear(
+                    np.concatenate([along.regressor[self._samples], slopes], axis=2),
+                    # The numbers are where they are: what is left is linear in their change.
+                    wanted + slopes @ numbers_now, deviations,
+                    np.concatenate([fit.values, numbers_now]),
+                    np.concatenate([along.typical, self._scales]))
+            found = fit.deviations
+            deviations = np.maximum(found, LEAST_DEVIATION * (size or 1.0))
+        return self._told(along, fit, found)
+
+    def _generalized(self, effort):
+        """Return the efforts in the independent coordinates, shape (n, independent)."""
+        joints, values = _arrays(effort, 1, 'effort')
+        if set(joints) != set(self.driven):
+            raise ValueError(f'effort: expected those of {", ".join(self.driven) or "no joint"}, '
+                             f'got {", ".join(joints) or "none"}')
+        levers = self._along.levers
+        if not joints:
+            values = np.zeros((1, len(levers), 0))
+        if values.shape[1] != len(levers):
+            raise ValueError(f'effort: expected {len(levers)} values, as many as the motion has, '
+                             f'got {values.shape[1]}')
+        order = [joints.index(name) for name in self.driven]
+        found = np.einsum('nda,na->nd', levers, values[0][:, order])
+        return found[self._samples]
+
+    def _wanted(self, along, torque):
+        """Return what the linear parameters are to take."""
+        return torque - along.known[self._samples]
+
+    def _at(self, values):
+        """Return what the scene of other numbers takes along the motion."""
+        if not np.array_equal(self._latest[0], values):
+            self._latest = values.copy(), self._along.of(self._scene_of(values), self._nonlinear)
+        return self._latest[1]
+
+    def _scene_of(self, values):
+        """Return the scene of other numbers."""
+        return changed(self._scene, {
+            self._paths[key]: float(value) for key, value in zip(self._nonlinear, values)})
+
+    def _slopes(self, values, parameters):
+        """Return the derivatives of the torques by the nonlinear numbers, (n, d, numbers)."""
+        along, found = self._at(values), []
+
+        def torques(change):
+            return self._torques(along.of(self._scene_of(values + change), [key]), parameters)
+
+        for key, unit, step in zip(
+                self._nonlinear, np.eye(len(values)),
+                STEP * np.maximum(self._scales, np.abs(values))):
+            for weights in (CENTRAL, FORWARD):
+                try:
+                    found.append(sum(weight / step * torques(steps * step * unit)
+                                     for steps, weight in weights.items()))
+                    break
+                except (FieldError, MechanismError):
+                    # A number at the end of what it may be.
+                    if weights is FORWARD:
+                        raise
+        return np.stack(found, axis=2)
+
+    def _torques(self, along, parameters):
+        return (along.regressor @ parameters + along.known)[self._samples]
+
+    def _nonlinear_fit(self, start, torque, deviations):
+        """Return the nonlinear numbers of least squares, the linear ones being those of each."""
+        scales = self._scales
+
+        def project(along):
+            matrix = _flat(along.regressor[self._samples], deviations)
+            vector = _flat(self._wanted(along, torque), deviations)
+            return (matrix, *_least(matrix, vector))
+
+        def residual(shares):
+            try:
+                along = self._at(start + shares * scales)
+            except (FieldError, IdentificationError, MechanismError, SimulationError):
+                # Too far: a shorter step is tried.
+                return np.full(torque.size, 1e3 * worst)
+            matrix, parameters, _ = project(along)
+            return matrix @ parameters - _flat(self._wanted(along, torque), deviations)
+
+        def slopes(shares):
+            values = start + shares * scales
+            _, parameters, basis = project(self._at(values))
+            found = _flat(self._slopes(values, parameters), deviations) * scales
+            return found - basis @ (basis.T @ found)
+
+        first = self._at(start)
+        matrix, parameters, _ = project(first)
+        worst = 1.0 + np.abs(
+            matrix @ parameters - _flat(self._wanted(first, torque), deviations)).max()
+        result = least_squares(
+            residual, np.zeros(len(start)), slopes, x_scale='jac', ftol=CONVERGED, xtol=CONVERGED,
+            gtol=CONVERGED, max_nfev=MOST_EVALUATIONS)
+        if not result.success:
+            raise IdentificationError(
+                f'keys: expected {", ".join(self._nonlinear)} to settle, got none that do within '
+                f'{MOST_EVALUATIONS} steps; begin nearer to them')
+        return start + result.x * scales
+
+    def _told(self, along, fit, deviations):
+        """Return what the solution tells, by key."""
+        linear = [one.name for one in along.parameters]
+        names = linear + self._nonlinear
+        alone, combined = {}, []
+        for place, terms in fit.sums.items():
+            if len(terms) == 1:
+                alone[names[place]] = place
+            else:
+                estimate = fit.estimate(place) if all(
+                    other < len(linear) for other in terms) else None
+                combined.append(Combination(
+                    {names[other]: factor for other, factor in terms.items()}, estimate))
+        estimates, unknown, used = {}, [], set()
+        by_key = {f'mechanism.bodies.{body.name}.{key}': (body, key, depends)
+                  for body in along.bodies for key, depends in body.depends.items()}
+        for key in self._keys:
+            body, inner, depends = by_key.get(key, (None, None, (key,)))
+            if not all(name in alone for name in depends):
+                unknown.append(key)
+                continue
+            used.update(depends)
+            estimates[key] = fit.estimate(alone[key]) if body is None else fit.estimate_of(
+                lambda values, body=body, inner=inner: body.values(values)[inner],
+                {name: alone[name] for name in depends})
+        single = [Combination({name: 1.0}, fit.estimate(place)) for name, place in alone.items()
+                  if name not in used]
+        return Identification(
+            estimates, tuple(single + combined), tuple(unknown),
+            tuple(names[place] for place in fit.unseen), self._impossible(along, estimates),
+            dict(zip(self.independent, deviations.tolist())), fit.residuals, self._samples,
+            fit.condition)
+
+    def _impossible(self, along, estimates):
+        """Return the bodies, known as a whole, that cannot exist; see ``Identification``."""
+        bodies = {body.name: body for body in along.scene.mechanism.bodies}
+        found = {}
+        for name, inner in self._linear.items():
+            keys = {key: f'mechanism.bodies.{name}.{key}' for key in inner}
+            if not all(key in estimates for key in keys.values()):
+                continue
+            values = {key: estimates[path].value for key, path in keys.items()}
+            eigenvalues = np.linalg.eigvalsh(pseudo_inertia(_with_numbers(bodies[name], values)))
+            if not eigenvalues[0] > 0.0:
+                found[name] = float(eigenvalues[0] / np.abs(eigenvalues).max())
+        return found
+
+
+class _Along:
+    """
+    What a scene takes along a motion: linear parameters, and the rest.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+    values, typical : ndarray, shape (parameters,)
+        Of the scene, and sizes that such parameters have.
+    regressor : ndarray, shape (n, d, parameters)
+        Torques of a unit of each in the independent coordinates.
+    known : ndarray, shape (n, d)
+        What the rest takes.
+    size : ndarray, shape (n, d)
+        All torques of the scene.
+    levers : ndarray, shape (n, d, driven)
+        What drives exert in the independent coordinates, for a unit of effort.
+
+    """
+
+    def __init__(self, scene, linear, joints, motion, driven, own=None):
+        self._linear, self._joints, self._motion, self._driven = linear, joints, motion, driven
+        self._take(scene)
+        self._geometry = geometry_of(scene.mechanism)
+        self.states = self._completed()
+        self._find_tangents(own)
+        self._find_unit_torques()
+        self._find_torques()
+
+    def _take(self, scene):
+        """Take the numbers of a scene."""
+        self.scene, self.data, mechanism = scene, Data(scene), scene.mechanism
+        self._gravity = self.data.system.model.gravity.copy()
+        self.bodies = tuple(
+            BodyParameters(body, self._linear[body.name]) for body in mechanism.bodies
+            if body.name in self._linear)
+        self.parameters = tuple(one for body in self.bodies for one in body.parameters)
+        self.values = np.array([one.value for one in self.parameters])
+        masses, size = {body.name: body.mass for body in mechanism.bodies}, extent(mechanism)
+        self.typical = np.array([
+            max(abs(one.value), SMALL * masses[one.body] * size ** one.power)
+            for one in self.parameters])
+
+    def of(self, scene, keys):
+        """Return the same of another scene that differs in some keys alone."""
+        if not all(key.startswith(('effects.', 'mechanism.bodies.')) for key in keys):
+            return _Along(scene, self._linear, self._joints, self._motion, self._driven, self.own)
+        other = object.__new__(_Along)
+        other.__dict__.update(self.__dict__)
+        other._take(scene)
+        if not np.array_equal(other._gravity, self._gravity):
+            other._find_unit_torques()
+        other._find_torques()
+        return other
+
+    @cached_property
+    def independent(self):
+        """Names of the independent coordinates."""
+        names = self.scene.mechanism.coordinates.names
+        return tuple(names[place] for place in self.own)
+
+    def _completed(self):
+        """Return positions, rates and accelerations of all joints, of every instant."""
+        completion = Completion(
+            self.scene.mechanism, self._joints, self.data.position)
+        found = []
+        for k, (position, rate, acceleration) in enumerate(self._motion.transpose(1, 0, 2)):
+            completion.complete(position, rate)
+            if completion.passed:
+                raise CompletionError(
+                    f'motion: sample {k} touches a singular position, where branches meet: on '
+                    'which one the motion goes on does not follow from '
+                    f'{", ".join(self._joints)}')
+            found.append((completion.position.copy(), completion.velocity.copy(),
+                          completion.accelerations(acceleration)))
+        return found
+
+    def _find_tangents(self, own):
+        """Find N of every instant, and the independent coordinates where they are not given."""
+        index = self.scene.mechanism.coordinates.index
+        places = [index[name] for name in self._driven]
+        nv = self.scene.mechanism.coordinates.nv
+        self.own, tangents = own, []
+        for k, (q, _, _) in enumerate(self.states):
+            jac = self._geometry.equations.move(q).jacobian()
+            _, singular, right = np.linalg.svd(jac) if len(jac) else (
+                None, np.zeros(0), np.eye(nv))
+            basis = right[rank_from(singular):].T
+            if not basis.size:
+                raise IdentificationError(
+                    f'{self.scene.mechanism.name}: expected a mechanism that moves, got one '
+                    'without degrees of freedom')
+            if self.own is None:
+                self._require_decided(basis)
+                self.own = _choose(basis, places)
+            part = basis[self.own]
+            if part.shape[0] != part.shape[1] or np.linalg.svd(
+                    part, compute_uv=False)[-1] < UNDECIDED:
+                raise IdentificationError(
+                    f'motion: sample {k} is in a singular position: '
+                    f'{", ".join(self.independent)} do not decide the motion of the others there')
+            tangents.append(basis @ np.linalg.inv(part))
+        self._tangents = np.array(tangents)
+        self.levers = self._tangents[:, places].transpose(0, 2, 1)
+
+    def _require_decided(self, basis):
+        """Refuse a mechanism in which parts move freely, whatever the measured joints do."""
+        index = self.scene.mechanism.coordinates.index
+        measured = basis[[index[name] for name in self._joints]]
+        open_ones = basis.shape[1] - rank_from(np.linalg.svd(measured, compute_uv=False))
+        if open_ones:
+            raise IdentificationError(
+                f'motion: expected joints that decide the motion of all others, got '
+                f'{", ".join(self._joints)}, which leave {open_ones} of {basis.shape[1]} degrees '
+                'of freedom open, such as the spin of a rod between two spherical joints: put a '
+                'universal joint at one end')
+
+    def _find_torques(self):
+        """Find the torques in the independent coordinates."""
+        need = np.array([self.data.tree_torque(*state) for state in self.states])
+        self.size = np.einsum('nvd,nv->nd', self._tangents, need)
+        self.regressor = np.stack(
+            [self._units[one.body] @ one.numbers for one in self.parameters], axis=2) if (
+                self.parameters) else np.zeros((*self.size.shape, 0))
+        self.known = self.size - self.regressor @ self.values
+
+    def _find_unit_torques(self):
+        """Find the torques of a unit of mass, first moments and inertia of each body, by name."""
+        planar = self.scene.mechanism.planar
+        columns = [t.MASS, t.MASS_X, t.MASS_Y, t.INERTIA] if planar else [
+            *range(space.MASS, space.INERTIA + 6)]
+        equations, rows = self._geometry.equations, self._geometry.rows
+        constants = equations.model.body
+        equations.model.gravity[:] = self._gravity
+        keep = constants.copy()
+        # Numbers of which none is zero or equals another, so that no code for special bodies is
+        # generated; their torques are taken off again.
+        constants[1:, columns] = 1e-3 * np.random.default_rng(0).uniform(
+            1.0, 2.0, (len(constants) - 1, len(columns)))
+        base = self._inverse(equations)
+        self._units = {}
+        for name in self._linear:
+            row = constants[rows[name]]
+            before, found = row.copy(), []
+            for unit in unit_rows(None if planar else self._geometry.placements[name]):
+                row[columns] += unit
+                found.append(self._inverse(equations) - base)
+                row[:] = before
+            self._units[name] = np.stack(found, axis=2)
+        constants[:] = keep
+
+    def _inverse(self, equations):
+        """Return the torques of the bodies alone, shape (n, d)."""
+        need = np.zeros((len(self.states), equations.nv))
+        for (q, qd, qdd), out in zip(self.states, need):
+            equations.move(q, qd)
+            native.tree_torque(equations.model, equations.work, qdd, out)
+        return np.einsum('nvd,nv->nd', self._tangents, need)
+
+
+class _Linear:
+    """
+    A linear problem solved by weighted least squares, with what cannot be known left out.
+
+    Attributes
+    ----------
+    values : ndarray, shape (p,)
+        A solution: that in which dependent parameters have the values given.
+    sums : dict of int to dict of int to float
+        By the place of each base parameter: factors by the places of what is in its sum.
+    unseen : list of int
+        Places of parameters without influence.
+    residuals : ndarray, shape (n, d)
+        Matrix times values less what was wanted.
+    deviations : ndarray, shape (d,)
+        Their standard deviations.
+    condition : float
+
+    """
+
+    def __init__(self, matrix, wanted, deviations, given, typical):
+        flat = _flat(matrix, deviations)
+        lengths = np.linalg.norm(flat, axis=0)
+        sizes = lengths * typical
+        seen = sizes > UNSEEN * sizes.max(initial=0.0)
+        self.unseen = np.flatnonzero(~seen).tolist()
+        places = np.flatnonzero(seen)
+        scaled = flat[:, places] / lengths[places]
+        self.sums, self.condition = {}, math.nan
+        self._base, self._covariance = np.zeros(0, dtype=int), np.zeros((0, 0))
+        self.values = np.array(given, dtype=float)
+        if len(places):
+            self._solve(scaled, places, lengths, flat, _flat(wanted, deviations))
+        self.residuals = matrix @ self.values - wanted
+        count = len(wanted) - len(self._base) / wanted.shape[1]
+        self.deviations = np.sqrt(np.sum(self.residuals ** 2, axis=0) / count)
+
+    def _solve(self, scaled, places, lengths, flat, wanted):
+        orthogonal, upper, order = qr(scaled, mode='economic', pivoting=True)
+        diagonal = np.abs(np.diag(upper))
+        rank = int(np.sum(diagonal > DEPENDENT * diagonal[0]))
+        base, rest = places[order[:rank]], places[order[rank:]]
+        upper, shares = upper[:rank, :rank], solve_triangular(upper[:rank, :rank],
+                                                              upper[:rank, rank:])
+        self.condition = float(np.linalg.cond(upper))
+        shares[np.abs(shares) < NOTHING] = 0.0
+        factors = shares * lengths[rest] / lengths[base][:, np.newaxis]
+        for place, row in sorted(zip(base.tolist(), factors), key=lambda pair: pair[0]):
+            self.sums[place] = {place: 1.0, **{
+                other: float(factor) for other, factor in zip(rest.tolist(), row) if factor}}
+        inverse = solve_triangular(upper, np.eye(rank)) / lengths[base][:, np.newaxis]
+        self.values[base] = inverse @ (orthogonal[:, :rank].T @ (
+            wanted - flat[:, rest] @ self.values[rest]))
+        # Once more, for what rounding has left.
+        self.values[base] += inverse @ (orthogonal[:, :rank].T @ (wanted - flat @ self.values))
+        self._base, self._covariance = base, inverse @ inverse.T
+
+    def estimate(self, place):
+        """Return the sum of a base parameter."""
+        value = sum(factor * self.values[other] for other, factor in self.sums[place].items())
+        inner = self._base.tolist().index(place)
+        return Estimate(float(value), math.sqrt(self._covariance[inner, inner]))
+
+    def estimate_of(self, function, places):
+        """Return a function of some base parameters, by name, each known alone."""
+        values = {name: self.values[place] for name, place in places.items()}
+        inner = [self._base.tolist().index(place) for place in places.values()]
+        gradient = np.array([np.imag(function(
+            {**values, name: values[name] + 1e-30j})) / 1e-30 for name in places])
+        variance = gradient @ self._covariance[np.ix_(inner, inner)] @ gradient
+        return Estimate(float(np.real(function(values))), math.sqrt(max(variance, 0.0)))
+
+
+def _flat(array, deviations):
+    """Return equations, shape (n, d, ...), as rows, each in units of its standard deviation."""
+    weighted = array / deviations.reshape(-1, *(array.ndim - 2) * (1,))
+    return weighted.reshape(array.shape[0] * array.shape[1], *array.shape[2:])
+
+
+def _least(matrix, vector):
+    """Return the solution of least squares, and an orthonormal basis of the columns."""
+    if not matrix.shape[1]:
+        return np.zeros(0), np.zeros((len(matrix), 0))
+    lengths = np.linalg.norm(matrix, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    left, singular, right = np.linalg.svd(matrix / lengths, full_matrices=False)
+    rank = int(np.sum(singular > DEPENDENT * singular[0]))
+    basis = left[:, :rank]
+    return right[:rank].T @ (basis.T @ vector / singular[:rank]) / lengths, basis
+
+
+def _choose(basis, driven):
+    """Return independent coordinates, driven ones before others."""
+    weight = np.ones(len(basis))
+    weight[driven] = 10.0
+    _, _, order = qr((weight[:, np.newaxis] * basis).T, mode='economic', pivoting=True)
+    return sorted(order[:basis.shape[1]].tolist())
+
+
+def _moving(along):
+    """Return the samples in which no joint with dry friction rests."""
+    coordinates, effects = along.scene.mechanism.coordinates, along.data.effect_set
+    places = [coordinates.index[effects.records[name].joint]
+              for name, element in effects.by_name.items()
+              if element.kind == JOINT_FRICTION and effects.enabled[name]
+              and effects.records[name].joint in coordinates.index]
+    rates = np.array([rate for _, rate, _ in along.states])
+    moves = (np.abs(rates[:, places]) > REST).all(axis=1)
+    if not moves.any():
+        raise IdentificationError('motion: expected joints with dry friction to move, got all '
+                                  'samples with one at rest, where any friction may act')
+    return np.flatnonzero(moves)
+
+
+def _with_numbers(body, values):
+    """Return a body with other numbers, unchecked."""
+    center = [values.get(f'center_of_mass.{n}', value)
+              for n, value in enumerate(body.center_of_mass)]
+    inertia = values.get('inertia', body.inertia)
+    if isinstance(inertia, tuple):
+        inertia = tuple(values.get(f'inertia.{n}', value) for n, value in enumerate(inertia))
+    return replace(body, mass=values.get('mass', body.mass), center_of_mass=tuple(center),
+                   inertia=inertia)
+
+
+def _without_motions(scene):
+    """Return a scene whose joints move freely, and the joints of the tree with a drive."""
+    mechanism = scene.mechanism
+    driven, effects = list(mechanism.actuated_joints), dict(scene.effects)
+    for name, record in scene.effects.items():
+        motion = record.motion(name)
+        if motion is None:
+            continue
+        if motion.freedom not in mechanism.coordinates.index:
+            raise IdentificationError(
+                f'effects.{name}: expected motions of joints of the tree, whose efforts are '
+                'recorded, got that of a point or of a joint that closes a loop')
+        if name not in scene.switched_off and motion.freedom not in driven:
+            driven.append(motion.freedom)
+        del effects[name]
+    bad = [name for name in driven if name not in mechanism.coordinates.index]
+    if bad:
+        raise IdentificationError(
+            f'{bad[0]}: expected drives in joints of the tree, got one in a joint that closes a '
+            'loop; cut the loop elsewhere')
+    order = mechanism.coordinates.index
+    bare = replace(scene, effects=effects, switched_off=tuple(
+        name for name in scene.switched_off if name in effects))
+    return bare, tuple(sorted(driven, key=order.__getitem__))
+
+
+def _refuse(data):
+    """Refuse effects whose forces do not follow from position, rate and acceleration."""
+    effects = data.effect_set
+    for name, element in effects.by_name.items():
+        record = effects.records[name]
+        if not effects.enabled[name] or record.drive() is not None:
+            continue
+        reason = (
+            'depends on the force in its joint' if record.feels_reactions else
+            'follows the time' if record.clock(0.0) is not None else
+            'has states of its own' if element.kind != JOINT_FRICTION and any(
+                state.role == OWN for state in element.states) else None)
+        if reason is not None:
+            raise IdentificationError(
+                f'effects.{name}: expected a force that follows from the motion, got '
+                f'{effect_type(record)}, which {reason}')
+
+
+def _expanded(scene, keys):
+    """Return the key paths that vary, bodies and vectors of theirs written out."""
+    known, found = numbers(scene), []
+    if isinstance(keys, str) or not len(keys):
+        raise IdentificationError(f'keys: expected a list of key paths, got {keys!r}')
+    for given in keys:
+        words = str(given).split('.')
+        below = [key for key, value in known.items()
+                 if key.startswith(f'{given}.') and value is not None
+                 and key.split('.')[3] in BODY_KEYS] if (
+                     words[:2] == ['mechanism', 'bodies']) else []
+        if words[0] not in VARIED:
+            raise IdentificationError(
+                f'{given}: expected a key path that begins with {among(VARIED)}, got '
+                f'{words[0]!r}')
+        for key in below or ['.'.join(resolve(scene, given))]:
+            if known[key] is None:
+                raise IdentificationError(f'{key}: expected a number in the scene to begin with, '
+                                          'got none')
+            if key in found:
+                raise IdentificationError(f'{key}: expected once, got it twice')
+            found.append(key)
+    massless = {body.name for body in scene.mechanism.bodies if body.massless}
+    for key in found:
+        words = key.split('.')
+        if words[:2] == ['mechanism', 'bodies'] and words[2] in massless:
+            raise IdentificationError(f'{key}: expected a body with mass, got a massless one')
+    return found
+
+
+def _arrays(given, size, name):
+    """Return names, and finite numbers as an array of shape (size, n, names)."""
+    names, arrays = list(given), [np.array(each, dtype=float) for each in given.values()]
+    arrays = [array.reshape(1, -1) if array.ndim == 1 and size == 1 else array
+              for array in arrays]
+    for joint, array in zip(names, arrays):
+        if array.ndim != 2 or array.shape[0] != size or array.shape[1] != arrays[0].shape[1]:
+            expected = '(n,)' if size == 1 else f'({size}, n)'
+            raise ValueError(f'{name}: {joint}: expected shape {expected}, the same for all '
+                             f'joints, got {np.shape(given[joint])}')
+        if not np.isfinite(array).all():
+            raise ValueError(f'{name}: {joint}: expected finite numbers')
+    count = arrays[0].shape[1] if arrays else 0
+    return names, np.array(arrays).reshape(len(names), size, count).transpose(1, 2, 0)
