@@ -100,7 +100,7 @@ def _identify(arguments, scene, joints):
           f'{scene.name}, motion from {", ".join(joints)}, efforts of '
           f'{", ".join(driven) or "no joint"}; condition number {found.condition:.4g}')
     if found.estimates:
-        print(text_table(('key', 'value', 'standard deviation', 'share', ''), [
+        print(text_table(('key', 'value', 'standard deviation', 'relative', ''), [
             (key, f'{one.value:.8g}', f'{one.deviation:.2g}', f'{100.0 * one.relative:.2g} %',
              'identified' if one.identified else 'not identified')
             for key, one in found.estimates.items()]))

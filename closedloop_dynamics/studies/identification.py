@@ -15,8 +15,9 @@ parameters the motion shows (base parameters, Gautier and Khalil 1990), found by
 with pivoting. The sums follow from weighted least squares, whose weights are the inverse standard
 deviations of what is left in each independent coordinate. All other numbers (lengths, coefficients
 of effects) are varied around that: variable projection, whose gradient is that of the whole
-problem (Golub and Pereyra 1973, Kaufman 1975). There are no derivatives by these numbers: they are
-central differences of fourth order, exact to rounding where the torques are linear in a number.
+problem (Golub and Pereyra 1973, Kaufman 1975). Derivatives by these numbers are central
+differences of fourth order: exact to rounding where the torques are polynomials in a number (a
+centre of mass, coefficients of most effects), and to some 1e-11 in lengths.
 
 """
 
@@ -29,7 +30,8 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
 
-from .inertial_parameters import BodyParameters, pseudo_inertia, unit_rows
+from .inertial_parameters import (
+    BodyParameters, numbers_of, pseudo_inertia, unit_rows)
 from ..core import types as t
 from ..core.codegen import space
 from ..effects.registry import effect_type
@@ -564,12 +566,18 @@ class _Along:
         self.states = self._completed()
         self._find_tangents(own)
         self._find_unit_torques()
+        self._find_size()
         self._find_torques()
 
     def _take(self, scene):
         """Take the numbers of a scene."""
-        self.scene, self.data, mechanism = scene, Data(scene), scene.mechanism
+        self.data = Data(scene)
         self._gravity = self.data.system.model.gravity.copy()
+        self._take_bodies(scene)
+
+    def _take_bodies(self, scene):
+        """Take the numbers of bodies of a scene."""
+        self.scene, mechanism = scene, scene.mechanism
         self.bodies = tuple(
             BodyParameters(body, self._linear[body.name]) for body in mechanism.bodies
             if body.name in self._linear)
@@ -586,9 +594,18 @@ class _Along:
             return _Along(scene, self._linear, self._joints, self._motion, self._driven, self.own)
         other = object.__new__(_Along)
         other.__dict__.update(self.__dict__)
-        other._take(scene)
-        if not np.array_equal(other._gravity, self._gravity):
-            other._find_unit_torques()
+        if all(key.startswith('mechanism.bodies.') for key in keys):
+            other._take_bodies(scene)
+            # Linear in numbers of bodies: nothing else is to be evaluated.
+            for before, body in zip(self.scene.mechanism.bodies, scene.mechanism.bodies):
+                if body != before:
+                    other.size = other.size + self._units[body.name] @ (
+                        numbers_of(body) - numbers_of(before))
+        else:
+            other._take(scene)
+            if not np.array_equal(other._gravity, self._gravity):
+                other._find_unit_torques()
+            other._find_size()
         other._find_torques()
         return other
 
@@ -654,10 +671,13 @@ class _Along:
                 'of freedom open, such as the spin of a rod between two spherical joints: put a '
                 'universal joint at one end')
 
-    def _find_torques(self):
-        """Find the torques in the independent coordinates."""
+    def _find_size(self):
+        """Find all torques of the scene."""
         need = np.array([self.data.tree_torque(*state) for state in self.states])
         self.size = np.einsum('nvd,nv->nd', self._tangents, need)
+
+    def _find_torques(self):
+        """Find what the linear parameters take, and what is left of all torques."""
         self.regressor = np.stack(
             [self._units[one.body] @ one.numbers for one in self.parameters], axis=2) if (
                 self.parameters) else np.zeros((*self.size.shape, 0))

@@ -174,6 +174,24 @@ def _shifted(center):
     return center @ center * np.eye(3) - np.outer(center, center)
 
 
+def numbers_of(body) -> np.ndarray:
+    """
+    Return mass, first moments and inertia about the origin of a body, as ``Parameter.numbers``.
+
+    Parameters
+    ----------
+    body : mechanism.mechanism.Body
+        Possible or not.
+
+    """
+    center = np.array(body.center_of_mass)
+    if len(center) == 2:
+        return np.array([body.mass, *(body.mass * center),
+                         body.inertia + body.mass * (center @ center)])
+    about = space.inertia_matrix(body.inertia) + body.mass * _shifted(center)
+    return np.array([body.mass, *(body.mass * center), *(about[pair] for pair in PAIRS)])
+
+
 def pseudo_inertia(body) -> np.ndarray:
     """
     Return the pseudo-inertia matrix of a body, positive definite where it can exist.

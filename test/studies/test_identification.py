@@ -8,10 +8,10 @@ from dataclasses import replace
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.completion import CompletionError
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
+from closedloop_dynamics.simulation.motions import moving
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.excitation import excite
@@ -93,15 +93,39 @@ def test_parameters_that_are_known_alone_are_exact():
     assert not (found.unknown or found.unseen or found.combinations or found.impossible)
 
 
-def test_parameters_of_a_robot_in_space_are_exact():
-    scene = load_scene('delta_robot')
-    motion, effort, _ = run(scene, 1.0, 40)
-    keys = [f'mechanism.bodies.{body}.mass' for body in ('platform', 'arm_1', 'rod_21')]
-    truth = {key: numbers(scene)[key] for key in keys}
-    found = identify(
-        other(scene, {key: 2.0 * value for key, value in truth.items()}), keys, motion, effort)
+def driven(scene, courses, count):
+    """Return motion and efforts of joints whose motion is prescribed, by expressions in t."""
+    simulation = Simulation(moving(scene, courses))
+    places = [simulation.joint_names.index(name) for name in courses]
+    rows, efforts = [], []
+    for _ in range(count):
+        simulation.step(None, 0.02)
+        rows.append([each[places] for each in (
+            simulation.position[simulation.coordinates.place], simulation.velocity,
+            simulation.acceleration)])
+        efforts.append(simulation.effort[places])
+    motion, efforts = np.array(rows), np.array(efforts)
+    return ({name: motion[:, :, k].T for k, name in enumerate(courses)},
+            {name: efforts[:, k] for k, name in enumerate(courses)})
+
+
+def test_a_whole_body_in_space_is_exact():
+    # All of a platform that moves in all six directions: principal moments and centre of mass.
+    scene = load_scene('stewart_platform')
+    simulation = Simulation(scene)
+    courses = {name: f'{float(simulation.position[place])!r} + 0.02*sin({3 + k}*t)'
+               for k, name in enumerate(scene.mechanism.actuated_joints)
+               for place in [simulation.coordinates.place[simulation.joint_names.index(name)]]}
+    motion, effort = driven(scene, courses, 40)
+    body = 'mechanism.bodies.platform'
+    truth = {key: value for key, value in numbers(scene).items() if key.startswith(f'{body}.')}
+    assert len(truth) == 7
+    start = other(scene, {f'{body}.mass': 15.0, f'{body}.center_of_mass.0': 0.0,
+                          f'{body}.center_of_mass.2': 0.1})
+    found = identify(start, [body, 'mechanism.bodies.piston_1.mass'], motion, effort)
     for key, value in truth.items():
-        assert found.estimates[key].value == pytest.approx(value, rel=1e-9)
+        assert found.estimates[key].value == pytest.approx(value, rel=1e-9, abs=1e-9), key
+    assert found.estimates['mechanism.bodies.piston_1.mass'].value == pytest.approx(0.8, rel=1e-9)
 
 
 @pytest.mark.parametrize('name, torque', [('three_rrr_horizontal', 2.0), ('bennett', 0.3)])
@@ -224,19 +248,26 @@ def test_what_does_not_move_is_named():
 
 def test_a_drive_with_a_prescribed_motion_has_an_effort():
     scene = load_scene('four_bar')
-    moved = replace(scene, effects={**scene.effects, 'drive': PrescribedMotion(
-        'expression', joint='crank_joint', expression='1.0472 + sin(5*t)')})
-    simulation = Simulation.from_scene(moved, accuracy=1e-9)
-    rows, efforts = [], []
-    for _ in range(40):
-        simulation.step(None, 0.02)
-        rows.append([each[0] for each in (
-            simulation.position, simulation.velocity, simulation.acceleration)])
-        efforts.append(simulation.effort[0])
+    course = {'crank_joint': '1.0472 + sin(5*t)'}
+    motion, effort = driven(scene, course, 40)
+    moved = other(moving(scene, course), {f'{COUPLER}.mass': 2.0})
     assert measured_joints(moved) == ('crank_joint',)
-    found = identify(other(moved, {f'{COUPLER}.mass': 2.0}), [f'{COUPLER}.mass'],
-                     {'crank_joint': np.array(rows).T}, {'crank_joint': efforts})
+    found = identify(moved, [f'{COUPLER}.mass'], motion, effort)
     assert found.estimates[f'{COUPLER}.mass'].value == pytest.approx(1.0, rel=1e-9)
+
+
+def test_rotors_payload_and_friction_of_drives_are_exact():
+    scene = load_scene('three_rrr_payload_friction')
+    motion, effort = driven(scene, {
+        'theta_1': '1.0467 + 0.15*sin(3*t)', 'theta_6': '4.1883 + 0.15*sin(4*t) - 0.1*sin(2*t)',
+        'theta_7': '5.7637 + 0.12*sin(5*t)'}, 40)
+    keys = ['effects.part.mass', 'effects.gear_6.coulomb', 'effects.rotor_1.inertia',
+            'effects.grease_2.coefficient']
+    truth = {key: numbers(scene)[key] for key in keys}
+    found = identify(
+        other(scene, {key: 1.5 * value for key, value in truth.items()}), keys, motion, effort)
+    for key, value in truth.items():
+        assert found.estimates[key].value == pytest.approx(value, rel=1e-9), key
 
 
 def test_an_impossible_body_is_reported():
@@ -284,9 +315,7 @@ def test_an_excitation_is_better_than_chance_and_within_its_amplitude():
     # Rates and accelerations belong to the positions, and the text to all of them.
     np.testing.assert_allclose(np.gradient(motion[0], 0.002)[5:-5], motion[1, 5:-5], atol=1e-3)
     np.testing.assert_allclose(np.gradient(motion[1], 0.002)[5:-5], motion[2, 5:-5], atol=1e-2)
-    moved = replace(scene, effects={**scene.effects, 'drive': PrescribedMotion(
-        'expression', joint='crank_joint', expression=str(series))})
-    simulation = Simulation.from_scene(moved)
+    simulation = Simulation(moving(scene, {'crank_joint': str(series)}))
     simulation.step(None, 0.5)
     assert simulation.position[0] == pytest.approx(motion[0, 250], abs=1e-6)
 
