@@ -29,6 +29,7 @@ from typing import Dict, NamedTuple, Optional, Tuple
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 from scipy.optimize import least_squares
+from scipy.special import stdtrit
 
 from .inertial_parameters import (
     BodyParameters, numbers_of, pseudo_inertia, unit_rows)
@@ -54,8 +55,8 @@ DEPENDENT, NOTHING, UNSEEN = 1e-8, 1e-7, 1e-11
 UNDECIDED = 1e-6
 # A parameter is identified where its standard deviation is below this share of it.
 IDENTIFIED = 0.1
-# Of a normal distribution, for intervals of 95 %.
-QUANTILE = 1.959963984540054
+# Of intervals: how often they hold the true value.
+CONFIDENCE = 0.95
 # Weights are found anew so many times; no standard deviation is below this share of the torques.
 WEIGHTINGS, LEAST_DEVIATION = 3, 1e-12
 # Differences by a number: the step, as a share of the number, and weights by steps.
@@ -89,11 +90,14 @@ class Estimate(NamedTuple):
         In the SI unit of its key.
     deviation : float
         Standard deviation; of efforts whose errors are independent of one another.
+    freedom : float
+        Degrees of freedom that it was found with: instants, less parameters by coordinate.
 
     """
 
     value: float
     deviation: float
+    freedom: float
 
     @property
     def relative(self):
@@ -108,7 +112,9 @@ class Estimate(NamedTuple):
     @property
     def interval(self):
         """Return the ends of the interval that holds the true value in 95 % of all cases."""
-        return (self.value - QUANTILE * self.deviation, self.value + QUANTILE * self.deviation)
+        # Student's distribution, as the standard deviation is an estimate, too.
+        size = stdtrit(self.freedom, 0.5 + 0.5 * CONFIDENCE) * self.deviation
+        return self.value - size, self.value + size
 
 
 class Combination(NamedTuple):
@@ -751,8 +757,8 @@ class _Linear:
         if len(places):
             self._solve(scaled, places, lengths, flat, _flat(wanted, deviations))
         self.residuals = matrix @ self.values - wanted
-        count = len(wanted) - len(self._base) / wanted.shape[1]
-        self.deviations = np.sqrt(np.sum(self.residuals ** 2, axis=0) / count)
+        self._freedom = len(wanted) - len(self._base) / wanted.shape[1]
+        self.deviations = np.sqrt(np.sum(self.residuals ** 2, axis=0) / self._freedom)
 
     def _solve(self, scaled, places, lengths, flat, wanted):
         orthogonal, upper, order = qr(scaled, mode='economic', pivoting=True)
@@ -778,7 +784,8 @@ class _Linear:
         """Return the sum of a base parameter."""
         value = sum(factor * self.values[other] for other, factor in self.sums[place].items())
         inner = self._base.tolist().index(place)
-        return Estimate(float(value), math.sqrt(self._covariance[inner, inner]))
+        return Estimate(
+            float(value), math.sqrt(self._covariance[inner, inner]), self._freedom)
 
     def estimate_of(self, function, places):
         """Return a function of some base parameters, by name, each known alone."""
@@ -787,7 +794,8 @@ class _Linear:
         gradient = np.array([np.imag(function(
             {**values, name: values[name] + 1e-30j})) / 1e-30 for name in places])
         variance = gradient @ self._covariance[np.ix_(inner, inner)] @ gradient
-        return Estimate(float(np.real(function(values))), math.sqrt(max(variance, 0.0)))
+        return Estimate(
+            float(np.real(function(values))), math.sqrt(max(variance, 0.0)), self._freedom)
 
 
 def _flat(array, deviations):

@@ -187,7 +187,7 @@ def test_intervals_of_95_percent_hold_the_truth_as_often():
             (one.interval for one in estimates), truth)])
         values.append([one.value for one in estimates])
     assert 0.93 <= np.mean(inside) <= 0.97
-    assert ((np.mean(inside, axis=0) >= 0.92) & (np.mean(inside, axis=0) <= 0.98)).all()
+    assert ((np.mean(inside, axis=0) >= 0.93) & (np.mean(inside, axis=0) <= 0.97)).all()
     # As wide as they have to be.
     told = [found.estimates[key].deviation for key in keys]
     np.testing.assert_allclose(np.std(values, axis=0), told, rtol=0.3)
