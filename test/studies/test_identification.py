@@ -93,6 +93,41 @@ def test_parameters_that_are_known_alone_are_exact():
     assert not (found.unknown or found.unseen or found.combinations or found.impossible)
 
 
+@pytest.mark.parametrize('names', [
+    ('theta_1',), ('theta_1', 'theta_2', 'theta_6', 'theta_7'), ()],
+    ids=['fewer', 'more', 'none'])
+def test_drives_may_be_fewer_or_more_than_degrees_of_freedom(names):
+    scene = load_scene('three_rrr_horizontal')
+    mechanism = scene.mechanism
+    scene = replace(scene, mechanism=replace(mechanism, joints=tuple(
+        replace(joint, actuated=joint.name in names) for joint in mechanism.joints)))
+    simulation, random = Simulation.from_scene(scene, accuracy=1e-9), np.random.default_rng(0)
+    # Thrown, where nothing drives it.
+    simulation.set_state(simulation.position, dict(zip(
+        ('theta_1', 'theta_6', 'theta_7'), (0.5, -0.3, 0.4))),
+        hold=('theta_1', 'theta_6', 'theta_7'))
+    joints = measured_joints(scene)
+    assert len(joints) == (4 if len(names) == 4 else 7)
+    places, drives = ([simulation.joint_names.index(name) for name in some]
+                      for some in (joints, names))
+    rows, efforts = [], []
+    for _ in range(60):
+        simulation.step(2.0 * random.normal(size=len(names)) if names else None, 0.01)
+        rows.append([each[places] for each in (
+            simulation.position, simulation.velocity, simulation.acceleration)])
+        efforts.append(simulation.effort[drives])
+    motion = {name: np.array(rows)[:, :, k].T for k, name in enumerate(joints)}
+    effort = {name: np.array(efforts)[:, k] for k, name in enumerate(names)}
+    key = 'mechanism.bodies.platform.mass'
+    start = other(scene, {key: 3.0})
+    found = identify(start, [key], motion, effort)
+    assert found.estimates[key].value == pytest.approx(8.0, rel=1e-9)
+    if not names:
+        # Without a torque all masses may be twice as large.
+        with pytest.raises(IdentificationError, match='known but for a common factor'):
+            identify(start, ['mechanism.bodies'], motion, effort)
+
+
 def driven(scene, courses, count):
     """Return motion and efforts of joints whose motion is prescribed, by expressions in t."""
     simulation = Simulation(moving(scene, courses))
