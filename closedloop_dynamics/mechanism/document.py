@@ -217,6 +217,47 @@ def plain(value):
     return value
 
 
+def with_scalars(path, values):
+    """
+    Return the text of a YAML file with other scalars, all else as it stands, comments too.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of a file that ``Document`` reads.
+    values : dict of tuple of str to str
+        By keys, with places in lists as numbers in text: what is written in the place of a
+        scalar.
+
+    Returns
+    -------
+    str or None
+        None where one of them stands nowhere in the file, or within something with an anchor.
+
+    """
+    text = Path(path).read_text(encoding='utf-8-sig')
+    root, places = yaml.compose(text, Loader=yaml.SafeLoader), []
+    if any(isinstance(token, (yaml.AnchorToken, yaml.AliasToken)) for token in yaml.scan(
+            text, Loader=yaml.SafeLoader)):
+        return None
+    for keys, value in values.items():
+        node = root
+        for key in keys:
+            if isinstance(node, yaml.MappingNode):
+                node = next((below for one, below in node.value if one.value == key), None)
+            elif isinstance(node, yaml.SequenceNode) and key.isdecimal() and (
+                    int(key) < len(node.value)):
+                node = node.value[int(key)]
+            else:
+                node = None
+        if not isinstance(node, yaml.ScalarNode):
+            return None
+        places.append((node.start_mark.index, node.end_mark.index, value))
+    for start, end, value in sorted(places, reverse=True):
+        text = text[:start] + value + text[end:]
+    return text
+
+
 def _require_plain(event):
     """Refuse a tag that makes something else of a value or a key."""
     if event.tag not in _TAGS:
