@@ -19,8 +19,8 @@ from ..simulation.signals import Interrupted, program_watch
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
     'formulations', 'identify', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes',
-    'plot', 'recover', 'replay', 'report', 'simulate', 'stability', 'sweep', 'urdf', 'view',
-    'workspace')}
+    'optimise', 'plot', 'recover', 'replay', 'report', 'simulate', 'stability', 'sweep',
+    'urdf', 'view', 'workspace')}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\

@@ -275,7 +275,42 @@ def over_drive(curves, label, title, common=()):
     return figure
 
 
-def overlaid_paths(paths, view, title):
+def pareto_front(front, others, before, labels, title):
+    """
+    Draw what machines reach of two aims.
+
+    Parameters
+    ----------
+    front, others : ndarray, shape (n, 2)
+        Both aims of the machines on the front, and of those that it is better than.
+    before : sequence of 2 floats, or None
+        Those of the machine as it was.
+    labels : sequence of 2 str
+        What the aims are.
+    title : str
+        Of the picture.
+
+    """
+    figure = matplotlib.figure.Figure(
+        figsize=(8.0, 6.0), layout='constrained', dpi=DOTS_PER_INCH)
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    axes = figure.subplots()
+    if len(others):
+        axes.plot(*np.transpose(others), 'o', markersize=4, color='0.7', label='others')
+    axes.plot(*np.transpose(front), marker='o', label='Pareto front', **_style(0))
+    for number, place in enumerate(front, 1):
+        axes.annotate(str(number), place, xytext=(5, 5), textcoords='offset points', fontsize=8)
+    if before is not None:
+        axes.plot(*before, marker='s', linestyle='', color=_style(1)['color'], label='before')
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    _plain(axes)
+    axes.margins(0.08)
+    axes.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def overlaid_paths(paths, view, title, marked=()):
     """
     Draw the paths of points of several machines in one picture.
 
@@ -287,12 +322,16 @@ def overlaid_paths(paths, view, title):
         In which they are seen.
     title : str
         Of the picture.
+    marked : sequence of ndarray, shape (m, 2), in space (m, 3)
+        Places that are marked [m].
 
     """
     figure = matplotlib.figure.Figure(
         figsize=(9.0, 7.0), layout='constrained', dpi=DOTS_PER_INCH)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
     axes = figure.subplots()
+    for places in marked:
+        axes.plot(*view.project(places).T, marker='x', linestyle='', color='black')
     for k, (machine, points) in enumerate(paths.items()):
         for n, places in enumerate(points.values()):
             seen = view.project(places)

@@ -1,0 +1,318 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop optimise``: the numbers of a machine that make an expression least."""
+
+from argparse import ArgumentTypeError
+from dataclasses import replace
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from .command import (
+    add_directory, add_reading, add_scene, add_set, Command, FAILED, free_paths, mapping,
+    read_scene, require_writable, UsageError, with_numbers)
+from .kinematics import add_drive, paced, value_of
+from ..mechanism.csv_columns import read_columns
+from ..mechanism.fields import at, FieldError
+from ..simulation.errors import AssemblyError
+from ..simulation.key_paths import numbers
+from ..simulation.scene import load_scene
+from ..simulation.scene_edit import write_with_numbers
+from ..simulation.scene_text import write_scene
+from ..simulation.signals import program_watch
+from ..studies.objectives import places_named
+from ..studies.optimise import (
+    aims_of, FRONT, OptimumFileError, POSES, problem_of, solve, STARTS)
+from ..studies.quantities import Infeasible
+from ..visual.progress import announced, parts_bar
+from ..visual.tables import text_table, write_csv
+
+SCENE, RESULTS, PATHS, TABLE, PICTURE = (
+    'optimised.yaml', 'results.jsonl', 'paths.png', 'front.csv', 'front.png')
+# A number this near to the end of its range, of the range, is at it.
+AT_END = 1e-6
+# Relative difference of an aim of the file that was written, from what was found.
+SAME = 1e-6
+MOST_REASONS = 5
+# Poses at least of paths that are drawn.
+FINE = 361
+
+
+def _add_arguments(parser):
+    add_scene(parser)
+    add_reading(parser)
+    what = parser.add_argument_group('what is looked for')
+    what.add_argument('--vary', type=_range, action='append', required=True,
+                      metavar='KEY=LOW:HIGH',
+                      help='a number of the scene or its mechanism by its key path, and its '
+                           'range; units deg, rad, mm, m; may be repeated')
+    what.add_argument('--minimise', action='append', required=True, metavar='EXPRESSION',
+                      help='of quantities over the motion, see below; given twice, the Pareto '
+                           'front of both is found')
+    what.add_argument('--subject-to', action='append', default=[], metavar='REQUIREMENT',
+                      help='"EXPRESSION >= EXPRESSION", or <=; may be repeated')
+    add_drive(parser, f' (default: one turn of the one actuated joint, or from limit to limit, in '
+                      f'{POSES} poses)')
+    add_set(parser)
+    how = parser.add_argument_group('how it is looked for')
+    how.add_argument('--starts', type=_count, default=STARTS, metavar='N',
+                     help='the scene as it is, and N - 1 machines that are drawn (default: '
+                          f'{STARTS})')
+    how.add_argument('--front', type=_count, default=FRONT, metavar='N',
+                     help=f'machines on the front of two aims, 3 or more (default: {FRONT})')
+    how.add_argument('--seed', type=_number, default=0, metavar='N',
+                     help='of the draws; the same seed finds the same (default: 0)')
+    how.add_argument('--workers', type=_count, metavar='N',
+                     help='processes on this machine (default: one for each processor, as soon '
+                          'as there is enough to do)')
+    how.add_argument('--resume', action='store_true',
+                     help='go on with what is in the directory')
+    add_directory(parser, f'{SCENE}, {PATHS} (before and after) and {RESULTS}; of two aims '
+                          f'{TABLE}, {PICTURE} and a scene of each machine, front_1.yaml, ...')
+
+
+def _range(text):
+    """Convert ``KEY=LOW:HIGH`` to a pair."""
+    key, equals, ends = text.partition('=')
+    values = [value_of(part) for part in ends.split(':')]
+    if not (key and equals and len(values) == 2 and None not in values):
+        raise ArgumentTypeError(f'expected KEY=LOW:HIGH, got {text!r}')
+    return key, tuple(values)
+
+
+def _number(text):
+    if not text.isdecimal():
+        raise ArgumentTypeError(f'expected a whole number, got {text!r}')
+    return int(text)
+
+
+def _count(text):
+    if not (text.isdecimal() and int(text) > 0):
+        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
+    return int(text)
+
+
+def _run(arguments):
+    if len(arguments.minimise) > 2:
+        raise UsageError(f'--minimise: expected it once or twice, got {len(arguments.minimise)}')
+    if arguments.resume and arguments.output is None:
+        raise UsageError('--resume: expected it with --output')
+    two = len(arguments.minimise) == 2
+    if two and arguments.front < 3:
+        raise UsageError(f'--front: expected 3 machines or more, got {arguments.front}')
+    directory = arguments.output
+    if not arguments.resume:
+        free_paths(arguments, RESULTS, SCENE, PATHS, *([TABLE, PICTURE] if two else []))
+    if directory is not None:
+        directory.mkdir(parents=True, exist_ok=True)
+        require_writable(directory, '--output')
+    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
+    with program_watch.noting() as received:
+        problem = _problem(arguments, scene)
+        with parts_bar('searches', scene.name) as show:
+            try:
+                optimum = solve(
+                    problem, arguments.starts, arguments.front,
+                    None if directory is None else directory / RESULTS, arguments.resume,
+                    arguments.workers, show, lambda: not received)
+            except (FieldError, OptimumFileError) as error:
+                raise UsageError(str(error)) from None
+    best = optimum.best
+    print(_summary(optimum))
+    if not optimum.finished:
+        kept = '' if directory is None else (
+            '; what is written is kept, and the same command with --resume goes on')
+        print(f'{arguments.prog}: interrupted{kept}', file=sys.stderr)
+        return 128 + received[0]
+    if best is None or (two and not optimum.front):
+        print(f'{arguments.prog}: no machine was found that meets all requirements',
+              file=sys.stderr)
+        return FAILED
+    if directory is None:
+        return 0
+    machines = {SCENE: best} if not two else {
+        f'front_{number}.yaml': one for number, one in enumerate(optimum.front, 1)}
+    written = [file for name, one in machines.items()
+               for file in _write(arguments, optimum, one, directory / name)]
+    try:
+        with announced('Drawing ...'):
+            written += _draw(optimum, machines, directory)
+    except Infeasible as error:
+        raise UsageError(f'--drive: expected more poses, as between them {error}') from None
+    print('\n'.join(map(str, [*written, directory / RESULTS])))
+    return 0
+
+
+def _problem(arguments, scene):
+    """Return the problem of a command line."""
+    count = 2 if scene.mechanism.planar else 3
+    try:
+        drives, poses, speed = paced(arguments, scene, POSES)
+    except AssemblyError as error:
+        raise UsageError(f'{scene.name}: {error}') from None
+    except ValueError as error:
+        raise error if isinstance(error, UsageError) else UsageError(
+            f'--drive: {error}') from None
+    texts = [*arguments.minimise, *arguments.subject_to]
+    try:
+        with at('distance'):
+            paths = {name: np.transpose(read_columns(name, Path(), count))
+                     for text in texts for name in places_named(text)}
+        return problem_of(
+            scene, mapping(arguments.vary, '--vary'), arguments.minimise, arguments.subject_to,
+            drives, poses=poses, speed=speed, branch=arguments.branch, seed=arguments.seed,
+            paths=paths)
+    except FieldError as error:
+        raise UsageError(f'--{str(error).replace("subject_to", "subject-to")}') from None
+    except ValueError as error:
+        raise UsageError(f'--drive: {error}') from None
+
+
+def _summary(optimum):
+    """Return what was found, as text."""
+    problem, best = optimum.problem, optimum.best
+    all_found = optimum.starts.values()
+    lines = [f'{problem.scene.name}: {len(optimum.starts)} searches, '
+             f'{sum(one.evaluations for one in all_found)} machines driven, '
+             f'{sum(one.gradients for one in all_found)} of them with derivatives']
+    if optimum.refused:
+        lines.append(f'  {sum(optimum.refused.values())} more could not be assembled or driven:')
+        lines += [f'  {count:8}  {reason}'
+                  for reason, count in optimum.refused.most_common(MOST_REASONS)]
+    if problem.before is None:
+        lines.append(f'  before: {problem.without}')
+    if best is None:
+        return '\n'.join(lines)
+    known = numbers(problem.scene)
+    before = problem.before or [math.nan] * len(problem.aims)
+    shown = optimum.front or [best]
+    header = ['', 'before', *(['after'] if len(shown) == 1 else map(str, range(
+        1, len(shown) + 1))), 'range']
+    rows = [[one.text, _short(value), *(_short(each.aims[k]) for each in shown), '']
+            for k, (one, value) in enumerate(zip(problem.aims, before))]
+    rows += [[one.text, '', *('met' for _ in shown), ''] for one in problem.requirements]
+    for k, one in enumerate(problem.variables):
+        values = [each.values[k] for each in shown]
+        rows.append([one.key, _short(known[one.key]), *(
+            _short(value) + _end(value, one) for value in values),
+            f'{one.low:.6g} to {one.high:.6g}'])
+    lines.append(text_table(header, rows))
+    if any('*' in cell for row in rows for cell in row[2:-1]):
+        lines.append('  *: at the end of its range')
+    return '\n'.join(lines)
+
+
+def _end(value, variable):
+    room = AT_END * (variable.high - variable.low)
+    return ' *' if min(value - variable.low, variable.high - value) <= room else ''
+
+
+def _short(value):
+    return '-' if math.isnan(value) else f'{value:.6g}'
+
+
+def _write(arguments, optimum, found, path):
+    """Write the scene of a machine, and see that it is this machine."""
+    scene = optimum.problem.scene
+    values = {**mapping(arguments.set, '--set'), **{
+        key: value for key, value in numbers(optimum.scene(found)).items()
+        if key.startswith('initial.position.')},
+        **dict(zip((one.key for one in optimum.problem.variables), found.values))}
+    files, kept = write_with_numbers(scene, values, path)
+    if not _has_aims(optimum.problem, path, found):
+        write_scene(optimum.scene(found), path)
+        files, kept = [path], False
+        if not _has_aims(optimum.problem, path, found):
+            raise UsageError(f'{path}: the scene that was written does not close its loops as '
+                             'the machine that was found does')
+    if not kept:
+        print(f'{arguments.prog}: {path.name}: the whole scene, without the comments of its '
+              'file, which does not have these numbers in places of their own', file=sys.stderr)
+    return files
+
+
+def _has_aims(problem, path, found):
+    try:
+        aims = aims_of(problem, load_scene(path))
+    except Infeasible:
+        return False
+    # Beside the size of what was there before, as an aim may be zero.
+    sizes = np.abs(problem.before or found.aims) + np.abs(found.aims)
+    return bool((np.abs(np.subtract(aims, found.aims)) <= SAME * sizes + 1e-12).all())
+
+
+def _draw(optimum, machines, directory):
+    """Draw paths before and after, and the front; return the files."""
+    # Only here, as it takes long to load.
+    from ..visual import pictures
+    from ..visual.motion import named_paths
+    from ..visual.views import FRONT as FROM_THE_FRONT, PLANE
+    problem, files = optimum.problem, []
+    traced, driven = {}, replace(
+        optimum.problem.driven, poses=max(FINE, optimum.problem.driven.poses))
+    if problem.before is not None:
+        run = driven.run(problem.scene)
+        traced['before'] = named_paths(run.mechanism, run.position)
+    for name, one in machines.items():
+        run = driven.run(optimum.scene(one))
+        label = 'after' if len(machines) == 1 else Path(name).stem.replace('_', ' ')
+        traced[label] = named_paths(run.mechanism, run.position)
+    if problem.scene.mechanism.points:
+        view = PLANE if problem.scene.mechanism.planar else FROM_THE_FRONT
+        pictures.overlaid_paths(
+            traced, view, f'{problem.scene.name}: paths of named points',
+            list(problem.paths.values())).savefig(directory / PATHS)
+        files.append(directory / PATHS)
+    if len(problem.aims) == 2:
+        front = np.array([one.aims for one in optimum.front])
+        labels = [one.text for one in problem.aims]
+        write_csv(directory / TABLE, ['scene', *labels, *(
+            one.key for one in problem.variables)], [
+                [name, *one.aims, *one.values] for name, one in machines.items()])
+        others = [one.aims for one in optimum.starts.values()
+                  if one.feasible and (np.abs(front - one.aims) > SAME * np.abs(
+                      front)).any(axis=1).all()]
+        pictures.pareto_front(
+            front, np.array(others), problem.before, labels,
+            f'{problem.scene.name}: Pareto front').savefig(directory / PICTURE)
+        files += [directory / TABLE, directory / PICTURE]
+    return files
+
+
+COMMAND = Command(
+    name='optimise',
+    summary='the numbers of a machine that make an expression least, or the front of two',
+    description="""\
+Vary numbers of a scene within ranges so that an expression of its quantities over a driven
+motion becomes least, under requirements; of two expressions, find the Pareto front. Several
+starts are gone through by SciPy's optimisers (least_squares, SLSQP) with derivatives. A machine
+that cannot be assembled, or not be driven all the way, is no result, and counted.
+
+Expressions are arithmetic (+ - * / **, sqrt, abs, sin, ...) of numbers (with units deg, rad, mm,
+m), numbers of the scene (parameters.l) and, over the motion:
+
+  max(Q), min(Q), mean(Q), rms(Q)      of quantities Q: force.JOINT, torque.DRIVE, power.DRIVE,
+                                       position.JOINT, velocity.JOINT, acceleration.JOINT,
+                                       POINT.x, transmission_angle, shaking_force,
+                                       shaking_moment, deviation(POINT)
+  straightness(POINT)                  largest distance of its path from a straight line
+  distance(POINT, FILE.csv)            of places x,y in a file from its path, root mean square
+  part(Q, FROM, TO)                    Q where the drive is between two values
+""",
+    epilog="""\
+examples:
+  closedloop optimise four_bar --vary mechanism.cut_joints.cut_1.point_b.0=0.2:0.3 \\
+      --vary mechanism.joints.coupler_joint.position.0=50mm:120mm \\
+      --minimise "max(force.cut_1)" --subject-to "min(transmission_angle) >= 40deg" \\
+      --subject-to "max(position.rocker_joint) - min(position.rocker_joint) >= 30deg"
+  closedloop optimise four_bar --vary mechanism.points.coupler_point.position.0=0:0.3 \\
+      --vary mechanism.points.coupler_point.position.1=-0.1:0.2 --output straight \\
+      --minimise "straightness(part(coupler_point, 90deg, 270deg))"
+
+Exit code 1 where no machine meets all requirements.
+""",
+    add_arguments=_add_arguments,
+    run=_run)
