@@ -20,7 +20,7 @@ from ..mechanism.fields import at, FieldError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import numbers
 from ..simulation.scene import load_scene
-from ..simulation.scene_edit import write_with_numbers
+from ..simulation.scene_edit import MECHANISM, write_with_numbers
 from ..simulation.scene_text import write_scene
 from ..simulation.signals import program_watch
 from ..studies.objectives import places_named
@@ -105,7 +105,10 @@ def _run(arguments):
         raise UsageError(f'--front: expected 3 machines or more, got {arguments.front}')
     directory = arguments.output
     if not arguments.resume:
-        free_paths(arguments, RESULTS, SCENE, PATHS, *([TABLE, PICTURE] if two else []))
+        scenes = [SCENE] if not two else _front_names(arguments.front)
+        free_paths(arguments, RESULTS, PATHS, *scenes, *(
+            MECHANISM.format(Path(name).stem) for name in scenes),
+            *([TABLE, PICTURE] if two else []))
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
         require_writable(directory, '--output')
@@ -133,8 +136,8 @@ def _run(arguments):
         return FAILED
     if directory is None:
         return 0
-    machines = {SCENE: best} if not two else {
-        f'front_{number}.yaml': one for number, one in enumerate(optimum.front, 1)}
+    machines = {SCENE: best} if not two else dict(
+        zip(_front_names(len(optimum.front)), optimum.front))
     written = [file for name, one in machines.items()
                for file in _write(arguments, optimum, one, directory / name)]
     try:
@@ -144,6 +147,11 @@ def _run(arguments):
         raise UsageError(f'--drive: expected more poses, as between them {error}') from None
     print('\n'.join(map(str, [*written, directory / RESULTS])))
     return 0
+
+
+def _front_names(count):
+    """Return the names of the scenes of a front."""
+    return [f'front_{number}.yaml' for number in range(1, count + 1)]
 
 
 def _problem(arguments, scene):

@@ -207,7 +207,7 @@ def problem_of(scene, vary: Mapping[str, Tuple[float, float]], minimise: Sequenc
         raise FieldError('three poses or more', str(poses), path=('poses',))
     try:
         # What is no drive of this scene is refused; a machine that it does not move may come.
-        DrivenRun(scene, driven.drives, poses, driven.speed, branch)
+        DrivenRun(driven.start(scene), driven.drives, poses, driven.speed, branch)
     except SimulationError:
         pass
     places = {name: _places(name, values) for name, values in dict(paths).items()}
@@ -480,7 +480,8 @@ class _Search:
         """Close all further loops from where those of a start are closed, which is near."""
         scene = with_values(self._scene, self._problem.variables, self._values(z))
         self._scene = replace(self._scene, initial=replace(
-            self._scene.initial, position=tuple(start_position(scene).tolist())))
+            self._scene.initial, position=tuple(
+                start_position(self._problem.driven.start(scene)).tolist())))
         self._at = None
         return z
 
@@ -506,7 +507,8 @@ class _Search:
                          dict(self._refused))
         _, z, aims, missed = self._best
         values = self._values(z)
-        position = start_position(with_values(self._scene, self._problem.variables, values))
+        position = start_position(self._problem.driven.start(
+            with_values(self._scene, self._problem.variables, values)))
         return Found(tuple(values.tolist()), tuple(aims), float(missed),
                      tuple(position.tolist()), message, self._evaluations, self._gradients,
                      dict(self._refused))

@@ -12,7 +12,7 @@ polynomials, these are exact but for rounding.
 
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Dict, NamedTuple, Optional
 
@@ -61,6 +61,18 @@ class Driven:
     speed: float
     branch: Optional[int] = None
 
+    def start(self, scene):
+        """
+        Return a scene that holds nothing at its start, unless driven joints alone are held.
+
+        With other lengths, loops need not close where other joints are held; they close in the
+        nearest position then.
+
+        """
+        if set(scene.initial.hold) <= set(self.drives):
+            return scene
+        return replace(scene, initial=replace(scene.initial, hold=()))
+
     def run(self, scene):
         """
         Drive a machine all the way.
@@ -71,7 +83,8 @@ class Driven:
 
         """
         try:
-            run = DrivenRun(scene, self.drives, self.poses, self.speed, self.branch)
+            run = DrivenRun(
+                self.start(scene), self.drives, self.poses, self.speed, self.branch)
         except (SimulationError, ValueError) as error:
             raise Infeasible(str(error)) from None
         if run.end is not None:

@@ -64,6 +64,47 @@ def test_derivatives_are_those_of_differences(text, tolerance):
     assert np.abs(wanted).max() > 0.0
 
 
+def test_derivatives_in_space_and_of_driven_points():
+    manipulator = load_scene('three_rrr_vertical')
+    model = manipulator.model()
+    start = model.assemble()
+    x, y = model.evaluate(start).points['platform_center']
+    theta = start.q[model.coordinates.index['theta_1']]
+    for scene, drives, keys, text in (
+            (load_scene('rssr_four_bar'), {'crank': Drive(0.0, 2.0 * math.pi)},
+             ('mechanism.joints.tip.position.0', 'mechanism.bodies.rocker.mass'),
+             'min(transmission_angle) + rms(shaking_moment) + straightness(rocker_end)'),
+            (manipulator, {'platform_center.x': Drive(x, x + 0.04),
+                     'platform_center.y': Drive(y, y - 0.02), 'theta_1': Drive(theta, theta)},
+             ('mechanism.points.platform_center.position.0',
+              'mechanism.joints.theta_2.position.0'),
+             'rms(torque.theta_1) * max(position.theta_6)')):
+        one, how = Expression(text, scene, drives), Driven(drives, 7, 1.0)
+        variables = [Variable(key, *sorted((0.8 * numbers(scene)[key], 1.2 * numbers(scene)[key])))
+                     if numbers(scene)[key] else Variable(key, -0.1, 0.1) for key in keys]
+        found, wanted = one.value(Quantities(scene, how).by(variables)), []
+        for variable in variables:
+            values = [numbers(scene)[variable.key] + step for step in (1e-5, -1e-5)]
+            above, below = (float(one.value(Quantities(
+                with_values(scene, [variable], [value]), how)).value) for value in values)
+            wanted.append((above - below) / 2e-5)
+        np.testing.assert_allclose(found.slope, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_scene_that_holds_other_joints_than_the_driven_one(tmp_path):
+    # Whose rocker stands elsewhere with another crank.
+    problem = problem_of('rssr_four_bar', {'mechanism.joints.tip.position.0': (0.08, 0.12)},
+                         ['straightness(rocker_end)'], poses=13,
+                         drives={'crank': Drive(0.0, 2.0 * math.pi)})
+    found = from_start(problem, 0, 0)
+    assert found.aims[0] < problem.before[0]
+    written, _ = write_with_numbers(problem.scene, {
+        **dict(zip([problem.variables[0].key], found.values)),
+        **{key: value for key, value in numbers(Optimum(problem).scene(found)).items()
+           if key.startswith('initial.position.')}}, tmp_path / 'found.yaml')
+    load_scene(written[0]).model().assemble()
+
+
 def test_poses_are_those_whose_largest_or_mean_square_the_value_is():
     scene = load_scene('four_bar')
     quantities = Quantities(scene, driven())
