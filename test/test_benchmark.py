@@ -48,6 +48,14 @@ def test_forward_dynamics_prints_times(benchmark, capsys):
         assert numbers[6] < 2000
 
 
+@pytest.mark.skipif(shutil.which('cc') is None, reason='needs a C compiler, called cc')
+def test_steps_of_exported_code_are_timed(benchmark, capsys):
+    assert benchmark('exported_code').main(['four_bar', '--quick']) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert '`four_bar`' in line
+    assert len([number for number in re.findall(r'[\d.]+', line) if float(number) > 0.0]) == 5
+
+
 def test_tables_of_the_accuracy_document_are_those_of_its_files(benchmark, tmp_path):
     document = benchmark('make_accuracy_doc')
     parts = document.passages(ROOT / 'doc' / 'pictures')

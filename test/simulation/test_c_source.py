@@ -6,7 +6,9 @@
 import ctypes
 from dataclasses import replace
 import math
+from pathlib import Path
 import re
+import runpy
 import shutil
 import subprocess
 
@@ -28,6 +30,7 @@ import pytest
 
 from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE
 
+ROOT = Path(__file__).resolve().parents[2]
 compiled = pytest.mark.skipif(
     shutil.which('cc') is None, reason='needs a C compiler, called cc, to compile what is written')
 STRICT = ('-std=c99', '-O1', '-Wall', '-Wextra', '-Wpedantic', '-Werror')
@@ -272,6 +275,15 @@ def test_casadi_gets_jacobians(scene, tmp_path):
                 found = np.array(blocks[3 * result + n])[:, place]
                 np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * max(
                     1.0, np.abs(expected).max(initial=0.0)))
+
+
+@compiled
+def test_a_predictive_controller_by_ipopt_reaches_its_goal():
+    pytest.importorskip('casadi', reason='needs casadi, from the Python package index')
+    example = runpy.run_path(str(ROOT / 'doc' / 'examples' / 'predictive_control.py'))
+    away, torques = example['control'](40)
+    assert away[0] > 0.2 and away[30:].max() < 0.03
+    assert 0.99 * example['LIMIT'] < np.abs(torques).max() <= example['LIMIT'] + 1e-6
 
 
 @compiled
