@@ -121,15 +121,16 @@ def test_co_simulation_is_our_run(scene, tmp_path):
 
 
 def test_model_exchange_goes_on_through_a_change_of_coordinates(tmp_path):
-    # The slider turns back where the crank is along the rod: only the crank decides there.
-    simulation = simulation_of('slider_crank', {'integrator': 'dop853', 'tolerance': 1e-12})
+    # It falls through positions that its drives no longer decide well.
+    simulation = simulation_of('three_rrr', PRECISE)
     unit = Unit(tmp_path, fmu(simulation, 'machine'))
-    instance = unit.started(exchange=True)
+    instance, other = unit.started(exchange=True), unit.started(exchange=True)
     names = [name for name in unit.place if re.fullmatch(r'\w+\.q', name)]
+    start = unit.get(other, names)
 
     def states(function='GetContinuousStates'):
-        found = np.zeros(2)
-        assert unit.call(function, instance, _pointer(found), c_size_t(2)) == 0
+        found = np.zeros(6)
+        assert unit.call(function, instance, _pointer(found), c_size_t(6)) == 0
         return found
 
     flags = [c_bool() for _ in range(5)]
@@ -137,10 +138,17 @@ def test_model_exchange_goes_on_through_a_change_of_coordinates(tmp_path):
     assert unit.call('EnterContinuousTimeMode', instance) == 0
 
     def slope(given):
-        assert unit.call('SetContinuousStates', instance, _pointer(given), c_size_t(2)) == 0
+        assert unit.call('SetContinuousStates', instance, _pointer(given), c_size_t(6)) == 0
         return states('GetContinuousStateDerivatives')
 
-    size, steps = 1e-3, 400
+    def chosen():
+        places = np.zeros(3, dtype=np.int32)
+        assert unit.call('GetInt32', instance, unit._places([
+            f'independent.freedom[{k}]' for k in (1, 2, 3)]), c_size_t(3), _pointer(places),
+            c_size_t(3)) == 0
+        return [simulation.joint_names[place] for place in places]
+
+    size, steps, changes = 2e-4, 3000, 0
     for _ in range(steps):
         x = states()
         one = slope(x)
@@ -153,8 +161,20 @@ def test_model_exchange_goes_on_through_a_change_of_coordinates(tmp_path):
             'CompletedIntegratorStep', instance, c_bool(1), byref(event), byref(end)) == 0
         if event.value:
             assert unit.call('EnterEventMode', instance) == 0
+            before, was, was_chosen = unit.get(instance, names), states(), chosen()
             assert unit.call('UpdateDiscreteStates', instance, *map(byref, flags), None) == 0
+            changed = chosen() != was_chosen
+            changes += changed
+            # What the states are and their values change, the mechanism does not.
+            assert [flag.value for flag in flags] == [False, False, changed, changed, False]
+            np.testing.assert_allclose(unit.get(instance, names), before, rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(
+                states()[:3], unit.get(instance, [f'{name}.q' for name in chosen()]))
+            assert (states() == was).all() != changed
             assert unit.call('EnterContinuousTimeMode', instance) == 0
+    assert changes >= 1
+    # The other instance has not moved.
+    np.testing.assert_array_equal(unit.get(other, names), start)
     simulation.step(None, steps * size)
     ours = simulation.position[[simulation.joint_names.index(name[:-2]) for name in names]]
     np.testing.assert_allclose(unit.get(instance, names), ours, rtol=0, atol=1e-7)
@@ -260,6 +280,11 @@ def test_every_function_of_the_standard_is_there_and_does_no_harm(version, tmp_p
     program.write_text('#include "fmu.c"\n' + (CALLS_3 if version == '3.0' else CALLS_2))
     for name, text in files.items():
         (tmp_path / name).write_text(text)
+    expanded = subprocess.run([*build.compiler(), '-x', 'c', '-std=c99', '-E', '-P', program],
+                              check=True, capture_output=True, text=True).stdout
+    defined, called = (set(re.findall(r'\bfmi\d\w+(?=\s*\()', part))
+                       for part in expanded.split('int main'))
+    assert len(defined) >= {'3.0': 75, '2.0': 40}[version] and defined - called == set()
     subprocess.run(
         [*build.compiler(), '-x', 'c', '-std=c99', '-g', '-Wall', '-Wextra', '-Werror',
          '-fsanitize=address,undefined', '-fno-sanitize-recover=all', program, '-o',
@@ -414,19 +439,21 @@ int main(void)
 """
 
 
+# The independent coordinates of the manipulator change on the way.
+@pytest.mark.parametrize('scene', ('four_bar', 'three_rrr'))
 @pytest.mark.parametrize('version', ('3.0', '2.0'))
-def test_fmpy_finds_nothing_wrong_and_runs_it(version, tmp_path):
+def test_fmpy_finds_nothing_wrong_and_runs_it(version, scene, tmp_path):
     fmpy = pytest.importorskip('fmpy', reason='needs fmpy, from the Python package index')
     path = tmp_path / 'machine.fmu'
-    path.write_bytes(fmu(simulation_of('four_bar'), 'machine', version, True).archive)
+    path.write_bytes(fmu(simulation_of(scene), 'machine', version, True).archive)
     assert import_module('fmpy.validation').validate_fmu(str(path)) == []
     for kind, method, tolerance in (
             ('CoSimulation', RK4, 1e-9), ('ModelExchange', PRECISE, 1e-7)):
         rows = fmpy.simulate_fmu(
-            str(path), fmi_type=kind, stop_time=0.5, output_interval=0.01,
+            str(path), fmi_type=kind, stop_time=0.6, output_interval=0.01,
             relative_tolerance=1e-12)
-        ours = simulation_of('four_bar', method)
-        ours.step(None, 0.5)
+        ours = simulation_of(scene, method)
+        ours.step(None, 0.6)
         found = [rows[f'{name}.q'][-1] for name in ours.joint_names]
         np.testing.assert_allclose(found, ours.position, rtol=0, atol=tolerance)
 
