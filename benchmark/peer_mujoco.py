@@ -139,6 +139,18 @@ class Engine:
                 'mj_step (Euler), from Python': single_steps,
                 'mj_step (RK4), C loop': several(fourth_order)}
 
+    def derivative_timings(self, q, qd, tau):
+        """Return {what: function of a number of differentiated steps}."""
+        model, data = self.build(1e-3, 100.0), mujoco.MjData(self._model)
+        by_state = np.zeros((2 * model.nv, 2 * model.nv))
+
+        def derivatives(count):
+            for _ in range(count):
+                mujoco.mjd_transitionFD(model, data, 1e-6, 0, by_state, None, None, None)
+
+        self._start(model, data, q, qd, tau)
+        return {'mjd_transitionFD by the state, one-sided, from Python': derivatives}
+
     def runs(self, case, quick):
         """Return the runs of a case."""
         runs = []

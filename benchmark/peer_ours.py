@@ -7,7 +7,9 @@ from machine import commit
 import numpy as np
 from peer_cases import Run, simulation
 
-from closedloop_dynamics.simulation.errors import SimulationError  # noqa: I100
+from closedloop_dynamics.engine import native  # noqa: I100
+from closedloop_dynamics.simulation.derivatives import Differentiator
+from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.simulation import Simulation
 from evaluations import evaluate_again
 
@@ -69,6 +71,22 @@ class Engine:
         return {'evaluation, compiled loop': lambda count: evaluate_again(
                     one.system, q, qd, count),
                 'evaluation, from Python': call, 'RK4 step with projection': steps}
+
+    def derivative_timings(self, q, qd, tau):
+        """Return {what: function of a number of evaluations with all derivatives}."""
+        one = self._simulation
+        one.system.tau[:] = tau
+        # Kept: its code writes into arrays of its own.
+        self._differentiate = Differentiator(one)
+        self._differentiate(q, qd, tau[list(one.coordinates.actuated)])
+        again = native.bind('call', self._differentiate._table, 0, q, qd)
+
+        def derivatives(count):
+            evaluate_again(one.system, q, qd, count)
+            for _ in range(count):
+                again()
+
+        return {'evaluation, compiled loop, and all derivatives, from Python': derivatives}
 
     def runs(self, case, quick):
         """Return the runs of a case."""

@@ -113,6 +113,14 @@ class Engine:
             result[f'evaluation by {name}, C++ loop'] = loops.evaluate
         return result
 
+    def derivative_timings(self, q, qd, tau):
+        """Return {what: function of a number of evaluations with all derivatives}."""
+        if not self._loops:
+            return {}
+        self._loops.set_state(q, qd, tau)
+        return {'constraintDynamics and computeConstraintDynamicsDerivatives, C++ loop':
+                self._loops.differentiate}
+
     def runs(self, case, quick):
         """Return the runs of a case."""
         runs = []

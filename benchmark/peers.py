@@ -36,6 +36,8 @@ import peer_report  # noqa: E402
 import throughput  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
+from closedloop_dynamics.visual.tables import text_table  # noqa: E402,I100
+
 OURS = 'peer_ours'
 ENGINES = (OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
@@ -82,6 +84,8 @@ GROUPS = {
         ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)),
         ('stewart_platform', LEG_FORCES)),
 }
+# Of which derivatives are compared.
+DIFFERENTIATED = ('three_rrr', 'carpet_scraper', 'delta_robot', 'stewart_platform')
 QUICK_CASES = 1
 STATES, QUICK_STATES = 20, 3
 # Rollouts: samples, steps of 1 ms, repeats.
@@ -163,9 +167,9 @@ def _relative(values, truth):
     return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(values, truth))
 
 
-def evaluation_times(trees, rounds):
+def evaluation_times(trees, rounds, timings='timings'):
     """
-    Time evaluations and steps, all in turn.
+    Time evaluations and steps, or derivatives, all in turn.
 
     Parameters
     ----------
@@ -173,6 +177,8 @@ def evaluation_times(trees, rounds):
         By tree: with gravity alone, and what is to be timed.
     rounds : int
         How often.
+    timings : str
+        Method of the engines, ``'timings'`` or ``'derivative_timings'``.
 
     Returns
     -------
@@ -184,7 +190,7 @@ def evaluation_times(trees, rounds):
     for tree, (scene, built) in trees.items():
         state = peer_cases.random_states(scene, 1)[0]
         tasks += [(tree, engine.name, what, function) for engine in built
-                  for what, function in engine.timings(*state).items()]
+                  for what, function in getattr(engine, timings)(*state).items()]
     counts = [_calibrated(function) for *_, function in tasks]
     times = [[] for _ in tasks]
     for _ in range(rounds):
@@ -327,15 +333,34 @@ def measure(group, quick=False, chosen=ENGINES):
     return result
 
 
+def derivatives(quick=False):
+    """Return a table of what all derivatives of accelerations cost, beside ours."""
+    rows = []
+    for name in DIFFERENTIATED[:2 if quick else None]:
+        scene = peer_cases.load_scene(name)
+        found = evaluation_times(
+            {peer_cases.SHIPPED: (scene, engines(scene, ENGINES[:3]))},
+            QUICK_ROUNDS if quick else ROUNDS, 'derivative_timings')
+        rows += [[f'`{name}`', row['engine'], row['what'], f'{1e6 * row["best"]:.3g} us',
+                  f'{row["best"] / found[0]["best"]:.1f}'] for row in found]
+    return text_table(('scene', 'simulator', 'what', 'best', 'beside ours'), rows)
+
+
 def main(arguments=None):
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
     parser.add_argument('--only', action='append', choices=GROUPS,
                         help='these mechanisms alone; what the file has of others stays')
+    parser.add_argument('--derivatives', action='store_true',
+                        help='only compare derivatives of accelerations by positions, rates and '
+                             'torques; in space their code compiles for minutes')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
                         metavar='DIR', help='where results go (default: %(default)s)')
     options = parser.parse_args(arguments)
+    if options.derivatives:
+        print(derivatives(options.quick))
+        return 0
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / 'peers.json'
     results = json.loads(path.read_text()) if options.only and path.exists() else {}

@@ -96,6 +96,20 @@ class Machine:
         self.set_state(q, qd, tau)
         return self.evaluate(1)
 
+    def differentiate(self, count):
+        """
+        Differentiate in the present state again and again.
+
+        Returns
+        -------
+        ndarray, shape (3, nv, nv)
+            Of the accelerations by coordinates, rates and torques, which are the first axis.
+
+        """
+        result = np.zeros((3, self.nv, self.nv))
+        self._library.differentiate(self._handle, ctypes.c_long(count), pointer(result))
+        return result.transpose(0, 2, 1)
+
     def runge_kutta(self, step, steps):
         """Make steps of RK4."""
         self._library.runge_kutta_4(self._handle, ctypes.c_double(step), ctypes.c_long(steps))

@@ -12,6 +12,7 @@
 #include <pinocchio/spatial.hpp>
 #include <pinocchio/multibody.hpp>
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
+#include <pinocchio/algorithm/constrained-dynamics-derivatives.hpp>
 #include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
 #include <boost/numeric/odeint/stepper/generation.hpp>
@@ -166,6 +167,22 @@ void evaluate(void * handle, long count, double * acceleration)
     machine.accelerate();
   }
   Eigen::Map<Eigen::VectorXd>(acceleration, machine.model.nv) = machine.data.ddq;
+}
+
+// Accelerations, and all their derivatives, again and again; the latter by coordinates, rates and
+// torques, column by column.
+void differentiate(void * handle, long count, double * derivatives)
+{
+  Machine & machine = *static_cast<Machine *>(handle);
+  for (long k = 0; k < count; ++k) {
+    machine.accelerate();
+    pinocchio::computeConstraintDynamicsDerivatives(
+      machine.model, machine.data, machine.constraints, machine.constraint_data,
+      machine.settings);
+  }
+  const int nv = machine.model.nv;
+  Eigen::Map<Eigen::MatrixXd> found(derivatives, nv, 3 * nv);
+  found << machine.data.ddq_dq, machine.data.ddq_dv, machine.data.ddq_dtau;
 }
 
 void runge_kutta_4(void * handle, double step, long steps)
