@@ -127,6 +127,8 @@ def test_kinematics_lists_assemblies_and_starts_on_one(capsys, tmp_path):
     (['--drive', 'crank_joint=0:1:5', '--drive', 'rocker_joint=1'], 'degrees of freedom (1)'),
     (['--drive', 'crank_joint=0:1:5', '--speed', '0'], 'expected a finite number > 0'),
     (['--drive', 'crank_joint=0:1:5', '--branch', '0'], 'expected a whole number from 1 on'),
+    (['--drive', 'crank_joint=0:1mm:5'], 'crank_joint: expected deg or rad, got mm'),
+    (['--drive', 'crank_joint=0:1:5', '--picture', 'p.xyz'], 'ends with .png, .pdf, .svg, got p'),
     (['--drive', 'cut_1=0:1:5', '--drive', 'crank_joint=1'], 'which follow from one another'),
     (['--drive', 'crank_joint=0:1:5', '--branch', '7'], '--branch: expected the number of an'),
     ([], '--drive')])
@@ -540,3 +542,37 @@ def test_view_shows_a_machine_of_other_numbers(capsys, tmp_path):
     rows.write_text('')
     code, _, errors = call(capsys, 'view', rows, '--set', 'method.step_size=1')
     assert code == 2 and '--set: expected a scene' in errors
+
+
+def test_drives_that_no_motion_has_are_refused(capsys, tmp_path):
+    code, _, errors = call(
+        capsys, 'kinematics', 'slider_crank', '--drive', 'slider_joint=0.3:20deg:5')
+    assert code == 2 and 'slider_joint: expected mm or m, got deg' in errors
+    code, _, errors = call(capsys, 'kinematics', 'rssr_four_bar', '--drive', 'tip.rx=0:1:5')
+    assert code == 2 and 'tip.rx: expected a joint (crank, rocker) or' in errors
+
+
+def test_more_frames_than_a_disk_has_room_for_are_refused(capsys, tmp_path):
+    rows = tmp_path / 'rows.csv'
+    call(capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1:2:3', '--output', rows)
+    code, _, errors = call(
+        capsys, 'animate', rows, '--output', tmp_path / 'a.gif', '--speed', 1e-12)
+    assert code == 2 and 'expected at most 20000 frames, got 2' in errors
+
+
+def test_a_machine_is_not_written_over_a_directory(capsys, tmp_path):
+    for command in (('invert', 'four_bar', '--ground', 'crank'), ('mirror', 'four_bar')):
+        code, _, errors = call(capsys, *command, '--output', tmp_path)
+        assert code == 2 and '--output: expected a file, got the directory' in errors
+
+
+def test_options_of_a_workspace_are_named_as_they_are_given(capsys):
+    for options, message in (
+            (['--point', 'nothing'], 'workspace: --point: expected a named point'),
+            (['--torque-limit', 'theta_1=-1'], '--torque-limit: theta_1: expected a finite'),
+            (['--picture', 'map.xyz'], '--picture: expected a file that ends with .png')):
+        code, _, errors = call(
+            capsys, 'workspace', 'three_rrr', '--point', 'platform_center', *options)
+        assert code == 2 and message in errors, errors
+    code, _, errors = call(capsys, 'workspace', 'four_bar')
+    assert code == 2 and 'workspace: expected 2 degrees of freedom' in errors

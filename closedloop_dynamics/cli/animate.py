@@ -10,9 +10,6 @@ from ..recording.recording import since_the_last_reset
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
 from ..visual.progress import announced, progress_to
 
-# More would take long, and fill a disk.
-MOST_FRAMES = 20_000
-
 
 def _add_arguments(parser):
     add_recording(parser)
@@ -39,10 +36,11 @@ def _run(arguments):
         raise UsageError(str(error)) from None
     recording = recording_of(arguments, arguments.recording)
     motion = _chosen(recording.motion, arguments)
-    times = frame_times(motion, arguments.rate, arguments.speed)
-    if len(times) > MOST_FRAMES:
-        raise UsageError(f'expected at most {MOST_FRAMES} frames, got {len(times)}: choose a part '
-                         'with --start and --duration, or a greater --speed')
+    try:
+        times = frame_times(motion, arguments.rate, arguments.speed)
+    except AnimationError as error:
+        raise UsageError(f'{error}: choose a part with --start and --duration, or a greater '
+                         '--speed') from None
     name = recording.scene.name
     with announced('Preparing the picture ...'):
         animation = Animation(motion, name, times, _point(motion.mechanism, arguments.point))

@@ -24,6 +24,8 @@ from ..visual.progress import announced
 
 # Exit code of a simulation that failed.
 FAILED = 1
+# How pictures are written.
+PICTURES = '.png', '.pdf', '.svg'
 # While a file is read.
 READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
 
@@ -348,6 +350,16 @@ def require_free(arguments, path, option='--output'):
     if path.is_file() and not arguments.overwrite:
         raise UsageError(f'{option}: {path} exists; name another file, or add --overwrite')
     require_writable(path if path.exists() else path.parent, option)
+
+
+def require_picture(arguments, path):
+    """Refuse, before anything is computed, a picture ``--picture`` that cannot be written."""
+    if path is None:
+        return
+    require_free(arguments, path, '--picture')
+    if path.suffix not in PICTURES:
+        raise UsageError(f'--picture: expected a file that ends with {", ".join(PICTURES)}, got '
+                         f'{path}')
 
 
 def free_paths(arguments, *names):

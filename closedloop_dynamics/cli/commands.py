@@ -99,6 +99,8 @@ def _run(arguments):
         return BROKEN_PIPE
     except (SimulationError, OSError) as error:
         return _complain(arguments.prog, error, FAILED)
+    except MemoryError as error:
+        return _complain(arguments.prog, f'out of memory: {error}', FAILED)
     except Interrupted as interrupt:
         return _complain(arguments.prog, 'interrupted', 128 + interrupt.args[0])
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .command import (
     add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
-    require_drawing, require_free, UsageError, with_numbers, write_drawing)
+    require_drawing, require_free, require_picture, UsageError, with_numbers, write_drawing)
 from ..recording.design import cycle, POSES
 from ..recording.kinematics import (
     assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
@@ -23,6 +23,7 @@ from ..visual.motion import from_rows
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 
+ANGLES, LENGTHS = ('deg', 'rad'), ('mm', 'm')
 MOST_POSES = 1_000_000
 # Units of quantities, of angles and of lengths.
 QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
@@ -88,7 +89,7 @@ def paced(arguments, scene, poses=POSES):
         For a scene without a cycle, where no drives are given.
 
     """
-    drives, count = drives_of(arguments) if arguments.drive else (cycle(scene), poses)
+    drives, count = drives_of(arguments, scene) if arguments.drive else (cycle(scene), poses)
     speed = arguments.speed
     if arguments.duration is not None:
         # Of the first one that moves; a run refuses drives that all rest.
@@ -98,20 +99,27 @@ def paced(arguments, scene, poses=POSES):
     return drives, count, speed
 
 
-def drives_of(arguments):
+def drives_of(arguments, scene):
     """Return the drives by name, and how many poses they have."""
     given = mapping(arguments.drive, '--drive')
-    counts = {name: count for name, (_, count) in given.items() if count is not None}
+    for name, (*_, units) in given.items():
+        for coordinates in (scene.mechanism.coordinates, scene.mechanism.cut_coordinates):
+            if name in coordinates.names:
+                known = LENGTHS if coordinates.lengths[coordinates.index[name]] else ANGLES
+                for unit in set(units).difference(known):
+                    raise UsageError(f'--drive: {name}: expected {" or ".join(known)}, got {unit}')
+    counts = {name: count for name, (_, count, _) in given.items() if count is not None}
     if len(set(counts.values())) != 1:
         raise UsageError('--drive: expected the same COUNT in all that move, got ' + (
             ', '.join(f'{count} of {name}' for name, count in counts.items()) or 'none that does'))
-    return {name: drive for name, (drive, _) in given.items()}, next(iter(counts.values()))
+    return {name: drive for name, (drive, *_) in given.items()}, next(iter(counts.values()))
 
 
 def _drive(text):
     """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, its drive and the count."""
     name, drive, count = course(text)
-    return name, (drive, count)
+    ends = text.partition('=')[2].split(':')[:2]
+    return name, (drive, count, [unit for _, unit in map(_value, ends) if unit])
 
 
 def course(text):
@@ -167,7 +175,7 @@ def _add_arguments(parser):
     parser.add_argument('--output', metavar='FILE.csv', type=Path,
                         help='where to write a row for each pose')
     parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help='where to draw it')
+                        help='where to draw it (or .pdf, .svg)')
     parser.add_argument('--over', choices=('drive', 'time'), default='drive',
                         help='what it is drawn over (default: drive)')
     add_drawing(parser)
@@ -175,9 +183,9 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
-        if path is not None:
-            require_free(arguments, path, option)
+    if arguments.output is not None:
+        require_free(arguments, arguments.output)
+    require_picture(arguments, arguments.picture)
     require_drawing(arguments)
     scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     if arguments.assemblies:
@@ -204,7 +212,7 @@ def _run(arguments):
 
 
 def _list_assemblies(arguments, scene):
-    drives, _ = drives_of(arguments)
+    drives, _ = drives_of(arguments, scene)
     try:
         found = assemblies(scene, drives)
     except AssemblyError as error:

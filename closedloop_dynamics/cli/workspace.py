@@ -10,8 +10,8 @@ import sys
 import numpy as np
 
 from .command import (
-    add_reading, add_scene, add_set, assignment, Command, mapping, positive, reading, require_free,
-    UsageError, with_numbers)
+    add_reading, add_scene, add_set, assignment, Command, mapping, positive, reading,
+    require_free, require_picture, UsageError, with_numbers)
 from .kinematics import course, value_of
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
@@ -24,6 +24,8 @@ from ..visual.progress import announced, parts_bar
 STATUS = 'status'
 # Of a percentage, a share.
 PERCENT = 100.0
+# What a request is made of.
+OPTIONS = 'point', 'grid', 'orientation', 'turn', 'limit', 'clearance', 'torque-limit', 'stiffness'
 
 
 def _add_arguments(parser):
@@ -61,7 +63,8 @@ def _add_arguments(parser):
     parser.add_argument('--workers', type=_count, metavar='N',
                         help='threads (default: one for each processor)')
     parser.add_argument('--output', type=Path, metavar='FILE.nc', help='where to write the map')
-    parser.add_argument('--picture', type=Path, metavar='FILE.png', help='where to draw it')
+    parser.add_argument('--picture', type=Path, metavar='FILE.png',
+                        help='where to draw it (or .pdf, .svg)')
     parser.add_argument('--show', choices=(*QUANTITIES, STATUS), default='condition',
                         help='what is drawn (default: condition)')
     parser.add_argument('--resume', action='store_true',
@@ -101,9 +104,9 @@ def _count(text):
 def _run(arguments):
     if arguments.resume and arguments.output is None:
         raise UsageError('--resume: expected --output FILE.nc beside it')
-    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
-        if path is not None and not (arguments.resume and option == '--output' and path.exists()):
-            require_free(arguments, path, option)
+    if arguments.output is not None and not (arguments.resume and arguments.output.exists()):
+        require_free(arguments, arguments.output)
+    require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
     request = Request(
         _point(arguments, scene), mapping(arguments.grid, '--grid'), arguments.orientation,
@@ -117,7 +120,10 @@ def _run(arguments):
         except (BranchEndError, AssemblyError, WorkspaceFileError) as error:
             raise UsageError(f'{scene.name}: {error}') from None
         except ValueError as error:
-            raise UsageError(f'--{error}') from None
+            # Of the fields of a request, and of the scene.
+            option = str(error).partition(':')[0].replace('_', '-')
+            raise UsageError(f'--{option}{str(error)[len(option):]}' if option in OPTIONS
+                             else str(error)) from None
     print(summary(scene, found))
     if arguments.output is not None:
         print(f'  output    {arguments.output}')
@@ -138,7 +144,7 @@ def _point(arguments, scene):
     if arguments.point is not None:
         return arguments.point
     if len(points) != 1:
-        raise UsageError(f'--point: expected one of {", ".join(points) or "none"}')
+        raise UsageError(f'--point: expected one of {", ".join(points) or "none"}, got none')
     return points[0]
 
 

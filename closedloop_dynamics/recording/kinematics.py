@@ -220,9 +220,13 @@ def forces(column):
 
 def _is_freedom(scene, name):
     """Return whether a name is that of a joint or a freedom of a cut joint."""
-    mechanism = scene.mechanism
-    return any(name in coordinates.names for coordinates in (
-        mechanism.coordinates, mechanism.cut_coordinates))
+    return name in _freedoms(scene.mechanism)
+
+
+def _freedoms(mechanism):
+    """Return the names of what a motion may drive among the joints and cut joints."""
+    return [coordinates.names[k] for coordinates in (
+        mechanism.coordinates, mechanism.cut_coordinates) for k in coordinates.single]
 
 
 def _driven_scene(scene, drives, duration):
@@ -242,10 +246,9 @@ def _driven_scene(scene, drives, duration):
             course.update(point=point, direction=tuple(
                 float(axis == other) for other in AXES[:size]))
         else:
-            joints = [*mechanism.coordinates.names, *mechanism.cut_coordinates.names]
             raise ValueError(
-                f'{name}: expected a joint ({", ".join(joints)}) or a point with its axis'
-                f'{"".join(f", {one}.x" for one in points[:1])} ({", ".join(points) or "none"})')
+                f'{name}: expected a joint ({", ".join(_freedoms(mechanism))}) or a point with its '
+                f'axis{"".join(f", {one}.x" for one in points[:1])} ({", ".join(points) or "none"})')
         key = f'drive_{name.replace(".", "_")}'
         while key in effects:
             key += '_'

@@ -35,6 +35,8 @@ QUANTITIES = {
 }
 # Nodes along each axis, of a grid that is not given; of the grid that finds its range.
 PLANAR_NODES, SPATIAL_NODES, SEARCH_NODES = 200, 40, 33
+# Of a grid; and angles beyond which nothing is left of their digits [rad].
+MOST_NODES, MOST_TURNED = 100_000_000, 1e6
 # Room around what is reached, in steps of the grid that finds it.
 ROOM = 1.5
 # Between two files of what is done so far [s].
@@ -334,8 +336,17 @@ def _check(scene, platform, request):
         if axis not in turning:
             raise ValueError(f'turn: expected axes {", ".join(turning)}, got {axis!r}')
     actuated = scene.mechanism.actuated_joints
-    for what, given in (('torque limit', request.torque_limit), ('stiffness', request.stiffness)):
-        for name in given:
+    nodes = math.prod(count for _, _, count in request.axes.values())
+    if nodes > MOST_NODES:
+        raise ValueError(f'grid: expected at most {MOST_NODES} nodes, got {nodes}')
+    for angle in request.angles or ():
+        if not abs(angle) <= MOST_TURNED:
+            raise ValueError(f'orientation: expected angles up to {MOST_TURNED:g} rad, got '
+                             f'{angle:g}')
+    for what, given in (('torque_limit', request.torque_limit), ('stiffness', request.stiffness)):
+        for name, value in given.items():
+            if not 0.0 < value < math.inf:
+                raise ValueError(f'{what}: {name}: expected a finite number > 0, got {value:g}')
             if name not in actuated:
                 raise ValueError(f'{what}: expected actuated joints ({", ".join(actuated)}), got '
                                  f'{name!r}')

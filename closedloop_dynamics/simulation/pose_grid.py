@@ -99,7 +99,7 @@ class Platform:
         mechanism = scene.mechanism
         names = [one.name for one in mechanism.points if one.body != GROUND]
         if point not in names:
-            raise ValueError(f'expected a named point of a body that moves '
+            raise ValueError(f'point: expected a named point of a body that moves '
                              f'({", ".join(names) or "none"}), got {point!r}')
         if mechanism.motions:
             raise ValueError('expected a scene that prescribes no motions, got '

@@ -21,6 +21,8 @@ from .pictures import COLORS
 from .views import perspective, PLANE
 
 FRAME_DOTS_PER_INCH = 100
+# More would take long, and fill a disk.
+MOST_FRAMES = 20_000
 CURSOR_COLOR = '0.3'
 # Length of path between two of its points that are drawn, as a share of the picture's extent.
 TRAIL = 0.003
@@ -34,12 +36,19 @@ def frame_times(motion, rate, speed):
     """
     Return the times of the motion that the frames show [s], at least one.
 
+    Raises
+    ------
+    AnimationError
+        For more than ``MOST_FRAMES``.
+
     ``rate`` is in frames per second of the animation [Hz], ``speed`` in seconds of motion per
     second.
 
     """
     first, last = motion.time[0], motion.time[-1]
     count = math.floor((last - first) * rate / speed + 1e-9) + 1
+    if count > MOST_FRAMES:
+        raise AnimationError(f'expected at most {MOST_FRAMES} frames, got {count}')
     return first + np.arange(count) * speed / rate
 
 

@@ -318,13 +318,17 @@ def test_angles_and_orientations():
 
 
 @pytest.mark.parametrize('request_, message', [
-    (Request('nowhere'), r'expected a named point of a body that moves \(platform_center'),
+    (Request(CENTER, torque_limit={'theta_1': -1.0}), 'torque_limit: theta_1: expected a finite'),
+    (Request(CENTER, stiffness={'theta_1': 0.0}), 'stiffness: theta_1: expected a finite'),
+    (Request(CENTER, {'x': (0.0, 1.0, 10 ** 5), 'y': (0.0, 1.0, 10 ** 5)}), 'grid: expected at'),
+    (Request(CENTER, angles=(1e300,)), 'orientation: expected angles up to 1e'),
+    (Request('nowhere'), r'point: expected a named point of a body that moves \(platform_center'),
     (Request(CENTER, {'z': (0.0, 1.0, 3)}), 'grid: expected axes x, y, got'),
     (Request(CENTER, {'x': (1.0, 0.0, 3)}), 'grid: x: expected FROM below TO'),
     (Request(CENTER, angles=(0.1, 0.2, 0.3)), 'orientation: expected 1 angles, got 3'),
     (Request(CENTER, angles=(0.1,), turns={'z': (0.0, 1.0, 2)}), 'got both'),
     (Request(CENTER, turns={'x': (0.0, 1.0, 2)}), 'turn: expected axes z, got'),
-    (Request(CENTER, torque_limit={'theta_2': 1.0}), 'torque limit: expected actuated joints'),
+    (Request(CENTER, torque_limit={'theta_2': 1.0}), 'torque_limit: expected actuated joints'),
     (Request(CENTER, stiffness={'theta_2': 1.0}), 'stiffness: expected actuated joints'),
     (Request(CENTER, limits={'nothing': (0.0, 1.0)}), 'limit: expected joints'),
     (Request(CENTER, limits={'theta_1': (1.0, 0.0)}), 'expected LOW below HIGH'),
