@@ -246,9 +246,10 @@ def _driven_scene(scene, drives, duration):
             course.update(point=point, direction=tuple(
                 float(axis == other) for other in AXES[:size]))
         else:
+            example = f', {points[0]}.x' if points else ''
             raise ValueError(
-                f'{name}: expected a joint ({", ".join(_freedoms(mechanism))}) or a point with its '
-                f'axis{"".join(f", {one}.x" for one in points[:1])} ({", ".join(points) or "none"})')
+                f'{name}: expected a joint ({", ".join(_freedoms(mechanism))}) or a point with '
+                f'its axis{example} ({", ".join(points) or "none"})')
         key = f'drive_{name.replace(".", "_")}'
         while key in effects:
             key += '_'
