@@ -343,23 +343,23 @@ class DrivenKinematics:
     def _end_here(self, where=None):
         """Say why the branch ends in the present position."""
         jac, loops, drives = self._jacobian()
-        groups = self._equations.groups
-        left, singular, right = np.linalg.svd(scaled(jac, groups))
         columns = np.abs(jac).max(axis=0)
-        rank = min(len(singular), jac.shape[1] - len(self._anchors))
+        left, motion = self._lost(
+            scaled(jac, self._equations.groups), np.where(columns > 0.0, columns, 1.0))
+        if motion is None:
+            # Equations that vanish as a whole are scaled out of sight.
+            left, motion = self._lost(jac)
         values = self.values.copy()
         told = ', '.join(
             f'{name} = {self._shown(motion, value)}' for name, motion, value in zip(
                 self.names, self._mechanism.motions, values))
         where = f'{where}, at {told},' if where else f'The branch ends at {told}: this'
-        smallest = singular[rank - 1]
-        motion = right[rank - 1] / np.where(columns > 0.0, columns, 1.0)
-        if smallest > SINGULAR * singular[0]:
+        if motion is None:
             return BranchEnd(values, self.position.copy(), UNCLEAR, (
                 f'{where} is no singular position, but no position that closes the loops was '
                 'found next to it.'))
         names = moving_joints(self._coordinates, motion)
-        share = np.abs(left[len(loops):, rank - 1]).max()
+        share = np.abs(left[len(loops):]).max()
         if share < DRIVEN:
             return BranchEnd(values, self.position.copy(), CHANGE_POINT, (
                 f'{where} is a change point: closure equations depend on one another there, and '
@@ -370,6 +370,13 @@ class DrivenKinematics:
         return BranchEnd(values, self.position.copy(), LIMIT, (
             f'{where} is {kind}: with {", ".join(dict.fromkeys(self.names))} at rest, {names} '
             'can still move, and what is driven can go no further on this branch.'))
+
+    def _lost(self, jacobian, columns=1.0):
+        """Return which equations depend on one another, and what moves; None where regular."""
+        left, singular, right = np.linalg.svd(jacobian)
+        last = min(len(singular), jacobian.shape[1] - len(self._anchors)) - 1
+        lost = singular[last] <= SINGULAR * singular[0]
+        return left[:, last], right[last] / columns if lost else None
 
     def _shown(self, motion, value):
         """Return a driven value with its unit."""

@@ -111,6 +111,16 @@ def test_a_branch_ends_at_a_change_point(tmp_path, lengths):
     assert found.value.end.values[0] <= line + 1e-9
 
 
+def test_a_branch_ends_where_equations_vanish_as_a_whole():
+    # All bars of a scissor lift stand upright: those of a slot no longer change, by no rate.
+    model = load_scene('scissor_lift').model()
+    with pytest.raises(BranchEndError) as found:
+        model.solve({'foot': np.radians([60.0, 80.0, 100.0])})
+    end = found.value.end
+    assert found.value.reached == 2 and end.kind == CHANGE_POINT
+    assert 0.0 <= 0.5 * math.pi - end.values[0] < 1e-3
+
+
 def test_points_go_where_they_are_sent():
     model = load_scene('three_rrr_horizontal').model()
     start = model.evaluate(model.assemble())
