@@ -576,3 +576,15 @@ def test_options_of_a_workspace_are_named_as_they_are_given(capsys):
         assert code == 2 and message in errors, errors
     code, _, errors = call(capsys, 'workspace', 'four_bar')
     assert code == 2 and 'workspace: expected 2 degrees of freedom' in errors
+
+
+def test_end_stops_that_are_met_are_named(capsys, tmp_path):
+    drive = ('slider_crank_end_stop', '--drive', 'crank_joint=60:420deg:37')
+    code, text, errors = call(capsys, 'kinematics', *drive)
+    assert code == 0, errors
+    # The stroke ends at 0.4 m, the rubber begins at 0.38 m.
+    assert 'end stop  buffer: slider_joint goes beyond it by at most 0.02 at crank_joint' in text
+    code, text, errors = call(capsys, 'report', *drive, '--output', tmp_path / 'page.html')
+    assert code == 0 and 'end stop buffer  slider_joint goes beyond it' in text, errors
+    code, text, _ = call(capsys, 'kinematics', drive[0], '--drive', 'crank_joint=60:90deg:9')
+    assert code == 0 and 'end stop' not in text

@@ -13,7 +13,7 @@ import numpy as np
 from .command import (
     add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
     require_drawing, require_free, require_picture, UsageError, with_numbers, write_drawing)
-from ..recording.design import cycle, POSES
+from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import (
     assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
 from ..recording.rows import write_scene
@@ -244,6 +244,9 @@ def summary(run, table):
         place = int(force.argmax())
         lines.append(f'  force     {what}: at most {force[place]:.6g} N at {name} = '
                      f'{values[place]:.6g}')
+    for (what, joint), most in stops_met(run, table).items():
+        lines.append(f'  end stop  {what}: {joint} goes beyond it by at most {most.value:.6g} '
+                     f'at {name} = {most.drive:.6g}')
     return '\n'.join(lines)
 
 

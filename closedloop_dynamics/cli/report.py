@@ -137,6 +137,9 @@ def _mechanism(scene, run, table, at):
                  ('folds at', ', '.join(f'+-{math.degrees(one):.6g} deg between input link and '
                                         'base' for one in bars.limits) or
                   'no position: the input turns round')]
+    rows += [(f'end stop {what}', f'{one} goes beyond it by at most {most.value:.6g} at '
+                                  f'{at(most.drive)}')
+             for (what, one), most in design.stops_met(run, table).items()]
     if run.end is not None:
         rows.append(('end of the branch', run.end.reason))
     return 'Mechanism', rows, _pictures(run, table)

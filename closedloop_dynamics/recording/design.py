@@ -10,6 +10,7 @@ import numpy as np
 
 from .kinematics import by_name, Drive, DrivenRun
 from .transmission import transmission_angle
+from ..effects.end_stop import EndStop
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
 from ..simulation.key_paths import changed, numbers, resolve
@@ -130,6 +131,20 @@ def outputs(run, table) -> Dict[str, Output]:
         found[name.removeprefix('position.')] = Output(
             extreme(values, drive, np.argmin), extreme(values, drive), _dwell(values, drive),
             _time_ratio(values, drive))
+    return found
+
+
+def stops_met(run, table) -> Dict[Tuple[str, str], Extreme]:
+    """Return how far joints go beyond their end stops, where they do, by stop and joint."""
+    column, (_, drive) = by_name(table), drive_values(run)
+    found = {}
+    for name, stop in run.scene.effects.items():
+        values = column.get(f'position.{stop.joint}') if isinstance(stop, EndStop) else None
+        if values is not None:
+            depth = np.maximum(values - (math.inf if stop.upper is None else stop.upper),
+                               (-math.inf if stop.lower is None else stop.lower) - values)
+            if depth.max() > 0.0:
+                found[name, stop.joint] = extreme(depth, drive)
     return found
 
 
