@@ -32,9 +32,9 @@ class Machine:
 
     Attributes
     ----------
-    decided : frozenset of str
-        Freedoms whose rates loops and prescribed motions decide, whatever forces act; of those
-        that dry friction acts in.
+    decided : frozenset of tuples
+        Sums of freedoms, as pairs of names and arms, whose rates loops and prescribed motions
+        decide, whatever forces act; of those that dry friction acts along.
 
     """
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from .sensor import Chain
 from .table import (
-    build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
-    OWN, PASSED, PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
+    build_table, DATA, DISSIPATED, ENTRIES, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
+    OWN, PASSED, PRESCRIBED_MOTION, REFLECTED_INERTIA, size_of_data, STATE,
+    states_of, STORED, WORK)
 from .traced_effect import TracedEffect
 from ..core import codegen
 from ..core.codegen import pieces
@@ -155,14 +156,14 @@ class EffectSet:
         return dict(zip(self._rows, self.elements))
 
     @property
-    def freedoms_with_friction(self):
-        """Names of the freedoms that dry friction acts in, each once."""
-        return tuple({self.records[name].joint: None for name, kind in zip(
+    def directions_with_friction(self):
+        """Return sums of freedoms with dry friction, as pairs of names and arms, each once."""
+        return tuple({self.records[name].rubs_along: None for name, kind in zip(
             self._rows, self._table.kind) if kind == JOINT_FRICTION})
 
-    def decide(self, freedoms):
-        """Take note of freedoms with friction whose rates do not depend on the forces."""
-        self._machine.decided = frozenset(freedoms)
+    def decide(self, directions):
+        """Take note of sums with friction whose rates do not depend on the forces."""
+        self._machine.decided = frozenset(directions)
         self._refill(JOINT_FRICTION)
 
     def _update(self):
@@ -393,7 +394,16 @@ class EffectSet:
         for row, name in enumerate(self._rows):
             if self.enabled[name] and self.records[name].ENDS_STEPS and self.elements[row].sticks:
                 states[self._table.index[row, STATE]] = self.records[name].direction(
-                    qd[self._table.index[row, FIRST]])
+                    self._along(row, qd))
+
+    def _along(self, row, joints):
+        """Return the sum along which an effect in joints acts, of what all joints have."""
+        table = self._table
+        begin, count = table.index[row, DATA], table.index[row, ENTRIES]
+        if not count:
+            return joints[table.index[row, FIRST]]
+        places, arms = table.data[begin:begin + 2 * count].reshape(count, 2).T
+        return arms @ joints[places.astype(int)]
 
     def follow_time(self, states, time):
         """Let the own states of effects that follow the time begin at a time [s], in place."""
@@ -409,18 +419,19 @@ class EffectSet:
         Returns
         -------
         kinetic, stored : float
-            Kinetic energy of rotors at cut joints, and what all others store.
+            Kinetic energy of what is reflected at cut joints and along tendons, and what all
+            others store.
 
         """
         if not len(self._table.kind):
             return 0.0, 0.0
-        stored, rotors = self._table.output[:, STORED], self._table.kind == CUT_ROTOR
+        stored, rotors = self._table.output[:, STORED], self._table.kind == REFLECTED_INERTIA
         kinetic = float(stored[rotors].sum())
         return kinetic, float(stored.sum()) - kinetic
 
-    def hold_rotors(self, accelerations):
+    def hold_inertia(self, accelerations):
         """
-        Let rotors at cut joints exert what goes with given accelerations, or none of their own.
+        Let reflected inertia exert what goes with given accelerations, or nothing of its own.
 
         Parameters
         ----------
@@ -428,9 +439,9 @@ class EffectSet:
             Of the joints, those of cut joints behind.
 
         """
-        for row in np.flatnonzero(self._table.kind == CUT_ROTOR):
+        for row in np.flatnonzero(self._table.kind == REFLECTED_INERTIA):
             self._table.sticking.hold[row] = 0.0 if accelerations is None else (
-                -self._table.values[row, 0] * accelerations[self._table.index[row, FIRST]])
+                -self._table.values[row, 0] * self._along(row, accelerations))
 
     def readings(self, name, states):
         """

@@ -25,16 +25,12 @@ When: bearings, seals and guides at low speed, whatever should stay where it sta
 """
 
 from dataclasses import dataclass
-import math
 
 from .effect import Effect
+from .stick_slip import direction_of
 from .table import DISSIPATED, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, State
 from ..mechanism.checks import freedom, not_negative, positive
 from ..mechanism.fields import FieldError
-
-
-# Rates below this are rest while a step is made, as in engine/sticking.hpp [rad/s; m/s].
-REST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -86,6 +82,11 @@ class JointFriction(Effect):
         return mechanism.coordinates.names + mechanism.cut_coordinates.names
 
     @property
+    def rubs_along(self):
+        """Return the freedom, with an arm of 1, as a tuple of one pair."""
+        return ((self.joint, 1.0),)
+
+    @property
     def feels_reactions(self):
         """Whether its force depends on the reaction in its joint."""
         return self.friction_coefficient * self.radius > 0.0
@@ -94,7 +95,7 @@ class JointFriction(Effect):
         """Return the effect as a row of the table."""
         lever = self.friction_coefficient * self.radius
         values = [self.coulomb, self.static_ratio, self.stribeck_velocity, lever,
-                  float(self.joint in machine.decided)]
+                  float(self.rubs_along in machine.decided)]
         values += [0.0] * (LOAD_TIME - len(values)) + [self.load_time]
         return ForceElement(
             JOINT_FRICTION, (machine.joint(self.joint), machine.joint_row(self.joint)),
@@ -104,4 +105,4 @@ class JointFriction(Effect):
 
     def direction(self, rate):
         """Return the direction in which the joint slides at a rate; 0 at rest."""
-        return math.copysign(1.0, rate) if abs(rate) > REST else 0.0
+        return direction_of(rate)

@@ -31,6 +31,8 @@ from .prescribed_motion import PrescribedMotion
 from .rotor import Rotor
 from .sensor import Sensor
 from .tendon import Tendon
+from .tendon_friction import TendonFriction
+from .tendon_inertia import TendonInertia
 
 EFFECTS = {
     'actuator': Actuator,
@@ -54,6 +56,8 @@ EFFECTS = {
     'rotor': Rotor,
     'sensor': Sensor,
     'tendon': Tendon,
+    'tendon_friction': TendonFriction,
+    'tendon_inertia': TendonInertia,
 }
 
 

@@ -33,7 +33,7 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
-from .table import CUT_ROTOR, ForceElement
+from .table import ForceElement, REFLECTED_INERTIA
 from ..core.codegen import space
 from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, freedom, not_negative, number
@@ -135,7 +135,7 @@ class Rotor(Effect):
         """Return the row of the table of a rotor at a cut joint."""
         if self.joint not in machine.cuts:
             return None
-        return ForceElement(CUT_ROTOR, (machine.joint(self.joint),),
+        return ForceElement(REFLECTED_INERTIA, (machine.joint(self.joint),),
                             (self.gear_ratio ** 2 * self.inertia,), sticks=True)
 
 

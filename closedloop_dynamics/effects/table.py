@@ -19,7 +19,7 @@ import numpy as np
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
- CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED,
+ REFLECTED_INERTIA, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED,
  SPATIAL_TRACED) = range(34)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
@@ -92,8 +92,8 @@ class ForceElement(NamedTuple):
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
     loaded: bool = False  # Whether the law wants the reaction in its joint
-    # Whether the law's force follows from accelerations: it may hold its joint at rest, or is that
-    # of a rotor at a cut joint.
+    # Whether the law's force follows from accelerations: it may hold its joint or tendon at rest,
+    # or is that of inertia at a cut joint or along a tendon.
     sticks: bool = False
     touches: bool = False  # Whether the law is a contact, whose gap opens and closes
     # Entries of numbers, such as pieces of a course or a curve, in the order the law reads them.
@@ -101,10 +101,10 @@ class ForceElement(NamedTuple):
 
 
 class Sticking(NamedTuple):
-    """Joints at rest under dry friction in the latest evaluation, and what holds them; rotors."""
+    """Joints at rest under dry friction in the latest evaluation, and what holds them; inertia."""
 
-    # Shape (nf + 1,): how many joints stick, and the rows of their effects; nf effects may
-    # stick. A rotor at a cut joint always does so: its force, too, follows from accelerations.
+    # Shape (nf + 1,): how many joints and tendons stick, and the rows of their effects; nf effects
+    # may stick. Reflected inertia always does so: its force, too, follows from accelerations.
     rows: np.ndarray
     # Shape (ne,): friction that ``engine/dispatch.cpp`` gives to a joint that sticks [N m; N]:
     # zero but while responses are computed.

@@ -16,23 +16,12 @@ linear, play.
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Dict, Tuple, Union
+from typing import Tuple, Union
 
-from .effect import Effect
+from .along_joints import AlongJoints
 from .table import DISSIPATED, ForceElement, State, TENDON
-from ..mechanism.checks import freedom, list_of, number, one_of
-from ..mechanism.fields import at, FieldError, shown
-
-
-def _arms(value):
-    """Return a dict of floats by the names of joints, one or more; refuse anything else."""
-    if not isinstance(value, dict) or not value:
-        raise FieldError('moment arms by the names of joints', shown(value))
-    found = {}
-    for key, arm in value.items():
-        with at(key):
-            found[freedom(key)] = number(arm)
-    return found
+from ..mechanism.checks import list_of, number
+from ..mechanism.fields import FieldError, shown
 
 
 def _coefficients(value):
@@ -49,7 +38,7 @@ def _range(value):
 
 
 @dataclass(frozen=True)
-class Tendon(Effect):
+class Tendon(AlongJoints):
     """
     Spring and damper along a weighted sum of joint coordinates.
 
@@ -66,25 +55,17 @@ class Tendon(Effect):
 
     """
 
-    CHECKS = {'arms': _arms, 'stiffness': _coefficients, 'damping': _coefficients, 'rest': _range}
+    CHECKS = {**AlongJoints.CHECKS, 'stiffness': _coefficients, 'damping': _coefficients,
+              'rest': _range}
     READINGS = ('tension', 'length')
 
-    arms: Dict[str, float]
     stiffness: Union[float, Tuple[float, ...]] = 0.0
     damping: Union[float, Tuple[float, ...]] = 0.0
     rest: Union[float, Tuple[float, float]] = 0.0
-
-    def fit(self, mechanism):
-        """Refuse a mechanism without the joints."""
-        super().fit(mechanism)
-        for joint in self.arms:
-            with at('arms'):
-                one_of(mechanism.coordinates.single_names, 'one of the joints of the tree')(joint)
 
     def element(self, machine):
         """Return the effect as a row of the table."""
         return ForceElement(
             TENDON, (), (float(len(self.stiffness)), float(len(self.damping)), *self.rest),
-            (State(DISSIPATED),), data=(
-                *((float(machine.joint(joint)), arm) for joint, arm in self.arms.items()),
-                self.stiffness, self.damping))
+            (State(DISSIPATED),),
+            data=(*self.entries(machine), self.stiffness, self.damping))

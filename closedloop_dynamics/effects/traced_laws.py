@@ -24,6 +24,8 @@ from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 # Why other effects have no law here, by the name of their type.
 _REASONS = {
     'joint_friction': 'dry friction jumps where a joint comes to rest',
+    'tendon_friction': 'dry friction jumps where a tendon comes to rest',
+    'tendon_inertia': 'it acts on accelerations',
     'end_stop': 'it begins and ends within a step',
     'contact': 'it begins and ends within a step',
     'body_contact': 'it begins and ends within a step',

@@ -70,8 +70,8 @@ void apply_law(
       return apply_spatial_body_contact(table, row, body, q, qd, tau);
     case effect::SPATIAL_FORCE_TABLE:
       return apply_spatial_force_table(table, row, body, q, qd, tau);
-    case effect::CUT_ROTOR:
-      return apply_cut_rotor(table, row, body, q, qd, tau);
+    case effect::REFLECTED_INERTIA:
+      return apply_reflected_inertia(table, row, body, q, qd, tau);
     case effect::TENDON:
       return apply_tendon(table, row, body, q, qd, tau);
     case effect::FLUID_DRAG:

@@ -77,7 +77,9 @@ Energies draw_balance(const System & system, const EnergyAccount & account, Valu
   double stored = 0.0, rotors = 0.0;
   for (Index row = 0; row < effects.count(); ++row) {
     stored += effects.output(row, effect::STORED);
-    rotors += effects.kind[row] == effect::CUT_ROTOR ? effects.output(row, effect::STORED) : 0.0;
+    if (effects.kind[row] == effect::REFLECTED_INERTIA) {
+      rotors += effects.output(row, effect::STORED);
+    }
   }
   Energies present;
   present.kinetic = found[0] + rotors;

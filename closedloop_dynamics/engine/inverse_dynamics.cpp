@@ -9,6 +9,7 @@
 #include <cmath>
 #include <vector>
 
+#include "arms.hpp"
 #include "dispatch.hpp"
 #include "evaluation.hpp"
 #include "joint_reaction.hpp"
@@ -90,6 +91,8 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
     for (Index row = 0; row < table.count(); ++row) {
       if (table.kind[row] == effect::ACTUATOR) {
         table.enabled[row] = 0;
+      } else if (table.kind[row] == effect::REFLECTED_INERTIA) {
+        table.sticking.hold[row] = -table.values(row, 0) * along(table, row, qdd);
       }
     }
     Values positions = q;
@@ -100,6 +103,7 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
     DenseVector none = DenseVector::Zero(system.tau.size);
     apply_effects(table, system.work.body, positions, qd, view(none));
     std::copy(enabled.begin(), enabled.end(), table.enabled.begin());
+    table.sticking.hold.fill(0.0);
     bias_forces(system.work, table.reaction);
   }
   tree_torque(system.model, system.work, qdd, need);

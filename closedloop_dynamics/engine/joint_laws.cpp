@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "arms.hpp"
 #include "forces.hpp"
 #include "laws.hpp"
 #include "manifold.hpp"
@@ -95,16 +96,9 @@ void apply_tendon(
   const Values values = table.values[row];
   const double * data = table.data.data + table.index(row, effect::DATA);
   const Index springs = static_cast<Index>(values[0]), dampers = static_cast<Index>(values[1]);
-  // Behind the joints and their arms the coefficients are two entries.
-  const Index joints = table.index(row, effect::ENTRIES) - 2;
-  const double * stiffness = data + 2 * joints;
+  const double * stiffness = data + 2 * arm_count(table, row);
   const double * damping = stiffness + springs;
-  double length = 0.0, rate = 0.0;
-  for (Index k = 0; k < joints; ++k) {
-    const Index joint = static_cast<Index>(data[2 * k]);
-    length += data[2 * k + 1] * q[joint];
-    rate += data[2 * k + 1] * qd[joint];
-  }
+  const double length = along(table, row, q), rate = along(table, row, qd);
   const double stretch = length - std::max(values[2], std::min(values[3], length));
   const double speed = std::fabs(rate);
   double elastic = 0.0, stored = 0.0, viscous = 0.0, power = stretch;
@@ -119,9 +113,7 @@ void apply_tendon(
     power *= speed;
   }
   const double tension = elastic + viscous;
-  for (Index k = 0; k < joints; ++k) {
-    table.applied[static_cast<Index>(data[2 * k])] -= data[2 * k + 1] * tension;
-  }
+  exert_along(table, row, -tension);
   table.rates[table.index(row, effect::STATE)] = viscous * rate;
   table.output(row, effect::STORED) = stored;
   table.output(row, 1) = tension;
@@ -155,8 +147,8 @@ void apply_end_stop(
 void apply_joint_friction(
   const EffectTable & table, Index row, Table, Values, Values qd, Values)
 {
-  const Index joint = table.index(row, effect::FIRST), state = table.index(row, effect::STATE);
-  const double rate = qd[joint];
+  const Index state = table.index(row, effect::STATE);
+  const double rate = along(table, row, qd);
   const double most = friction_limit(table, row, rate);
   double direction = table.states[state], torque;
   // A joint that breaks away within a step goes on as one that slides.
@@ -173,7 +165,7 @@ void apply_joint_friction(
   } else {
     torque = -std::copysign(most, direction);
   }
-  table.applied[joint] += torque;
+  exert_along(table, row, torque);
   table.rates[state] = 0.0;
   table.rates[state + 2] = 0.0 - torque * rate;
   table.output(row, 1) = torque;
@@ -203,16 +195,16 @@ void apply_actuator(
   table.output(row, 1) = torque;
 }
 
-void apply_cut_rotor(
+void apply_reflected_inertia(
   const EffectTable & table, Index row, Table, Values, Values qd, Values)
 {
-  const Index joint = table.index(row, effect::FIRST);
   const double inertia = table.values(row, 0), torque = table.sticking.hold[row];
+  const double rate = along(table, row, qd);
   if (inertia > 0.0) {
     list_sticking(table.sticking, row);
   }
-  table.applied[joint] += torque;
-  table.output(row, effect::STORED) = 0.5 * inertia * qd[joint] * qd[joint];
+  exert_along(table, row, torque);
+  table.output(row, effect::STORED) = 0.5 * inertia * rate * rate;
   table.output(row, 1) = torque;
   table.output(row, 3) = inertia;
 }

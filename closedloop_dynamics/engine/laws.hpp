@@ -25,12 +25,13 @@ Law apply_orientation_spring;
 /// Spring and damper along a weighted sum of coordinates.
 Law apply_tendon;
 Law apply_end_stop;
-/// Friction of a joint that slides; one at rest is listed in EffectTable.sticking.
+/// Friction of a joint or tendon that slides; one at rest is listed in EffectTable.sticking.
 Law apply_joint_friction;
 /// A drive with limits and lag, in the place of the command.
 Law apply_actuator;
-/// List a rotor at a cut joint in EffectTable.sticking: its force follows from accelerations.
-Law apply_cut_rotor;
+/// List inertia reflected at a cut joint or along a tendon in EffectTable.sticking: its force
+/// follows from accelerations.
+Law apply_reflected_inertia;
 
 // At points (point_laws.cpp).
 Law apply_point_spring;

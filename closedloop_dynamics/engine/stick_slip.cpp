@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "arms.hpp"
 #include "evaluation.hpp"
 #include "sticking.hpp"
 
@@ -16,7 +17,7 @@ namespace
 {
 // A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
 constexpr double ARRIVED = 1e-9;
-// A cut joint at rest has rates of rounding [rad/s; m/s].
+// A cut joint or a tendon at rest has rates of rounding [rad/s; m/s].
 constexpr double RATE_ROUNDING = 1e-12;
 // Cuts of one step: beyond, it is taken as it is.
 constexpr int MOST_CUTS = 200;
@@ -47,9 +48,9 @@ double first_rest(
   double shortest = size;
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
-      const Index joint = effects.index(row, effect::FIRST);
       const double grip = grips[effects.index(row, effect::STATE)];
-      const double start = std::max(0.0, grip * before[joint]), end = grip * after[joint];
+      const double start = std::max(0.0, grip * along(effects, row, before));
+      const double end = grip * along(effects, row, after);
       if (end < -ARRIVED) {
         shortest = std::min(shortest, size * start / (start - end));
       }
@@ -65,15 +66,16 @@ bool stick(const EffectTable & effects, Values rates, Values own)
   const Index first = rates.size - effects.cuts.index.rows;
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
-      const Index joint = effects.index(row, effect::FIRST);
+      const bool in_tree = arm_count(effects, row) == 0 &&
+        effects.index(row, effect::FIRST) < first;
       double & mode = own[effects.index(row, effect::STATE)];
-      const double rate = rates[joint];
+      const double rate = along(effects, row, rates);
       if (std::abs(rate) > REST) {
         mode = std::copysign(1.0, rate);
       } else if (rate * mode <= ARRIVED) {
         mode = 0.0;
         // Rounding in the rate of a joint of the tree at rest: none.
-        slow = slow || std::abs(rate) > (joint < first ? 0.0 : RATE_ROUNDING);
+        slow = slow || std::abs(rate) > (in_tree ? 0.0 : RATE_ROUNDING);
       }
     }
   }
@@ -133,7 +135,7 @@ void begin_friction(const EffectTable & effects, Values rates, Values own)
 {
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
-      const double rate = rates[effects.index(row, effect::FIRST)];
+      const double rate = along(effects, row, rates);
       own[effects.index(row, effect::STATE)] =
         std::abs(rate) > REST ? std::copysign(1.0, rate) : 0.0;
     }

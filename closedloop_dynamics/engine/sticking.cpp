@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 
+#include "arms.hpp"
+
 namespace closedloop
 {
 
@@ -18,10 +20,13 @@ constexpr double ROUNDING = 1e-10;
 // Changes of the active set, for each joint; more are a circle among equals.
 constexpr Index MOST_CHANGES = 5;
 
-/// The joint, or cut joint, of an entry of Sticking.rows.
-Index joint_of(const EffectTable & table, Index place)
+/// Set what the joint of an effect has to zero; what several joints share stays as it was found.
+void clear(const EffectTable & table, Index place, Values joints)
 {
-  return table.index(table.sticking.rows[place + 1], effect::FIRST);
+  const Index row = table.sticking.rows[place + 1];
+  if (arm_count(table, row) == 0) {
+    joints[table.index(row, effect::FIRST)] = 0.0;
+  }
 }
 
 /// Accelerations and multipliers without the friction of any joint at rest.
@@ -92,7 +97,7 @@ Index most_loose(const Sticking & sticking, Index count, Values out)
 bool stays_at_rest(const EffectTable & table, Index place)
 {
   const Sticking & sticking = table.sticking;
-  return table.kind[sticking.rows[place + 1]] != effect::CUT_ROTOR &&
+  return table.kind[sticking.rows[place + 1]] != effect::REFLECTED_INERTIA &&
          std::fabs(sticking.share[place]) < 1.0 && sticking.matrix(place, place) > 0.0;
 }
 }  // namespace
@@ -158,7 +163,7 @@ void keep_response(const EffectTable & table, Index place, Values qdd, Values la
     response[nv + i] = lam[i] - base[nv + i];
   }
   const Index row = sticking.rows[place + 1];
-  table.applied[joint_of(table, place)] -= sticking.hold[row];
+  exert_along(table, row, -sticking.hold[row]);
   sticking.hold[row] = 0.0;
 }
 
@@ -169,14 +174,14 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
   const Table & response = sticking.response;
   const Values base = free_response(sticking);
   for (Index a = 0; a < count; ++a) {
-    const Index row = sticking.rows[a + 1], joint = joint_of(table, a);
+    const Index row = sticking.rows[a + 1];
     const double limit = table.output(row, 3);
-    sticking.right[a] = limit * base[joint];
+    sticking.right[a] = limit * along(table, row, base);
     sticking.bound[a] = 1.0;
     for (Index b = 0; b < count; ++b) {
-      sticking.matrix(a, b) = limit * response(b, joint);
+      sticking.matrix(a, b) = limit * along(table, row, response[b]);
     }
-    if (table.kind[row] == effect::CUT_ROTOR) {
+    if (table.kind[row] == effect::REFLECTED_INERTIA) {
       // Its limit is its inertia: the force of a unit acceleration.
       sticking.bound[a] = std::numeric_limits<double>::infinity();
       sticking.matrix(a, a) += limit;
@@ -192,7 +197,7 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
   for (Index a = 0; a < count; ++a) {
     const Index row = sticking.rows[a + 1];
     const double share = sticking.share[a], friction = share * table.output(row, 3);
-    table.applied[joint_of(table, a)] += friction;
+    exert_along(table, row, friction);
     table.output(row, 1) = friction;
     for (Index i = 0; i < nv; ++i) {
       qdd[i] += share * response(a, i);
@@ -203,7 +208,7 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
   }
   for (Index a = 0; a < count; ++a) {
     if (stays_at_rest(table, a)) {
-      qdd[joint_of(table, a)] = 0.0;
+      clear(table, a, qdd);
     }
   }
 }
@@ -213,7 +218,8 @@ void stop_sticking_joints(const EffectTable & table, Values qd)
   const Sticking & sticking = table.sticking;
   const Index count = sticking.rows[0];
   for (Index a = 0; a < count; ++a) {
-    sticking.right[a] = table.output(sticking.rows[a + 1], 3) * qd[joint_of(table, a)];
+    const Index row = sticking.rows[a + 1];
+    sticking.right[a] = table.output(row, 3) * along(table, row, qd);
     sticking.bound[a] =
       stays_at_rest(table, a) ? std::numeric_limits<double>::infinity() : 0.0;
   }
@@ -225,7 +231,7 @@ void stop_sticking_joints(const EffectTable & table, Values qd)
   }
   for (Index a = 0; a < count; ++a) {
     if (sticking.bound[a] > 0.0) {
-      qd[joint_of(table, a)] = 0.0;
+      clear(table, a, qd);
     }
   }
 }

@@ -349,12 +349,10 @@ Index fixed_numbers(Index kind)
     kind == effect::ORIENTATION_SPRING ? 18 : 0;
 }
 
-/// Whether the joints of a tendon are there, and its coefficients behind them.
-bool is_tendon(Values data, Index entries, Values values, Index joints)
+/// Whether the joints that an effect has with moment arms are there.
+bool has_arms(Values data, Index count, Index joints)
 {
-  const Index count = entries - 2;
-  const Index springs = as_place(values[0], data.size), dampers = as_place(values[1], data.size);
-  if (count < 0 || springs < 0 || dampers < 0 || count > (data.size - springs - dampers) / 2) {
+  if (count < 0 || count > data.size / 2) {
     return false;
   }
   for (Index k = 0; k < count; ++k) {
@@ -363,6 +361,14 @@ bool is_tendon(Values data, Index entries, Values values, Index joints)
     }
   }
   return true;
+}
+
+/// Whether the joints of a tendon are there, and its coefficients behind them.
+bool is_tendon(Values data, Index entries, Values values, Index joints)
+{
+  const Index springs = as_place(values[0], data.size), dampers = as_place(values[1], data.size);
+  return springs >= 0 && dampers >= 0 && springs + dampers <= data.size &&
+    has_arms(data.part(0, data.size - springs - dampers), entries - 2, joints);
 }
 
 bool is_traced(Index kind) {return kind == effect::TRACED || kind == effect::SPATIAL_TRACED;}
@@ -404,6 +410,9 @@ bool has_data(const EffectTable & effects, Index row, Index joints, Index bodies
   if (kind == effect::TENDON) {
     return is_tendon(effects.data.from(at), entries, values, joints);
   }
+  if (kind == effect::JOINT_FRICTION || kind == effect::REFLECTED_INERTIA) {
+    return has_arms(effects.data.from(at), entries, joints);
+  }
   if (is_course(kind) && values[1] == 1.0) {
     if (kind != effect::PRESCRIBED_MOTION) {
       return is_expression(effects.data, at);
@@ -434,7 +443,7 @@ Index states_of(Index kind, bool loaded)
   switch (kind) {
     case effect::JOINT_SPRING:
     case effect::ORIENTATION_SPRING:
-    case effect::CUT_ROTOR:
+    case effect::REFLECTED_INERTIA:
       return loaded ? 2 : 0;
     case effect::JOINT_FRICTION:
     case effect::PRESCRIBED_TORQUE:
@@ -461,7 +470,7 @@ bool acts_in_joint(Index kind)
     case effect::ACTUATOR:
     case effect::PRESCRIBED_TORQUE:
     case effect::JOINT_FORCE_TABLE:
-    case effect::CUT_ROTOR:
+    case effect::REFLECTED_INERTIA:
       return true;
     default:
       return false;
@@ -520,7 +529,7 @@ const char * misfit(const EffectTable & effects, Index nv, Index bodies, bool pl
       return "effects: what a law reads";
     }
     sticks += effects.kind[row] == effect::JOINT_FRICTION ||
-      effects.kind[row] == effect::CUT_ROTOR ? 1 : 0;
+      effects.kind[row] == effect::REFLECTED_INERTIA ? 1 : 0;
   }
   return sticks <= most ? nullptr : "effects.sticking";
 }

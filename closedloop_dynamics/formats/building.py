@@ -508,11 +508,15 @@ def _add_along(model, groups, frames, named, end_stops, effects, ignored):
                 'stiffness': stiffness, 'free_length': rope.length}
     for belt in model.belts:
         stiffness = (end_stops,) if belt.limit else belt.stiffness
-        if stiffness != (None,):
-            effects[free_name(f'tendon_{word(belt.name)}', effects)] = {
-                'type': 'tendon',
-                'arms': {named.joint(joint): arm for joint, arm in belt.arms.items()},
-                'stiffness': stiffness, 'damping': belt.damping, 'rest': belt.rest}
+        arms = {named.joint(joint): arm for joint, arm in belt.arms.items()}
+        for key, acts, values in (
+                ('tendon', stiffness != (None,) and any((*stiffness, *belt.damping)),
+                 {'stiffness': stiffness, 'damping': belt.damping, 'rest': belt.rest}),
+                ('tendon_friction', belt.friction, {'coulomb': belt.friction}),
+                ('tendon_inertia', belt.inertia, {'inertia': belt.inertia})):
+            if acts:
+                effects[free_name(f'{key}_{word(belt.name)}', effects)] = {
+                    'type': key, 'arms': arms, **values}
     for drag in model.drags:
         group, pose = groups.place(drag.link, Pose(drag.rotation, np.zeros(3)))
         point = named.body(_center(model.links[drag.link]))

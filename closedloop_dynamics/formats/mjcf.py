@@ -389,6 +389,7 @@ class _Reader:
         compiled, model, kinds = self.compiled, self.model, self.mujoco.mjtTrn
         in_joints = [int(getattr(kinds, f'mjTRN_{kind}')) for kind in (
             'JOINT', 'JOINTINPARENT', 'SO3') if hasattr(kinds, f'mjTRN_{kind}')]
+        along = int(kinds.mjTRN_TENDON)
         drives, count = set(), getattr(compiled, 'nactuator', compiled.nu)
         outputs = getattr(compiled, 'actuator_outadr', range(count))
         for drive in range(count):
@@ -407,6 +408,12 @@ class _Reader:
                 self._omit_gains(drive, gear, joint)
                 continue
             self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
+            joints = self._tendon(target) if kind == along else None
+            if joints is not None:
+                self.model.belts.append(Belt(
+                    ' '.join(self._called(self.objects.mjOBJ_ACTUATOR, drive)),
+                    self._arms(joints), damping=(damping,), inertia=armature))
+                continue
             for key, size, unit in (('damping', damping, 'N s/m'), ('armature', armature, 'kg')):
                 if size:
                     self._omit(key, self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint',
@@ -443,14 +450,17 @@ class _Reader:
             compiled.tendon_limited[tendon] and not self._unlimited()) else None
         joints, plain = self._tendon(tendon), not (any(stiffness[1:]) or any(damping[1:]))
         if joints is not None:
-            arms = Counter()
-            for joint, share in joints:
-                arms[self.joints[joint]] += share
-            if any(stiffness) or any(damping):
-                self.model.belts.append(Belt(name, arms, stiffness, damping, rest))
+            arms = self._arms(joints)
+            rubs = not (self.disabled('FRICTIONLOSS') or self.disabled('CONSTRAINT'))
+            # Older versions have no armature of tendons.
+            self.model.belts.append(Belt(
+                name, arms, stiffness, damping, rest,
+                friction=rubs * float(compiled.tendon_frictionloss[tendon]),
+                inertia=float(getattr(compiled, 'tendon_armature', {tendon: 0.0})[tendon])))
             if limits:
                 self.model.belts.append(Belt(f'{name}_limit', arms, rest=limits, limit=True))
-            yield from self._read('tendon', ('stiffness', 'damping'), tendon)
+            yield from self._read(
+                'tendon', ('stiffness', 'damping', 'frictionloss', 'armature'), tendon)
             return
         if any(compiled.wrap_type[k] != self.mujoco.mjtWrap.mjWRAP_SITE for k in wraps):
             if limits:
@@ -686,6 +696,13 @@ class _Reader:
         if any(compiled.wrap_type[k] != self.mujoco.mjtWrap.mjWRAP_JOINT for k in wraps):
             return None
         return [(int(compiled.wrap_objid[k]), float(compiled.wrap_prm[k])) for k in wraps]
+
+    def _arms(self, joints):
+        """Return arms by names of joints, of what ``_tendon`` returned."""
+        arms = Counter()
+        for joint, share in joints:
+            arms[self.joints[joint]] += share
+        return dict(arms)
 
 
 def _rotation(quaternion):

@@ -22,6 +22,9 @@ from ..mechanism.rotations import of_quaternion, quaternion_of
 ATTRIBUTES = {
     'joint_damping': 'damping', 'joint_friction': 'frictionloss', 'joint_spring': 'stiffness'}
 
+# Key of the number, and attribute of a fixed tendon, by the type of effect along joints.
+ALONG = {'tendon_friction': ('coulomb', 'frictionloss'),
+         'tendon_inertia': ('inertia', 'armature')}
 # Powers of springs and dampers that MuJoCo has.
 MOST_POWERS = 3
 # The least moment of inertia that it compiles, twice [kg m^2].
@@ -93,7 +96,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
 
 def _along(name, values, mechanism, world, section, acting):
     """Add the tendon that an effect is; return whether there is one."""
-    kind = values['type']
+    kind, more = values['type'], {}
     places = [values[key] for key in ('point_a', 'point_b') if values.get(key)]
     if kind == 'tendon':
         rest, stiffness, damping = (np.ravel(values.get(key) or 0.0) for key in (
@@ -101,16 +104,18 @@ def _along(name, values, mechanism, world, section, acting):
         # Lengths of -1 are what MuJoCo finds where the model is drawn.
         if max(len(stiffness), len(damping)) > MOST_POWERS or np.all(rest == -1.0):
             return False
-        tendon = ElementTree.SubElement(section, 'fixed')
-        for joint, arm in values['arms'].items():
-            ElementTree.SubElement(tendon, 'joint', joint=acting.freedoms[joint][0],
-                                   coef=numbers(arm))
+        tendon = _fixed(section, values['arms'], acting)
+        more = {'stiffness': stiffness, 'damping': damping, 'springlength': rest}
+    elif kind in ALONG:
+        key, attribute = ALONG[kind]
+        tendon = _fixed(section, values['arms'], acting)
+        more = {attribute: [values.get(key, 0.0)]}
     elif kind == 'point_spring' or kind == 'cable' and not (
             values.get('damping') or any(values.get('radii') or ())):
         rope = kind == 'cable'
-        stiffness, damping = [values.get('stiffness', 0.0)], [
-            0.0 if rope else values.get('damping', 0.0)]
-        rest = [0.0, values['free_length']] if rope else [values.get('free_length', 0.0)]
+        more = {'stiffness': [values.get('stiffness', 0.0)],
+                'damping': [0.0 if rope else values.get('damping', 0.0)],
+                'springlength': ([0.0] if rope else []) + [values.get('free_length', 0.0)]}
         tendon = ElementTree.SubElement(section, 'spatial')
         if values.get('anchor'):
             ElementTree.SubElement(world, 'site', name=f'{name}_anchor',
@@ -120,10 +125,19 @@ def _along(name, values, mechanism, world, section, acting):
             ElementTree.SubElement(tendon, 'site', site=place)
     else:
         return False
-    for key, found in (('name', name), ('stiffness', numbers(*stiffness)),
-                       ('damping', numbers(*damping)), ('springlength', numbers(*rest))):
-        tendon.set(key, found)
+    tendon.set('name', name)
+    for key, found in more.items():
+        tendon.set(key, numbers(*found))
     return True
+
+
+def _fixed(section, arms, acting):
+    """Add a tendon of joints."""
+    tendon = ElementTree.SubElement(section, 'fixed')
+    for joint, arm in arms.items():
+        ElementTree.SubElement(tendon, 'joint', joint=acting.freedoms[joint][0],
+                               coef=numbers(arm))
+    return tendon
 
 
 def _singles(mechanism, joint):

@@ -215,7 +215,7 @@ class Rope:
 @dataclass
 class Belt:
     """
-    A spring and damper along a weighted sum of coordinates of joints of one freedom.
+    What acts along a weighted sum of coordinates of joints of one freedom.
 
     Attributes
     ----------
@@ -228,6 +228,8 @@ class Belt:
         Least and largest sum without a force of the spring.
     limit : bool
         Whether the ends of ``rest`` are limits, of whatever stiffness is asked for.
+    friction, inertia : float
+        Dry friction and inertia along the sum; SI units.
 
     """
 
@@ -237,6 +239,8 @@ class Belt:
     damping: tuple = ()
     rest: tuple = (0.0, 0.0)
     limit: bool = False
+    friction: float = 0.0
+    inertia: float = 0.0
 
 
 @dataclass

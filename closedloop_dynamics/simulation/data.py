@@ -107,7 +107,7 @@ class Data(Names):
             -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
             dtype=np.int64)
         # Where it was found last which rates are decided, and which ones are.
-        self._decided: Tuple[bytes, np.ndarray] = b'', np.zeros(0, dtype=bool)
+        self._decided: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
         self._inverse = self._inverse_dynamics()
         self._set_probes()
@@ -182,22 +182,26 @@ class Data(Names):
 
     def _find_decided(self) -> None:
         """Find the joints with friction that loops and motions move, or hold, by themselves."""
-        names = self._effects.freedoms_with_friction
-        if not names:
+        directions = self._effects.directions_with_friction
+        if not directions:
             return
+        names = list({name: None for arms in directions for name, _ in arms})
         in_tree = [name for name in names if name in self.coordinates.index]
         in_cuts = [name for name in names if name not in self.coordinates.index]
         units = np.eye(len(self.joint_names))[[self.coordinates.index[name] for name in in_tree]]
+        arms = np.array([[dict(found).get(name, 0.0) for name in in_tree + in_cuts]
+                         for found in directions])
 
         def derivatives(position: np.ndarray) -> np.ndarray:
             moved = self._equations.move(position)
-            return np.concatenate(
+            return arms @ np.concatenate(
                 (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
 
-        start = self._initial[0].tobytes()
+        start = self._initial[0].tobytes(), directions
         if self._decided[0] != start:
             self._decided = start, self._assembler.decided(self._initial[0], derivatives)
-        self._effects.decide(np.array(in_tree + in_cuts)[self._decided[1]].tolist())
+        self._effects.decide(
+            found for found, decided in zip(directions, self._decided[1]) if decided)
 
     def _inverse_dynamics(self) -> InverseDynamics:
         """Return what solves for the torques of a motion, of the present equations."""

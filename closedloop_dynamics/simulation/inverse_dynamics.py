@@ -128,11 +128,11 @@ class InverseDynamics:
                 native.cut_accelerations(
                     table.cuts, system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
-                self._effects.hold_rotors(table.cuts.qdd)
+            self._effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
             native.apply_effects(
                 table, system.work.body, self._mechanism.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
-            self._effects.hold_rotors(None)
+            self._effects.hold_inertia(None)
             self._effects.unsteady()
             native.bias_forces(system.work, table.reaction)
         native.tree_torque(system.model, system.work, qdd, need)

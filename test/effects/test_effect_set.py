@@ -26,8 +26,10 @@ from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
-from closedloop_dynamics.effects.table import JOINT_FRICTION
+from closedloop_dynamics.effects.table import LOADED
 from closedloop_dynamics.effects.tendon import Tendon
+from closedloop_dynamics.effects.tendon_friction import TendonFriction
+from closedloop_dynamics.effects.tendon_inertia import TendonInertia
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -100,6 +102,8 @@ def every_element(rng, mechanism, q):
                          turning_stiffness=2.0, turning_damping=0.1),
         'belt': Tendon(dict.fromkeys(mechanism.joint_names[:2], 0.5), (20.0, 3.0), (0.1, 0.05),
                        (-0.1, 0.1)),
+        'sheath': TendonFriction(dict.fromkeys(mechanism.joint_names[:2], 0.4), 0.3),
+        'weight': TendonInertia(dict.fromkeys(mechanism.joint_names[-2:], -0.5), 0.2),
         'water': FluidDrag(point(), (0.5, 0.1), (0.3, 0.2), 0.05, 0.02, (0.2, -0.1), 0.3),
         'magnet': Law({'d': '-k*d*exp(-d)*(1 + z)', 'a': '-c*da*abs(da) + 0.1*sin(5*t)'},
                       joints={'a': joint()}, distances={'d': (point(), place)},
@@ -231,7 +235,7 @@ def test_inverse_dynamics_sees_the_effects(case):
     simulation.set_effect('motor', enabled=False)
     moving = simulation._state
     table = simulation.system.effects
-    row = list(table.kind).index(JOINT_FRICTION)
+    row, = np.flatnonzero(table.index[:, LOADED])
     state = table.index[row, 0]
     torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
     for _ in range(60):

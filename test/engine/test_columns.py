@@ -12,7 +12,7 @@ from closedloop_dynamics.core.codegen import (
     elimination, function_table, refinement, space as code_in_space)
 from closedloop_dynamics.effects import (
     actuator, body_contact, bushing, cable, course, curve, energy_balance, expression, fluid_drag,
-    force_table, joint_friction, table, traced_effect)
+    force_table, stick_slip, table, traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, guarded_run, left_out, recorded_run, registry, steppers, system,
     tableau)
@@ -97,7 +97,7 @@ CONSTANTS = {
     'bushing_laws.cpp': (bushing, ('AXES_A', 'AXES_B', 'ALONG', 'LOSS')),
     'drag_laws.cpp': (fluid_drag, ('COLUMNS',)),
     'joint_laws.cpp': (actuator, ('FADING',)),
-    'sticking.hpp': (joint_friction, ('REST',)),
+    'sticking.hpp': (stick_slip, ('REST',)),
     'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_STAGES')),
 }
 RECORDS = {

@@ -254,26 +254,28 @@ def test_flags_disable_equalities_drives_friction_and_limits(tmp_path):
 
 def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
     text = TREE.replace('<actuator>', """
-      <tendon><fixed name="belt" stiffness="30" damping="0.5" armature="0.2" frictionloss="2"
-      springlength="0" limited="true" range="0 1"><joint joint="hinge" coef="2"/></fixed></tendon>
+      <tendon><fixed name="belt" limited="true" range="0 1"><joint joint="hinge" coef="2"/></fixed>
+      <spatial name="cord" armature="0.2" frictionloss="2"><site site="hook"/><site site="eye"/>
+      </spatial></tendon>
       <actuator><motor name="pull" tendon="belt" gear="10"/>""").replace(
         BALL, f'{BALL} stiffness="0 4"')
+    for before, name in (('<light', 'hook'), (BALL, 'eye')):
+        text = text.replace(before, f'<site name="{name}"/>{before}')
     imported = read_model(written(tmp_path, text))
     assert [(one.quantity, one.kind, one.name, one.size, one.unit)
             for one in sorted(imported.omitted, key=lambda one: -one.size)] == [
         ('higher terms of the stiffness', 'joint', 'ball', 4.0, 'N m/rad^2'),
-        ('friction', 'tendon', 'belt', 2.0, 'N m'),
-        ('armature', 'tendon', 'belt', 0.2, 'kg m^2')]
+        ('friction', 'tendon', 'cord', 2.0, 'N'), ('armature', 'tendon', 'cord', 0.2, 'kg')]
     assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops unless they are asked for'
     notes = lines(imported, 1.0)
     assert notes[0] == (
         'left out of the motion, springs and dampers are linear: higher terms of the stiffness of '
         'joint ball (4 N m/rad^2)')
     assert notes[1] == (
-        'left out of the motion, no effect acts along such tendons: friction of tendon belt '
-        '(2 N m); armature of tendon belt (0.2 kg m^2)')
+        'left out of the motion, no effect acts along such tendons: friction of tendon cord '
+        '(2 N); armature of tendon cord (0.2 kg)')
     # What turns counts as the force that it makes at the size of the machine.
-    assert 'friction' in lines(imported, 1.6)[0]
+    assert 'friction' in lines(imported, 2.1)[0]
     # What has no influence on the motion comes last.
     assert 'pictures' in notes[-1] and 'pictures' not in ''.join(notes[:-1])
 

@@ -289,8 +289,13 @@ def test_mjcf_has_tendons_springs_between_points_and_ropes(tmp_path):
                             'stiffness': (3.0, 0.0, 0.0), 'damping': (0.2, 0.0, 0.0),
                             'rest': (-0.1, 0.3)},
             'cable_rope': {'type': 'cable', 'points': ['hook', 'guide', 'tip'],
-                           'stiffness': 50.0, 'free_length': 0.4}}
+                           'stiffness': 50.0, 'free_length': 0.4},
+            'tendon_friction_sheath': {'type': 'tendon_friction', 'arms': {'j0': 0.5, 'j2': 3.0},
+                                       'coulomb': 0.7},
+            'tendon_inertia_motor': {'type': 'tendon_inertia', 'arms': {'j0': 1.0, 'j1': 1.0},
+                                     'inertia': 0.3}}
     effects = {**GRAVITY, 'belt': same['tendon_belt'], 'rope': same['cable_rope'],
+               'sheath': same['tendon_friction_sheath'], 'motor': same['tendon_inertia_motor'],
                'strut': {'type': 'point_spring', 'point_a': 'tip', 'anchor': (0.1, 0.2, 0.7),
                          'stiffness': 5.0, 'damping': 0.5, 'free_length': 0.2},
                'oil': {'type': 'cable', 'points': ['hook', 'tip'], 'stiffness': 5.0,
