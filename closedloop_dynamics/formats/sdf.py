@@ -18,7 +18,8 @@ from .model import (
     Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, NO_CONTACTS, Omission,
     Relation)
 from .pose import IDENTITY, Pose, unturned
-from .sdf_parts import FALSE, flattened, included, MODEL, OWN_AXES, TRUE, version_of, WORLD
+from .sdf_parts import (
+    FALSE, flattened, included, MODEL, OWN_AXES, renamed, SCOPE, TRUE, version_of, WORLD)
 from .visuals import color_in, placed, visuals
 from .xml_file import read_xml
 from .xml_omissions import leave_out
@@ -61,9 +62,11 @@ def read_sdf(path, asked=Asked()):
     where = root if world is None else world
     where.get('name')
     models, missing = [(model, version) for model in where.all('model')], []
+    written = {id(model): model for model, _ in models}
     for element in where.all('include'):
         try:
             models.append(included(element, asked)[:2])
+            written[id(models[-1][0])] = element
         except MechanismError as error:
             missing.append((element, error))
     element, version, still = _chosen(where, models, missing, asked)
@@ -71,11 +74,19 @@ def read_sdf(path, asked=Asked()):
     for include, error in missing:
         model.omitted.append(Omission(
             'the model', 'include', include.required('uri').text, 'its file was not found'))
-    others = [one.get('name') for one, _ in models if one is not element and one not in still]
+    others = [one for one, _ in models if one is not element and one not in still]
     if others:
-        model.ignored[f'the models {", ".join(others)}'] = 'one is simulated at a time'
+        names = ', '.join(one.get('name') for one in others)
+        model.ignored[f'the models {names}'] = 'one is simulated at a time'
+    if world is not None:
+        _join_to_world(element, where, still, model)
+        apart = [written[id(one)] for one in others]
+        where.children = [child for child in where.children
+                          if child.tag != 'joint' and child not in apart]
+    around = {one.word('name'): one for one in where.all('frame')}
+    around.update((one.get('name'), one) for one, _ in models if not one.get('placement_frame'))
     flattened(element, version, asked)
-    reader = _Reader(element, model, version)
+    reader = _Reader(element, model, version, around=around)
     gravity = world and world.child('gravity')
     if gravity:
         model.gravity = tuple(gravity.values(gravity.text, 3, 'gravity'))
@@ -83,7 +94,7 @@ def read_sdf(path, asked=Asked()):
     for one, own in models:
         if one in still:
             flattened(one, own, asked)
-            model.ground_visual += _Reader(one, model, own).drawn()
+            model.ground_visual += _Reader(one, model, own, around=around).drawn()
     leave_out(model, root, REASONS)
     return model
 
@@ -108,6 +119,26 @@ def _chosen(where, models, missing, asked):
         raise where.error('one <model> that moves', f'{len(moving)}: {among(moving)}',
                           '--model NAME, or model: NAME in a scene, takes one')
     return (*moving[asked.model or next(iter(moving))], still)
+
+
+def _join_to_world(element, where, still, model):
+    """Put the joints of a world that carry a model on what stands still into the model."""
+    prefix = f'{element.get("name")}{SCOPE}'
+    fixed = tuple(f'{one.get("name")}{SCOPE}' for one in still)
+    for joint in where.all('joint'):
+        parent, child = (joint.required(tag) for tag in ('parent', 'child'))
+        ends = [end.text for end in (parent, child)]
+        if not any(end.startswith(prefix) for end in ends):
+            continue
+        if child.text.startswith(prefix) and (
+                parent.text == WORLD or parent.text.startswith(fixed)):
+            parent.text = WORLD
+            renamed(joint, lambda frame: frame.removeprefix(prefix))
+            element.children.append(joint)
+            continue
+        model.omitted.append(Omission(
+            'the constraint', 'joint', joint.word('name'),
+            'joints between models are read where the child moves and the parent stands still'))
 
 
 def add_joints(element, model, poses):
@@ -138,9 +169,10 @@ class _Reader:
 
     """
 
-    def __init__(self, element, model, version, found=()):
-        """Note every frame with the pose that it is given."""
+    def __init__(self, element, model, version, found=(), around=()):
+        """Note every frame with the pose that it is given; ``around``: those of the world."""
         self.element, self.model, self.version = element, model, version
+        self.around = dict(around)
         self.links, self.joints = element.all('link'), element.all('joint')
         # By frame: the element with its pose, and what that is relative to if it names nothing.
         self.given, self.found = {}, {MODEL: IDENTITY, **dict(found)}
@@ -204,10 +236,23 @@ class _Reader:
 
     def _place(self):
         """Note where the world is in the frame of the model."""
-        pose = self.element.child('pose')
-        if pose is not None and (pose.get('relative_to') or WORLD) != WORLD:
-            raise pose.error('a pose in the world', f'one relative to {pose.get("relative_to")!r}')
-        self.found[WORLD] = self._pose(pose).inverse
+        element, world, passed = self.element, IDENTITY, []
+        frame = element.get('placement_frame') or MODEL
+        # Frames of the world are relative to others of them.
+        while True:
+            pose = element.child('pose')
+            world = self._pose(pose) @ world
+            name = pose and (pose.get('relative_to') or pose.get('frame')) or (
+                element.tag == 'frame' and element.get('attached_to')) or WORLD
+            if name == WORLD:
+                break
+            if name not in self.around or name in passed:
+                raise (pose or element).error(
+                    'a pose in the world, or relative to a frame or model in it',
+                    f'one relative to {name!r}')
+            passed.append(name)
+            element = self.around[name]
+        self.found[WORLD] = self._in(frame) @ world.inverse
 
     def _visuals(self, link):
         """Return what a link is drawn as."""

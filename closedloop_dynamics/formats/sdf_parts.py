@@ -106,8 +106,9 @@ def included(element, asked, opened=()):
         if given is not None:
             model.children = [child for child in model.children if child.tag != tag]
             model.children.append(given)
-    if element.child('placement_frame') is not None:
-        raise element.error('the pose of the whole model', 'a placement_frame')
+    placed = element.child('placement_frame')
+    if placed is not None:
+        model.attributes['placement_frame'] = placed.text
     return model, version_of(root), (*opened, path)
 
 
@@ -154,7 +155,7 @@ def _parts(model, version, merged):
             continue
         if child.tag in ('link', 'frame', 'joint'):
             child.attributes['name'] = prefix + child.word('name')
-        _rename(child, called)
+        renamed(child, called)
         if child.tag == 'link':
             _place(child, frame)
         elif child.tag == 'frame':
@@ -198,7 +199,7 @@ def _express(axis, version, frame):
         xyz.attributes['expressed_in'] = frame
 
 
-def _rename(element, called):
+def renamed(element, called):
     """Call frames otherwise wherever an element refers to one."""
     for key in _ATTRIBUTES:
         if element.attributes.get(key):
@@ -207,4 +208,4 @@ def _rename(element, called):
         element.text = called(element.text)
     for child in element.children:
         if child.tag != 'visual':
-            _rename(child, called)
+            renamed(child, called)

@@ -10,6 +10,7 @@ Read are ``<loop>`` and ``<coupling>`` (URDF+), ``<constraint>`` (proposed), ``<
 
 """
 
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,10 @@ from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, Pose, unturned
 from .sdf import add_joints
 from .sdf_parts import FALSE, TRUE
-from .visuals import color_in, visuals
+from .visuals import color_in, places_of_packages, SEARCHED, visuals
 from .xml_file import read_xml
 from .xml_omissions import leave_out
-from ..mechanism.fields import nearest
+from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
     UNIVERSAL)
@@ -108,15 +109,39 @@ def _expanded(path, asked):
     read_xml(path, ('robot',))
     try:
         import xacro
+        from xacro import substitution_args
     except ImportError:
         raise MechanismError(f'{path}: a xacro file needs xacro: pip install xacro, or in ROS '
                              'install ros-jazzy-xacro') from None
     try:
-        return xacro.process_file(
-            str(path), mappings=dict(asked.arguments)).toxml(encoding='utf-8')
+        with _packages_beside(path, substitution_args):
+            return xacro.process_file(
+                str(path), mappings=dict(asked.arguments)).toxml(encoding='utf-8')
     except Exception as error:  # noqa: B902
         # Whatever the macros do: errors of a language of its own.
         raise MechanismError(f'{path}: expected what xacro can expand, got: {error}') from None
+
+
+@contextmanager
+def _packages_beside(path, xacro):
+    """Have $(find PACKAGE) find packages that the file is in, or beside, where ROS has none."""
+    of_ros = xacro._eval_find
+
+    def find(package):
+        try:
+            return of_ros(package)
+        except (ImportError, LookupError, OSError, ValueError):
+            for place in places_of_packages(path.resolve().parent):
+                if (place / package).is_dir():
+                    return str(place / package)
+            raise LookupError(f'no folder of the package {package!r} around the file, nor where '
+                              f'{among(SEARCHED)} list folders') from None
+
+    xacro._eval_find = find
+    try:
+        yield
+    finally:
+        xacro._eval_find = of_ros
 
 
 def _link(element):

@@ -13,7 +13,7 @@ from ..mechanism.mechanism import BOX, CYLINDER, MechanismError, MESH, SPHERE, V
 from ..mechanism.rotations import of_quaternion, quaternion_of
 
 # Variables of the environment that list folders of packages and models.
-SEARCHED = ('AMENT_PREFIX_PATH', 'GZ_SIM_RESOURCE_PATH')
+SEARCHED = ('AMENT_PREFIX_PATH', 'ROS_PACKAGE_PATH', 'GZ_SIM_RESOURCE_PATH')
 
 
 def visuals(link, folder, pose_of, values_of, color_of, ignored):
@@ -100,13 +100,17 @@ def _path(uri, folder):
         return str(folder / uri)
     if scheme == 'file':
         return rest
-    package, _, inside = rest.partition('/')
-    folders = [folder, *folder.parents]
+    return str(next((place / rest for place in places_of_packages(folder)
+                     if _is_file(place / rest)), folder / rest))
+
+
+def places_of_packages(folder):
+    """Return the folders that packages may be in, for a file in a folder, a list of Path."""
+    found = [folder, *folder.parents]
     for variable in SEARCHED:
         for place in filter(None, os.environ.get(variable, '').split(os.pathsep)):
-            folders += [Path(place), Path(place, 'share')]
-    return str(next((place / package / inside for place in folders
-                     if _is_file(place / package / inside)), folder / package / inside))
+            found += [Path(place), Path(place, 'share')]
+    return found
 
 
 def _is_file(path):

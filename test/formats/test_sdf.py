@@ -7,6 +7,7 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.simulation.far_assembly import Loops
 import numpy as np
 import pytest
@@ -159,7 +160,8 @@ FAULTS = {
     'two': ('<model ', '<model name="other"/><model ',
             r'expected one <model> that moves, got 2: other, four_bar \(--model NAME'),
     'placed': ('<pose>0 0 1 0 0 0</pose>', '<pose relative_to="table">0 0 1 0 0 0</pose>',
-               "expected a pose in the world, got one relative to 'table'"),
+               'expected a pose in the world, or relative to a frame or model in it, '
+               "got one relative to 'table'"),
     'mass': ('<mass>0.5</mass>', '<mass>heavy</mass>', "got 'heavy'"),
     'world': ('<link name="crank">', '<link name="world"/><link name="crank">',
               "expected any name but 'world'"),
@@ -275,6 +277,44 @@ def test_one_of_several_models_of_a_world(tmp_path):
         'free', 'free']
     with pytest.raises(MechanismError, match="--model to be one of other, four_bar, got 'floor'"):
         read_model(path, model='floor')
+
+
+IN_WORLD = """<sdf version="1.11"><world name="w">
+  <frame name="corner"><pose>1 2 3 0 0 1.5707963267948966</pose></frame>
+  <frame name="above" attached_to="post"><pose>0 0 1 0 0 0</pose></frame>
+  <model name="post"><static>true</static><pose relative_to="corner">1 0 0 0 0 0</pose>
+    <link name="top"/></model>
+  <model name="arm" placement_frame="tip"><pose relative_to="above">0 0 0.5 0 0 0</pose>
+    <link name="l"/><frame name="tip"><pose>0.25 0 0 0 0 0</pose></frame></model>
+  <model name="loose"><link name="l"/></model>
+  JOINTS
+</world></sdf>"""
+HINGE = ('<joint name="hinge" type="revolute"><parent>{}</parent><child>{}</child>'
+         '<axis><xyz>1 0 0</xyz></axis></joint>')
+
+
+def test_frames_and_joints_of_the_world(tmp_path):
+    path = written(tmp_path, IN_WORLD.replace('JOINTS', HINGE.format('post::top', 'arm::l')))
+    found = read_model(path, model='arm')
+    joint, = found.mechanism.joints
+    # The corner and its quarter turn, a metre to the post, one up, half one to the tip, which
+    # stands a quarter of one before the link.
+    assert joint.position == pytest.approx((1.0, 2.75, 4.5))
+    assert (joint.parent, joint.child) == ('ground', 'l')
+    assert of_quaternion(joint.orientation) @ joint.axis == pytest.approx([0.0, 1.0, 0.0])
+    assert not found.omitted and found.ignored == {
+        'the models loose': 'one is simulated at a time'}
+    for ends, taken in ((('loose::l', 'arm::l'), 'arm'), (('arm::l', 'post::top'), 'arm'),
+                        (('loose::l', 'arm::l'), 'loose')):
+        path = written(tmp_path, IN_WORLD.replace('JOINTS', HINGE.format(*ends)))
+        found = read_model(path, model=taken)
+        assert [joint.type for joint in found.mechanism.joints] == ['free']
+        omission, = found.omitted
+        assert (omission.quantity, omission.name) == ('the constraint', 'hinge')
+    circle = IN_WORLD.replace('JOINTS', '').replace(
+        '<pose>1 2 3 0', '<pose relative_to="above">1 2 3 0')
+    with pytest.raises(MechanismError, match="relative to 'above'"):
+        read_model(written(tmp_path, circle), model='arm')
 
 
 RAISED = '<pose>1 0 0 0 0 1.5707963267948966</pose>'

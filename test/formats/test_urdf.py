@@ -354,6 +354,28 @@ def test_xacro_is_expanded(tmp_path):
         read_model(written(tmp_path, text.replace('${l}', '${k}'), 'robot.xacro'))
 
 
+def test_xacro_finds_packages_without_ros(tmp_path, monkeypatch):
+    pytest.importorskip('xacro')
+    for name in ('AMENT_PREFIX_PATH', 'ROS_PACKAGE_PATH'):
+        monkeypatch.delenv(name, raising=False)
+    other = tmp_path / 'elsewhere'
+    text = four_bar().replace(
+        '<robot ', '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1).replace(
+        '<link name="base"/>', '<xacro:include filename="$(find parts)/urdf/base.xacro"/>')
+    for place in (tmp_path / 'parts' / 'urdf', other / 'parts' / 'urdf'):
+        place.mkdir(parents=True)
+        written(place, '<robot><link name="base"/></robot>', 'base.xacro')
+    inside = written(tmp_path / 'parts' / 'urdf', text, 'robot.xacro')
+    assert len(read_model(inside).mechanism.bodies) == 3
+    lonely = tmp_path / 'lonely.xacro'
+    lonely.write_text(text.replace('$(find parts)', '$(find spare)'))
+    with pytest.raises(MechanismError, match="no folder of the package 'spare' around the file"):
+        read_model(lonely)
+    (other / 'parts').rename(other / 'spare')
+    monkeypatch.setenv('ROS_PACKAGE_PATH', str(other))
+    assert len(read_model(lonely).mechanism.bodies) == 3
+
+
 @pytest.mark.parametrize('name, text, missing', [
     ('robot.xacro', '<robot/>', 'xacro'), ('robot.mjcf', '<mujoco/>', 'mujoco')])
 def test_what_is_not_installed_is_named(tmp_path, monkeypatch, name, text, missing):
