@@ -330,19 +330,21 @@ def _inertia_of(link, largest, mend, ignored):
     """
     Return the inertia of a link, shape (3, 3); refuse, or mend, one that no body has.
 
-    What is next to nothing beside the ``largest`` moment of all links is mended in any case.
+    What is next to nothing beside the ``largest`` moment of all links, or beside what an offset
+    by rounded digits makes of the mass, is mended in any case.
 
     """
     moments, axes = np.linalg.eigh(link.inertia)
     if possible(moments):
         return link.inertia
     told = moments_told(moments)
-    if moments[0] > -DIGITS * largest:
+    rounding = max(DIGITS * largest, link.mass * AGREEMENT ** 2)
+    if moments[0] > -rounding:
         moments = np.maximum(moments, 0.0)
     beyond = moments[2] - moments[0] - moments[1]
     # The least change in the sum of squares; a negative moment is no matter of rounded digits.
     mended = moments + max(beyond, 0.0) / 3.0 * np.array([1.0, 1.0, -1.0])
-    if moments[0] < 0.0 or not (mend or beyond < DIGITS * largest):
+    if moments[0] < 0.0 or not (mend or beyond < rounding):
         hint = '' if moments[0] < 0.0 else MEND.format(moments_told(mended))
         raise MechanismError(f'{link.where}: expected {POSSIBLE}, got principal moments '
                              f'{told}{hint}')

@@ -207,7 +207,8 @@ def mimics_of(mechanism, format_name):
         if len(coupling.joints) != 2 or not names:
             raise MechanismError(
                 f'{mechanism.name}: couplings.{coupling.name}: expected two joints, one of which '
-                f'follows from no other coupling, to write {format_name}')
+                f'follows from no other coupling, to write {format_name}, got '
+                f'{", ".join(coupling.joints)}')
         name = names[0]
         other, = (one for one in coupling.joints if one != name)
         factor = coupling.joints[name]

@@ -103,6 +103,11 @@ def test_inertias_that_no_body_has_are_refused_or_mended(tmp_path):
                            'ixx="-4e-22" iyy="0" izz="6e-23"')
     assert 'moments -4e-22, 0, 6e-23 of odd, 2e-23, 2e-23, 4e-23 taken' in ''.join(
         read(tmp_path, rounded).ignored)
+    # Nor do they where no other body has any moment.
+    alone = '<inertia ixx="-4e-22" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
+    point = ('<link name="base"/><link name="bob"><inertial><origin xyz="1 0 0"/>'
+             f'<mass value="1"/>{alone}</inertial></link>')
+    assert read(tmp_path, robot(point, joint('swing', 'continuous', 'base', 'bob')))
 
 
 def test_what_has_an_inertia_alone_is_refused_or_mended(tmp_path):
