@@ -56,6 +56,7 @@ setup(
         (share, ['package.xml']),
         *shared('config/**/*.json'),
         *shared('config/**/*.rviz'),
+        *shared('config/**/*.srdf'),
         *shared('config/**/*.yaml'),
         *shared('launch/*'),
     ],

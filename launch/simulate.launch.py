@@ -24,8 +24,11 @@ from launch.actions import OpaqueFunction
 from launch.actions import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+import yaml
 
 PACKAGE = 'closedloop_dynamics'
+# Modes of the torque source that look at no states.
+OPEN_LOOP = {'constant', 'sine'}
 # Name, default and meaning of what is no parameter of the simulator.
 ARGUMENTS = (
     ('drive', '', 'what drives it: a name in config/controllers, or the path of a '
@@ -33,6 +36,7 @@ ARGUMENTS = (
     ('record', 'false',
      'true: record into a bag named by the time; or the directory of a new bag'),
     ('rviz', 'false', 'true: show it in RViz; needs rviz2'),
+    ('publish_tf', 'false', 'true: broadcast the frames of all links on /tf'),
     ('rate', '', 'short for publish_rate [Hz]'),
     ('namespace', '', 'of the nodes and their topics'),
     ('frame_prefix', '', 'in front of the names of frames, where several machines are shown: RViz '
@@ -72,11 +76,12 @@ def start(context):
     if shown:
         # Looked for before anything starts, so that nothing is left running.
         require('rviz:=true', 'rviz2', *(['tf2_ros'] if values['frame_prefix'] else []))
+    if shown or values['publish_tf'].lower() == 'true':
         overrides['publish_tf'] = True
     recorded = values['record'].lower() != 'false'
     if recorded:
         # The recorder is to miss no motion, and no command.
-        overrides.setdefault('wait_for_subscribers', 1)
+        overrides.setdefault('wait_for_subscribers', 1 + listens(files))
     nodes = [node('closedloop_simulator', values, [*files, overrides])]
     if values['drive']:
         of_source = {'scene': given['scene']} if given['scene'] else {}
@@ -125,6 +130,14 @@ def node(executable, values, parameters):
 
     return Node(package=PACKAGE, executable=executable, namespace=values['namespace'],
                 parameters=parameters, output='screen', on_exit=end)
+
+
+def listens(files):
+    """Return whether a torque source with parameters in files subscribes to joint_states."""
+    modes = [values['ros__parameters']['mode'] for path in files
+             for name, values in yaml.safe_load(Path(path).read_text()).items()
+             if name.endswith('torque_source') and 'mode' in values['ros__parameters']]
+    return bool(set(modes) - OPEN_LOOP)
 
 
 def drive_file(name):

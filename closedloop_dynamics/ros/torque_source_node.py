@@ -16,7 +16,7 @@ from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.references import points_of, TrajectoryError
 from closedloop_dynamics.ros.torque_source_parameters import (
-    closed_loop, FEEDBACK_MODES, gains, open_loop, TORQUE_SOURCE_PARAMETERS)
+    closed_loop, FEEDBACK_MODES, gains, MODEL_MODES, open_loop, TORQUE_SOURCE_PARAMETERS)
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
@@ -159,7 +159,7 @@ class TorqueSourceNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         joints = tuple(name for name in self._values['joints'] if name)
-        if self._values['mode'] == 'computed_torque':
+        if self._values['mode'] in MODEL_MODES:
             self._simulation = self._load(joints)
             self._create_command(by_name=False)
             self._begin(self._simulation.actuated_joints)
@@ -299,7 +299,7 @@ class TorqueSourceNode(Node):
                         STATE_DEPTH)
             self.create_subscription(
                 JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
-            if self._simulation is not None:
+            if self._values['mode'] == 'computed_torque':
                 self.create_subscription(
                     JointTrajectory, 'joint_trajectory', self.on_trajectory, QUEUE_DEPTH)
         else:
@@ -308,16 +308,17 @@ class TorqueSourceNode(Node):
         self.get_logger().info(f"mode {self._values['mode']}, driving {', '.join(joints)}")
 
     def _load(self, joints):
-        """Return the model of mode computed_torque."""
+        """Return the model of modes that have one."""
+        mode = self._values['mode']
         if not self._values['scene']:
-            raise StartError("mode 'computed_torque' needs parameter 'scene'")
+            raise StartError(f"mode '{mode}' needs parameter 'scene'")
         if joints:
-            raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
+            raise StartError(f"mode '{mode}' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
         simulation = load_simulation(self._values, self.get_logger())[0]
         driven = [cut.name for cut in simulation.cut_joints if cut.actuated]
         if driven:
-            raise StartError("mode 'computed_torque' leads joints of the tree, and not "
+            raise StartError(f"mode '{mode}' leads joints of the tree, and not "
                              f"{driven[0]}, which closes a loop: take mode 'pd', or cut another "
                              'joint of that loop')
         return simulation

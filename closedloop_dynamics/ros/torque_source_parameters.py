@@ -4,6 +4,7 @@
 """Parameters of the torque source, and the laws they choose."""
 
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.ros.impedance import Impedance
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.references import Circle, PathError, Reference, Wave, Ways
@@ -11,23 +12,26 @@ from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDeri
 import numpy as np
 
 # Modes that answer states.
-FEEDBACK_MODES = ('pd', 'computed_torque')
+IMPEDANCE = 'impedance'
+# Those with the model of a scene.
+MODEL_MODES = ('computed_torque', IMPEDANCE)
+FEEDBACK_MODES = ('pd', *MODEL_MODES)
 _PER_JOINT = 'One value for all joints, or one per joint.'
 TORQUE_SOURCE_PARAMETERS = (
     Parameter(
         'mode', 'constant',
         'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
         'along a reference, from joint_states. computed_torque: the same through the model of '
-        'a scene.', choices=('constant', 'sine', *FEEDBACK_MODES)),
+        'a scene. impedance: a point is held by springs and dampers, through the model.', choices=('constant', 'sine', *FEEDBACK_MODES)),
     Parameter(
         'scene', '',
-        'computed_torque: the scene simulated, by name or path; the gains then ask for '
-        'accelerations, kp [1/s^2], kd [1/s], ki [1/s^3 or 1/s^2].'),
+        'computed_torque, impedance: the scene simulated, by name or path; the gains kp [1/s^2], '
+        'kd [1/s], ki [1/s^3 or 1/s^2] then ask for accelerations.'),
     ALLOW_CODE,
     Parameter(
         'joints', [''],
         'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '
-        'the order the simulator (for computed_torque: the scene) tells, through '
+        'the order the simulator (computed_torque, impedance: the scene) tells, through '
         'torque_command.'),
     Parameter(
         'simulator', 'closedloop_simulator',
@@ -82,11 +86,18 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter('path_places', [0.0], 'The places, one after the other, seen from where it begins '
               '[m]: x, y, in space x, y, z of each.'),
     Parameter('path_durations', [1.0], 'Of the way to each place, and back [s].'),
+    Parameter('impedance_point', '', 'impedance: named point that springs and dampers hold, with '
+              'its body, where the scene begins.'),
+    Parameter('stiffness', [0.0], 'impedance: of the springs along x and y [N/m] and about z '
+              '[N m/rad], in space along, then about x, y and z of the world. One value for all, '
+              'or one per direction.', read_only=False),
+    Parameter('damping', [0.0], 'impedance: of the dampers [N s/m, N m s/rad], as stiffness.',
+              read_only=False),
     Parameter('feedforward', [0.0],
-              f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}',
+              f'pd, computed_torque, impedance: torque added always [N m or N]. {_PER_JOINT}',
               read_only=False),
     Parameter('torque_limit', [0.0],
-              'pd, computed_torque: largest magnitude of the torque [N m or N]; 0: that of the '
+              'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: that of the '
               "joint's actuator in the scene, else none. "
               f'{_PER_JOINT}', read_only=False),
 )
@@ -107,8 +118,10 @@ def open_loop(values, joints):
 
 
 def closed_loop(values, joints, simulation=None):
-    """Return the law of mode pd, or with a simulation, the model, that of computed_torque."""
+    """Return the law of mode pd, or with a simulation, the model, that of the other modes."""
     tuning = gains(values, joints, simulation)
+    if values['mode'] == IMPEDANCE:
+        return Impedance(simulation, values['impedance_point'], *tuning)
     *own, feedforward, limit = tuning
     wanted = reference(values, joints, simulation)
     if simulation is None:
@@ -119,10 +132,20 @@ def closed_loop(values, joints, simulation=None):
 
 
 def gains(values, joints, simulation=None):
-    """Return kp, kd, ki, feedforward and limit, of shape (n,): what changes while a law runs."""
-    spread = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
+    """
+    Return what changes while a law runs, gains first, then feedforward and limit, shape (n,).
+
+    Gains are kp, kd and ki, of shape (n,), or stiffness and damping, one per direction.
+
+    """
+    names, places = ('kp', 'kd', 'ki'), joints
+    if values['mode'] == IMPEDANCE:
+        names = 'stiffness', 'damping'
+        places = ('x', 'y', 'turn') if simulation.mechanism.planar else (
+            'x', 'y', 'z', 'turn_x', 'turn_y', 'turn_z')
+    spread = [_not_negative(values, name, places) for name in names]
     if not np.any(spread):
-        raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
+        raise StartError(f"mode '{values['mode']}' needs a gain: {', '.join(names)} are all zero")
     limit = _not_negative(values, 'torque_limit', joints)
     drives = {} if simulation is None else {
         effect.joint: effect.max_torque for effect in simulation.effects.values()

@@ -20,13 +20,18 @@ from ament_index_python.packages import PackageNotFoundError
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.torque_source_parameters import (
+    FEEDBACK_MODES, TORQUE_SOURCE_PARAMETERS)
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / 'launch'
 STAND_INS = {
     'launch': ['LaunchDescription'],
-    'launch.actions': ['DeclareLaunchArgument', 'GroupAction', 'IncludeLaunchDescription',
-                       'OpaqueFunction', 'Shutdown'],
+    'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'ExecuteProcess', 'GroupAction',
+                       'IncludeLaunchDescription', 'OpaqueFunction', 'RegisterEventHandler',
+                       'Shutdown', 'TimerAction'],
+    'launch.event_handlers': ['OnProcessExit', 'OnProcessIO'],
+    'launch.events': ['matches_action'], 'launch.events.process': ['SignalProcess'],
     'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
     'launch.substitutions': ['LaunchConfiguration'],
     'launch_ros': [], 'launch_ros.actions': ['Node'],
@@ -139,13 +144,25 @@ def test_recorder_is_started_when_asked_for(simulate):
     simulator, recorder = simulate(record='true', namespace='left')
     # Whose first states and commands it is not to miss.
     assert simulator.parameters[-1]['wait_for_subscribers'] == 1
-    assert simulate(record='true', drive='three_rrr_circle')[1].parameters[-1] == {
-        'wait_for_subscribers': 2}
+    driven, source, _ = simulate(record='true', drive='three_rrr_circle')
+    # The torque source subscribes to states, too, and the simulator to commands.
+    assert driven.parameters[-1]['wait_for_subscribers'] == 2
+    assert source.parameters[-1] == {'wait_for_subscribers': 2}
     assert 'wait_for_subscribers' not in simulate()[0].parameters[-1]
     assert (recorder.executable, recorder.namespace) == ('closedloop_recorder', 'left')
     assert recorder.parameters == [{'output': ''}]
     *_, recorder = simulate(record='my_bag')
     assert recorder.parameters == [{'output': 'my_bag'}]
+
+
+def test_drives_that_look_at_no_states_are_known(simulate, tmp_path):
+    modes, = (parameter.choices for parameter in TORQUE_SOURCE_PARAMETERS
+              if parameter.name == 'mode')
+    for mode in modes:
+        path = tmp_path / f'{mode}.yaml'
+        path.write_text(f'closedloop_torque_source: {{ros__parameters: {{mode: {mode}}}}}\n')
+        simulator, *_ = simulate(record='true', drive=str(path))
+        assert simulator.parameters[-1]['wait_for_subscribers'] == 1 + (mode in FEEDBACK_MODES)
 
 
 def test_viewer_is_given_the_frames_of_the_links(simulate):
@@ -205,6 +222,108 @@ def test_two_mechanisms_stand_apart(stand_ins, simulate):
         assert nodes[0].parameters[-1]['frame_prefix'] == f"{each['namespace']}/"
         assert nodes[-1].parameters == [{'output': each['namespace']}]
     assert [each.package for each in shown] == ['tf2_ros', 'tf2_ros', 'rviz2']
+
+
+@pytest.fixture
+def example(stand_ins, simulate, monkeypatch, tmp_path):
+    """Return a function that tells what a launch file starts: nodes, and others."""
+    def started(name, **arguments):
+        module = load(name)
+        if hasattr(module, 'get_package_prefix'):
+            monkeypatch.setattr(module, 'get_package_prefix', lambda package: (
+                tmp_path if package in {'closedloop_dynamics', *example.installed}
+                else (_ for _ in ()).throw(PackageNotFoundError(package))))
+        found, defaults = module.generate_launch_description().given[0], {}
+        for each in found:
+            if type(each).__name__ == 'DeclareLaunchArgument':
+                defaults[each.given[0]] = each.default_value
+        assert set(arguments) <= set(defaults)
+        return unfolded(found, {**defaults, **arguments})
+
+    def unfolded(entities, values):
+        whole = []
+        for each in entities:
+            kind = type(each).__name__
+            if kind == 'OpaqueFunction':
+                whole += unfolded(each.function(values), values)
+            elif kind == 'GroupAction':
+                whole += unfolded(each.given[0], values)
+            elif kind == 'IncludeLaunchDescription':
+                whole += simulate(**dict(each.launch_arguments))
+            elif kind != 'DeclareLaunchArgument':
+                whole.append(each)
+        return whole
+
+    example = SimpleNamespace(installed=set(), started=started)
+    return example
+
+
+def test_impedance_control_is_its_drive(example):
+    simulator, source = example.started('impedance_control')
+    assert executables([simulator, source]) == [
+        'closedloop_simulator', 'closedloop_torque_source']
+    assert Path(source.parameters[0]).stem == 'three_rrr_impedance'
+
+
+def test_pick_and_place_follows_its_path_or_moveit(example):
+    simulator, source = example.started('delta_pick_and_place')
+    assert Path(source.parameters[0]).stem == 'delta_robot_pick_and_place'
+    with pytest.raises(RuntimeError, match="moveit:=true needs the package 'moveit_ros_move_gr"):
+        example.started('delta_pick_and_place', moveit='true')
+    example.installed |= {'moveit_ros_move_group', 'controller_manager',
+                          'joint_trajectory_controller', 'topic_based_ros2_control'}
+    simulator, manager, spawner, group = example.started('delta_pick_and_place', moveit='true')
+    values = simulator.parameters[-1]
+    assert values['scene'] == 'delta_robot' and values['publish_tf'] is True
+    rates = Path(manager.parameters[0]).read_text()
+    assert f"update_rate: {values['publish_rate']:g} " in rates
+    assert spawner.arguments[0] == 'joint_trajectory_controller'
+    assert Path(group.parameters[0]).is_file()
+    assert '<passive_joint' in group.parameters[1]['robot_description_semantic']
+
+
+def test_ankle_is_completed_beside_what_stands_for_the_robot(example):
+    completion, simulator, source = example.started('humanoid_ankle')
+    assert completion.executable == 'closedloop_joint_states'
+    assert completion.parameters[0]['joints'] == ['left', 'right']
+    assert completion.remappings == [('joint_states', '/robot/joint_states')]
+    assert simulator.namespace == source.namespace == 'robot'
+    assert executables(example.started('humanoid_ankle', robot='false')) == [
+        'closedloop_joint_states']
+
+
+def test_machine_waits_for_hardware_or_what_stands_for_it(example):
+    simulator, = example.started('hardware_in_the_loop')
+    values = simulator.parameters[-1]
+    assert (values['mode'], values['publish_clock'], values['scene']) == (
+        'lockstep', True, 'three_rrr')
+    simulator, source = example.started('hardware_in_the_loop', stand_in='true')
+    assert source.executable == 'closedloop_torque_source'
+    assert simulator.parameters[-1]['mode'] == 'lockstep'
+
+
+def test_forces_are_found_of_a_bag_or_of_what_is_recorded_first(example, tmp_path):
+    forces, = example.started('bag_to_forces', bag='mine', scene='delta_robot', deviation='1e-4')
+    assert forces.cmd == [
+        str(tmp_path / 'lib' / 'closedloop_dynamics' / 'closedloop'), 'forces', 'mine', '--scene',
+        'delta_robot', '--deviation', '1e-4', '--output', 'forces']
+    assert type(forces.on_exit(SimpleNamespace(returncode=0), None)).__name__ == 'Shutdown'
+    with pytest.raises(RuntimeError, match='closedloop forces ended with exit code 2'):
+        forces.on_exit(SimpleNamespace(returncode=2), None)
+    simulator, source, recorder, *handlers = example.started('bag_to_forces')
+    assert executables([simulator, source, recorder]) == [
+        'closedloop_simulator', 'closedloop_torque_source', 'closedloop_recorder']
+    # Nobody begins before the recorder listens.
+    assert simulator.parameters[1] == {'wait_for_subscribers': 2}
+    assert source.parameters[1] == {'wait_for_subscribers': 2}
+    spoken, ended = (handler.given[0] for handler in handlers)
+    assert spoken.on_stderr(SimpleNamespace(text=b'recording into motion')) is None
+    timer = spoken.on_stderr(SimpleNamespace(text=b'... /joint_states: first message\n'))
+    assert type(timer).__name__ == 'TimerAction' and timer.period == 5.0
+    forces = ended.on_exit(SimpleNamespace(returncode=0), None)
+    assert forces.cmd[2] == recorder.parameters[0]['output'] == 'motion'
+    with pytest.raises(RuntimeError, match='closedloop_recorder ended with exit code 1'):
+        ended.on_exit(SimpleNamespace(returncode=1), None)
 
 
 def test_shipped_views_look_at_what_is_published():
