@@ -59,6 +59,11 @@ class Diagnostics:
 
     ``node`` publishes; a ``LiveSimulation`` and the mode that advances it are looked at.
 
+    Attributes
+    ----------
+    summary : str
+        Closure, error and energy balance of the latest period in a few lines; empty before.
+
     """
 
     def __init__(self, node, live, mode):
@@ -66,7 +71,7 @@ class Diagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._name = node.get_fully_qualified_name()
         self._singular, self._sources, self._graph = Throttle(), (), None
-        self._redundant = False
+        self._redundant, self.summary = False, ''
         self._mark({})
 
     def watch_health(self, stamp):
@@ -100,6 +105,7 @@ class Diagnostics:
         self._sources = sources
         simulation = self._live.simulation
         report = simulation.report()
+        self.summary = accuracy_summary(report, simulation.energy_balance.residual)
         self._send({
             'time': self._time(standing),
             'method': self._method(report),
@@ -245,6 +251,15 @@ def method_finding(report, load):
         'evaluations per simulated second': report.evaluation_rate,
         'budget [share of real time]': report.budget,
         'used of the budget [share of real time]': report.budget_used})
+
+
+def accuracy_summary(report, residual):
+    """Return closure, error and energy residual [J] of a report, a line each if they are known."""
+    share = residual / report.energy_moved if report.energy_moved > 0.0 else math.nan
+    return '\n'.join(text.format(value) for text, value in (
+        ('closure {:.1e} m or rad', report.closure),
+        ('error {:.1e} rad or m within a second', report.error_bound),
+        ('energy {:+.1e} of what moved', share)) if math.isfinite(value))
 
 
 def closure_finding(closure):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The topic ``visualization_marker_array``: links, cut joints, forces, tool path, contacts.
+The topic ``visualization_marker_array``: links, cut joints, forces, path, contacts, accuracy.
 
 In the plane all but the links lies above them; in space where it is, and joints have their axes.
 
@@ -44,6 +44,8 @@ ARROW = (0.025, 0.06, 0.09)
 # In space: width of links, and width and half the length of the lines along axes of joints.
 BAR_WIDTH, AXIS_WIDTH, AXIS_LENGTH = 0.04, 0.008, 0.12
 AXIS_COLOR = '#333333'
+# Height of the letters of the text, and how far it is below the machine, as shares of the size.
+TEXT_SIZE, TEXT_BELOW = 0.08, 0.6
 MARKER_PARAMETERS = (
     Parameter(
         'marker_rate', 30.0,
@@ -64,12 +66,12 @@ class Markers:
     """
     Publishes pictures of the state at a rate of their own, as long as somebody subscribes.
 
-    ``node`` publishes and is given ``MARKER_PARAMETERS``. Raises StartError if there is no point
-    of the name given.
+    ``node`` publishes and is given ``MARKER_PARAMETERS``; ``summary()`` returns what is to be read
+    below the machine. Raises StartError if there is no point of the name given.
 
     """
 
-    def __init__(self, node, simulation):
+    def __init__(self, node, simulation, summary):
         values = declare(node, MARKER_PARAMETERS)
         self._rate, self._publisher = values['marker_rate'], None
         self._frame = values['marker_frame']
@@ -89,8 +91,19 @@ class Markers:
         self._links = link_markers(self._mechanism, size)
         self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
         self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
+        self._summary = summary
+        self._text = styled(Marker.TEXT_VIEW_FACING, 'accuracy', 0, AXIS_COLOR, TEXT_SIZE * size)
+        self._put_text_below()
         self._publisher = self._rate > 0.0 and node.create_publisher(
             MarkerArray, 'visualization_marker_array', QoSProfile(depth=5))
+
+    def _put_text_below(self):
+        """Put the text below where the machine begins."""
+        places = poses_in_space(self._simulation.body_poses)[:, :3]
+        middle, least = places.mean(axis=0), places.min(axis=0)
+        down = 1 if self._mechanism.planar else 2
+        middle[down] = least[down] - TEXT_BELOW * self._size
+        set_pose(self._text.pose, [*middle.tolist(), 0.0, 0.0, 0.0, 1.0])
 
     def follow(self, stamp):
         """Publish the markers of the present state if it is time to, and if anybody wants them."""
@@ -114,6 +127,8 @@ class Markers:
         markers += self._forces(places)
         if self._point is not None:
             markers += self._trace()
+        self._text.text = self._summary()
+        markers += [self._text] * bool(self._text.text)
         for marker in markers:
             marker.header.frame_id, marker.header.stamp = self._frame, stamp
         if len(markers) < self._count:

@@ -169,7 +169,7 @@ class SimulatorNode(Node):
         self.diagnostics = Diagnostics(self, self.live, self.mode)
         self.log = ReplayLog(self, self.simulation)
         descriptions = Descriptions(self, self.simulation, self.log)
-        self.markers = Markers(self, self.simulation)
+        self.markers = Markers(self, self.simulation, lambda: self.diagnostics.summary)
         self.live.on_published += [self._frames.follow] * self._frames.any + [
             self.diagnostics.watch_health, descriptions.follow, self.log.follow,
             self.markers.follow]

@@ -215,3 +215,20 @@ def test_markers_can_be_switched_off(simulator):
 def test_a_point_that_does_not_exist_is_named(simulator):
     with pytest.raises(StartError, match="'marker_point': expected one of the points"):
         simulator(scene='three_rrr', marker_point='nose')
+
+
+@pytest.mark.parametrize('scene', ['three_rrr', 'delta_robot'])
+def test_accuracy_is_written_below_the_machine(simulator, scene):
+    node = simulator(scene=scene)
+    assert 'accuracy' not in by_name(node.markers.array(Time()))
+    node.simulation.step(duration=0.2)
+    node.look_after()
+    text, = by_name(node.markers.array(Time()))['accuracy']
+    closure, error, energy = text.text.splitlines()
+    assert float(closure.split()[1]) == pytest.approx(
+        node.simulation.report().closure, rel=0.1, abs=1e-18)
+    assert 0.0 < float(error.split()[1]) < 1e-3
+    assert abs(float(energy.split()[1])) < 1e-6
+    places = node.simulation.body_poses
+    down = 1 if node.simulation.mechanism.planar else 2
+    assert [text.pose.position.y, text.pose.position.z][down - 1] < places[:, down].min()

@@ -12,6 +12,7 @@ given, tell what would be started; where the real one is installed, it starts th
 import importlib.util
 import json
 from pathlib import Path
+import re
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
@@ -19,6 +20,7 @@ from types import ModuleType, SimpleNamespace
 from ament_index_python.packages import PackageNotFoundError
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.recording.reading import Bag
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import (
     FEEDBACK_MODES, TORQUE_SOURCE_PARAMETERS)
@@ -343,8 +345,24 @@ def test_shipped_views_look_at_what_is_published():
 
     assert sorted(leaves(layout['layout'])) == sorted(panels)
     # All values of an array would become one line that jumps between them.
-    assert not any('[:]' in path['value'] for panel in panels.values()
+    assert not any(re.search(r'\[:\](?!{)', path['value']) for panel in panels.values()
                    for path in panel.get('paths', ()))
+    assert 'accuracy: true' in (folder / 'rviz' / 'mechanism.rviz').read_text()
+
+
+def test_shipped_layout_plots_what_diagnostics_have(make_node):
+    node = make_node(SimulatorNode, scene='four_bar')
+    sent = []
+    node.diagnostics._publisher = SimpleNamespace(publish=sent.append)
+    node.look_after()
+    values = {status.name: {value.key for value in status.values} for status in sent[0].status}
+    layout = json.loads((
+        shipped_path('scenes', 'x').parents[1] / 'foxglove' / 'mechanism.json').read_text())
+    found = [re.search(r'name=="(.*?)".*key=="(.*?)"', path['value']).groups()
+             for path in layout['configById']['Plot!accuracy']['paths']]
+    assert len(found) == 3
+    for name, key in found:
+        assert key in values[name]
 
 
 @pytest.mark.slow
