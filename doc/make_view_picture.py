@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Take the picture of the page of ``closedloop view``: ``doc/pictures/view.png``.
+Take the pictures of the page of ``closedloop view`` in ``doc/pictures``.
+
+``view.png`` has the plots that are shown at first, ``view_accuracy.png`` those of forces, closure
+and error.
 
     python doc/make_view_picture.py          (from the checkout, which is on the PYTHONPATH)
 
@@ -22,10 +25,18 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = 'three_rrr'
+# Plots.
+ACCURACY = ['force at cut joints', 'closure error', 'angle from a singularity', 'estimated error']
+
+
+def save(tab, name):
+    """Save what a tab shows now."""
+    picture = Image.fromarray(tab.picture()).quantize(128)
+    picture.save(ROOT / 'doc' / 'pictures' / f'{name}.png', optimize=True)
 
 
 def main():
-    """Run the scene for a while and write the picture."""
+    """Run the scene for a while and write the pictures."""
     runner, over = Runner(load_scene(SCENE)), threading.Event()
     server = Server([live_page(SCENE)], [runner.feed])
     thread = threading.Thread(target=runner.run, args=(lambda: not over.is_set(),))
@@ -40,8 +51,11 @@ def main():
             tab.wait('page.now > 2.0')
             tab.ask('page.ask("pause")')
             tab.wait('!page.playing')
-            picture = Image.fromarray(tab.picture()).quantize(128)
-            picture.save(ROOT / 'doc' / 'pictures' / 'view.png', optimize=True)
+            save(tab, 'view')
+            tab.ask(f"""page.plots.groups.forEach((plot) => {{
+                plot.open = {ACCURACY}.includes(plot.group); plot.card.hidden = !plot.open; }})""")
+            tab.wait('page.plots.visible.size === 4')
+            save(tab, 'view_accuracy')
     finally:
         over.set()
         thread.join()
