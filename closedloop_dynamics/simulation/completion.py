@@ -21,6 +21,8 @@ from .assembly import rank_from, TOLERANCE
 from .errors import SimulationError
 from .modeling import extent
 from .redundancy import geometry_of
+from ..core.manifold import manifold_of
+from ..engine import native
 
 # Of lengths against the size of the mechanism; angles [rad]. A measured joint moves no further in
 # a piece of the way, another one no further in a piece that is taken for sure; how often a piece
@@ -101,7 +103,8 @@ class Completion:
         lengths = np.array(coordinates.lengths, dtype=bool)
         self._unit = np.where(lengths, self._size, 1.0)
         self._turns = ~lengths[self._rates]
-        self._equations = geometry_of(mechanism).equations
+        geometry = geometry_of(mechanism)
+        self._equations, self._manifold = geometry.equations, manifold_of(geometry.model)
         self.position = np.array(position, dtype=float)
         self.velocity = np.zeros(coordinates.nv)
         self._values, self.residual, self.passed = self.position[self._places], 0.0, False
@@ -156,7 +159,7 @@ class Completion:
                 self.get_ready()
                 self._follow(begin + change * (k / pieces), HALVINGS)
             found = self._solved(
-                self._equations.move(self.position).jacobian(), 0.0, rates)
+                self._equations.move(self.position).jacobian(), 0.0, rates, self.velocity)
             if not np.isfinite(found).all():
                 raise CompletionError('the velocities grow beyond all bounds')
         except CompletionError:
@@ -182,7 +185,8 @@ class Completion:
         """
         wanted = np.array(acceleration, dtype=float)
         equations = self._equations.move(self.position, self.velocity)
-        return self._solved(equations.jacobian(), equations.closures()[2], wanted)
+        return self._solved(
+            equations.jacobian(), equations.closures()[2], wanted, np.zeros_like(self.velocity))
 
     def get_ready(self):
         """Compute the matrices of the present position ahead, where they are of another one."""
@@ -191,10 +195,9 @@ class Completion:
 
     def _follow(self, values, halvings):
         """Go on to measured values; by way of the middle where that is too far."""
-        found = self._corrected(self.position, values)
+        found, change = self._corrected(self.position, values)
         if found is not None:
-            moved = np.abs(
-                self._coordinates.apart(found, self.position) / self._unit).max()
+            moved = np.abs(change / self._unit).max()
             if moved <= SURE and self._stays(found, moved):
                 self.position, self._values = found, values
                 self._gone += moved
@@ -220,17 +223,23 @@ class Completion:
         return True
 
     def _corrected(self, q, values):
-        """Return the nearest position to measured values that closes the loops, or None."""
-        last = math.inf
+        """
+        Return the nearest position to measured values that closes the loops, and how far it is.
+
+        Both are None where there is none.
+
+        """
+        last, whole = math.inf, np.zeros(len(self._unit))
         for _ in range(MOST_CORRECTIONS):
             psi = self._equations.move(q).closures()[0]
             change = self._operator @ np.concatenate([-psi, values - q[self._places]])
             largest = np.abs(change / self._unit).max()
             if not largest < math.inf:
-                return None
+                return None, None
             if largest > LONGEST:
                 change *= LONGEST / largest
-            q = self._coordinates.moved(q, change)
+            q = self._moved(q, change)
+            whole += change
             # The next one will be as much shorter as this one is.
             shorter = 1.0 if last == math.inf else min(1.0, largest / last)
             if largest * shorter <= ROUNDING:
@@ -240,20 +249,28 @@ class Completion:
                 self._prepare(q)
             last = largest
         closure = np.abs(self._equations.move(q).closures()[0]).max(initial=0.0)
-        return q if closure <= TOLERANCE * max(1.0, self._size) else None
+        return (q, whole) if closure <= TOLERANCE * max(1.0, self._size) else (None, None)
 
-    def _solved(self, jac, bias, wanted):
+    def _moved(self, q, change):
+        """Return coordinates after a change, shape (nv,)."""
+        if self._manifold is None:
+            return q + change
+        q = q.copy()
+        native.move(self._manifold, q, change, 1.0)
+        return q
+
+    def _solved(self, jac, bias, wanted, near):
         """Return the x with J x = -bias that meets what is wanted of the measured joints."""
-        x = np.zeros(len(self._unit))
-        for _ in range(MOST_CORRECTIONS):
-            with np.errstate(over='ignore', invalid='ignore'):
+        x = near.copy()
+        with np.errstate(over='ignore', invalid='ignore'):
+            for _ in range(MOST_CORRECTIONS):
                 change = self._operator @ np.concatenate(
                     [-jac @ x - bias, wanted - x[self._rates]])
                 x += change
-            if not np.abs(change).max() > ROUNDING * max(1.0, np.abs(x).max()):
-                break
-            if not self._exact:
-                self._prepare(self.position)
+                if not np.abs(change).max() > ROUNDING * max(1.0, np.abs(x).max()):
+                    break
+                if not self._exact:
+                    self._prepare(self.position)
         return x
 
     def _prepare(self, q):
