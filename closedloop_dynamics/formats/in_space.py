@@ -25,23 +25,12 @@ def in_space(mechanism):
     if not mechanism.planar:
         return mechanism
 
-    def turned(angle):
-        return (0.0, 0.0, float(np.sin(0.5 * angle)), float(np.cos(0.5 * angle)))
-
     bodies = [Body(body.name, body.mass, (*body.center_of_mass, 0.0), 0.0 if body.massless else (
         0.5 * body.inertia, 0.5 * body.inertia, body.inertia), body.massless)
         for body in mechanism.bodies]
     joints = [Joint(joint.name, joint.type, joint.parent, joint.child, (*joint.position, 0.0),
-                    actuated=joint.actuated, orientation=turned(joint.angle),
+                    actuated=joint.actuated, orientation=_turned(joint.angle),
                     axis=Z if joint.type == REVOLUTE else X) for joint in mechanism.joints]
-    cuts = []
-    for cut in mechanism.cut_joints:
-        along = {'axis_b': (float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}
-        keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': turned(cut.angle)},
-                PRISMATIC: {'orientation': turned(cut.angle), **along}, POINT_ON_LINE: along,
-                DISTANCE: {'length': cut.length}}[cut.type]
-        cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
-                             (*cut.point_b, 0.0), actuated=cut.actuated, **keys))
     points = [Point(point.name, point.body, (*point.position, 0.0)) for point in mechanism.points]
     couplings = []
     for coupling in mechanism.couplings:
@@ -50,5 +39,25 @@ def in_space(mechanism):
                        for cut in measured(mechanism, coupling))
         couplings.append(Coupling(coupling.name, factors, offset))
     return checked(replace(
-        mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=tuple(cuts),
+        mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=cuts_in_space(mechanism),
         points=tuple(points), couplings=tuple(couplings), source=None))
+
+
+def cuts_in_space(mechanism):
+    """Return the cut joints of a mechanism as those in space."""
+    if not mechanism.planar:
+        return mechanism.cut_joints
+    cuts = []
+    for cut in mechanism.cut_joints:
+        along = {'axis_b': (float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}
+        keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': _turned(cut.angle)},
+                PRISMATIC: {'orientation': _turned(cut.angle), **along}, POINT_ON_LINE: along,
+                DISTANCE: {'length': cut.length}}[cut.type]
+        cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
+                             (*cut.point_b, 0.0), actuated=cut.actuated, **keys))
+    return tuple(cuts)
+
+
+def _turned(angle):
+    """Return the quaternion of a turn about z."""
+    return (0.0, 0.0, float(np.sin(0.5 * angle)), float(np.cos(0.5 * angle)))

@@ -19,7 +19,7 @@ from .pose import Pose
 from .sdf_writing import add_loop_joint, BALLS, balls, DRAKE, LOOP_JOINTS
 from .writing import numbers
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+    CYLINDRICAL, FIXED, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import angles_of, of_quaternion
 
 CONSTRAINT, LOOP, DRAKES, GAZEBO = 'constraint', 'loop', 'drake', 'gazebo'
@@ -28,16 +28,16 @@ _PAIRS = (REVOLUTE, PRISMATIC, FIXED, SPHERICAL, CYLINDRICAL, PLANAR)
 FORMS = {CONSTRAINT: (*_PAIRS, UNIVERSAL), LOOP: _PAIRS, DRAKES: BALLS, GAZEBO: LOOP_JOINTS}
 
 
-def add_loops(robot, mechanism, form, poses=None):
+def add_loops(robot, cuts, form, poses=None):
     """
-    Add the elements that close the loops of a mechanism in space to an element robot.
+    Add the elements that close loops to an element robot.
 
     Parameters
     ----------
     robot : ElementTree.Element
         To which they are added.
-    mechanism : Mechanism
-        In space; its bodies, and the ground, are links of the same names.
+    cuts : sequence of CutJoint
+        In space; their bodies, and the ground, are links of the same names.
     form : str
         One of FORMS.
     poses : dict of str to Pose
@@ -50,13 +50,12 @@ def add_loops(robot, mechanism, form, poses=None):
         Where the form has no word for a cut joint.
 
     """
-    if form == DRAKES and mechanism.cut_joints:
+    if form == DRAKES and cuts:
         robot.set('xmlns:drake', DRAKE)
-    links = {body.name: body.name for body in mechanism.bodies}
-    for cut in mechanism.cut_joints:
+    for cut in cuts:
         if cut.type not in FORMS[form]:
             raise MechanismError(
-                f'{mechanism.name}: cut_joints.{cut.name}.type: expected one of '
+                f'{robot.get("name")}: cut_joints.{cut.name}.type: expected one of '
                 f'{", ".join(FORMS[form])}, as loops of the form {form} are, got {cut.type!r}')
         if form == CONSTRAINT:
             _add_constraint(robot, cut)
@@ -66,7 +65,7 @@ def add_loops(robot, mechanism, form, poses=None):
             _add_balls(robot, cut)
         else:
             add_loop_joint(ElementTree.SubElement(robot, 'gazebo'), cut,
-                           {GROUND: GROUND, **links}, poses)
+                           {body: body for body in (cut.body_a, cut.body_b)}, poses)
 
 
 def _add_constraint(robot, cut):

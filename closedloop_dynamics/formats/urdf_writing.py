@@ -88,7 +88,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
                 ElementTree.SubElement(element, 'axis', xyz=numbers(*single.axis))
             _add_dynamics(element, single, joint, acting, mimics, _counted(joint, q, number))
             parent = child
-    add_loops(robot, mechanism, loops, _poses(mechanism, zero))
+    add_loops(robot, mechanism.cut_joints, loops, _poses(mechanism, zero))
     if left_out is not None:
         left_out.update(acting.left)
         if tuple(gravity_of(effects).tolist()) != GRAVITY:

@@ -16,14 +16,13 @@ called as their coordinates are; spherical and free ones are ``floating``: their
 
 """
 
-from dataclasses import replace
 import math
 from xml.etree import ElementTree
 
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
-from ..formats.in_space import in_space
+from ..formats.in_space import cuts_in_space
 from ..formats.model import MOMENTS
 from ..formats.urdf_loops import add_loops, CONSTRAINT, FORMS
 from ..formats.writing import numbers, written
@@ -132,14 +131,13 @@ def joint_names(mechanism):
 
 def _add_loops(robot, mechanism, form):
     """Add what closes the loops, and a comment for each cut joint that has no form."""
-    whole = in_space(mechanism)
-    known = [cut for cut in whole.cut_joints if cut.type in FORMS[form]]
-    for cut in whole.cut_joints:
-        if cut not in known:
+    cuts = cuts_in_space(mechanism)
+    for cut in cuts:
+        if cut.type not in FORMS[form]:
             robot.append(ElementTree.Comment(
                 f' {cut.name}: {cut.type} between {cut.body_a} and {cut.body_b}, which no '
                 f'{form} is '))
-    add_loops(robot, replace(whole, cut_joints=tuple(known)), form)
+    add_loops(robot, [cut for cut in cuts if cut.type in FORMS[form]], form)
 
 
 def _require_names(mechanism):
