@@ -11,12 +11,14 @@ that close the loops are found for each message, and published with its stamp.
 
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.recording.message_numbers import stamp_of
+from closedloop_dynamics.recording.run import moving_joints
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import ALLOW_CODE, declare, Parameter, usage, watch_changes
+from closedloop_dynamics.ros.parameters import (
+    ALLOW_CODE, declare, Parameter, per_joint, usage, watch_changes)
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.simulation.completion import Completion, CompletionError
 from closedloop_dynamics.visual.urdf import urdf
@@ -47,7 +49,11 @@ JOINT_STATES_PARAMETERS = (
               'than there are degrees of freedom.'),
     Parameter('tolerance', 1e-3, 'Measured joints that are further away from what closes the '
               'loops are reported [rad or m].', (0.0, 10.0)),
-    Parameter('forces', False, 'Publish constraint forces, from measured efforts and the model.'),
+    Parameter('forces', False, 'Publish the forces in all joints, from measured efforts and the '
+              'model.'),
+    Parameter('effort_factors', [1.0], 'Torque or force of a joint per unit of its effort in '
+              'joint_states, where that is a current [N m/A or N/A]: torque constant times gear '
+              'ratio and efficiency. One value for all joints, or one per joint.'),
 )
 
 
@@ -74,14 +80,20 @@ class JointStatesNode(Node):
             raise StartError("parameter 'scene': expected a scene or a model, got none")
         self._simulation = simulation = load_simulation(values, self.get_logger())[0]
         self.completion = self._build_completion()
+        self._factors = np.array(per_joint(
+            'effort_factors', values['effort_factors'], self.completion.measured))
         self._index = [simulation.joint_names.index(name) for name in self.completion.measured]
         self._names, self._places = None, None
         self._complaint, self._reason = Throttle(), ''
         self.counts = dict.fromkeys((COMPLETED, NOT_USABLE, NOT_CLOSED), 0)
         self._before = dict(self.counts)
-        cuts = simulation.cut_joints if values['forces'] else ()
+        self._moving = moving_joints(simulation)
+        wrenches = [f'constraint_forces/{cut.name}' for cut in simulation.cut_joints] + [
+            f'joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
+        if not values['forces']:
+            wrenches = []
         self._states = StatePublisher(
-            self, simulation.coordinates, [cut.name for cut in cuts], ['world'] * len(cuts),
+            self, simulation.coordinates, wrenches, ['world'] * len(wrenches),
             simulation.mechanism.cut_coordinates, prefix='complete_')
         self._no_forces = np.zeros((0, 3 if simulation.mechanism.planar else 6))
         self._description = self.create_publisher(String, 'robot_description', LATCHED_QOS)
@@ -155,12 +167,13 @@ class JointStatesNode(Node):
         simulation.touch()
         effort, forces = np.zeros(len(completion.velocity)), self._no_forces
         if len(message.effort):
-            effort[self._index] = np.array(message.effort)[self._places]
+            effort[self._index] = self._factors * np.array(message.effort)[self._places]
         if self._values['forces']:
             tau = np.zeros(len(simulation.torque_names))
             tau[:len(effort)] = effort
             simulation.advance(tau, 0)
-            forces = simulation.constraint_forces
+            forces = np.concatenate([
+                simulation.constraint_forces, simulation.joint_forces[self._moving]])
         cuts = (simulation.cut_position, simulation.cut_velocity,
                 np.zeros(len(simulation.cut_joint_names))) if simulation.cut_joint_names else ()
         self._states.publish(stamp_of(message), completion.position, completion.velocity, effort,

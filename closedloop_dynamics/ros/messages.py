@@ -149,7 +149,7 @@ class Stamps:
 
 class StatePublisher:
     """
-    Publishes one JointState and one WrenchStamped per cut joint, with one stamp.
+    Publishes one JointState and one WrenchStamped per cut joint, and others, with one stamp.
 
     Joints with an orientation go into a MultiDOFJointState, where there are such.
 
@@ -159,8 +159,8 @@ class StatePublisher:
         By which they are published.
     coordinates : mechanism.coordinates.Coordinates
         Names and places of the joints.
-    cut_names : sequence of str
-        In the order of the constraint forces.
+    wrenches : sequence of str
+        Topics of wrenches, in their order: ``constraint_forces/CUT``.
     frames : sequence of str
         Frames that these refer to.
     cuts : mechanism.coordinates.Coordinates, optional
@@ -180,11 +180,11 @@ class StatePublisher:
     Raises
     ------
     StartError
-        If the name of a cut joint cannot be part of a topic's name.
+        If the name of a joint cannot be part of a topic's name.
 
     """
 
-    def __init__(self, node, coordinates, cut_names, frames, cuts=None, others=None, prefix=''):
+    def __init__(self, node, coordinates, wrenches, frames, cuts=None, others=None, prefix=''):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         # Of the tree, then of the cut joints.
@@ -207,19 +207,18 @@ class StatePublisher:
                 MultiDOFJointState, f'{prefix}multi_dof_joint_states', STATE_QOS)
         self._messages = [
             SerializedTemplate(partial(wrench_stamped, frame), (6,)) for frame in frames]
-        # Forces of all cut joints as the messages have them: force, then torque.
-        self._wrenches = np.zeros((len(cut_names), 6))
+        # All wrenches as the messages have them: force, then torque.
+        self._wrenches = np.zeros((len(wrenches), 6))
         self._state_publisher = node.create_publisher(
             JointState, f'{prefix}joint_states', STATE_QOS)
         try:
             self._force_publishers = [
-                node.create_publisher(WrenchStamped, f'constraint_forces/{name}', STATE_QOS)
-                for name in cut_names]
+                node.create_publisher(WrenchStamped, topic, STATE_QOS) for topic in wrenches]
         except InvalidTopicNameException:
             raise StartError(
-                'the name of a cut joint becomes part of a topic name, so it must be letters, '
+                'the name of a joint becomes part of a topic name, so it must be letters, '
                 'digits and underscores, not beginning with a digit; got '
-                f'{list(cut_names)}') from None
+                f'{list(wrenches)}') from None
 
     def multi_dof_joint_state(self, sec, nanosec, poses, twists, wrenches):
         """Return a MultiDOFJointState of arrays of 7, 6 and 6 numbers for each joint in it."""
@@ -240,7 +239,7 @@ class StatePublisher:
             message.wrench.append(wrench)
         return message
 
-    def publish(self, nanoseconds, position, velocity, effort, constraint_forces, cuts=(),
+    def publish(self, nanoseconds, position, velocity, effort, wrenches, cuts=(),
                 *others):
         """
         Publish a state.
@@ -253,9 +252,9 @@ class StatePublisher:
             Of the joints [rad or m].
         velocity, effort : ndarray, shape (nv,)
             The same per s; [N m or N].
-        constraint_forces : ndarray, shape (number of cut joints, 3 or 6)
-            What body B exerts on body A: torque about z [N m], force along x and y [N]; in space
-            torque about and force along x, y and z.
+        wrenches : ndarray, shape (number of them, 3 or 6)
+            Torque about z [N m], force along x and y [N]; in space torque about and force along
+            x, y and z.
         cuts : tuple of 3 ndarrays
             The same three of the cut joints; none where there are none.
         *others : ndarray
@@ -264,7 +263,7 @@ class StatePublisher:
         """
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
         self.stamp.sec, self.stamp.nanosec = sec, nanosec
-        self._wrenches[:, _COMPONENTS[constraint_forces.shape[1]]] = constraint_forces
+        self._wrenches[:, _COMPONENTS[wrenches.shape[1]]] = wrenches
         # The state last: who answers it knows the forces.
         for publisher, message, wrench in zip(
                 self._force_publishers, self._messages, self._wrenches):

@@ -142,7 +142,8 @@ class SimulatorNode(Node):
         values, simulation = self._values, self.simulation
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
-            self, simulation.coordinates, [cut.name for cut in simulation.cut_joints],
+            self, simulation.coordinates,
+            [f'constraint_forces/{cut.name}' for cut in simulation.cut_joints],
             self._frames.of_cuts, simulation.mechanism.cut_coordinates,
             {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
         self.command = TorqueCommand(

@@ -64,7 +64,10 @@ def test_forces_are_those_of_the_model_under_the_measured_efforts(build):
         simulation.step([1.0, -2.0, 0.5], 0.01)
         node.on_joint_states(measured(simulation, DRIVES, effort=[0.5, 1.0, -2.0]))
     assert np.abs(simulation.constraint_forces).max() > 0.1
-    np.testing.assert_allclose(node.seen[-1][4], simulation.constraint_forces, rtol=1e-8)
+    cuts = len(simulation.cut_joints)
+    np.testing.assert_allclose(node.seen[-1][4][:cuts], simulation.constraint_forces, rtol=1e-8)
+    np.testing.assert_allclose(
+        node.seen[-1][4][cuts:], simulation.joint_forces, rtol=1e-8, atol=1e-9)
     node.on_joint_states(measured(simulation, DRIVES))
     node.on_joint_states(measured(simulation, DRIVES, effort=[math.nan, 0.0, 0.0]))
     assert node.counts['not usable'] == 2 and len(node.seen) == 3
@@ -84,6 +87,16 @@ def test_measurements_that_do_not_do_are_counted_and_nothing_is_published(build,
     assert node.counts[kind] == 1 and not node.seen
     node.on_joint_states(measured(simulation, ['slider_joint']))
     assert len(node.seen) == 1
+
+
+def test_currents_become_torques(build):
+    node = build(scene='three_rrr', forces=True, joints=DRIVES, effort_factors=[0.5, 0.1, 10.0])
+    simulation = Simulation.from_scene('three_rrr')
+    simulation.step([1.0, -2.0, 0.5], 0.01)
+    node.on_joint_states(measured(simulation, DRIVES, effort=[1.0, 10.0, -0.2]))
+    assert node.seen[-1][3].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, -2.0, 0.5]
+    np.testing.assert_allclose(
+        node.seen[-1][4][:2], simulation.constraint_forces, rtol=1e-8)
 
 
 class Pose:
@@ -112,7 +125,8 @@ def test_health_of_a_pose_is_told(pose, news, level, word):
     ({'scene': 'four_bar', 'allow_code': 'none.py, no.py'}, "'allow_code': .*none.py: FileNotF"),
     ({'scene': 'three_rrr', 'joints': ['theta_1']}, 'leave 2 of 3 degrees of freedom open'),
     ({'scene': 'four_bar', 'deviations': [0.0]}, 'positive'),
-    ({'scene': 'four_bar', 'deviations': [1.0, 1.0]}, 'expected 1 positive')])
+    ({'scene': 'four_bar', 'deviations': [1.0, 1.0]}, 'expected 1 positive'),
+    ({'scene': 'four_bar', 'effort_factors': [1.0, 1.0]}, "'effort_factors': expected 1 value")])
 def test_bad_parameters_are_refused(make_node, parameters, problem):
     with pytest.raises(StartError, match=problem):
         make_node(JointStatesNode, **parameters)
