@@ -71,9 +71,9 @@ def message_of(names, position, velocity, number):
 
 def costs(scene, rate, count):
     """
-    Return CPU times [us]: completing, whole callback (and its tenth percentile), with forces, ready.
+    Return CPU times [us]: completing, callback (and its tenth percentile), with forces, ready.
 
-    Medians but for the last, matrices for the next measurement: a mean, as it seldom has to be done.
+    Medians but for the last, matrices for the next measurement: a mean, as they are rarely made.
 
     """
     names, rows = measured(scene, rate, count)
@@ -184,8 +184,8 @@ def main():
     print(description())
     rclpy.init()
     count = round(arguments.rate * arguments.seconds)
-    print(f'{"scene":22}{"completing":>12}{"callback":>10}{"p10":>8}{"forces":>10}{"ready":>8}{"at most":>10}'
-          f'{"p50":>9}{"p99":>9}{"echo p50":>10}')
+    print(f'{"scene":22}{"completing":>12}{"callback":>10}{"p10":>8}{"forces":>10}{"ready":>8}'
+          f'{"at most":>10}{"p50":>9}{"p99":>9}{"echo p50":>10}')
     print(f'{"":22}{"us":>12}{"us":>10}{"us":>8}{"us":>10}{"us":>8}{"Hz":>10}{"ms":>9}{"ms":>9}{"ms":>10}')
     for scene in arguments.scenes:
         own, whole, quick, forces, ready = costs(scene, arguments.rate, count)

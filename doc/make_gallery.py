@@ -42,7 +42,8 @@ INTRODUCTION = """\
 
 Twelve machines, each with the commands that made its picture and its numbers.
 `python doc/make_gallery.py` makes them again; the words are in
-[recipes.md](recipes.md#words-of-the-trade). Better numbers for a machine: [optimise.md](optimise.md).
+[recipes.md](recipes.md#words-of-the-trade).
+Better numbers for a machine: [optimise.md](optimise.md).
 """
 
 

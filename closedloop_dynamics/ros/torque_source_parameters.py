@@ -22,7 +22,8 @@ TORQUE_SOURCE_PARAMETERS = (
         'mode', 'constant',
         'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
         'along a reference, from joint_states. computed_torque: the same through the model of '
-        'a scene. impedance: a point is held by springs and dampers, through the model.', choices=('constant', 'sine', *FEEDBACK_MODES)),
+        'a scene. impedance: a point is held by springs and dampers, through the model.',
+        choices=('constant', 'sine', *FEEDBACK_MODES)),
     Parameter(
         'scene', '',
         'computed_torque, impedance: the scene simulated, by name or path; the gains kp [1/s^2], '
@@ -97,8 +98,8 @@ TORQUE_SOURCE_PARAMETERS = (
               f'pd, computed_torque, impedance: torque added always [N m or N]. {_PER_JOINT}',
               read_only=False),
     Parameter('torque_limit', [0.0],
-              'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: that of the '
-              "joint's actuator in the scene, else none. "
+              'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: that '
+              "of the joint's actuator in the scene, else none. "
               f'{_PER_JOINT}', read_only=False),
 )
 

@@ -110,7 +110,7 @@ def test_limit_holds():
     ({'stiffness': [0.0]}, 'needs a gain: stiffness, damping are all zero'),
     ({'stiffness': [1.0, 2.0]}, "'stiffness': expected 1 value, or 3 in the order x, y, turn"),
     ({'damping': [-1.0]}, "'damping': expected no negative value"),
-    ({'joints': ['theta_1']}, "drives all actuated joints")])
+    ({'joints': ['theta_1']}, 'drives all actuated joints')])
 def test_bad_parameters_are_refused(make_node, parameters, problem):
     with pytest.raises(StartError, match=problem):
         make_node(TorqueSourceNode, **{
