@@ -186,7 +186,8 @@ def main():
     count = round(arguments.rate * arguments.seconds)
     print(f'{"scene":22}{"completing":>12}{"callback":>10}{"p10":>8}{"forces":>10}{"ready":>8}'
           f'{"at most":>10}{"p50":>9}{"p99":>9}{"echo p50":>10}')
-    print(f'{"":22}{"us":>12}{"us":>10}{"us":>8}{"us":>10}{"us":>8}{"Hz":>10}{"ms":>9}{"ms":>9}{"ms":>10}')
+    print(f'{"":22}{"us":>12}{"us":>10}{"us":>8}{"us":>10}{"us":>8}'
+          f'{"Hz":>10}{"ms":>9}{"ms":>9}{"ms":>10}')
     for scene in arguments.scenes:
         own, whole, quick, forces, ready = costs(scene, arguments.rate, count)
         names, rows = measured(scene, arguments.rate, count)

@@ -98,8 +98,8 @@ TORQUE_SOURCE_PARAMETERS = (
               f'pd, computed_torque, impedance: torque added always [N m or N]. {_PER_JOINT}',
               read_only=False),
     Parameter('torque_limit', [0.0],
-              'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: that '
-              "of the joint's actuator in the scene, else none. "
+              'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: '
+              "that of the joint's actuator in the scene, else none. "
               f'{_PER_JOINT}', read_only=False),
 )
 

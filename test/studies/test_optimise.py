@@ -74,8 +74,9 @@ def test_derivatives_in_space_and_of_driven_points():
             (load_scene('rssr_four_bar'), {'crank': Drive(0.0, 2.0 * math.pi)},
              ('mechanism.joints.tip.position.0', 'mechanism.bodies.rocker.mass'),
              'min(transmission_angle) + rms(shaking_moment) + straightness(rocker_end)'),
-            (manipulator, {'platform_center.x': Drive(x, x + 0.04),
-                     'platform_center.y': Drive(y, y - 0.02), 'theta_1': Drive(theta, theta)},
+            (manipulator,
+             {'platform_center.x': Drive(x, x + 0.04), 'platform_center.y': Drive(y, y - 0.02),
+              'theta_1': Drive(theta, theta)},
              ('mechanism.points.platform_center.position.0',
               'mechanism.joints.theta_2.position.0'),
              'rms(torque.theta_1) * max(position.theta_6)')):
