@@ -20,7 +20,8 @@ PROGRAMS = {
 # Relative to share/PACKAGE of wherever the package is installed.
 SHARED = {
     'package.xml',
-    *(str(path.relative_to(ROOT)) for path in (ROOT / 'config').rglob('*.yaml')),
+    *(str(path.relative_to(ROOT)) for pattern in ('*.yaml', '*.srdf')
+      for path in (ROOT / 'config').rglob(pattern)),
     *(str(path.relative_to(ROOT)) for path in (ROOT / 'launch').glob('*') if path.is_file())}
 
 
