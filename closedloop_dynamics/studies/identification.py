@@ -65,8 +65,6 @@ CENTRAL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
 FORWARD = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
 # Least squares end where numbers change by less than this share; evaluations of them at most.
 CONVERGED, MOST_EVALUATIONS = 1e-13, 200
-# Whose joint rests at rates below this has dry friction of any size [rad/s or m/s].
-REST = 1e-6
 # Joints further from where they were seen are on another branch [rad, or of the size].
 ELSEWHERE = 0.2
 # Of a body's mass and the mechanism's size: parameters of a body that are small.
@@ -825,18 +823,23 @@ def _choose(basis, driven):
 
 
 def _moving(along):
-    """Return the samples in which no joint with dry friction rests."""
-    coordinates, effects = along.scene.mechanism.coordinates, along.data.effect_set
-    places = [coordinates.index[effects.records[name].joint]
-              for name, element in effects.by_name.items()
-              if element.kind == JOINT_FRICTION and effects.enabled[name]
-              and effects.records[name].joint in coordinates.index]
-    rates = np.array([rate for _, rate, _ in along.states])
-    moves = (np.abs(rates[:, places]) > REST).all(axis=1)
-    if not moves.any():
+    """Return the samples in which nothing with dry friction rests."""
+    data, effects = along.data, along.data.effect_set
+    frictions = [effects.records[name] for name, element in effects.by_name.items()
+                 if element.kind == JOINT_FRICTION and effects.enabled[name]]
+    if not frictions:
+        return np.arange(len(along.states))
+
+    def moves(q, qd):
+        rates = dict(zip(data.torque_names, effects.rates(q, qd)))
+        return all(one.direction(sum(arm * rates[name] for name, arm in one.rubs_along))
+                   for one in frictions)
+
+    found = np.flatnonzero([moves(q, qd) for q, qd, _ in along.states])
+    if not len(found):
         raise IdentificationError('motion: expected joints with dry friction to move, got all '
                                   'samples with one at rest, where any friction may act')
-    return np.flatnonzero(moves)
+    return found
 
 
 def _with_numbers(body, values):

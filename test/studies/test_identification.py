@@ -8,6 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.completion import CompletionError
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
@@ -316,9 +317,12 @@ def test_an_impossible_body_is_reported():
     assert list(found.impossible) == ['rocker'] and found.impossible['rocker'] < 0.0
 
 
-def test_samples_in_which_dry_friction_holds_a_joint_are_left_out():
+@pytest.mark.parametrize('dry', [
+    JointFriction('crank_joint', 0.2), JointFriction('cut_1', 0.2),
+    TendonFriction({'crank_joint': 1.0, 'rocker_joint': -0.5}, 0.2)])
+def test_samples_in_which_dry_friction_holds_a_joint_are_left_out(dry):
     scene = load_scene('four_bar')
-    scene = replace(scene, effects={**scene.effects, 'dry': JointFriction('crank_joint', 0.2)})
+    scene = replace(scene, effects={**scene.effects, 'dry': dry})
     motion, effort, _ = run(scene, 3.0, 30)
     before = Identifier(scene, [f'{COUPLER}.mass'], motion).solve(effort).samples
     motion['crank_joint'][1, 7] = 0.0
