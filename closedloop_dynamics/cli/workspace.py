@@ -167,10 +167,13 @@ def summary(scene, found):
         lines[0] += f', {len(angles)} orientations'
         lines.append(f'  reached in one           {some} nodes, {some * found.node_size:.6g} '
                      f'{unit}')
-        lines.append(f'  reached in all           {whole} nodes, {whole * found.node_size:.6g} '
-                     f'{unit}')
+        if found.finished:
+            lines.append(f'  reached in all           {whole} nodes, '
+                         f'{whole * found.node_size:.6g} {unit}')
         if found.missed:
             lines.append(f'  no way was found to {len(found.missed)} of the orientations')
+    if not found.finished:
+        lines[0] += '; not finished, this is what was found so far'
     for name, values in found.quantities.items():
         known = values[np.isfinite(values)]
         if len(known):

@@ -7,6 +7,7 @@ import math
 
 from closedloop_dynamics import load_scene
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.cli.workspace import summary
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point)
 from closedloop_dynamics.recording.workspace import (
@@ -253,6 +254,10 @@ def test_what_was_interrupted_is_gone_on_with(three_rrr, tmp_path, request_, ask
     part = compute(three_rrr, request_, 2, file, keep_going=few_rounds)
     assert not part.finished
     assert 0 < part.count.sum() < wanted.count.sum()
+    # Of nodes reached in all orientations nothing is known before all were looked at.
+    text = summary(three_rrr, part)
+    assert 'not finished' in text and 'reached in all' not in text
+    assert 'not finished' not in summary(three_rrr, wanted)
     again = compute(three_rrr, request_, 2, file, resume=True)
     assert again.finished
     np.testing.assert_array_equal(again.count, wanted.count)
