@@ -159,6 +159,13 @@ public:
       unknowns.rightCols(jac.rows()) = jac.transpose();
       of_all_.setThreshold(REPEATS);
       of_all_.compute(unknowns);
+      // What may be added: combinations of torques and multipliers that add up to nothing.
+      const Index left = unknowns.cols() - of_all_.rank();
+      if (left > 0 && actuated.size > 0) {
+        nothing_ = of_all_.colsPermutation() * of_all_.matrixZ().transpose().rightCols(left);
+        of_nothing_.compute(
+          nothing_.topRows(actuated.size), Eigen::ComputeThinU | Eigen::ComputeThinV);
+      }
     }
   }
 
@@ -182,6 +189,14 @@ public:
       }
     } else {
       solution = of_all_.solve(need);
+      // The least torques; of equal ones the least multipliers.
+      for (Index n = 0; n < std::min(count, nothing_.cols()); ++n) {
+        const double part = of_nothing_.singularValues()[n];
+        if (part > CLEAR) {
+          const double share = of_nothing_.matrixU().col(n).dot(solution.head(count)) / part;
+          solution -= nothing_ * (share * of_nothing_.matrixV().col(n));
+        }
+      }
     }
     const DenseVector left = need - jac_.transpose() * lam;
     double missing = 0.0;
@@ -208,6 +223,8 @@ private:
   std::vector<Index> pivots_;
   Eigen::ColPivHouseholderQR<Eigen::MatrixXd> of_passive_;
   Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> of_all_;
+  Eigen::MatrixXd nothing_;
+  Eigen::JacobiSVD<Eigen::MatrixXd> of_nothing_;
 };
 
 /// Let friction feel the reactions; return whether these are what it felt before.

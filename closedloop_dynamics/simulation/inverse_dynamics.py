@@ -10,6 +10,9 @@ from ..core import types as t
 from ..core.codegen import space
 from ..engine import native
 
+# Singular values below this share of the largest are rounding; so are parts of a unit below that.
+REPEATS, CLEAR = 1e-12, 1e-9
+
 
 class InverseDynamics:
     """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
@@ -146,12 +149,19 @@ class InverseDynamics:
                 np.zeros((0, len(need))))
         unknowns = np.concatenate(
             [np.eye(len(need))[:, self._actuated], levers.T, jac.T], axis=1)
-        solution = np.linalg.lstsq(unknowns, need, rcond=1e-12)[0]
+        count = len(self._actuated) + len(self._driven)
+        solution = np.linalg.lstsq(unknowns, need, rcond=REPEATS)[0]
+        # What may be added: combinations of torques and multipliers that add up to nothing. Of
+        # equal torques these are the least multipliers.
+        _, sizes, rows = np.linalg.svd(unknowns)
+        nothing = rows[(sizes > REPEATS * sizes.max(initial=0.0)).sum():]
+        sides, sizes, ways = np.linalg.svd(nothing[:, :count], full_matrices=False)
+        some = sizes > CLEAR
+        solution -= nothing.T @ (sides[:, some] @ (ways[some] @ solution[:count] / sizes[some]))
         left = np.abs(unknowns @ solution - need)[self._passive].max(initial=0.0)
         if left > 1e-8 * max(np.abs(need).max(), 1e-30):
             raise SimulationError(
                 f'The actuated joints ({", ".join(self._mechanism.actuated_joints)}) cannot '
                 f'produce this motion: {left:.3g} N m is missing at the others. Actuate more '
                 'joints, or give an acceleration that the loops allow.')
-        count = len(self._actuated) + len(self._driven)
         return solution[:count], solution[count:]

@@ -9,6 +9,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
@@ -45,8 +46,23 @@ def test_torques_of_more_drives_than_freedoms_are_the_least(case):
     torque, lam = built(mechanism, q, qd).solve(q, qd, qdd)
     jac, need = dense.closure_jacobian(mechanism, q), needed(mechanism, q, qd, qdd)
     np.testing.assert_allclose(torque + jac.T @ lam, need, atol=1e-10 * np.abs(need).max())
-    expected = np.linalg.lstsq(np.concatenate([np.eye(len(q)), jac.T], axis=1), need, rcond=None)
-    np.testing.assert_allclose([*torque, *lam], expected[0], atol=1e-9 * np.abs(need).max())
+    # All joints are driven: the least torques are what no multipliers can take over.
+    expected = np.linalg.lstsq(jac.T, need, rcond=None)[0]
+    np.testing.assert_allclose(lam, expected, atol=1e-9 * np.abs(need).max())
+    np.testing.assert_allclose(
+        torque, need - jac.T @ expected, atol=1e-9 * np.abs(need).max())
+    given = built(mechanism, q, qd).solve_given(q, qd, qdd)
+    np.testing.assert_allclose(given[0], torque, atol=1e-9 * np.abs(need).max())
+    np.testing.assert_allclose(given[1], lam, atol=1e-9 * np.abs(need).max())
+
+
+def test_a_stretched_leg_that_hangs_at_rest_needs_no_torque():
+    # The drives hold a stretched leg against each other: any multiple of that adds up to nothing.
+    simulation = Simulation.from_scene('three_rrr_vertical')
+    rest = Linearisation(simulation).equilibrium().position
+    for one in (simulation._inverse.solve, simulation._inverse.solve_given):
+        torque, _ = one(rest, np.zeros(7), np.zeros(7))
+        assert np.abs(torque).max() < 1e-6
 
 
 def test_a_spring_takes_its_part_of_the_torque_over():

@@ -60,7 +60,9 @@ def flow_differences(simulation, model, command, period, step=1e-3):
 
 
 @pytest.mark.parametrize('scene, effects', (
-    ('three_rrr_vertical', {}), ('carpet_scraper', {'damper': JointDamping('theta_1', 0.4)})))
+    ('three_rrr_vertical', {}), ('carpet_scraper', {'damper': JointDamping('theta_1', 0.4)}),
+    # Of its closure equations some repeat others.
+    ('bennett', {})))
 def test_discrete_models_are_derivatives_of_runs(scene, effects):
     simulation = simulation_of(scene, effects, **ACCURATE)
     command = dict(zip(simulation.actuated_joints, (1.0, -0.5, 0.3)))
