@@ -149,5 +149,6 @@ def test_impossible_contacts_are_refused(values, key):
 def test_shapes_of_the_plane_and_of_space_are_told_apart():
     with pytest.raises(FieldError, match='shape: expected plane or sphere or cylinder in space'):
         BodyContact('in_one', 'in_two', 'line', 1.0).fit(balls('one', 'two'))
-    with pytest.raises(FieldError, match='shape: expected line or circle or curve in the plane'):
+    with pytest.raises(FieldError, match='shape: expected line or circle or curve or face in '
+                                         'the plane'):
         BodyContact('ball', 'rim', 'sphere', 1.0, other_radius=1.0).fit(flyer())

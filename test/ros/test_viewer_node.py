@@ -168,24 +168,37 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
                     if one['name'] == 'platform')
         place = next(k for k, grab in enumerate(client.scene['bodies'][body]['grabs'])
                      if not any(grab))
-        at = client.row[7 * body:7 * body + 3] + np.float32([0.02, -0.03, 0.0])
-        client.ask('grab', body=body, place=place, at=at.tolist())
-        client.until(lambda client: client.controls['grabbed'] == [body, place])
+        corner = client.row[7 * body:7 * body + 3]
+
+        def held():
+            return client.controls['grabbed'] == [body, place]
+
+        def hold():
+            while not held():
+                refused = client.controls['refused']
+                client.ask('grab', body=body, place=place,
+                           at=client.row[7 * body:7 * body + 3].tolist())
+                client.until(lambda client: held() or client.controls['refused'] > refused)
+
+        hold()
         # Who does not hold it moves nothing, and lets nothing go.
         other.ask('pull', at=[9.0, 9.0, 0.0])
         other.ask('release')
         # Near, and then across the machine.
-        for away in ((0.0, 0.0, 0.0), (-0.5, -0.2, 0.0), (0.4, 0.1, 0.0)):
-            at = at + np.float32(away)
-            client.ask('pull', at=at.tolist())
-            start = client.time
-            client.until(lambda client: client.time > start + 0.1 and np.abs(
-                client.row[7 * body:7 * body + 3] - at).max() < 5e-3)
+        for away in ((0.02, -0.03, 0.0), (-0.48, -0.23, 0.0), (-0.08, -0.13, 0.0)):
+            at = corner + np.float32(away)
+            near = False
+            while not near:
+                # A host that stands still for too long has it let go, which may happen again.
+                hold()
+                client.ask('pull', at=at.tolist())
+                begin = client.time
+                client.until(lambda client: not held() or client.time > begin + 0.1)
+                near = np.abs(client.row[7 * body:7 * body + 3] - at).max() < 5e-3
         assert wrench.counts['wrenches taken'] > 20 and not wrench.counts['wrenches refused']
-        assert client.controls['grabbed'] == [body, place]
         refused = client.controls['refused']
         client.ask('pull', at=[1e6, 0.0, 0.0])
-        client.until(lambda client: client.controls['refused'] == refused + 1)
+        client.until(lambda client: client.controls['refused'] > refused)
     # The page that held it is closed.
     while wrench.torques.any():
         threading.Event().wait(0.01)
