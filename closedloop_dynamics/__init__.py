@@ -31,9 +31,9 @@ _HOMES = {
     'read_mechanism': 'mechanism.reader', 'Rollout': 'simulation.rollout',
     'rollout': 'simulation.model_rollout', 'Scene': 'simulation.scene_records',
     'scene_names': 'simulation.scene', 'SceneError': 'simulation.scene',
-    'Simulation': 'simulation.simulation', 'SimulationError': 'simulation.errors',
-    'SingularityError': 'simulation.errors', 'State': 'simulation.state',
-    'write_scene': 'simulation.scene_text'}
+    'Sensitivity': 'simulation.sensitivity', 'Simulation': 'simulation.simulation',
+    'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors',
+    'State': 'simulation.state', 'write_scene': 'simulation.scene_text'}
 __all__ = sorted(_HOMES)
 __version__ = '0.1.0'
 

@@ -20,6 +20,7 @@ from .simulation.scene import (
 from .simulation.scene_records import (
     Initial as Initial, Method as Method, Scene as Scene)
 from .simulation.scene_text import write_scene as write_scene
+from .simulation.sensitivity import Sensitivity as Sensitivity
 from .simulation.simulation import Simulation as Simulation
 from .simulation.state import State as State
 

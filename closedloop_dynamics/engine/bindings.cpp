@@ -36,6 +36,7 @@
 #include "rollout.hpp"
 #include "rosenbrock.hpp"
 #include "routines.hpp"
+#include "sensitivity.hpp"
 #include "sticking.hpp"
 #include "switching.hpp"
 #include "validation.hpp"
@@ -290,6 +291,14 @@ const Entry entries[] = {
     "found)"),
   released<check_starts>(
     "check_starts", "check_starts(system, run, tolerance, states, fine)"),
+  released<record_steps>(
+    "record_steps", "record_steps(system, run, scratch, tape): status, steps completed"),
+  released<change_of_steps>(
+    "change_of_steps",
+    "change_of_steps(system, run, scratch, tape, routines, change, out): status, step"),
+  released<gradient_of_steps>(
+    "gradient_of_steps",
+    "gradient_of_steps(system, run, scratch, tape, routines, weight, gradient): status, step"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",

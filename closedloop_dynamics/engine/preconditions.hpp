@@ -27,6 +27,7 @@
 #include "rollout.hpp"
 #include "rosenbrock.hpp"
 #include "routines.hpp"
+#include "sensitivity.hpp"
 #include "sticking.hpp"
 #include "switching.hpp"
 #include "validation.hpp"
@@ -121,6 +122,40 @@ inline bool lasts(Table torque, Index instants, Index zero_order_hold, Index dec
   }
   return decimation <= std::numeric_limits<Index>::max() / instants &&
          ((instants - 1) * decimation - 1) / zero_order_hold < torque.rows;
+}
+
+/// A run by steps of one size, its scratch and its tape.
+inline bool is_recorded(
+  const System & system, const SteppedRun & run, Table scratch, const Tape & tape)
+{
+  const Index ns = system.ns(), steps = tape.steps(), stages = run.stages();
+  bool good = fits(run.tableau) && system.is_unrolled() && !system.is_independent() &&
+    (run.stabilisation == Stabilisation::NONE ||
+    run.stabilisation == Stabilisation::VELOCITY ||
+    run.stabilisation == Stabilisation::PROJECTION) &&
+    run.zero_order_hold > 0 && run.decimation > 0 && steps > 0 &&
+    run.torque.columns == system.tau.size &&
+    run.torque.rows > (steps - 1) / run.zero_order_hold && scratch.columns == ns &&
+    scratch.rows >= stages + SCRATCH_ROWS && has_shape(tape.state, steps + 1, ns) &&
+    has_shape(tape.raw, steps, ns) && tape.stage.pages == steps && tape.stage.rows == stages &&
+    tape.stage.columns == ns + system.nv() + system.lam.size;
+  return good && within(tape.corrections, 0, MOST_POSITION_CORRECTIONS + 1);
+}
+
+/// The same with routines, numbers at its instants, and changes or a gradient.
+inline const char * recorded(
+  const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
+  const StepRoutines & routines, Table instants, const RunInputs & inputs)
+{
+  const Index nv = system.nv(), nx = system.nq() + nv, inner = nx + nv;
+  return unless(
+    is_recorded(system, run, scratch, tape) &&
+    routines.table.size >= step_routine::TABLE_COLUMNS && routines.qdd.size == nv &&
+    routines.lam.size == system.lam.size && routines.seed.size >= inner &&
+    routines.result.size >= routines.seed.size &&
+    has_shape(instants, tape.steps() / run.decimation + 1, nx) && inputs.start.size == nx &&
+    inputs.torque.rows > (tape.steps() - 1) / run.zero_order_hold &&
+    inputs.torque.columns == nv && inputs.parameter.size == routines.seed.size - inner);
 }
 
 inline const char * request(const System & system, const Request & request)
@@ -379,6 +414,26 @@ template<>
 inline constexpr auto precondition<advance_switching> =
   [](const System & system, const Tableau & tableau, Stabilisation, const Runs & runs) {
     return expected::runs(system, tableau, runs);
+  };
+
+template<>
+inline constexpr auto precondition<record_steps> =
+  [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape) {
+    return expected::unless(expected::is_recorded(system, run, scratch, tape));
+  };
+
+template<>
+inline constexpr auto precondition<change_of_steps> =
+  [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
+    const StepRoutines & routines, const RunInputs & change, Table out) {
+    return expected::recorded(system, run, scratch, tape, routines, out, change);
+  };
+
+template<>
+inline constexpr auto precondition<gradient_of_steps> =
+  [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
+    const StepRoutines & routines, Table weight, const RunInputs & gradient) {
+    return expected::recorded(system, run, scratch, tape, routines, weight, gradient);
   };
 
 template<>

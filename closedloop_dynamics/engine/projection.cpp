@@ -21,8 +21,6 @@ namespace closedloop
 
 namespace
 {
-// Newton's method doubles the digits each time: what eight corrections do not close stays open.
-constexpr int MOST_CORRECTIONS = 8;
 // Closure tolerance near a singular configuration, against the ordinary one.
 constexpr double SHARPER = 1e-3;
 
@@ -97,7 +95,7 @@ bool project(const System & system, Values q, Values qd, bool positions)
   By by = factor_configuration(system, q, qd);
   double error = largest(work.closure);
   // Near a singular configuration a small closure error is a large one of the state.
-  while (positions && corrections < MOST_CORRECTIONS &&
+  while (positions && corrections < MOST_POSITION_CORRECTIONS &&
     error > settings[setting::CLOSURE_TOLERANCE] * (by == By::RANK ? SHARPER : 1.0))
   {
     correction(system, by, Level::POSITION, q, qd);

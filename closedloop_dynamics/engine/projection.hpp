@@ -11,6 +11,10 @@
 namespace closedloop
 {
 
+/// Corrections of the positions of a state. Newton's method doubles the digits each time: what these
+/// do not close stays open.
+constexpr Index MOST_POSITION_CORRECTIONS = 8;
+
 /// Correct a state, shape (ns,), in place; return whether the loops are closed where positions
 /// were to be corrected. Quaternions get norm 1 in any case, which keeps the order of the method.
 bool stabilise(const System &, Stabilisation, Values state);

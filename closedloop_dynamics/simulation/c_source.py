@@ -11,8 +11,8 @@ import numpy as np
 from .c_template import (
     COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, HEADER, JACOBIANS, PLAIN, SOURCE,
     WITH_QUATERNIONS)
-from .derivatives import refusals
 from .errors import SimulationError
+from .traced_scene import refusals
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
 from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, JACOBIAN, RATE
 from ..core.codegen.expression_graph import Q, QD

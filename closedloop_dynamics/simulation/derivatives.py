@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .errors import SimulationError, SingularityError
+from .parameters import parameter_arrays
+from .step_derivatives import StepDerivatives
+from .traced_scene import laws_of, require_derivatives, TracedScene
 from ..core.codegen import function_table as calls
 from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, RATE
 from ..core.codegen.machine_code import machine_code, SCALAR
 from ..core.codegen.routines import topology
-from ..core.codegen.scene_routines import VALUES
-from ..effects.table import FIRST, SECOND, VALUE_COLUMNS
-from ..effects.traced_laws import act, entries_of, refused
 from ..engine import native
 
 
@@ -34,6 +34,10 @@ class Derivatives(NamedTuple):
         J of the closure equations.
     closure_rate_by_position : ndarray, shape (nc, nv)
         Of J qd, the rates held.
+    by_parameter : ndarray, shape (nv + nc, np)
+        Of accelerations and multipliers, coordinates and rates held.
+    closure_by_parameter, closure_rate_by_parameter : ndarray, shape (nc, np)
+        Of the errors of the closure equations, and of J qd.
 
     """
 
@@ -44,32 +48,9 @@ class Derivatives(NamedTuple):
     by_torque: np.ndarray
     jacobian: np.ndarray
     closure_rate_by_position: np.ndarray
-
-
-def refusals(simulation):
-    """
-    Tell what of a simulation has no derivatives, and why.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Of the scene.
-
-    Returns
-    -------
-    dict of str to str
-        Reasons by what is refused; empty where there are derivatives, and C (``c_source``).
-
-    """
-    found = {f'effects.{name}': reason
-             for name, reason in refused(simulation.effect_set).items()}
-    for name in simulation.torque_names[len(simulation.joint_names):]:
-        found[name] = 'a joint that closes a loop, in which something acts'
-    if not simulation.system.is_unrolled:
-        found['mechanism'] = (
-            'too large, or of another formulation than subsystem: code is generated for '
-            'mechanisms of few bodies alone')
-    return found
+    by_parameter: np.ndarray
+    closure_by_parameter: np.ndarray
+    closure_rate_by_parameter: np.ndarray
 
 
 class Differentiator:
@@ -83,11 +64,15 @@ class Differentiator:
     ----------
     simulation : Simulation
         Of the scene; its state stays as it is.
+    parameters : sequence of str
+        Key paths of numbers of the scene: ``'mechanism.bodies.crank.mass'``.
 
     Raises
     ------
     SimulationError
         Where an effect has no derivative, or the mechanism is too large, with names and reasons.
+    ValueError
+        For numbers that do not exist, or that the motion does not follow smoothly.
 
     Notes
     -----
@@ -95,46 +80,33 @@ class Differentiator:
     articulated inertias and of the constraint matrix (``core.codegen.derivatives``). Coordinates
     of the tree are changed one by one, with the loops open and equations of closure as they are
     then: by directions that keep the loops closed these are the derivatives of the motion. Terms
-    of Baumgarte's method are left out.
+    of Baumgarte's method are left out. By parameters, what of the scene the arrays of masses and
+    places are made of is differentiated by differences of sixth order, which are exact but for
+    rounding, where the Differentiator is made; all else as above.
 
     """
 
-    def __init__(self, simulation):
+    def __init__(self, simulation, parameters=()):
         """Compile, unless an earlier process has."""
-        reasons = refusals(simulation)
-        if reasons:
-            raise SimulationError(
-                f'{simulation.scene.name} has no derivatives: ' + '; '.join(
-                    f'{what} ({why})' for what, why in reasons.items()))
+        require_derivatives(simulation)
+        self._by_parameter = StepDerivatives(
+            simulation, parameter_arrays(simulation, parameters)) if len(parameters) else None
         self._simulation = simulation
-        self._enabled, self._laws = dict(simulation.effect_set.enabled), _laws(simulation)
+        self._enabled, self._laws = dict(simulation.effect_set.enabled), laws_of(simulation)
         self._system = system = simulation.system
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
         self._found, self._rates = np.zeros((3 * nv, nv + nc)), np.zeros((2 * nv, nc))
-        effects = system.effects
-        self._values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values
-        self._table = np.zeros(RATE + 1, dtype=np.int64)
-        for place, array in {
-                calls.BODY: system.model.body, calls.GRAVITY: system.model.gravity,
-                calls.CUT_POINT: system.model.cut_point,
-                VALUES: self._values, calls.QDD: self._qdd, calls.LAM: self._lam,
-                DERIVATIVE: self._found, RATE: self._rates}.items():
-            self._table[place] = array.ctypes.data
-        rows = () if effects is None else tuple(
-            (row, int(effects.kind[row]),
-             *self._laws.get(row, effects.index[row, [FIRST, SECOND]].tolist()))
-            for row in np.flatnonzero(effects.enabled).tolist())
-        key = 'derivatives', topology(system.model), rows, self._values.shape
+        self._scene = TracedScene(simulation)
+        self._table = self._scene.table({
+            calls.QDD: self._qdd, calls.LAM: self._lam, DERIVATIVE: self._found,
+            RATE: self._rates}, RATE + 1)
+        key = 'derivatives', topology(system.model), *self._scene.key
         self._table[0] = machine_code(key, self._routines, SCALAR)('derivatives')
 
     def _routines(self):
         """Unroll the derivatives."""
-        effects = self._system.effects
-        one = DerivativeUnrolling(
-            self._system.model,
-            lambda forces: act(effects, forces, self._simulation.effect_set.laws),
-            self._values.shape)
+        one = DerivativeUnrolling(self._system.model, self._scene.act, self._scene.values.shape)
         one.derivatives()
         return [one.named('derivatives')]
 
@@ -169,7 +141,7 @@ class Differentiator:
         if self._enabled != self._simulation.effect_set.enabled:
             raise SimulationError(
                 'Other effects are switched on now: make a new Differentiator.')
-        if self._laws and self._laws != _laws(self._simulation):
+        if self._laws and self._laws != laws_of(self._simulation):
             raise SimulationError(
                 'Effects have other expressions or ends now: make a new Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
@@ -183,11 +155,8 @@ class Differentiator:
                 'elimination alone does not tell.)')
         nv = len(self._qdd)
         parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
-        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts,
-                           self._rates[nv:].T.copy(), self._rates[:nv].T.copy())
-
-
-def _laws(simulation):
-    """Return what code of users' laws depends on, by rows: arithmetic, and what is measured."""
-    table, laws = simulation.system.effects, simulation.effect_set.laws
-    return {row: (law.arithmetic, entries_of(table, row).tolist()) for row, law in laws.items()}
+        by_parameter = np.zeros((len(self._found[0]), 0)), *np.zeros((2, len(self._lam), 0))
+        if self._by_parameter is not None:
+            by_parameter = self._by_parameter.by_parameter(q, qd, self._qdd, self._lam)
+        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts, self._rates[nv:].T.copy(),
+                           self._rates[:nv].T.copy(), *by_parameter)

@@ -14,12 +14,11 @@ from scipy.linalg import eigh
 
 from .derivatives import Differentiator
 from .errors import SimulationError
+from .independent import changes_along, choose_independent, dependent_on, places_of
 from ..engine import native
 from ..integration.registry import STABILISATIONS
 
 QUANTITIES = ('position', 'velocity', 'acceleration')
-# Singular values of the closure equations below this share of the largest are rounding.
-RANK_TOLERANCE = 1e-8
 # Newton's method for equilibria: steps at most, the longest step [rad, m], and the acceleration
 # that is rest, beside what a unit of torque would cause.
 MOST_STEPS, LONGEST_STEP, AT_REST = 100, 0.3, 1e-10
@@ -163,12 +162,7 @@ class Linearisation:
     def __init__(self, simulation, independent=None):
         """Compile the derivatives."""
         self._simulation, self._names = simulation, simulation.joint_names
-        for name in independent or ():
-            if name not in self._names:
-                raise ValueError(f'independent: expected names of {", ".join(self._names)}, '
-                                 f'got {name!r}')
-        self._asked = None if independent is None else [
-            self._names.index(name) for name in independent]
+        self._asked = places_of(self._names, independent)
         self._differentiate = Differentiator(simulation)
         self._inputs = [self._names.index(name) for name in simulation.actuated_joints]
         slides = simulation.coordinates.lengths
@@ -264,45 +258,12 @@ class Linearisation:
 
         """
         jac = found.jacobian
-        nc, nv = jac.shape
         own = self._asked if chosen is None else chosen
         if own is None:
-            own = self._independent(jac)
-        if len(own) != nv - nc:
-            raise ValueError(
-                f'independent: expected {nv - nc} names, as many as there are degrees of freedom, '
-                f'got {len(own)}')
-        rest = np.setdiff1d(np.arange(nv), own)
-        along, bent = np.zeros((nv, nv - nc)), np.zeros((nv, nv - nc))
-        along[own] = np.eye(nv - nc)
-        if nc:
-            values = np.linalg.svd(jac[:, rest], compute_uv=False)
-            if values[-1] <= RANK_TOLERANCE * values[0]:
-                raise ValueError(
-                    'independent: expected coordinates that decide all others, got '
-                    f'{", ".join(self._names[place] for place in own)}')
-            along[rest] = -np.linalg.solve(jac[:, rest], jac[:, own])
-            bent[rest] = -np.linalg.solve(
-                jac[:, rest], found.closure_rate_by_position @ along)
+            own = choose_independent(jac, self._inputs)
+        rest = dependent_on(jac, own, self._names)
+        along, bent = changes_along(jac, own, rest, found.closure_rate_by_position)
         return list(own), along, bent
-
-    def _independent(self, jac):
-        """Choose coordinates by which the others are best decided, actuated ones first."""
-        # Of the null space, the row that is longest beside those that are chosen.
-        _, _, rows = np.linalg.svd(jac)
-        left = rows[len(jac):].T.copy()
-        first = np.isin(np.arange(len(left)), self._inputs)
-        own = []
-        for _ in range(left.shape[1]):
-            lengths = np.linalg.norm(left, axis=1)
-            lengths[own] = 0.0
-            # An actuated joint that moves with the rest at all is taken before any other.
-            some = first & (lengths > 0.1 * lengths.max())
-            place = int(np.argmax(np.where(some, lengths, 0.0) if some.any() else lengths))
-            own.append(place)
-            unit = left[place] / np.linalg.norm(left[place])
-            left -= np.outer(left @ unit, unit)
-        return sorted(own)
 
     def discrete_model(self, period, position=None, velocity=None, torque=None,
                        outputs=('position',)):

@@ -813,12 +813,25 @@ class Simulation(Readings):
         self._balance.restart(self._by_freedom())
         self._restart_guards()
         if self._start is not None:
-            self._begin_at(self._start)
+            self.begin_at(self._start)
         self._stiffness.check(self._state, self.step_size)
         self._set_budget(self.scene.method)
 
-    def _begin_at(self, state: State) -> None:
-        """Go to a state that was given, after a reset."""
+    def begin_at(self, state: State) -> None:
+        """
+        Go to a state that was given, after a reset.
+
+        Parameters
+        ----------
+        state : State
+            A single one, of this mechanism.
+
+        Raises
+        ------
+        AssemblyError
+            Where it leaves the loops open.
+
+        """
         if self.leaves_out and not self._geometry.serves(state.q):
             self._exchange(self._geometry.choose(state.q))
         whole = self._state.copy()

@@ -9,13 +9,13 @@ import re
 from closedloop_dynamics import engine
 from closedloop_dynamics.core import formulations, independent, manifold, types
 from closedloop_dynamics.core.codegen import (
-    elimination, function_table, refinement, space as code_in_space)
+    elimination, function_table, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
     actuator, body_contact, bushing, cable, course, curve, energy_balance, expression, fluid_drag,
     force_table, stick_slip, table, traced_effect)
 from closedloop_dynamics.integration import (
-    batch, control, evaluation, guarded_run, left_out, recorded_run, registry, steppers, system,
-    tableau)
+    batch, control, evaluation, guarded_run, left_out, recorded_run, registry, stepped_run,
+    steppers, system, tableau)
 from closedloop_dynamics.simulation import guards
 import pytest
 
@@ -71,6 +71,8 @@ ENUMS = {
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),
     'traced.Measured': (traced_effect, {}),
+    'manifold_derivatives.cpp: QUATERNION': (manifold, {}),
+    'step_routine': (sensitivities, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
@@ -97,6 +99,7 @@ CONSTANTS = {
     'bushing_laws.cpp': (bushing, ('AXES_A', 'AXES_B', 'ALONG', 'LOSS')),
     'drag_laws.cpp': (fluid_drag, ('COLUMNS',)),
     'joint_laws.cpp': (actuator, ('FADING',)),
+    'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),
     'sticking.hpp': (stick_slip, ('REST',)),
     'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_STAGES')),
 }
@@ -110,7 +113,8 @@ RECORDS = {
     'RunBuffer': recorded_run.RunBuffer, 'Watch': guarded_run.Watch,
     'GuardedRun': guarded_run.GuardedRun, 'EnergyAccount': energy_balance.EnergyAccount,
     'Lane': batch.Lane, 'Stepper': steppers.Stepper, 'Request': evaluation.Request,
-    'Batch': batch.Batch}
+    'Batch': batch.Batch, 'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
+    'StepRoutines': stepped_run.StepRoutines, 'RunInputs': stepped_run.RunInputs}
 
 
 def text(path):

@@ -22,6 +22,7 @@ from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -36,8 +37,7 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
         ('differential', 'auto')]
 # Addresses of code, which nothing can check.
 ADDRESSES = ('piece', 'cut_piece', 'table')
-NAMELESS_ADDRESSES = {('run_batch', (0, 0)), ('system', (0, 10)), ('cut_wrenches', (2,)),
-                      ('call', (0,))}
+NAMELESS_ADDRESSES = {('run_batch', (0, 0)), ('system', (0, 10)), ('cut_wrenches', (2,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
 LINKED = ('system', 'run_batch')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
@@ -196,6 +196,11 @@ def calls(tmp_path_factory):
     recorder = Recorder()
     names = [name for name in dir(native)
              if callable(getattr(native, name)) and not name.startswith('_')]
+    # What they build to differentiate by parameters is kept by nobody.
+    sensitivities = [
+        Sensitivity(load_scene(scene).model(), {'integrator': integrator, 'step_size': 1e-3},
+                    ['effects.gravity.acceleration.1'])
+        for scene, integrator in (('three_rrr', 'heun'), ('rssr_four_bar', 'semi_implicit_euler'))]
     with pytest.MonkeyPatch.context() as patch:
         simulations = []
         for name in names:
@@ -207,6 +212,10 @@ def calls(tmp_path_factory):
             simulations.append(simulation)
         for integrator in ('dopri5', 'rodas4', 'rodas4_fixed', 'auto'):
             use_driver(simulations[0], integrator)
+        for sensitivity in sensitivities:
+            trajectory = sensitivity.trajectory(steps=6, every=2)
+            trajectory.gradient(trajectory.position)
+            trajectory.changes()
         for scene, joint in (('four_bar', 'crank_joint'), ('rssr_four_bar', 'crank')):
             kinematics, start = test_driven.driven(scene, {joint: 0.0})
             kinematics.follow([start, start + 0.1])
@@ -222,10 +231,11 @@ def calls(tmp_path_factory):
         recorder.note('evaluate_request', handle, handle, request)
     # The one takes no arrays, the other an address of code and what it was generated for.
     assert set(names) - set(recorder.calls) <= {'bind', 'stop_all', 'call'}
-    recorder.calls.pop('stop_all', None)
+    for name in ('stop_all', 'call'):
+        recorder.calls.pop(name, None)
     # Generated code has the addresses of arrays that only the simulations keep.
     yield {name: list(found.values()) for name, found in recorder.calls.items()}
-    del simulations
+    del simulations, sensitivities
 
 
 def leaves(given, path=(), names=()):

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen.differentiation import differentiated
+from closedloop_dynamics.core.codegen.differentiation import differentiated, gradients
 from closedloop_dynamics.core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
     square_root)
@@ -244,6 +244,8 @@ def test_every_operation_is_differentiated_as_complex_steps_tell():
                      exponential, logarithm, arctangent)
     seeds = {x.place: 0.7, y.place: -0.4}
     changes = differentiated(graph, found, seeds)
+    weights = [0.3 + 0.1 * n for n in range(len(found))]
+    reverse = gradients(graph, found, weights, [x, y])
     values = 0.8, 1.3
     known = evaluated(values)
     step = 1e-30
@@ -253,3 +255,6 @@ def test_every_operation_is_differentiated_as_complex_steps_tell():
     for change, value in zip(changes, exact):
         number = known[change.place] if hasattr(change, 'place') else change
         assert number == pytest.approx(value.imag / step, rel=1e-13, abs=1e-13)
+    total = sum(weight * value.imag / step for weight, value in zip(weights, exact))
+    assert sum(known[one.place] * seed for one, seed in zip(reverse, seeds.values())) == (
+        pytest.approx(total, rel=1e-13))

@@ -57,7 +57,7 @@ class DerivativeUnrolling(SceneUnrolling):
     def derivatives(self):
         """Store the derivatives by coordinates, rates and torques, and those of closure rates."""
         residuals = self.residuals()
-        self._prepare()
+        self.prepare()
         rates = zeros(self.nc)
         forward_dynamics.to_user_order(self.model, self.work.closure_rate, rates)
         columns, count = [], self.nv + self.nc
@@ -71,7 +71,7 @@ class DerivativeUnrolling(SceneUnrolling):
             columns.append([-1.0 if n == joint else 0.0 for n in range(count)])
         for number, column in enumerate(columns):
             self.outputs += [(DERIVATIVE, number * count + n, value)
-                             for n, value in enumerate(self._solved(column))]
+                             for n, value in enumerate(self.solved(column))]
 
     def closures(self):
         """Store the errors of the closure equations and their Jacobian, in the user's order."""
@@ -89,12 +89,34 @@ class DerivativeUnrolling(SceneUnrolling):
 
     def residuals(self):
         """Return R without the torques, and C in the mechanism's order of equations."""
-        forces, one, tree = self.moved(), self.recursion, self.constant.tree
-        qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
+        forces, one = self.moved(), self.recursion
+        return self.balance(
+            self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)), one.force,
+            forces.torque, 'bias')
+
+    def balance(self, qdd, lam, force, torque, held):
+        """
+        Return M qdd - J^T lambda with forces, less torques; and J qdd with what a closure tells.
+
+        Parameters
+        ----------
+        qdd : ndarray, shape (nv,)
+            Accelerations, or a change of rates.
+        lam : ndarray, shape (nc,)
+            Their multipliers, in the mechanism's order of equations.
+        force : list of tuples of 6
+            On the bodies, to be overcome, after the outward recursion.
+        torque : ndarray, shape (nv,)
+            In the joints.
+        held : str
+            What of each closure equation is added: ``value``, ``rate`` or ``bias``.
+
+        """
+        one, tree = self.recursion, self.constant.tree
         world, own = list(qdd), zeros(self.nv)
         for frame, turns in one.balls(self.constant):
             world[turns] = times(frame, world[turns])
-        after, wrench = [2 * ZERO], [2 * ZERO, *one.force[1:]]
+        after, wrench = [2 * ZERO], [2 * ZERO, *force[1:]]
         for i in range(1, len(tree)):
             parent, rate = tree[i, PARENT], world[tree[i, DOF]]
             before = after[parent]
@@ -111,7 +133,7 @@ class DerivativeUnrolling(SceneUnrolling):
         closed = zeros(self.nc)
         for a, cut in enumerate(self.constant.cut):
             for row, closure in enumerate(one.closures(self.model, a), start=cut[CUT_ROW]):
-                total = closure.bias
+                total = getattr(closure, held)
                 for body, unit in ((cut[BODY_A], closure.on_a), (cut[BODY_B], closure.on_b)):
                     wrench[body] = subtract(wrench[body], scale(unit, lam[row]))
                     total = total + dot(unit, after[body])
@@ -127,9 +149,9 @@ class DerivativeUnrolling(SceneUnrolling):
                 wrench[parent] = add(wrench[parent], at_parent(wrench[i], one.motion[i].offset))
         for frame, turns in one.balls(self.constant):
             own[turns] = times(transpose(frame), own[turns])
-        return [*(own - forces.torque), *closed]
+        return [*(own - torque), *closed]
 
-    def _prepare(self):
+    def prepare(self):
         """Factor; the routine tells where that does not go well."""
         bool(forward_dynamics.prepare(
             self.recursion, self.model, zeros(self.nv), self.work))
@@ -151,7 +173,7 @@ class DerivativeUnrolling(SceneUnrolling):
         for joint in range(self.nv):
             yield {self.qd[joint].place: 1.0}
 
-    def _solved(self, column):
+    def solved(self, column):
         """Return the changes of accelerations and multipliers that undo those of residuals."""
         one, tree, work = self.recursion, self.constant.tree, self.work
         tau = [0.0 - value for value in column[:self.nv]]

@@ -1,11 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Derivatives of arithmetic on symbols, as more of it: forward, in one direction."""
+"""Derivatives of arithmetic on symbols, as more of it: forward in one direction, or reverse."""
 
 from .expression_graph import (
-    ADD, ARCTANGENT, CHOOSE, chosen, COSINE, DIVIDE, EXPONENTIAL, LOAD, LOGARITHM, logarithm,
-    MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT, Symbol)
+    ADD, ARCTANGENT, BOTH, CHOOSE, chosen, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
+    LOGARITHM, logarithm, MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT, Symbol)
+
+# Nothing changes with the operands of these: a comparison jumps, or stays.
+NOT_SMOOTH = LOAD, LESS, GREATER_EQUAL, BOTH
 
 
 def differentiated(graph, values, seed):
@@ -27,51 +30,111 @@ def differentiated(graph, values, seed):
 
     """
     known, operations = dict(seed), graph.operations
-
-    def symbol(operand):
-        return Symbol(graph, operand) if isinstance(operand, int) else operand
-
-    def change(operand):
-        return known.get(operand, 0.0) if isinstance(operand, int) else 0.0
-
-    last = max((value.place for value in values if isinstance(value, Symbol)), default=-1)
-    for place in range(min(seed), last + 1):
+    for place in range(min(seed, default=0), _last(values) + 1):
         kind, *operands = operations[place]
-        if kind == LOAD or not any(
-                isinstance(one, int) and one in known for one in operands):
+        if kind in NOT_SMOOTH or not any(_is_among(one, known) for one in operands):
             continue
-        changes = [change(one) for one in operands]
-        if kind in (ADD, SUBTRACT):
-            found = changes[0] + changes[1] if kind == ADD else changes[0] - changes[1]
-        elif kind == MULTIPLY:
-            found = changes[0] * symbol(operands[1]) + symbol(operands[0]) * changes[1]
-        elif kind == DIVIDE:
-            found = (changes[0] - Symbol(graph, place) * changes[1]) / symbol(operands[1])
-        elif kind == NEGATE:
-            found = 0.0 - changes[0]
-        elif kind == SINE:
-            found = graph.put(COSINE, operands[0]) * changes[0]
-        elif kind == COSINE:
-            found = 0.0 - graph.put(SINE, operands[0]) * changes[0]
-        elif kind == SQUARE_ROOT:
-            found = 0.5 * changes[0] / Symbol(graph, place)
-        elif kind == EXPONENTIAL:
-            found = changes[0] * Symbol(graph, place)
-        elif kind == LOGARITHM:
-            found = changes[0] / symbol(operands[0])
-        elif kind == ARCTANGENT:
-            y, x = map(symbol, operands)
-            found = (changes[0] * x - changes[1] * y) / (x * x + y * y)
-        elif kind == POWER:
-            found = _of_power(*map(symbol, operands), *changes)
-        elif kind == CHOOSE:
-            found = chosen(symbol(operands[0]), *changes[1:])
-        else:
-            # A comparison jumps, or stays.
-            continue
+        found = _of_one(graph, place, [
+            known[one] if _is_among(one, known) else 0.0 for one in operands])
         if isinstance(found, Symbol) or found != 0.0:
             known[place] = found
     return [known.get(value.place, 0.0) if isinstance(value, Symbol) else 0.0 for value in values]
+
+
+def gradients(graph, values, weights, inputs):
+    """
+    Return the derivatives of a weighted sum of values by inputs, by one pass in reverse.
+
+    Parameters
+    ----------
+    graph : ExpressionGraph
+        More is put into it.
+    values : sequence of Symbol or float
+        To be differentiated.
+    weights : sequence of Symbol or float
+        Of the values; constant.
+    inputs : sequence of Symbol
+        What is loaded.
+
+    Returns
+    -------
+    list of Symbol or float
+        One for each input.
+
+    """
+    operations, found = graph.operations, {}
+    # What does not depend on the inputs has no part in it.
+    moves = {one.place for one in inputs}
+    for place in range(_last(values) + 1):
+        kind, *operands = operations[place]
+        if kind not in NOT_SMOOTH and any(_is_among(one, moves) for one in operands):
+            moves.add(place)
+    for value, weight in zip(values, weights):
+        if isinstance(value, Symbol) and value.place in moves:
+            found[value.place] = found.get(value.place, 0.0) + weight
+    for place in range(_last(values), -1, -1):
+        kind, *operands = operations[place]
+        if kind == LOAD or place not in found:
+            continue
+        weight = found.pop(place)
+        for number, one in enumerate(operands):
+            if _is_among(one, moves):
+                share = _of_one(graph, place, [
+                    weight if number == n else 0.0 for n in range(len(operands))])
+                found[one] = found.get(one, 0.0) + share
+    return [found.get(one.place, 0.0) for one in inputs]
+
+
+def _last(values):
+    """Return the last place that values are known from."""
+    return max((value.place for value in values if isinstance(value, Symbol)), default=-1)
+
+
+def _is_among(operand, places):
+    """Tell whether an operand, a place or a number, is one of some places."""
+    return isinstance(operand, int) and operand in places
+
+
+def _of_one(graph, place, changes):
+    """
+    Return the change of the result of an operation by those of its operands.
+
+    The same number, of one change alone, is what that operand gets of a weight of the result.
+
+    """
+    kind, *operands = graph.operations[place]
+
+    def symbol(number):
+        operand = operands[number]
+        return Symbol(graph, operand) if isinstance(operand, int) else operand
+
+    if kind == ADD:
+        return changes[0] + changes[1]
+    if kind == SUBTRACT:
+        return changes[0] - changes[1]
+    if kind == MULTIPLY:
+        return changes[0] * symbol(1) + symbol(0) * changes[1]
+    if kind == DIVIDE:
+        return (changes[0] - Symbol(graph, place) * changes[1]) / symbol(1)
+    if kind == NEGATE:
+        return 0.0 - changes[0]
+    if kind == SINE:
+        return graph.put(COSINE, operands[0]) * changes[0]
+    if kind == COSINE:
+        return 0.0 - graph.put(SINE, operands[0]) * changes[0]
+    if kind == SQUARE_ROOT:
+        return 0.5 * changes[0] / Symbol(graph, place)
+    if kind == EXPONENTIAL:
+        return changes[0] * Symbol(graph, place)
+    if kind == LOGARITHM:
+        return changes[0] / symbol(0)
+    if kind == ARCTANGENT:
+        y, x = symbol(0), symbol(1)
+        return (changes[0] * x - changes[1] * y) / (x * x + y * y)
+    if kind == POWER:
+        return _of_power(symbol(0), symbol(1), *changes)
+    assert kind == CHOOSE
+    return chosen(symbol(0), *changes[1:])
 
 
 def _of_power(base, exponent, of_base, of_exponent):

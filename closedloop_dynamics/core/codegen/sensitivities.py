@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Derivatives of what steps are made of, forward in one direction or reverse, as generated code.
+
+Accelerations and multipliers x, and the corrections that close the loops with theirs, solve
+
+    F(x, u) = 0,    u = (q, qd, tau, parameters),    dF/dx = K = (M, -J^T; J, 0)
+
+with K of the factors that an evaluation has. Forward, in a direction, dx = -K^-1 F_u du. In
+reverse, the gradient of w^T x is -y^T F_u with K^T y = w: one solution, and one pass through the
+residuals for any number of inputs (the adjoint of an implicit function; Griewank and Walther,
+Evaluating Derivatives, 2nd ed. (2008), section 15).
+
+"""
+
+from .derivatives import DerivativeUnrolling
+from .differentiation import differentiated, gradients
+from .expression_graph import LOAD, replayed
+from .routines import zeros
+from .vectors import ZERO
+from ..types import CUT_ROW
+
+# Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
+# accelerations, or the corrections, change by, with their multipliers. Reverse: weights of these,
+# not of multipliers, and the gradient by all the former.
+SEED, RESULT = 48, 49
+TABLE_COLUMNS = RESULT + 1
+# In the graph alone: a correction and its multipliers, before they are solved for.
+_CORRECTION, _MULTIPLIER = 50, 51
+# The routines, by their places in the table: of accelerations, of the corrections of positions and
+# of rates, and of what corrections are made of, the errors of the closure equations and their
+# rates.
+(ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
+ RATE_REVERSE, CLOSURE_FORWARD) = range(7)
+NAMES = {
+    ACCELERATION_FORWARD: 'acceleration_forward', ACCELERATION_REVERSE: 'acceleration_reverse',
+    POSITION_FORWARD: 'position_forward', POSITION_REVERSE: 'position_reverse',
+    RATE_FORWARD: 'rate_forward', RATE_REVERSE: 'rate_reverse',
+    CLOSURE_FORWARD: 'closure_forward'}
+FORWARD = ACCELERATION_FORWARD, POSITION_FORWARD, RATE_FORWARD
+REVERSE = ACCELERATION_REVERSE, POSITION_REVERSE, RATE_REVERSE
+CLOSURE = (CLOSURE_FORWARD,)
+
+
+class SensitivityUnrolling(DerivativeUnrolling):
+    """
+    A mechanism and what acts on it, unrolled for the derivatives of steps.
+
+    Parameters
+    ----------
+    model, act, values
+        As for ``SceneUnrolling``.
+    entries : sequence of (int, int)
+        Parameters: arrays, such as BODY, and places in them.
+
+    """
+
+    def __init__(self, model, act, values, entries):
+        """Know the inputs: coordinates, rates and parameters; torques stand for themselves."""
+        super().__init__(model, act, values)
+        state = [*self.q, *self.qd]
+        self._inputs = [*state, *(self.graph.put(LOAD, *entry) for entry in entries)]
+        # Where they are among all that may change.
+        self._torque = len(state)
+        behind = range(len(state) + self.nv, len(self._inputs) + self.nv)
+        self._places = [*range(len(state)), *behind]
+
+    def routine(self, which):
+        """Return one of the routines; an unrolling serves for one."""
+        what, way = NAMES[which].split('_')
+        if what == 'closure':
+            self.recursion.outward(self.model, self.q, self.qd, self.work)
+            results = self._changes([*self._errors('value'), *self._errors('rate')])
+        else:
+            results = self._of_solution(what, way)
+        self.outputs = [(RESULT, place, value) for place, value in enumerate(results)]
+        return self.named(NAMES[which])
+
+    def _of_solution(self, what, way):
+        """Return the results of a routine of what is solved for."""
+        of = getattr(self, f'_{way}')
+        if what == 'acceleration':
+            # Those of the state are inputs, with the multipliers.
+            residuals = self.residuals()
+            self.prepare()
+            return of(residuals, True)
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        held = 'value' if what == 'position' else 'rate'
+        errors = self._errors(held)
+        self.prepare()
+        results = of(self.balance(
+            self.symbols(_CORRECTION, (self.nv,)), self.symbols(_MULTIPLIER, (self.nc,)),
+            [2 * ZERO for _ in self.constant.tree], zeros(self.nv), held), False)
+        solution = self.solved([*zeros(self.nv), *errors])
+        parts = {_CORRECTION: solution[:self.nv], _MULTIPLIER: solution[self.nv:]}
+        return replayed(self.graph, results, lambda source, place: parts[source][
+            place] if source in parts else self.graph.put(LOAD, source, place))
+
+    def _errors(self, held):
+        """Return what all closure equations tell, in the user's order."""
+        found = zeros(self.nc)
+        for a, cut in enumerate(self.constant.cut):
+            for row, closure in enumerate(
+                    self.recursion.closures(self.model, a), start=cut[CUT_ROW]):
+                found[row] = getattr(closure, held)
+        return found
+
+    def _changes(self, values):
+        """Return what values change by in the direction that is an input."""
+        return differentiated(self.graph, values, {
+            one.place: self.graph.put(LOAD, SEED, place)
+            for one, place in zip(self._inputs, self._places)})
+
+    def _forward(self, residuals, by_torque):
+        column = self._changes(residuals)
+        if by_torque:
+            for joint in range(self.nv):
+                column[joint] = column[joint] - self.graph.put(LOAD, SEED, self._torque + joint)
+        return self.solved(column)
+
+    def _reverse(self, residuals, by_torque):
+        weights = -self.symbols(SEED, (self.nv,))
+        adjoint = self.solved([*weights, *zeros(self.nc)])
+        found = zeros(len(self._inputs) + self.nv)
+        found[self._places] = gradients(
+            self.graph, residuals, [*(0.0 - one for one in adjoint[:self.nv]),
+                                    *adjoint[self.nv:]], self._inputs)
+        if by_torque:
+            found[self._torque:self._torque + self.nv] = adjoint[:self.nv]
+        return found

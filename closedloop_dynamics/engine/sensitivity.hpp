@@ -1,0 +1,115 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__SENSITIVITY_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__SENSITIVITY_HPP_
+
+#include <utility>
+
+#include "projection.hpp"
+#include "runge_kutta.hpp"
+
+// Runs by steps of one size, and their derivatives by the start, the torques and the parameters:
+// forward in one direction, or in reverse by all of them. What is differentiated is the arithmetic
+// of the steps, with their stabilisation. Effects are smooth functions of coordinates and rates.
+
+namespace closedloop
+{
+
+/// How a run is made (integration/sensitivity.py).
+struct SteppedRun
+{
+  /// Without weights: semi-implicit Euler.
+  Tableau tableau;
+  /// NONE, VELOCITY or PROJECTION.
+  Stabilisation stabilisation = Stabilisation::NONE;
+  double step_size = 0.0;  ///< [s]
+  /// Steps that a row of torques acts for, and from one instant to the next.
+  Index zero_order_hold = 1;
+  Index decimation = 1;
+  /// Shape (rows, nv + nk): torques and forces in the joints [N m, N].
+  Table torque;
+
+  /// Evaluations in a step.
+  Index stages() const {return tableau.steps() > 0 ? tableau.steps() : 1;}
+
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(tableau, stabilisation, step_size, zero_order_hold, decimation, torque);
+  }
+};
+
+/// What its derivatives need to know of a run.
+struct Tape
+{
+  Table state;  ///< Shape (steps + 1, ns)
+  /// Shape (steps, stages, ns + nv + nc): states, their accelerations and multipliers.
+  Cube<double> stage;
+  Table raw;  ///< Shape (steps, ns): states before they are stabilised
+  Indices corrections;  ///< Shape (steps,): of the positions
+
+  Index steps() const {return corrections.size;}
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(state, stage, raw, corrections);}
+};
+
+/// The routines of core/codegen/sensitivities.py, and the arrays that they work on.
+struct StepRoutines
+{
+  Indices table;
+  Values qdd;  ///< Shape (nv,)
+  Values lam;  ///< Shape (nc,)
+  Values seed;  ///< Shape (nq + 2 nv + np,)
+  Values result;  ///< Shape (nq + 2 nv + np,), or longer
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(table, qdd, lam, seed, result);}
+};
+
+/// Changes or weights of what a run depends on.
+struct RunInputs
+{
+  Values start;  ///< Shape (nq + nv,)
+  Table torque;  ///< Shape (rows, nv)
+  Values parameter;  ///< Shape (np,)
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(start, torque, parameter);}
+};
+
+/// Places of the routines in their table, and its length.
+namespace step_routine
+{
+enum : Index
+{
+  ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
+  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 50
+};
+}
+
+/// Rows of a scratch beside one for each stage: two for each correction of positions, and four.
+constexpr Index SCRATCH_ROWS = 20;
+static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
+
+/// Make a run from the first state of its tape. `scratch` is of shape (>= stages + SCRATCH_ROWS, ns).
+/// Returns how it ended and the steps completed.
+std::pair<Status, Index> record_steps(
+  const System &, const SteppedRun &, Table scratch, const Tape &);
+
+/// What the states at all instants, shape (instants, nq + nv), change by. SINGULAR where there is no
+/// derivative, with the number of the step.
+std::pair<Status, Index> change_of_steps(
+  const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
+  const RunInputs & change, Table out);
+
+/// The gradient of the sum of the states at all instants times `weight`, shape (instants, nq + nv):
+/// into `gradient`. SINGULAR as before.
+std::pair<Status, Index> gradient_of_steps(
+  const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
+  Table weight, const RunInputs & gradient);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__SENSITIVITY_HPP_

@@ -1,0 +1,473 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Trajectories and their derivatives, by the start, the torques and the parameters of a scene."""
+
+from dataclasses import dataclass
+from threading import RLock
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import ClosureError, NumericalError, SimulationError, SingularityError
+from .independent import (
+    changes_along, choose_independent, dependent_on, following, places_of)
+from .model import Model
+from .named_array import frozen, sealed
+from .parameters import parameter_arrays
+from .rollout import RolloutArguments, scheduled
+from .rollout_run import all_torques, Schedule
+from .scene_records import Method, require_no_budget
+from .simulation import Simulation
+from .state import State
+from .step_derivatives import StepDerivatives, turned
+from .traced_scene import require_derivatives
+from ..core.codegen.sensitivities import FORWARD, REVERSE
+from ..engine import native
+from ..integration.control import (
+    DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
+from ..integration.registry import (
+    BAUMGARTE, EXPLICIT, FIXED, INDEPENDENT, INTEGRATORS, STABILISATIONS)
+from ..integration.stepped_run import (
+    allocate_scratch, allocate_tape, RunInputs, SteppedRun)
+from ..mechanism.fields import among, FieldError
+
+_METHODS = tuple(name for name, each in INTEGRATORS.items()
+                 if each.kind == FIXED and each.family == EXPLICIT)
+_STABILISATIONS = tuple(name for name, each in STABILISATIONS.items()
+                        if each not in (BAUMGARTE, INDEPENDENT))
+_ENDS = {
+    NOT_FINITE: (NumericalError, 'the numbers grow beyond all bounds', 'a smaller step'),
+    OPEN_LOOP: (ClosureError, 'the loops cannot be closed', 'a smaller step'),
+    POOR_EQUATIONS: (
+        SingularityError, 'other closure equations would have to be worked on, and there is no '
+        'derivative through that exchange', 'a shorter trajectory'),
+    SINGULAR: (
+        SingularityError, 'there is no derivative: closure equations depend on one another there, '
+        'or nearly, or points that a spring joins meet', 'a trajectory beside that position')}
+
+
+class Gradient(NamedTuple):
+    """
+    Derivatives of a cost by all that a trajectory depends on.
+
+    Attributes
+    ----------
+    torques : ndarray, shape (rows, number of actuated joints)
+        [cost/(N m) or cost/N].
+    position : ndarray, shape (n,)
+        By the independent coordinates of the start, the others following from the loops, and the
+        independent rates held [cost/rad or cost/m].
+    velocity : ndarray, shape (n,)
+        By the independent rates of the start [cost/(rad/s) or cost/(m/s)].
+    parameters : ndarray, shape (np,)
+        The independent coordinates and rates of the start held.
+
+    """
+
+    torques: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    parameters: np.ndarray
+
+
+class Changes(NamedTuple):
+    """
+    Changes of a trajectory, to first order, in one or more directions.
+
+    Attributes
+    ----------
+    position : ndarray, shape (instants, nq), or (directions, instants, nq)
+        [rad or m].
+    velocity : ndarray, shape (instants, nv), or (directions, instants, nv)
+        [rad/s or m/s].
+
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+
+
+class Sensitivity:
+    """
+    Makes trajectories of a model by steps of one size, and differentiates them.
+
+    Parameters
+    ----------
+    model : Model
+        It stays as it is.
+    method : str, mapping or Method, optional
+        As for ``Simulation``: ``semi_implicit_euler``, ``heun`` or ``rk4``, stabilised by
+        ``projection``, ``velocity_projection`` or ``none``.
+    parameters : sequence of str
+        Key paths of numbers of the scene: ``'mechanism.bodies.crank.mass'``, ``'parameters.l'``.
+    independent : sequence of str, optional
+        Joints whose coordinates and rates are those of the start, as many as there are degrees of
+        freedom; where not given, at each start those that move most, actuated ones first.
+
+    Raises
+    ------
+    SimulationError
+        Where an effect has no derivative, or the mechanism is too large, with names and reasons.
+    ValueError
+        For other methods, with the reason; for names and numbers that do not exist, or that the
+        motion does not follow smoothly.
+
+    Notes
+    -----
+    What is differentiated is the arithmetic of the steps: a step is
+
+        y = s(x, tau, p)    by the method, then    x' = c(y, p)
+
+    with the corrections c that close the loops in the metric of the masses. Forward, changes go
+    from step to step, dx' = c_y (s_x dx + s_tau dtau + s_p dp) + c_p dp. In reverse (discrete
+    adjoint), weights do: w = (c_y s_x)^T w' + the derivative of the cost by x, and the gradient is
+    the sum of (c_y s_tau)^T w' and the like; one pass, however many torques and parameters there
+    are. Accelerations and corrections are solutions of linear equations with the factors of an
+    evaluation, and are differentiated by these (``core.codegen.sensitivities``). How often the
+    positions are corrected after a step stays as it was.
+
+    Examples
+    --------
+    >>> sensitivity = Sensitivity(model, {'integrator': 'rk4', 'step_size': 1e-3})
+    >>> trajectory = sensitivity.trajectory(state, torques)
+    >>> miss = np.zeros_like(trajectory.position)
+    >>> miss[-1] = trajectory.position[-1] - goal
+    >>> trajectory.gradient(miss).torques
+
+    """
+
+    def __init__(self, model: Model,
+                 method: Union[None, str, Mapping[str, Any], Method] = None,
+                 parameters: Sequence[str] = (),
+                 independent: Optional[Sequence[str]] = None) -> None:
+        """Check the method, and differentiate the arrays by the parameters."""
+        if not isinstance(model, Model):
+            raise TypeError(f'Sensitivity: expected a Model, as scene.model() returns it, got '
+                            f'{model!r}')
+        scene = model.scene if method is None else model.scene.with_method(method)
+        _require_differentiable(scene.method)
+        self.model = model
+        self._simulation = simulation = Simulation(model, None, method)
+        require_derivatives(simulation)
+        self._names, self._asked = simulation.joint_names, places_of(
+            simulation.joint_names, independent)
+        self._inputs = [self._names.index(name) for name in simulation.actuated_joints]
+        self._arrays = parameter_arrays(simulation, tuple(parameters))
+        self._lock = RLock()
+        self._take()
+
+    def _take(self) -> None:
+        """Work with the system that the simulation has now."""
+        simulation = self._simulation
+        self._system = simulation.system
+        integrator = INTEGRATORS[simulation.scene.method.integrator]
+        self._tableau: Any = integrator.tableau
+        self._scratch = allocate_scratch(self._system, self._tableau)
+        self._derivatives = StepDerivatives(simulation, self._arrays)
+
+    @property
+    def parameters(self) -> Tuple[str, ...]:
+        """Key paths of the parameters, in their order."""
+        return self._arrays.names
+
+    def trajectory(self, state: Optional[State] = None, torques: Optional[ArrayLike] = None, *,
+                   duration: Optional[float] = None, steps: Optional[int] = None,
+                   every: int = 1) -> 'Trajectory':
+        """
+        Make a trajectory, the same as ``rollout`` makes, step by step.
+
+        Parameters
+        ----------
+        state : State, optional
+            A single one, where it begins; the scene's start when not given. The time of the
+            results counts from there.
+        torques : array_like, shape (rows, number of actuated joints)
+            [N m or N]; each row acts for an equal share of the steps. None when not given.
+        duration, steps, every
+            As for ``Simulation.rollout``.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        AssemblyError
+            Where the state leaves the loops open.
+        NumericalError, ClosureError, SingularityError
+            Where it cannot be made, with the time.
+        ValueError
+            For arguments that make no sense.
+
+        Notes
+        -----
+        The energy balance, by which ``rollout`` judges its runs, is not drawn here.
+
+        """
+        with self._lock:
+            simulation = self._simulation
+            given = RolloutArguments(simulation, torques, None, None, None)
+            if given.torques.ndim > 2:
+                raise ValueError('torques: expected those of one trajectory, shape (rows, '
+                                 f'{given.torques.shape[-1]}), got {given.torques.shape}')
+            schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
+            if state is not None:
+                simulation.require_state(state)
+                if state.is_batch:
+                    raise ValueError(
+                        f'state: expected a single one, got a batch of {len(state)}')
+                if not self.model.begins(state):
+                    raise ValueError('state: expected one in which the effects begin anew, as '
+                                     'Model.assemble returns it, got one in which they have gone '
+                                     'on')
+            simulation.begin_at(self.model.assemble() if state is None else state)
+            if simulation.system is not self._system:
+                self._take()
+            return self._made(schedule, all_torques(simulation, given.torques))
+
+    def _made(self, schedule: Schedule, torque: np.ndarray) -> 'Trajectory':
+        simulation, system = self._simulation, self._system
+        stabilisation = STABILISATIONS[simulation.scene.method.stabilisation]
+        run = SteppedRun(self._tableau, stabilisation, simulation.step_size,
+                         schedule.zero_order_hold, schedule.decimation, torque)
+        tape = allocate_tape(system, self._tableau, schedule.intervals)
+        tape.state[0] = simulation.integrated
+        _require_done(native.record_steps(system.native, run, self._scratch, tape),
+                      simulation.step_size)
+        simulation.touch()
+        nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
+        states = tape.state[::schedule.decimation]
+        time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
+        return Trajectory(
+            sealed(time), frozen(states[:, :nq]), frozen(states[:, nq:nq + nv]),
+            _Record(self, system, self._derivatives, run, tape))
+
+    def _start_map(self, record: '_Record') -> Tuple[Tuple[str, ...], np.ndarray]:
+        """
+        Return the independent coordinates, and what a start depends on.
+
+        Returns
+        -------
+        names : tuple of str
+        matrix : ndarray, shape (nq + nv, 2 n + np)
+            Derivatives of coordinates and rates by the independent coordinates, by the independent
+            rates, and by parameters.
+
+        """
+        nq, nv = self._simulation.coordinates.nq, self._simulation.coordinates.nv
+        q, qd = (part.copy() for part in np.split(record.tape.state[0, :nq + nv], [nq]))
+        jac, bending, by_parameter, rate_by_parameter = record.derivatives.closures(q, qd)
+        own = choose_independent(jac, self._inputs) if self._asked is None else self._asked
+        try:
+            rest = dependent_on(jac, own, self._names)
+        except ValueError:
+            if self._asked is not None:
+                raise
+            raise SingularityError(
+                'At the start there is no derivative: closure equations depend on one another '
+                'there, or nearly. Take a start beside it.') from None
+        along, bent = changes_along(jac, own, rest, bending)
+        moved = following(jac, rest, by_parameter)
+        rates = following(jac, rest, bending @ moved + rate_by_parameter)
+        manifold = self._system.manifold
+        return tuple(self._names[place] for place in own), np.block([
+            [turned(manifold, q, along), np.zeros((nq, len(own))), turned(manifold, q, moved)],
+            [bent, along, rates]])
+
+    def _gradient(self, record: '_Record', weights: np.ndarray) -> Gradient:
+        with self._lock:
+            derivatives = record.derivatives
+            derivatives.need(REVERSE)
+            nx, nv = weights.shape[1], self._simulation.coordinates.nv
+            found = RunInputs(np.zeros(nx), np.zeros((len(record.run.torque), nv)),
+                              np.zeros(len(self._arrays.entries)))
+            _require_done(native.gradient_of_steps(
+                record.system.native, record.run, self._scratch, record.tape,
+                derivatives.routines, weights, found), record.run.step_size)
+            names, matrix = record.start_map
+        n = len(names)
+        by_start = found.start @ matrix
+        return Gradient(*map(frozen, (
+            found.torque[:, self._inputs], by_start[:n], by_start[n:2 * n],
+            by_start[2 * n:] + found.parameter @ self._arrays.matrix)))
+
+    def _changes(self, record: '_Record', torques: np.ndarray, start: np.ndarray,
+                 parameters: np.ndarray, out: np.ndarray) -> None:
+        """Follow directions, one after the other."""
+        with self._lock:
+            derivatives = record.derivatives
+            derivatives.need(FORWARD)
+            _, matrix = record.start_map
+            for direction in range(len(out)):
+                torque = np.zeros((len(record.run.torque), self._simulation.coordinates.nv))
+                torque[:, self._inputs] = torques[direction]
+                change = RunInputs(
+                    matrix @ np.concatenate((start[direction], parameters[direction])), torque,
+                    self._arrays.matrix @ parameters[direction])
+                _require_done(native.change_of_steps(
+                    record.system.native, record.run, self._scratch, record.tape,
+                    derivatives.routines, change, out[direction]), record.run.step_size)
+
+
+class _Record:
+    """What a trajectory keeps for its derivatives."""
+
+    def __init__(self, owner: Sensitivity, system: Any, derivatives: StepDerivatives,
+                 run: SteppedRun, tape: Any) -> None:
+        self.owner, self.system, self.derivatives = owner, system, derivatives
+        self.run, self.tape = run, tape
+        self._start_map: Optional[Tuple[Tuple[str, ...], np.ndarray]] = None
+
+    @property
+    def start_map(self) -> Tuple[Tuple[str, ...], np.ndarray]:
+        """Return what ``Sensitivity._start_map`` does, computed once."""
+        if self._start_map is None:
+            self._start_map = self.owner._start_map(self)
+        return self._start_map
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    A motion by steps of one size, with its derivatives; it never changes.
+
+    Attributes
+    ----------
+    time : ndarray, shape (instants,)
+        [s]; the first instant is the start.
+    position : ndarray, shape (instants, nq)
+        Joint coordinates [rad or m].
+    velocity : ndarray, shape (instants, nv)
+        Joint rates [rad/s or m/s].
+
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    _record: _Record
+
+    @property
+    def independent(self) -> Tuple[str, ...]:
+        """Joints whose coordinates and rates are those of the start, in their order."""
+        with self._record.owner._lock:
+            return self._record.start_map[0]
+
+    def gradient(self, by_position: Optional[ArrayLike] = None,
+                 by_velocity: Optional[ArrayLike] = None) -> Gradient:
+        """
+        Return the derivatives of a cost by all that the trajectory depends on, in reverse.
+
+        Parameters
+        ----------
+        by_position : array_like, shape (instants, nq), optional
+            Derivatives of the cost by ``position``; none when not given.
+        by_velocity : array_like, shape (instants, nv), optional
+            By ``velocity``.
+
+        Returns
+        -------
+        Gradient
+
+        Raises
+        ------
+        SingularityError
+            Where there is no derivative, with the time.
+        ValueError
+            For other shapes, and numbers that are not finite.
+
+        """
+        weights = np.hstack([
+            _shaped(name, given, like.shape) for name, given, like in (
+                ('by_position', by_position, self.position),
+                ('by_velocity', by_velocity, self.velocity))])
+        return self._record.owner._gradient(self._record, weights)
+
+    def changes(self, torques: Optional[ArrayLike] = None, position: Optional[ArrayLike] = None,
+                velocity: Optional[ArrayLike] = None,
+                parameters: Optional[ArrayLike] = None) -> Changes:
+        """
+        Return what the trajectory changes by, to first order, in one or more directions.
+
+        Parameters
+        ----------
+        torques : array_like, shape (rows, number of actuated joints), optional
+            Changes of the torques [N m or N]; none where not given, as for the others. For more
+            directions each of them has a leading axis.
+        position, velocity : array_like, shape (n,), optional
+            Of the independent coordinates and rates of the start.
+        parameters : array_like, shape (np,), optional
+            Of the parameters, the independent coordinates and rates of the start held.
+
+        Returns
+        -------
+        Changes
+
+        Raises
+        ------
+        SingularityError
+            Where there is no derivative, with the time.
+        ValueError
+            For other shapes, and numbers that are not finite.
+
+        """
+        owner, n = self._record.owner, len(self.independent)
+        shapes = {'torques': (len(self._record.run.torque), len(owner._inputs)),
+                  'position': (n,), 'velocity': (n,), 'parameters': (len(owner.parameters),)}
+        given: Dict[str, Any] = {'torques': torques, 'position': position, 'velocity': velocity,
+                                 'parameters': parameters}
+        batch = next((np.shape(value)[:1] for name, value in given.items()
+                      if np.ndim(value) == len(shapes[name]) + 1), ())
+        arrays = {name: _shaped(name, value, (*batch, *shapes[name]))
+                  for name, value in given.items()}
+        rows = {name: array if batch else array[np.newaxis] for name, array in arrays.items()}
+        nq = self.position.shape[1]
+        out = np.zeros((batch[0] if batch else 1, len(self.time), nq + self.velocity.shape[1]))
+        owner._changes(self._record, rows['torques'],
+                       np.hstack((rows['position'], rows['velocity'])), rows['parameters'], out)
+        whole = out if batch else out[0]
+        return Changes(frozen(whole[..., :nq]), frozen(whole[..., nq:]))
+
+
+def _shaped(name: str, given: Optional[ArrayLike], shape: Tuple[int, ...]) -> np.ndarray:
+    """Return finite numbers of a shape, zeros for none."""
+    if given is None:
+        return np.zeros(shape)
+    array = np.array(given, dtype=float)
+    if array.shape != shape:
+        raise ValueError(f'{name}: expected shape {shape}, got {array.shape}')
+    if not np.isfinite(array).all():
+        raise ValueError(f'{name}: expected finite numbers, got others among them')
+    return array
+
+
+def _require_differentiable(method: Method) -> None:
+    """Refuse methods whose steps are no smooth functions of the state."""
+    require_no_budget(method, 'a trajectory with derivatives')
+    integrator = INTEGRATORS[method.integrator]
+    if method.integrator not in _METHODS:
+        reason = ('its steps are as long as errors let them be, which jumps'
+                  if integrator.kind != FIXED else
+                  'its steps depend on derivatives, of which it would take those of second order')
+        raise FieldError(f'{among(_METHODS)}, with derivatives', f'{method.integrator}: {reason}',
+                         '', ('method', 'integrator'))
+    if method.stabilisation not in _STABILISATIONS:
+        reason = ('the coordinates that it integrates are exchanged in a motion'
+                  if method.stabilisation == 'independent' else
+                  'what it adds to the accelerations has no derivative here')
+        raise FieldError(f'{among(_STABILISATIONS)}, with derivatives',
+                         f'{method.stabilisation}: {reason}', '', ('method', 'stabilisation'))
+
+
+def _require_done(ended: Tuple[int, int], step_size: float) -> None:
+    """Refuse what could not be computed to its end."""
+    status, step = ended
+    if status == DONE:
+        return
+    if status == INTERRUPTED:
+        # Another thread was.
+        raise KeyboardInterrupt
+    kind, what, remedy = _ENDS.get(status, (SimulationError, 'it ended', 'a smaller step'))
+    raise kind(f'In the step from {step * step_size:g} s on {what}. Take {remedy}.')

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Derivatives of accelerations and corrections of a scene, forward or in reverse, compiled."""
+
+import numpy as np
+
+from .errors import SingularityError
+from .traced_scene import TracedScene
+from ..core.codegen import function_table as calls
+from ..core.codegen.machine_code import machine_code, SCALAR
+from ..core.codegen.routines import topology
+from ..core.codegen.sensitivities import (
+    ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, NAMES, RESULT, SEED,
+    SensitivityUnrolling, TABLE_COLUMNS)
+from ..engine import native
+from ..integration.stepped_run import StepRoutines
+
+
+class StepDerivatives:
+    """
+    The routines that derivatives of steps are made of.
+
+    They are compiled when they are first asked for, unless an earlier process has.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of a scene that has derivatives; its state stays as it is.
+    parameters : parameters.ParameterArrays
+
+    Attributes
+    ----------
+    routines : integration.stepped_run.StepRoutines
+
+    """
+
+    def __init__(self, simulation, parameters):
+        """Allocate what the routines work on."""
+        self.parameters, self._system = parameters, simulation.system
+        nv, nc = len(self._system.qdd), len(self._system.lam)
+        self._scene = TracedScene(simulation)
+        self._nq = len(simulation.position)
+        size = self._nq + 2 * nv + len(parameters.entries)
+        qdd, lam = np.zeros(nv), np.zeros(nc)
+        seed, result = np.zeros(size), np.zeros(max(size, nv + nc, 2 * nc))
+        table = self._scene.table(
+            {calls.QDD: qdd, calls.LAM: lam, SEED: seed, RESULT: result}, TABLE_COLUMNS)
+        self.routines = StepRoutines(table, qdd, lam, seed, result)
+
+    def need(self, group):
+        """
+        Have some routines compiled.
+
+        Parameters
+        ----------
+        group : tuple of int
+            ``FORWARD``, ``REVERSE`` or ``CLOSURE`` of ``core.codegen.sensitivities``.
+
+        """
+        table, model, scene = self.routines.table, self.parameters.model, self._scene
+        if table[group[0]]:
+            return
+        key = 'sensitivities', group, topology(model), self.parameters.entries, *scene.key
+        find = machine_code(key, lambda: [SensitivityUnrolling(
+            model, scene.act, scene.values.shape, self.parameters.entries).routine(one)
+            for one in group], SCALAR)
+        for one in group:
+            table[one] = find(NAMES[one])
+
+    def _changes(self, which, q, qd, seeds):
+        """Return results of a forward routine for many directions, shape (results, directions)."""
+        routines = self.routines
+        found = np.empty((len(seeds), len(routines.result)))
+        for seed, result in zip(seeds, found):
+            routines.seed[:] = seed
+            if not native.call(routines.table, which, q, qd):
+                raise SingularityError(
+                    'There are no derivatives by parameters here: closure equations depend on '
+                    'one another in this position, or nearly. Take a position beside it.')
+            result[:] = routines.result
+        return found.T
+
+    def by_parameter(self, q, qd, qdd, lam):
+        """
+        Return derivatives by the parameters, coordinates and rates held.
+
+        Parameters
+        ----------
+        q, qd, qdd, lam : ndarray, shapes (nq,), (nv,), (nv,), (nc,)
+            A state, its accelerations and multipliers.
+
+        Returns
+        -------
+        of_acceleration : ndarray, shape (nv + nc, np)
+            Of accelerations and multipliers.
+        of_closure, of_closure_rate : ndarray, shape (nc, np)
+
+        """
+        self.need(FORWARD)
+        self.routines.qdd[:], self.routines.lam[:] = qdd, lam
+        seeds = self._seeds_of_parameters()
+        found = self._changes(ACCELERATION_FORWARD, q, qd, seeds)[:len(qdd) + len(lam)]
+        return found.copy(), *self._of_closures(q, qd, seeds)
+
+    def closures(self, q, qd):
+        """
+        Return derivatives of the closure equations, and of their rates.
+
+        Returns
+        -------
+        jacobian, rate_by_position : ndarray, shape (nc, nv)
+            By joint displacements, the rates held.
+        by_parameter, rate_by_parameter : ndarray, shape (nc, np)
+
+        """
+        nv = len(qd)
+        seeds = np.zeros((nv, len(self.routines.seed)))
+        seeds[:, :self._nq] = turned(self._system.manifold, q, np.eye(nv)).T
+        return (*self._of_closures(q, qd, seeds),
+                *self._of_closures(q, qd, self._seeds_of_parameters()))
+
+    def _of_closures(self, q, qd, seeds):
+        self.need(CLOSURE)
+        nc = len(self.routines.lam)
+        found = self._changes(CLOSURE_FORWARD, q, qd, seeds)
+        return found[:nc].copy(), found[nc:2 * nc].copy()
+
+    def _seeds_of_parameters(self):
+        matrix, seed = self.parameters.matrix, self.routines.seed
+        return np.hstack((np.zeros((matrix.shape[1], len(seed) - len(matrix))), matrix.T))
+
+
+def turned(manifold, q, displacements):
+    """
+    Return changes of coordinates for displacements of joints, quaternions by rotations.
+
+    Parameters
+    ----------
+    manifold : Manifold or None
+        Of the coordinates; None where there are no quaternions among them.
+    q : ndarray, shape (nq,)
+        Where they are.
+    displacements : ndarray, shape (nv, n)
+        Of orientations, about the axes of the child.
+
+    Returns
+    -------
+    ndarray, shape (nq, n)
+
+    """
+    if manifold is None:
+        return displacements
+    found, nv = np.zeros((displacements.shape[1], len(q))), len(displacements)
+    for change, out in zip(displacements.T, found):
+        native.rates_of_coordinates(manifold, np.concatenate((q, change)), nv, out, 1)
+    return found.T

@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A scene as generated code sees it: which laws act, and where its numbers are."""
+
+import numpy as np
+
+from .errors import SimulationError
+from ..core.codegen import function_table as calls
+from ..core.codegen.scene_routines import VALUES
+from ..effects.table import FIRST, SECOND, VALUE_COLUMNS
+from ..effects.traced_laws import act, entries_of, refused
+
+
+def refusals(simulation):
+    """
+    Tell what of a simulation has no derivatives, and why.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of the scene.
+
+    Returns
+    -------
+    dict of str to str
+        Reasons by what is refused; empty where there are derivatives, and C (``c_source``).
+
+    """
+    found = {f'effects.{name}': reason
+             for name, reason in refused(simulation.effect_set).items()}
+    for name in simulation.torque_names[len(simulation.joint_names):]:
+        found[name] = 'a joint that closes a loop, in which something acts'
+    if not simulation.system.is_unrolled:
+        found['mechanism'] = (
+            'too large, or of another formulation than subsystem: code is generated for '
+            'mechanisms of few bodies alone')
+    return found
+
+
+def require_derivatives(simulation):
+    """
+    Refuse a scene that has no derivatives.
+
+    Raises
+    ------
+    SimulationError
+        With names and reasons.
+
+    """
+    reasons = refusals(simulation)
+    if reasons:
+        raise SimulationError(
+            f'{simulation.scene.name} has no derivatives: ' + '; '.join(
+                f'{what} ({why})' for what, why in reasons.items()))
+
+
+class TracedScene:
+    """
+    What code for a scene's mechanism and effects is generated for, and reads.
+
+    Parameters
+    ----------
+    simulation : Simulation
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, VALUE_COLUMNS)
+        Numbers of the effects.
+    key : tuple
+        What the code depends on beside the mechanism.
+
+    """
+
+    def __init__(self, simulation):
+        """Look up the effects."""
+        self._model, self._effects = simulation.system.model, simulation.system.effects
+        self._laws, effects = simulation.effect_set.laws, self._effects
+        self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values
+        measured = laws_of(simulation)
+        rows = () if effects is None else tuple(
+            (row, int(effects.kind[row]),
+             *measured.get(row, effects.index[row, [FIRST, SECOND]].tolist()))
+            for row in np.flatnonzero(effects.enabled).tolist())
+        self.key = rows, self.values.shape
+
+    def act(self, forces):
+        """Let the effects act on a ``core.codegen.scene_routines.Forces``."""
+        act(self._effects, forces, self._laws)
+
+    def table(self, arrays, columns):
+        """
+        Return a table of addresses, without routines; it does not keep the arrays.
+
+        Parameters
+        ----------
+        arrays : dict of int to ndarray
+            By their places, beside those of the scene.
+        columns : int
+            Length of the table.
+
+        Returns
+        -------
+        ndarray of int, shape (columns,)
+
+        """
+        table = np.zeros(columns, dtype=np.int64)
+        for place, array in {calls.BODY: self._model.body, calls.GRAVITY: self._model.gravity,
+                             calls.CUT_POINT: self._model.cut_point, VALUES: self.values,
+                             **arrays}.items():
+            table[place] = array.ctypes.data
+        return table
+
+
+def laws_of(simulation):
+    """Return what code of users' laws depends on, by rows: arithmetic, and what is measured."""
+    table, laws = simulation.system.effects, simulation.effect_set.laws
+    return {row: (law.arithmetic, entries_of(table, row).tolist()) for row, law in laws.items()}
