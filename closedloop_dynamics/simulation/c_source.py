@@ -3,18 +3,20 @@
 
 """A scene as C99: evaluation, correction of the loops, a step, energies and points."""
 
+import json
 import re
 import textwrap
 
 import numpy as np
 
 from .c_template import (
-    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, HEADER, JACOBIANS, PLAIN, SOURCE,
-    WITH_QUATERNIONS)
+    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, FORCES, HEADER, JACOBIANS, PLAIN,
+    SOURCE, WITH_QUATERNIONS, WRENCHES)
 from .errors import SimulationError
 from .traced_scene import refusals
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
-from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, JACOBIAN, RATE
+from ..core.codegen.derivatives import (
+    DERIVATIVE, DerivativeUnrolling, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU)
@@ -113,6 +115,8 @@ class _Text:
         body, cut = ((_BODY_COLUMNS, _CUT_COLUMNS) if self.planar
                      else (_SPATIAL_BODY_COLUMNS, _SPATIAL_CUT_COLUMNS))
         effects = ', '.join(simulation.effect_set.by_name)
+        # Of the joints whose wrenches are unique: rows of their children, origins and axes there.
+        self.joints, self.carried = simulation.force_places()
         # By the input of a routine: the member of the model, its numbers, and what they are.
         self.members = {
             BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
@@ -128,6 +132,8 @@ class _Text:
         words = self._words()
         words |= {word: _filled(text, words) if self.derivatives else '' for word, text in (
             ('JACOBIANS', JACOBIANS), ('DIFFERENTIATE', DIFFERENTIATE))}
+        words |= {word: _filled(text, words) if self.joints else '' for word, text in (
+            ('FORCES', FORCES), ('WRENCHES', WRENCHES))}
         return tuple(_filled(text, words) for text in (SOURCE, HEADER))
 
     def _words(self):
@@ -147,6 +153,9 @@ class _Text:
                                  for name, _, what in self.members.values()),
             'MEMBERS': '\n'.join(f'  double {name}{_shape(array)};'
                                  for name, array, _ in self.members.values()),
+            'JOINTS': _numbered(self.joints), 'NAMED': _strings(self.joints),
+            'POSITIONS': _strings(coordinates.columns('position')),
+            'VELOCITIES': _strings(coordinates.columns('velocity')),
             'COORDINATES': _numbered(coordinates.columns('position')),
             'RATES': _numbered(coordinates.columns('velocity')),
             'MULTIPLIERS': '\n'.join(_wrapped(line) for line in self._multipliers()),
@@ -198,6 +207,12 @@ class _Text:
         yield self._function(
             'int closures_of', unrolled(lambda one: one.closures(), DerivativeUnrolling),
             {Q: 'const double *q', CLOSURE: 'double *errors', JACOBIAN: 'double *jacobian'})
+        if self.joints:
+            yield self._function(
+                'int joint_forces_of', unrolled(
+                    lambda one: one.joint_forces(*self.carried), DerivativeUnrolling),
+                {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
+                 LAM: 'const double *lam', JOINT_FORCE: 'double *forces'})
         if self.derivatives:
             yield self._function(
                 'int derivatives_of',
@@ -250,6 +265,11 @@ def _wrapped(text):
 def _numbered(names):
     """Return names with their places, as lines of a comment."""
     return _wrapped(', '.join(f'{n} {name}' for n, name in enumerate(names)) or 'none')
+
+
+def _strings(names):
+    """Return names as an initializer of a table of strings, ended by 0."""
+    return ', '.join([*(json.dumps(name, ensure_ascii=False) for name in names), '0'])
 
 
 def _shape(array):

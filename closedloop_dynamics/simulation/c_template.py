@@ -68,6 +68,9 @@ int @NAME@_evaluate(
  * method, then of rates. Quaternions get the norm 1. */
 int @NAME@_correct(const @NAME@_model *model, @NAME@_state *state);
 
+/* Move coordinates q[NQ] by finite changes[NV] along the rates: orientations are turned. */
+void @NAME@_move(double *q, const double *change);
+
 /* A step of the classical Runge-Kutta method under constant torques tau[NV], and a correction. */
 int @NAME@_step(
   const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size);
@@ -87,7 +90,11 @@ void @NAME@_velocities(
  * in the order of the multipliers. */
 void @NAME@_closure(
   const @NAME@_model *model, const double *q, double *errors, double *jacobian);
-@DIFFERENTIATE@
+@FORCES@@DIFFERENTIATE@
+/* Names, for programs that load this code as a library: of q and of qd, each table ended by 0. */
+extern const char *const @NAME@_position_names[];
+extern const char *const @NAME@_velocity_names[];
+
 /* CasADi's calling convention: casadi.external('@NAME@', './@NAME@.so') is the evaluation of the
  * default model as a function (q, qd, tau) -> (qdd, lam). */
 int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem);
@@ -178,6 +185,11 @@ int @NAME@_correct(const @NAME@_model *model, @NAME@_state *state)
   return status;
 }
 
+void @NAME@_move(double *q, const double *change)
+{
+  move(q, change);
+}
+
 /* What to step along: rates of coordinates, then accelerations. */
 static int slope_at(
   const @NAME@_model *model, const double *state, const double *tau, double *slope)
@@ -246,6 +258,9 @@ void @NAME@_closure(
 {
   closures_of(model, q, errors, jacobian);
 }
+@WRENCHES@
+const char *const @NAME@_position_names[] = {@POSITIONS@};
+const char *const @NAME@_velocity_names[] = {@VELOCITIES@};
 
 /* CasADi's calling convention. */
 
@@ -355,6 +370,30 @@ int main(int count, char **text)
   return 0;
 }
 #endif
+"""
+
+# Where joint forces are unique: in the header, and behind the closure equations.
+FORCES = """
+/* Wrenches in joints, of accelerations and multipliers as _evaluate finds them: what the parent
+ * exerts on the child, at the child's origin and in its axes, moment x, y, z [N m] and force x, y,
+ * z [N] of each:
+@JOINTS@ */
+void @NAME@_joint_forces(
+  const @NAME@_model *model, const double *q, const double *qd, const double *qdd,
+  const double *lam, double *forces);
+/* Their names, ended by 0. */
+extern const char *const @NAME@_joint_names[];
+"""
+
+WRENCHES = """
+void @NAME@_joint_forces(
+  const @NAME@_model *model, const double *q, const double *qd, const double *qdd,
+  const double *lam, double *forces)
+{
+  joint_forces_of(model, q, qd, qdd, lam, forces);
+}
+
+const char *const @NAME@_joint_names[] = {@NAMED@};
 """
 
 # Where derivatives are asked for: in the header, and behind the functions of CasADi.

@@ -70,8 +70,9 @@ class PlanarGeometry(LoopModel):
 
     @property
     def joint_places(self):
-        """Return the row whose wrench is each joint's, and no places: they are the origins."""
-        return np.argsort(self.model.tree[1:, t.DOF]) + 1, np.zeros((0, 3))
+        """Return the row whose wrench is each joint's, and no places: frames are the rows'."""
+        return (np.argsort(self.model.tree[1:, t.DOF]) + 1, np.zeros((0, 3)),
+                np.zeros((0, 3, 3)))
 
 
 def _placed(body, rows, places):

@@ -64,7 +64,7 @@ class Readings(Data):
         body, (row, point) = system.work.body, geometry.named_points
         self._points_found = np.zeros((len(row), 2 if self.mechanism.planar else 3))
         self._place_points = native.bind('place_points', body, row, point, self._points_found)
-        row, point = geometry.joint_places
+        row, point, _ = geometry.joint_places
         self._joint_forces_found = np.zeros((len(row), system.work.wrench.shape[1]))
         self._find_joint_forces = native.bind(
             'find_joint_forces', system.native, self._state, self._lam, row, point,
@@ -294,6 +294,27 @@ class Readings(Data):
         if self._couples:
             found[:, 0] += self._coupled[1] @ self.coupling_forces
         return found
+
+    def force_places(self) -> Tuple[List[str], Tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """
+        Return where the forces in joints act, as far as the multipliers tell them.
+
+        Returns
+        -------
+        joints : list of str
+            All that are not fixed; none where forces are not unique or couplings pass some on.
+        places : tuple of ndarrays
+            Rows of their children, and origins and axes of these in the frames of the rows.
+
+        """
+        row, point, axes = self._geometry.joint_places
+        if self.leaves_out or self._couples:
+            row = np.zeros_like(row)
+        if not len(point):
+            point, axes = np.zeros((len(row), 3)), np.tile(np.eye(3), (len(row), 1, 1))
+        moving = row > 0
+        return ([joint.name for joint, moves in zip(self.mechanism.joints, moving) if moves],
+                (row[moving], point[moving], axes[moving]))
 
     def force(self, name: str) -> np.ndarray:
         """

@@ -126,10 +126,12 @@ class SpatialGeometry(LoopModel):
             Of the bodies; 0 of fixed joints, of which the kernels know nothing.
         point : ndarray, shape (number of joints, 3)
             In the frame of the row [m].
+        axes : ndarray, shape (number of joints, 3, 3)
+            Of these bodies there.
 
         """
-        row, origins, _ = self._carried
-        return np.where(self._fixed, 0, row), origins
+        row, origins, axes = self._carried
+        return np.where(self._fixed, 0, row), origins, axes
 
 
 def _placed(body, rows, places):

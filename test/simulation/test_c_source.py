@@ -20,6 +20,7 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.simulation.c_source import c_source
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -204,6 +205,71 @@ def test_the_library_evaluates_corrects_and_reports_faults(tmp_path):
         ctypes.byref(model), ctypes.c_void_p(torn.ctypes.data), ctypes.c_void_p(tau.ctypes.data),
         ctypes.c_double(1e-3))
     assert status in (1, 2, 3) and np.array_equal(torn, before)
+
+
+def table(library, name):
+    """Return a table of strings that ends with 0."""
+    strings = iter((ctypes.c_char_p * 200).in_dll(library, name))
+    return [text.decode() for text in iter(lambda: next(strings), None)]
+
+
+@compiled
+@pytest.mark.parametrize('scene', (
+    'three_rrr_vertical', 'slider_crank', 'rssr_four_bar', 'ball'))
+def test_forces_in_joints_are_those_of_the_package(scene, tmp_path):
+    if scene in MECHANISMS:
+        (tmp_path / f'{scene}.yaml').write_text(MECHANISMS[scene])
+        (tmp_path / 'scene.yaml').write_text(SCENES[scene])
+    simulation = simulation_of(tmp_path / 'scene.yaml' if scene in MECHANISMS else scene)
+    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
+    simulation.step(torques(simulation), 0.1)
+    mechanism = simulation.mechanism
+    moving = [n for n, joint in enumerate(mechanism.joints) if joint.type != 'fixed']
+    assert table(library, 'model_joint_names') == [mechanism.joints[n].name for n in moving]
+    bodies = [body.name for body in mechanism.bodies]
+    found = np.full((len(moving), 6), math.nan)
+    library.model_joint_forces(
+        ctypes.byref(ctypes.c_char.in_dll(library, 'model_default')),
+        *(ctypes.c_void_p(one.ctypes.data) for one in (
+            simulation.position, simulation.velocity, simulation.acceleration,
+            simulation.multipliers, found)))
+    for wrench, place in zip(found, moving):
+        pose = simulation.body_poses[bodies.index(mechanism.joints[place].child)]
+        expected = simulation.joint_forces[place]
+        if mechanism.planar:
+            turned = of_quaternion((0.0, 0.0, math.sin(pose[2] / 2), math.cos(pose[2] / 2)))
+            expected = np.array([0.0, 0.0, *expected, 0.0])
+        else:
+            turned = of_quaternion(pose[3:])
+        # World axes, the child's are the columns of its rotation.
+        np.testing.assert_allclose(
+            wrench, np.concatenate((turned.T @ expected[:3], turned.T @ expected[3:])), rtol=0,
+            atol=1e-10 * (1.0 + np.abs(expected).max()))
+
+
+@compiled
+def test_forces_that_are_not_unique_are_left_out(tmp_path):
+    simulation = simulation_of('bricard')
+    assert simulation.leaves_out
+    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
+    assert not hasattr(library, 'model_joint_forces')
+    assert table(library, 'model_velocity_names') == [
+        f'velocity.{name}' for name in simulation.joint_names]
+
+
+@compiled
+def test_coordinates_move_along_the_rates(tmp_path):
+    (tmp_path / 'ball.yaml').write_text(BALL)
+    (tmp_path / 'scene.yaml').write_text(BALL_SCENE)
+    simulation = simulation_of(tmp_path / 'scene.yaml')
+    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
+    names = table(library, 'model_position_names')
+    assert names == simulation.coordinates.columns('position')
+    change = 0.1 * np.random.default_rng(2).normal(size=len(simulation.velocity))
+    found, expected = simulation.position, simulation.coordinates.moved(
+        simulation.position, change)
+    library.model_move(*(ctypes.c_void_p(one.ctypes.data) for one in (found, change)))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
 @compiled

@@ -22,7 +22,7 @@ from .function_table import CLOSURE, LAM, QDD
 from .routines import zeros
 from .scene_routines import SceneUnrolling
 from .spatial import at_parent, rigid
-from .vectors import add, dot, is_zero, scale, subtract, times, transpose, ZERO
+from .vectors import add, cross, dot, is_zero, scale, subtract, times, transpose, ZERO
 from ..manifold import manifold_of
 from ..types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, PARENT, RHS, ROW, ROWS)
@@ -30,6 +30,8 @@ from ..types import (
 # Outputs: d (qdd, lambda) / d (q, qd, tau), one column of nv + nc numbers behind the other; then
 # d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
 DERIVATIVE, RATE, JACOBIAN = range(44, 47)
+# Output: wrenches in joints.
+JOINT_FORCE = 48
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
@@ -87,11 +89,38 @@ class DerivativeUnrolling(SceneUnrolling):
             self.outputs += [(JACOBIAN, row * self.nv + joint, value)
                              for row, value in enumerate(column)]
 
+    def joint_forces(self, rows, origins, axes):
+        """
+        Store the wrenches in joints: what the parent exerts on the child.
+
+        Parameters
+        ----------
+        rows : list of int
+            Of the bodies that the joints carry.
+        origins, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
+            Of the children in the frames of these rows.
+
+        """
+        _, wrenches, _ = self._balanced()
+        for n, (row, origin, turned) in enumerate(zip(rows, origins.tolist(), axes.tolist())):
+            frame = transpose(self.recursion.motion[row].frame)
+            moment, force = (times(frame, part) for part in (
+                wrenches[row][:3], wrenches[row][3:]))
+            moment = subtract(moment, cross(origin, force))
+            for k, value in enumerate(
+                    times(transpose(turned), moment) + times(transpose(turned), force)):
+                self.outputs.append((JOINT_FORCE, 6 * n + k, value))
+
     def residuals(self):
         """Return R without the torques, and C in the mechanism's order of equations."""
-        forces, one = self.moved(), self.recursion
-        return self.balance(
-            self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)), one.force,
+        own, _, closed = self._balanced()
+        return [*own, *closed]
+
+    def _balanced(self):
+        """Return R without the torques, the wrenches in the joints of the tree, and C."""
+        forces = self.moved()
+        return self._sums(
+            self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)), self.recursion.force,
             forces.torque, 'bias')
 
     def balance(self, qdd, lam, force, torque, held):
@@ -112,6 +141,11 @@ class DerivativeUnrolling(SceneUnrolling):
             What of each closure equation is added: ``value``, ``rate`` or ``bias``.
 
         """
+        own, _, closed = self._sums(qdd, lam, force, torque, held)
+        return [*own, *closed]
+
+    def _sums(self, qdd, lam, force, torque, held):
+        """Return both parts of ``balance``, and the wrenches in the joints between them."""
         one, tree = self.recursion, self.constant.tree
         world, own = list(qdd), zeros(self.nv)
         for frame, turns in one.balls(self.constant):
@@ -149,7 +183,7 @@ class DerivativeUnrolling(SceneUnrolling):
                 wrench[parent] = add(wrench[parent], at_parent(wrench[i], one.motion[i].offset))
         for frame, turns in one.balls(self.constant):
             own[turns] = times(transpose(frame), own[turns])
-        return [*(own - torque), *closed]
+        return own - torque, wrench, closed
 
     def prepare(self):
         """Factor; the routine tells where that does not go well."""
