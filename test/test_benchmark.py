@@ -56,6 +56,18 @@ def test_steps_of_exported_code_are_timed(benchmark, capsys):
     assert len([number for number in re.findall(r'[\d.]+', line) if float(number) > 0.0]) == 5
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which('cc') is None or not sys.platform.startswith('linux'),
+    reason='needs a C compiler, called cc, on Linux')
+def test_cycles_of_the_hardware_interface_are_timed(benchmark, capsys):
+    assert benchmark('hardware_cycle').main(['four_bar', '--quick']) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert '`four_bar`' in line
+    times = [float(number) for number in re.findall(r'[\d.]+', line)]
+    assert len(times) == 6 and min(times) > 0.0
+
+
 def test_tables_of_the_accuracy_document_are_those_of_its_files(benchmark, tmp_path):
     document = benchmark('make_accuracy_doc')
     parts = document.passages(ROOT / 'doc' / 'pictures')

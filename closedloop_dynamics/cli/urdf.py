@@ -25,6 +25,9 @@ def _add_arguments(parser):
     parser.add_argument('--srdf', metavar='FILE', type=Path,
                         help='also write what MoveIt is to know (SRDF): the group of the driven '
                              'joints, the start of a scene as its state, all others passive')
+    parser.add_argument('--hardware', metavar='MODEL', type=Path,
+                        help='let ros2_control simulate the scene itself, by closedloop_hardware: '
+                             'MODEL is the C of `closedloop export`, compiled as a library')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 
 
@@ -33,9 +36,14 @@ def _run(arguments):
         require_free(arguments, path)
     subject = load_scene_or_mechanism(arguments.scene)
     mechanism = getattr(subject, 'mechanism', subject)
+    hardware = None
+    if arguments.hardware is not None:
+        if subject is mechanism:
+            raise UsageError(f'--hardware: expected a scene, got the mechanism {arguments.scene}')
+        hardware = arguments.hardware.resolve(), subject.method.step_size
     try:
         text = urdf(mechanism, loops=arguments.loops,
-                    limits=stops_of(getattr(subject, 'effects', {})))
+                    limits=stops_of(getattr(subject, 'effects', {})), hardware=hardware)
         if arguments.srdf is not None:
             states = {} if subject is mechanism else {
                 'start': Simulation.from_scene(subject).position}
@@ -65,6 +73,7 @@ examples:
   closedloop urdf three_rrr
   closedloop urdf delta_robot --loops drake
   closedloop urdf delta_robot --output delta.urdf --srdf delta.srdf
+  closedloop urdf three_rrr --hardware three_rrr.so --output three_rrr.urdf
   closedloop urdf carpet_scraper --output carpet_scraper.urdf
 """,
     add_arguments=_add_arguments,

@@ -41,6 +41,8 @@ LAYER = 0.027
 REACH, NO_LIMIT = 100.0, 1e9
 # Of ros2_control: hardware that is reached by topics.
 HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
+# Hardware that is the mechanism itself, and the bandwidth of its servos times the step size.
+MECHANISM_PLUGIN, PROMPTNESS = 'closedloop_hardware/MechanismSystem', 0.1
 ALONG_X, ALONG_Y, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 # Appended to the name of a helical joint: the link between turning and sliding, and what slides.
 SCREW, SLIDE = '_screw', '_slide'
@@ -49,7 +51,7 @@ PART = '_part'
 
 
 def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', loops=CONSTRAINT,
-         limits=None):
+         limits=None, hardware=None):
     """
     Return the URDF of the spanning tree, with its loops.
 
@@ -66,6 +68,9 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', l
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of freedoms [rad or m]; of those that are not named there is
         none.
+    hardware : tuple of 2, optional
+        Library of the exported C and step size [s], where ``closedloop_hardware`` is what the
+        ``ros2_control`` element names, in the place of a simulator that is reached by topics.
 
     Returns
     -------
@@ -104,7 +109,9 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', l
         (_add_joint if mechanism.planar else _add_spatial_joint)(robot, joint, size)
     _limit(robot, limits or {})
     _add_loops(robot, mechanism, loops)
-    if mechanism.actuated_joints:
+    if hardware is not None:
+        _add_mechanism(robot, mechanism, *hardware)
+    elif mechanism.actuated_joints:
         _add_hardware(robot, mechanism, command_topic, state_topic)
     return f'<?xml version="1.0"?>\n{written(robot)}'
 
@@ -250,25 +257,49 @@ def _angles(quaternion):
 
 def _add_hardware(robot, mechanism, command_topic, state_topic):
     """Add what ros2_control needs to take a simulator for hardware: efforts in, states out."""
-    control = ElementTree.SubElement(
-        robot, 'ros2_control', name=mechanism.name, type='system')
-    hardware = ElementTree.SubElement(control, 'hardware')
-    ElementTree.SubElement(hardware, 'plugin').text = HARDWARE_PLUGIN
-    for key, value in (
-            ('joint_commands_topic', command_topic), ('joint_states_topic', state_topic),
-            # Compares commanded with measured positions, and there are no commanded ones: always.
-            ('trigger_joint_command_threshold', '-1')):
-        ElementTree.SubElement(hardware, 'param', name=key).text = value
-    # Rotations have no number that its state interfaces could have.
-    single = set(mechanism.coordinates.single)
-    for name in (mechanism.coordinates.names[place] for place in mechanism.coordinates.actuated
-                 if place in single):
+    # Compares commanded with measured positions, and there are no commanded ones: always.
+    control = _add_control(robot, mechanism, HARDWARE_PLUGIN, {
+        'joint_commands_topic': command_topic, 'joint_states_topic': state_topic,
+        'trigger_joint_command_threshold': '-1'})
+    for name in _driven(mechanism):
         joint = ElementTree.SubElement(control, 'joint', name=name)
         command = ElementTree.SubElement(joint, 'command_interface', name='effort')
         # Until a controller writes one: without it, NaN.
         ElementTree.SubElement(command, 'param', name='initial_value').text = '0.0'
         for key in ('position', 'velocity', 'effort'):
             ElementTree.SubElement(joint, 'state_interface', name=key)
+
+
+def _add_mechanism(robot, mechanism, model, step_size):
+    """Add what ros2_control needs to take exported C for hardware: all joints of one freedom."""
+    control = _add_control(robot, mechanism, MECHANISM_PLUGIN, {
+        'model': str(model), 'step_size': numbers(step_size),
+        'bandwidth': numbers(PROMPTNESS / step_size)})
+    driven, single = _driven(mechanism), mechanism.coordinates.single_names
+    # Of those that the URDF has.
+    for name in (name for name in joint_names(mechanism) if name in single):
+        joint = ElementTree.SubElement(control, 'joint', name=name)
+        for key in ('effort', 'position', 'velocity') if name in driven else ():
+            ElementTree.SubElement(joint, 'command_interface', name=key)
+        for key in ('position', 'velocity', 'acceleration', 'effort'):
+            ElementTree.SubElement(joint, 'state_interface', name=key)
+
+
+def _add_control(robot, mechanism, plugin, parameters):
+    control = ElementTree.SubElement(
+        robot, 'ros2_control', name=mechanism.name, type='system')
+    hardware = ElementTree.SubElement(control, 'hardware')
+    ElementTree.SubElement(hardware, 'plugin').text = plugin
+    for key, value in parameters.items():
+        ElementTree.SubElement(hardware, 'param', name=key).text = value
+    return control
+
+
+def _driven(mechanism):
+    """Return names of what is actuated; rotations have no number that interfaces could have."""
+    single = set(mechanism.coordinates.single)
+    return [mechanism.coordinates.names[place] for place in mechanism.coordinates.actuated
+            if place in single]
 
 
 def _add_inertial(link, body):

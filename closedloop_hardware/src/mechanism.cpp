@@ -190,6 +190,9 @@ double Mechanism::close_around(std::vector<double> & state, const std::vector<bo
     Eigen::MatrixXd gram = jacobian * jacobian.transpose();
     gram.diagonal().array() += DAMPING * gram.trace();
     const Eigen::VectorXd change = -(jacobian.transpose() * gram.llt().solve(errors));
+    if (!change.allFinite()) {
+      break;
+    }
     model_.move(state.data(), change.data());
   }
   return left;

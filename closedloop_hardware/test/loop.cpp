@@ -6,10 +6,10 @@
 // prints why and returns 1.
 //
 //   start JOINT VALUE ...         initial positions
-//   commands JOINT KIND ...       NONE of joints that are left out; answers whether servos can
-//                                 follow, and memory allocated on the way, in calls
+//   commands JOINT KIND ...       NONE of joints that are left out; answers 1 where servos
+//                                 can follow, or 0, and calls that allocated memory
 //   command JOINT VALUE
-//   advance PERIOD COUNT          answers 1, or 0 and why; and memory allocated on the way, in calls
+//   advance PERIOD COUNT          answers 1, or 0, calls that allocated memory, and why it failed
 //   timed PERIOD COUNT            the same, and each cycle's time [s]: median, 99 %, most
 //   state JOINT ...               time; position, velocity, acceleration, effort of each
 //   wrench JOINT                  force, torque

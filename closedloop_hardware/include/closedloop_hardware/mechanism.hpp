@@ -32,7 +32,8 @@ public:
   std::vector<std::string> positions, velocities, joints;  // Of q, of qd, of joint_forces
   const void * numbers;
   const double * start;  // q, qd
-  int (* evaluate)(const void *, const double *, const double *, const double *, double *, double *);
+  int (* evaluate)(
+    const void *, const double *, const double *, const double *, double *, double *);
   int (* correct)(const void *, double *);
   int (* step)(const void *, double *, const double *, double);
   void (* move)(double *, const double *);
