@@ -31,7 +31,7 @@ from closedloop_dynamics.core.codegen.expression_graph import (  # noqa: E402,I1
 from closedloop_dynamics.core.codegen.function_table import (  # noqa: E402
     ACCELERATION, EVALUATION, OUTWARD)
 from closedloop_dynamics.core.codegen.machine_code import machine_code, SCALAR  # noqa: E402
-from closedloop_dynamics.core.codegen.routines import Unrolling  # noqa: E402
+from closedloop_dynamics.core.codegen.routines import MechanismTrace  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import load_scene, scene_names  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
@@ -120,8 +120,8 @@ def count(model):
         there are where effects act between them.
 
     """
-    everything, chain = tally(Unrolling(model).routine(EVALUATION))
-    parts = [tally(Unrolling(model).routine(which))[0] for which in (OUTWARD, ACCELERATION)]
+    everything, chain = tally(MechanismTrace(model).routine(EVALUATION))
+    parts = [tally(MechanismTrace(model).routine(which))[0] for which in (OUTWARD, ACCELERATION)]
     return {'all': everything, 'chain': chain,
             'in parts': sum(sum(part.values()) for part in parts)}
 

@@ -128,7 +128,7 @@ def _percent(value):
 def _draw(runs, paths, curves):
     # Only here, as it takes long to load.
     from ..visual import pictures
-    from ..visual.motion import named_paths
+    from ..visual.trajectory import named_paths
     from ..visual.views import FRONT, PLANE
     title, shown, traced = 'drive torques and joint forces', {}, {}
     labels, planar = set(), True

@@ -19,7 +19,7 @@ from ..formats.urdf_loops import FORMS, GAZEBO
 from ..formats.urdf_writing import urdf_with_loops
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import AssemblyError
-from ..simulation.far_assembly import find_closed
+from ..simulation.global_assembly import find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.scene import load_scene, load_scene_or_mechanism

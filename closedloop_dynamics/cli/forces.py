@@ -18,7 +18,7 @@ from ..recording.run import columns, row
 from ..simulation.errors import SimulationError
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
-from ..visual.motion import magnitudes
+from ..visual.trajectory import magnitudes
 from ..visual.progress import announced, progress_to
 
 

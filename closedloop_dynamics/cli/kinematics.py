@@ -19,7 +19,7 @@ from ..recording.kinematics import (
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
-from ..visual.motion import from_rows
+from ..visual.trajectory import from_rows
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
 

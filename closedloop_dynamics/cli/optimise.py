@@ -256,7 +256,7 @@ def _draw(optimum, machines, directory):
     """Draw paths before and after, and the front; return the files."""
     # Only here, as it takes long to load.
     from ..visual import pictures
-    from ..visual.motion import named_paths
+    from ..visual.trajectory import named_paths
     from ..visual.views import FRONT as FROM_THE_FRONT, PLANE
     problem, files = optimum.problem, []
     traced, driven = {}, replace(

@@ -22,7 +22,7 @@ from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
 from ..recording.transmission import transmission_angle
-from ..visual.motion import from_rows
+from ..visual.trajectory import from_rows
 from ..visual.progress import announced, progress_to
 
 STYLE = """

@@ -22,7 +22,7 @@ class Machine:
     placements : dict of str to Placement, optional
         Where the bodies' frames are in those of their rows, in space; in the plane they are the
         same.
-    motions : dict of Motion to tuple, optional
+    motions : dict of DrivingConstraint to tuple, optional
         By the equation of a prescribed motion, without its name: its row of ``Model.cut``, its
         place among the multipliers, the first of its right-hand sides in ``Model.cut_point``, and
         where the scene starts [rad; m].
@@ -247,7 +247,7 @@ class Effect:
 
         Returns
         -------
-        mechanism.Motion or None
+        mechanism.DrivingConstraint or None
             None where nothing is prescribed.
 
         """

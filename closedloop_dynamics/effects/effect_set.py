@@ -333,7 +333,7 @@ class EffectSet:
         first = self._table.index[row, STATE]
         return np.intersect1d(np.arange(first, first + len(self.elements[row].states)), self.own)
 
-    def start_anew(self, states):
+    def reset_states(self, states):
         """Set the own states, not the energies, back to those of the start, in place."""
         states[self.own] = self.initial[self.own]
         self.sensors.forget()

@@ -28,7 +28,7 @@ from ..engine import native
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
-from ..mechanism.mechanism import GROUND, Motion, Vector
+from ..mechanism.mechanism import DrivingConstraint, GROUND, Vector
 
 REST, MOVING = 'rest', 'moving'
 COMMANDED = 'commanded'
@@ -210,9 +210,9 @@ class PrescribedMotion(Effect):
     def motion(self, key):
         """Return the closure equation, named by a key."""
         if self.joint is not None:
-            return Motion(key, freedom=self.joint)
+            return DrivingConstraint(key, freedom=self.joint)
         length = math.hypot(*self.direction)
-        return Motion(key, point=self.point,
+        return DrivingConstraint(key, point=self.point,
                       direction=tuple(one / length for one in self.direction))
 
     def commanded(self, now, start, times, values, rates=None, accelerations=None):

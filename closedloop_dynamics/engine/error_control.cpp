@@ -260,7 +260,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   release_modes(system);
   update_friction_modes(system, after);
   if (system.has_effects()) {
-    pass_corners(system.effects, after.from(system.own()));
+    handle_time_events(system.effects, after.from(system.own()));
   }
   double growth = error < 1e-10 ? LARGEST_GROWTH :
     std::min(LARGEST_GROWTH, SAFETY * std::pow(error, -exponent));

@@ -51,7 +51,7 @@ void Parts::accept(const System & system, Values state, Values out)
 {
   update_friction_modes(system, out);
   if (system.has_effects()) {
-    pass_corners(system.effects, out.from(system.own()));
+    handle_time_events(system.effects, out.from(system.own()));
   }
   copy(out, state);
   left -= size;

@@ -18,7 +18,7 @@ static void carry(
 {
   for (Index entry = first; entry < last; ++entry) {
     const Index i = model.path_body[entry];
-    run_piece(
+    call_joint_kernel(
       work.piece(i, piece), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
       work.share.data);
     work.response(entry, row) = work.share[0];
@@ -52,7 +52,7 @@ static void respond_in_joints(
     share[0] = factor;
     share[1] = 0.0;
     if (piece == stage::REDUCE) {
-      run_piece(
+      call_joint_kernel(
         work.piece(i, stage::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
         work.body.row(i), arrived.row(i), share.data);
       for (Index n = 0; n < 6; ++n) {
@@ -95,7 +95,7 @@ static void respond_in_both(const Model & model, const Workspace & work, Index p
     share[0] = factor;
     share[1] = 0.0;
     const bool reduces = piece == stage::REDUCE;
-    run_piece(
+    call_joint_kernel(
       work.piece(i, reduces ? static_cast<Index>(stage::REDUCE_COUPLED) : piece),
       model.body.row(i), work.body.row(i), work.body.row(i), arrived.row(i), share.data);
     if (!reduces) {
@@ -200,7 +200,7 @@ void measure(const Model & model, const Workspace & work, Index a)
     point(a, last + 1) = -rate;
     point(a, last + 2) = 0.0;
   }
-  run_piece(
+  call_joint_kernel(
     work.cut_piece(a, stage::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
     work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
 }

@@ -19,7 +19,7 @@ void outward(const Model & model, Values q, Values qd, const Workspace & work)
     body(0, first + k) = -model.gravity[k];
   }
   for (Index i = 1; i < tree.rows; ++i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       q.data + tree(i, tree::COORDINATE), qd.data + tree(i, tree::DOF));
   }
@@ -52,7 +52,7 @@ void inward(const Model & model, Values tau, const Workspace & work, bool massle
   turn_spherical(tree, body, work.torque.data, true);
   const Index which = massless ? stage::ELIMINATE_MASSLESS : stage::ELIMINATE;
   for (Index i = tree.rows - 1; i > 0; --i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       work.torque.data + tree(i, tree::DOF), work.torque.data);
   }
@@ -63,7 +63,7 @@ void outward_acceleration(const Model & model, const Workspace & work, Values qd
   const Indexes & tree = model.tree;
   const Table & body = work.body;
   for (Index i = 1; i < tree.rows; ++i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::ACCELERATE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), qdd.data + tree(i, tree::DOF), qdd.data);
   }
@@ -77,7 +77,7 @@ void energies(const Model & model, const Workspace & work, Values qd, Values out
   double * moment = work.equation.data;
   out[0] = out[1] = 0.0;
   for (Index i = 1; i < tree.rows; ++i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::MEASURE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), moment, qd.data + tree(i, tree::DOF));
     out[0] += 0.5 * moment[0];
@@ -106,7 +106,7 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
   }
   turn_spherical(tree, body, work.torque.data, true);
   for (Index i = 1; i < tree.rows; ++i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::NEWTON), model.body.row(i), body.row(i),
       wrench.row(tree(i, tree::PARENT)), wrench.row(i), work.torque.data + tree(i, tree::DOF));
   }
@@ -115,7 +115,7 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
 void wrenches_of_cut(
   Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a)
 {
-  run_piece(
+  call_joint_kernel(
     cut_piece(a, stage::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
     body.row(cut(a, cut::BODY_B)), lam.data + cut(a, cut::CUT_ROW), share.data);
 }
@@ -123,7 +123,7 @@ void wrenches_of_cut(
 /// Carry the wrench of a body's row to its parent's.
 static void shift(const Model & model, const Workspace & work, Table wrench, Index i)
 {
-  run_piece(
+  call_joint_kernel(
     work.piece(i, stage::SHIFT), model.body.row(i), work.body.row(i),
     wrench.row(model.tree(i, tree::PARENT)), wrench.row(i), work.share.data);
 }
@@ -185,7 +185,7 @@ void tree_torque(const Model & model, const Workspace & work, Values qdd, Values
   bias_forces(work, wrench);
   newton(model, work, qdd, wrench);
   for (Index i = model.tree.rows - 1; i > 0; --i) {
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
       wrench.row(i), out.data + model.tree(i, tree::DOF));
     shift(model, work, wrench, i);
@@ -218,13 +218,13 @@ void generalized_inertia_matrix(const Model & model, const Workspace & work, Tab
   gim.fill(0.0);
   for (Index i = tree.rows - 1; i > 0; --i) {
     // Force of the composite body for a unit acceleration of its joint, then inward.
-    run_piece(
+    call_joint_kernel(
       work.piece(i, stage::COMPOSE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), wrench, work.share.data);
     const Index row = tree(i, tree::DOF);
     gim(row, row) = work.share[0];
     for (Index k = tree(i, tree::PARENT); k > 0; k = tree(k, tree::PARENT)) {
-      run_piece(
+      call_joint_kernel(
         work.piece(k, stage::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
         work.share.data);
       gim(row, tree(k, tree::DOF)) = gim(tree(k, tree::DOF), row) = work.share[0];

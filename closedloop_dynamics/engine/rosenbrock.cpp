@@ -279,7 +279,7 @@ Status StiffRun::accepted_step(
   }
   update_friction_modes(system, out);
   if (system.has_effects()) {
-    pass_corners(system.effects, out.from(system.own()));
+    handle_time_events(system.effects, out.from(system.own()));
   }
   copy(out, state);
   control[control::REACHED] = last ? limit : control[control::REACHED] + used;

@@ -12,7 +12,7 @@ namespace closedloop
 {
 
 /// Call the code generated for a body or a cut joint, on rows that it reads and writes.
-inline void run_piece(
+inline void call_joint_kernel(
   Index address, const double * constant, double * own, double * other, double * first,
   double * second)
 {

@@ -40,7 +40,7 @@ double time_to_next_corner(const EffectTable & effects, Values own)
   return wait;
 }
 
-void pass_corners(const EffectTable & effects, Values own)
+void handle_time_events(const EffectTable & effects, Values own)
 {
   for (Index row = 0; row < effects.count(); ++row) {
     if (follows_time(effects, row)) {

@@ -17,7 +17,7 @@ namespace closedloop
 double time_to_next_corner(const EffectTable &, Values own);
 
 /// Begin the next pieces after a step that has ended at a corner; corrected in place.
-void pass_corners(const EffectTable &, Values own);
+void handle_time_events(const EffectTable &, Values own);
 
 }  // namespace closedloop
 

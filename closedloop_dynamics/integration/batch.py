@@ -57,7 +57,7 @@ def fits(system, stabilisation):
         False where nothing is unrolled or effects act by laws of their own.
 
     """
-    return system.is_bare and stabilisation != INDEPENDENT
+    return system.is_force_free and stabilisation != INDEPENDENT
 
 
 def build_batch(systems):

@@ -121,7 +121,7 @@ class System(NamedTuple):
         return self.corrections.size > 0
 
     @property
-    def is_bare(self):
+    def is_force_free(self):
         """Whether one such routine makes a whole evaluation: without effects."""
         return self.is_unrolled and self.effects is None
 

@@ -274,7 +274,7 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class Motion:
+class DrivingConstraint:
     """
     An equation that lets a freedom, or a point, move as a function of the time.
 
@@ -346,7 +346,7 @@ class Mechanism:
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Any = field(default=None, compare=False, repr=False)
     tree: Any = field(default=None, compare=False, repr=False)
-    motions: Tuple[Motion, ...] = ()
+    motions: Tuple[DrivingConstraint, ...] = ()
     ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
 
     # Set on what validation.checked returns; a copy with other values has not been checked.
@@ -371,7 +371,7 @@ class Mechanism:
         return next((cut for cut in self.cut_joints if cut.name == name), None)
 
     @cached_property
-    def closures(self) -> Tuple[Union[CutJoint, Coupling, Motion], ...]:
+    def closures(self) -> Tuple[Union[CutJoint, Coupling, DrivingConstraint], ...]:
         """Return what holds the coordinates, in the order of the multipliers."""
         return (*self.cut_joints, *self.couplings, *self.motions)
 

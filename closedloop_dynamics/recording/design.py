@@ -16,7 +16,7 @@ from ..simulation.assembly import Assembler
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
 from ..simulation.redundancy import geometry_of
-from ..visual.motion import body_poses, named_point, pose_of, world_points
+from ..visual.trajectory import body_poses, named_point, pose_of, world_points
 
 TURN = 2.0 * math.pi
 # Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.

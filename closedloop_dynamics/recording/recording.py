@@ -19,7 +19,7 @@ from .rows import read_rows
 from ..mechanism.mechanism import MechanismError
 from ..simulation.scene import SceneError
 from ..simulation.scene_text import read_scene_text
-from ..visual.motion import Motion, wrench_parts
+from ..visual.trajectory import Trajectory, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
 # Of couplings and prescribed motions.
@@ -54,7 +54,7 @@ class Recording:
 
     # Its times are simulated ones where the log tells them, otherwise those of the stamps
     # since the first; forces that were not recorded are NaN.
-    motion: Motion
+    motion: Trajectory
     scene: object = None  # Or None: as it was at the beginning; None where nothing tells
     # List of (Scene, dict): the scene at the beginning and after every change, with the
     # facts beside it.
@@ -144,7 +144,7 @@ def _recording(path, messages, scene, namespace, finished):
     forces = _forces(messages, prefix + FORCES, mechanism, stamps)
     efforts = {topic: _efforts(messages[prefix + topic], stamps)
                for topic in EFFORTS if prefix + topic in messages}
-    return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, finished,
+    return Recording(Trajectory(mechanism, time, *values, forces), scene, changes, log, finished,
                      np.array(stamps), efforts)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
-from ..visual.motion import magnitudes, Motion
+from ..visual.trajectory import magnitudes, Trajectory
 from ..visual.tables import short, text_table
 
 # Beyond this share of a step, a time is no multiple of it.
@@ -32,8 +32,8 @@ class Replay:
 
     # At the same instants; the simulated values are NaN where too little is known to
     # compare.
-    recorded: Motion
-    simulated: Motion
+    recorded: Trajectory
+    simulated: Trajectory
     starts: list  # List of (float, str): times at which the re-simulation began anew [s], and why
     notes: list  # List of str: what limits the comparison
     # How many times larger a small difference of positions has become up to each instant.
@@ -88,7 +88,7 @@ def replay(recording, progress=lambda time: None):
             forces.append(simulation.equation_forces() if known else {})
         growth.append(np.abs(other - simulation.position).max() / PERTURBATION)
         progress(len(values))
-    simulated = Motion(
+    simulated = Trajectory(
         motion.mechanism, motion.time, *(np.array(each) for each in zip(*values)))
     if player.sensed and recording.log is not None and recording.log.whole is not None:
         logged = [whole for whole, state in zip(recording.log.whole, recording.log.state)

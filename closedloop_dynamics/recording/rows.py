@@ -19,7 +19,7 @@ import numpy as np
 from .errors import RecordingError
 from ..simulation.modeling import extent
 from ..simulation.scene_text import read_scene_text, scene_text
-from ..visual.motion import body_poses, closure, from_rows, named_point
+from ..visual.trajectory import body_poses, closure, from_rows, named_point
 
 # Share of the mechanism's size by which points and closure may differ from the rows', and share
 # of a closure error itself: large ones depend on how directions are compared.
@@ -51,7 +51,7 @@ def read_rows(path, scene=None):
 
     Returns
     -------
-    visual.motion.Motion, scene_records.Scene
+    visual.trajectory.Trajectory, scene_records.Scene
 
     Raises
     ------

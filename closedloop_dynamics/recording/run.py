@@ -16,7 +16,7 @@ from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.budget import FINEST
 from ..simulation.errors import SimulationError
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..visual.motion import wrench_parts
+from ..visual.trajectory import wrench_parts
 
 # What is told of joints, and of cut joints.
 QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..mechanism.mechanism import (
     DISTANCE, GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
-from ..visual.motion import body_poses, pose_of, world_points
+from ..visual.trajectory import body_poses, pose_of, world_points
 
 
 class _Joint(NamedTuple):

@@ -48,7 +48,7 @@ def die_with(parent, number=signal.SIGKILL):
         os._exit(1)
 
 
-class Awake:
+class IdleStateInhibitor:
     """Keeps the core of the thread that builds this awake while asked to."""
 
     def __init__(self):

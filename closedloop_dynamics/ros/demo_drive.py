@@ -12,7 +12,7 @@ from closedloop_dynamics.ros.parameters import per_joint
 from closedloop_dynamics.ros.torque_source_parameters import (
     FEEDBACK_MODES, reference, TORQUE_SOURCE_PARAMETERS)
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import body_poses
+from closedloop_dynamics.visual.trajectory import body_poses
 import numpy as np
 from rclpy.parameter import parameter_dict_from_yaml_file
 from rclpy.parameter import parameter_value_to_python
@@ -53,7 +53,7 @@ class Aim:
 
     Attributes
     ----------
-    reference : references.Reference, references.Circle or references.Ways
+    reference : references.Reference, references.CircularPath or references.PointToPointPath
     led : ndarray of bool, shape (n,)
         Whose position is controlled; of the others, their speed is.
     circle : tuple of (str, ndarray, float), or None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.visual import pictures
-from closedloop_dynamics.visual.motion import body_poses, closure, Motion, named_point
+from closedloop_dynamics.visual.trajectory import body_poses, closure, named_point, Trajectory
 import numpy as np
 
 NANOSECONDS = 1e-9
@@ -32,7 +32,7 @@ class Run:
 
     Attributes
     ----------
-    motion : visual.motion.Motion
+    motion : visual.trajectory.Trajectory
         From the last state at rest on; its time is that of the stamps since then.
     simulated : float
         Simulated time of the motion [s].
@@ -42,7 +42,7 @@ class Run:
 
     """
 
-    motion: Motion
+    motion: Trajectory
     simulated: float
     arrivals: dict
 

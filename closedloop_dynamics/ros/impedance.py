@@ -14,7 +14,7 @@ driven ones (principle of virtual power).
 from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE, rotated
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.redundancy import geometry_of
-from closedloop_dynamics.visual.motion import (
+from closedloop_dynamics.visual.trajectory import (
     body_poses, body_velocities, poses_in_space, wrench_in_joints)
 import numpy as np
 

@@ -20,7 +20,7 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, rgb, sliders, solid)
-from closedloop_dynamics.visual.motion import (
+from closedloop_dynamics.visual.trajectory import (
     force_of, pose_of, poses_in_space, world_points)
 from geometry_msgs.msg import Point
 import numpy as np

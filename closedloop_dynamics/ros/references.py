@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import math
 
 from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE
-from closedloop_dynamics.visual.motion import (
+from closedloop_dynamics.visual.trajectory import (
     body_poses, closure_errors, coupling_errors, named_point, pose_of)
 import numpy as np
 
@@ -289,7 +289,7 @@ def _point_and_turn(mechanism, start, name):
     return point, named_point(mechanism, poses, name), turn
 
 
-class Circle:
+class CircularPath:
     """
     Positions, velocities and accelerations of joints while a point goes round.
 
@@ -391,14 +391,14 @@ def _leaning(tilt, angle):
     return np.array([-half * math.sin(angle), half * math.cos(angle), 0.0, math.cos(0.5 * tilt)])
 
 
-class Ways:
+class PointToPointPath:
     """
     Positions, velocities and accelerations of joints while a point goes from place to place.
 
     Straight, from rest to rest, through all of them and back to where it began; again and again.
     The body of the point keeps how it is turned where the mechanism has the freedom to. ``places``
     are seen from where it begins, shape (n, 2), in space (n, 3) [m]; ``durations``, shape (n +
-    1,), are of the way to each of them, and back [s]; the rest is as of a ``Circle``.
+    1,), are of the way to each of them, and back [s]; the rest is as of a ``CircularPath``.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ import math
 import time
 
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
-from closedloop_dynamics.ros.background import Awake, set_priority
+from closedloop_dynamics.ros.background import IdleStateInhibitor, set_priority
 from closedloop_dynamics.ros.commands import (
     CommandError, NOT_ACTUATED, poses_of, SERVICE_QOS, state_of, subscribe, TorqueCommand)
 from closedloop_dynamics.ros.diagnostics import Diagnostics, graph_finding
@@ -115,7 +115,7 @@ class SimulatorNode(Node):
         self._create_inputs(lockstep)
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
-        self._awake = Awake()
+        self._awake = IdleStateInhibitor()
         self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.

@@ -36,7 +36,7 @@ class ProportionalDerivative:
 
     Parameters
     ----------
-    reference : references.Reference, references.Circle or references.Trajectory
+    reference : references.Reference, references.CircularPath or references.PointToPointPath
     kp, kd, ki : ndarray, shape (n,)
         [N m/rad], [N m s/rad] and [N m/(rad s)], of a joint with kp = 0 [N m/rad].
     feedforward, limit : ndarray, shape (n,)

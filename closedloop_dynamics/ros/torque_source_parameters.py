@@ -7,7 +7,8 @@ from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.ros.impedance import Impedance
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.references import Circle, PathError, Reference, Wave, Ways
+from closedloop_dynamics.ros.references import (
+    CircularPath, PathError, PointToPointPath, Reference, Wave)
 from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 
@@ -156,7 +157,7 @@ def gains(values, joints, simulation=None):
 
 
 def reference(values, joints, simulation=None):
-    """Return where the joints are to be, by time: a Reference, a Circle or Ways."""
+    """Return the desired positions of the joints over time, as the parameters say."""
     kinds = [kind for kind in ('circle', 'path') if values[f'{kind}_point']]
     if not kinds:
         return Reference(
@@ -172,8 +173,9 @@ def reference(values, joints, simulation=None):
     try:
         mechanism, start = simulation.mechanism, simulation.position
         if kind == 'path':
-            return Ways(mechanism, start, values['path_point'], *_ways(values, mechanism), joints)
-        return Circle(mechanism, start, values['circle_point'], *(
+            return PointToPointPath(
+                mechanism, start, values['path_point'], *_ways(values, mechanism), joints)
+        return CircularPath(mechanism, start, values['circle_point'], *(
             values[f'circle_{key}'] for key in ('radius', 'frequency', 'phase')), joints,
             values['circle_tilt'])
     except PathError as error:

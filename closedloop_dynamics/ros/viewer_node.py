@@ -38,8 +38,8 @@ from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
 from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
-from closedloop_dynamics.visual.motion import (
-    body_poses, body_velocities, Motion, poses_in_space)
+from closedloop_dynamics.visual.trajectory import (
+    body_poses, body_velocities, poses_in_space, Trajectory)
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -87,7 +87,7 @@ VIEWER_PARAMETERS = (
 )
 
 
-class Attached:
+class RemoteSimulator:
     """
     One simulator that is shown, by its full name; ``node`` subscribes and asks.
 
@@ -229,7 +229,7 @@ class Attached:
                 self.feed.refuse(error)
         if self._fresh and self.feed.pages:
             self._fresh = False
-            motion = Motion(self._mechanism, np.array([self._time]), *(
+            motion = Trajectory(self._mechanism, np.array([self._time]), *(
                 values[np.newaxis] for values in (
                     self._position, self._velocity, self._effort, self._forces)))
             self.feed.show(self._time, motion_rows(motion)[0])
@@ -517,7 +517,7 @@ class ViewerNode(Node):
                 continue
             # Topics of a node are heard of one after the other: until there are no more.
             if {'scene', 'joint_states'} <= set(topics) and topics == before.get(name):
-                self._shown[name] = Attached(self, name, topics)
+                self._shown[name] = RemoteSimulator(self, name, topics)
         known = [one for one in self._shown.values() if one.feed is not None]
         if self._wanted:
             ready = len(known) == len(self._wanted)

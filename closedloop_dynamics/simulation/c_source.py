@@ -16,12 +16,12 @@ from .errors import SimulationError
 from .traced_scene import refusals
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
 from ..core.codegen.derivatives import (
-    DERIVATIVE, DerivativeUnrolling, JACOBIAN, JOINT_FORCE, RATE)
+    DERIVATIVE, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU)
 from ..core.codegen.scene_routines import (
-    ENERGY, PLACE, PLACE_RATE, POINT, SceneUnrolling, VALUES)
+    ENERGY, PLACE, PLACE_RATE, POINT, SceneTrace, VALUES)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act
@@ -205,23 +205,23 @@ class _Text:
             'int velocities_of', unrolled(lambda one: one.places(rows), without=PLACE),
             {Q: 'const double *q', QD: 'const double *qd', PLACE_RATE: 'double *velocities'})
         yield self._function(
-            'int closures_of', unrolled(lambda one: one.closures(), DerivativeUnrolling),
+            'int closures_of', unrolled(lambda one: one.closures(), DerivativeTrace),
             {Q: 'const double *q', CLOSURE: 'double *errors', JACOBIAN: 'double *jacobian'})
         if self.joints:
             yield self._function(
                 'int joint_forces_of', unrolled(
-                    lambda one: one.joint_forces(*self.carried), DerivativeUnrolling),
+                    lambda one: one.joint_forces(*self.carried), DerivativeTrace),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
                  LAM: 'const double *lam', JOINT_FORCE: 'double *forces'})
         if self.derivatives:
             yield self._function(
                 'int derivatives_of',
-                unrolled(lambda one: one.derivatives(), DerivativeUnrolling),
+                unrolled(lambda one: one.derivatives(), DerivativeTrace),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
                  LAM: 'const double *lam', DERIVATIVE: 'double *derivatives',
                  RATE: 'double *rates'})
 
-    def _unrolled(self, what, kind=SceneUnrolling, without=None):
+    def _unrolled(self, what, kind=SceneTrace, without=None):
         """Return a routine of a new unrolling, but for an output that it has no use for."""
         table = self.system.effects
         one = kind(

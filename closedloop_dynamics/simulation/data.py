@@ -22,7 +22,7 @@ from .errors import AssemblyError, SimulationError
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
 from .modeling import extent
-from .motions import Motions, require_actuated
+from .motions import DrivingConstraints, require_actuated
 from .names import Names
 from .redundancy import geometry_of
 from .scene_records import Method, Scene
@@ -235,7 +235,7 @@ class Data(Names):
 
     def _prescribe(self, scene: Scene) -> None:
         """Look up the equations of prescribed motions; let them start."""
-        self._motions = Motions(
+        self._motions = DrivingConstraints(
             scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
         self._motions.follow(0.0)
 

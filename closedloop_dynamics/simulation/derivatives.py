@@ -12,7 +12,7 @@ from .parameters import parameter_arrays
 from .step_derivatives import StepDerivatives
 from .traced_scene import laws_of, require_derivatives, TracedScene
 from ..core.codegen import function_table as calls
-from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, RATE
+from ..core.codegen.derivatives import DERIVATIVE, DerivativeTrace, RATE
 from ..core.codegen.machine_code import machine_code, SCALAR
 from ..core.codegen.routines import topology
 from ..engine import native
@@ -106,7 +106,7 @@ class Differentiator:
 
     def _routines(self):
         """Unroll the derivatives."""
-        one = DerivativeUnrolling(self._system.model, self._scene.act, self._scene.values.shape)
+        one = DerivativeTrace(self._system.model, self._scene.act, self._scene.values.shape)
         one.derivatives()
         return [one.named('derivatives')]
 

@@ -26,7 +26,7 @@ from .redundancy import geometry_of
 from ..core import types as t
 from ..core.manifold import manifold_of
 from ..engine import native
-from ..mechanism.mechanism import GROUND, Motion
+from ..mechanism.mechanism import DrivingConstraint, GROUND
 
 LIMIT, CHANGE_POINT, UNCLEAR = 'limit', 'change point', 'unclear'
 # Closure error that is taken for zero, of the size or 1.
@@ -423,7 +423,7 @@ def driven_mechanism(mechanism, drives=None, points=None):
     for name, value in (drives or {}).items():
         if name not in freedoms:
             raise ValueError(f'drives: expected joints ({", ".join(freedoms)}), got {name!r}')
-        motions.append(Motion(f'drive {name}', freedom=name))
+        motions.append(DrivingConstraint(f'drive {name}', freedom=name))
         columns.append(_numbers(f'drives: {name}', value, 0, counts))
     for name, value in (points or {}).items():
         names = [point.name for point in mechanism.points if point.body != GROUND]
@@ -440,7 +440,8 @@ def driven_mechanism(mechanism, drives=None, points=None):
                              'poses')
         for axis in np.flatnonzero(~free.reshape(-1, axes)[0]):
             direction = tuple(float(axis == other) for other in range(axes))
-            motions.append(Motion(f'drive {name} {axis}', point=name, direction=direction))
+            motions.append(
+                DrivingConstraint(f'drive {name} {axis}', point=name, direction=direction))
             columns.append(places[..., axis])
     if len(set(counts.values())) > 1:
         raise ValueError('expected the same number of poses everywhere, got ' + ', '.join(

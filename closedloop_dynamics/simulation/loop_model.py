@@ -216,7 +216,7 @@ class LoopModel:
         """Go back to the equations that were chosen first; return the model."""
         return self.keep(self._first)
 
-    def closed_anew(self, q, better, nearby):
+    def reselected(self, q, better, nearby):
         """
         Choose the equations that the elimination works on anew, where the present ones serve ill.
 

@@ -15,7 +15,7 @@ import warnings
 import numpy as np
 
 from .errors import AssemblyError
-from .far_assembly import CLOSED, find_closed, Loops, never_closed, STARTS_EACH
+from .global_assembly import CLOSED, find_closed, Loops, never_closed, STARTS_EACH
 from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
@@ -128,7 +128,7 @@ def assembled(imported):
     -------
     imported : formats.building.Imported
         With the anchors of loops moved, where the last digits of a file keep them open.
-    found : far_assembly.Found
+    found : global_assembly.Found
     notes : list of str
         What to tell of it; none where nothing moved.
 

@@ -13,8 +13,7 @@ from ..mechanism.couplings import in_tree, measured
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    Coupling, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
-    REVOLUTE)
+    Coupling, DISTANCE, DrivingConstraint, FIXED, GROUND, POINT_ON_LINE, PRISMATIC, REVOLUTE)
 
 _CUT_TYPES = {
     REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED,
@@ -217,14 +216,14 @@ def _coupled_place(mechanism, coupling, one, tree, body_row, child, entries):
 
 def _sum_held(mechanism, one):
     """Return CUT_TYPE, factors by joint, and sum of a coupling or a joint's prescribed motion."""
-    if isinstance(one, Motion):
+    if isinstance(one, DrivingConstraint):
         return t.PRESCRIBED_JOINT, {one.freedom: 1.0}, 0.0
     return t.CUT_COUPLING, *in_tree(mechanism, one)
 
 
 def _held(mechanism, joint):
     """Return CUT_TYPE, both bodies and a row of ``Model.cut_point``."""
-    if isinstance(joint, Motion):
+    if isinstance(joint, DrivingConstraint):
         if joint.freedom is not None:
             _, cut, slides, *_ = cut_freedoms(mechanism)[joint.freedom]
             kind = t.PRESCRIBED_PLACE if slides else t.PRESCRIBED_TURN

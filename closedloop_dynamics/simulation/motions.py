@@ -101,7 +101,7 @@ def require_actuated(mechanism, names):
                              f'({", ".join(mechanism.actuated_joints)}), got {name!r}')
 
 
-class Motions:
+class DrivingConstraints:
     """
     What a scene prescribes.
 

@@ -26,7 +26,7 @@ from .driven import BranchEndError, DrivenKinematics
 from .errors import AssemblyError
 from .modeling import extent
 from .redundancy import geometry_of
-from ..mechanism.mechanism import GROUND, Motion, Point
+from ..mechanism.mechanism import DrivingConstraint, GROUND, Point
 
 # Parts of the grid along each axis that are computed side by side: at most so many, of so many
 # nodes or more.
@@ -154,7 +154,7 @@ class Platform:
                 points.append(Point(name, body, tuple((here + away).tolist())))
                 drives += [(name, other) for other in others]
         motions = tuple(
-            Motion(f'drive {name} {axis}', point=name, direction=tuple(
+            DrivingConstraint(f'drive {name} {axis}', point=name, direction=tuple(
                 float(axis == other) for other in range(self.axes)))
             for name, axis in drives)
         return replace(self.mechanism, points=(*self.mechanism.points, *points), motions=motions)

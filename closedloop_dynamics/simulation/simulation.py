@@ -607,7 +607,7 @@ class Simulation(Readings):
         whole: Any = self.system.whole
         numbers = whole.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
-        model = self._geometry.closed_anew(self._q, BETTER, opened)
+        model = self._geometry.reselected(self._q, BETTER, opened)
         if model is None:
             if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
                     opened and not self._geometry.serves(self._q)):
@@ -984,7 +984,7 @@ class Simulation(Readings):
         self._start_balance()
         before = self.energy
         self._q[:], self._qd[:] = state
-        self._effects.start_anew(self._own)
+        self._effects.reset_states(self._own)
         self._driver.restart(moved=True)
         self._jump()
         self._feel_loads()

@@ -26,8 +26,8 @@ from ..mechanism.couplings import measured
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
-    JOINT_FREEDOMS, MechanismError, Motion, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC,
+    Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, DrivingConstraint, FIXED, FREE, GROUND,
+    HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC,
     REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import of_quaternion
 
@@ -227,7 +227,7 @@ def _closures(mechanism, decomposition, tree, builder):
     entries, points = [], []
     for one, index, joint in zip(cut, decomposition.cut_order, closures):
         one[t.CUT_NUMBER] = index
-        if isinstance(joint, Motion):
+        if isinstance(joint, DrivingConstraint):
             points.append(_prescribed(mechanism, joint, one, tree, builder, entries))
             continue
         if isinstance(joint, Coupling) and measured(mechanism, joint):

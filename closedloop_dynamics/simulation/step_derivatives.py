@@ -12,7 +12,7 @@ from ..core.codegen.machine_code import machine_code, SCALAR
 from ..core.codegen.routines import topology
 from ..core.codegen.sensitivities import (
     ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, NAMES, RESULT, SEED,
-    SensitivityUnrolling, TABLE_COLUMNS)
+    SensitivityTrace, TABLE_COLUMNS)
 from ..engine import native
 from ..integration.stepped_run import StepRoutines
 
@@ -62,7 +62,7 @@ class StepDerivatives:
         if table[group[0]]:
             return
         key = 'sensitivities', group, topology(model), self.parameters.entries, *scene.key
-        find = machine_code(key, lambda: [SensitivityUnrolling(
+        find = machine_code(key, lambda: [SensitivityTrace(
             model, scene.act, scene.values.shape, self.parameters.entries).routine(one)
             for one in group], SCALAR)
         for one in group:

@@ -14,7 +14,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
 from ..simulation.assembly import find_degrees_of_freedom, MOST_EQUATIONS
-from ..simulation.far_assembly import find_closed, Loops
+from ..simulation.global_assembly import find_closed, Loops
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.redundancy import find_redundancy

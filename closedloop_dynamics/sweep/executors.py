@@ -40,7 +40,7 @@ class EngineError(SimulationError):
     """Workers that cannot be started, or are gone for good."""
 
 
-class Inline:
+class SerialExecutor:
     """This process itself."""
 
     def submit(self, function, *arguments):
@@ -63,7 +63,7 @@ class Inline:
         """Nothing is held."""
 
 
-class Processes:
+class ProcessExecutor:
     """Worker processes on this machine."""
 
     def __init__(self, workers):
@@ -125,18 +125,18 @@ class Processes:
         self._alive.close()
 
 
-class Growing:
+class AdaptiveExecutor:
     """This process at first, worker processes as soon as that is worth their start."""
 
     def __init__(self, batches, workers):
         """Begin here."""
         self._left, self._workers = batches, workers
-        self._engine, self._times = Inline(), []
+        self._engine, self._times = SerialExecutor(), []
 
     def submit(self, function, *arguments):
         """Compute here, or hand over work."""
-        if isinstance(self._engine, Inline) and self._worth_it():
-            self._engine = Processes(self._workers)
+        if isinstance(self._engine, SerialExecutor) and self._worth_it():
+            self._engine = ProcessExecutor(self._workers)
         self._left -= 1
         begin = time.perf_counter()
         future = self._engine.submit(function, *arguments)
@@ -212,7 +212,7 @@ def _work(function, *arguments):
         _Worker.computes = False
 
 
-class Handed:
+class ExternalExecutor:
     """An executor that was handed in; it is not shut down."""
 
     def __init__(self, executor):
@@ -237,7 +237,7 @@ class Handed:
         """Leave it to whoever made it."""
 
 
-class Cluster(Handed):
+class Cluster(ExternalExecutor):
     """
     A cluster of Dask.
 
@@ -316,14 +316,15 @@ def engine_for(batches, workers=None, scheduler=None, executor=None):
 
 def _engine(batches, workers, scheduler, executor):
     if executor is not None:
-        return Handed(executor)
+        return ExternalExecutor(executor)
     if scheduler is not None:
         return Cluster(scheduler)
     if workers is not None:
-        return Processes(min(workers, batches)) if min(workers, batches) > 1 else Inline()
+        workers = min(workers, batches)
+        return ProcessExecutor(workers) if workers > 1 else SerialExecutor()
     processors = (len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity')
                   else os.cpu_count() or 1)
-    return Growing(batches, processors) if processors > 1 else Inline()
+    return AdaptiveExecutor(batches, processors) if processors > 1 else SerialExecutor()
 
 
 # Between two looks whether to go on [s].

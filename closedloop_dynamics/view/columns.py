@@ -24,7 +24,7 @@ from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.mechanism import GROUND
 from ..mechanism.rotations import of_quaternion
 from ..simulation.health import WARN_BELOW
-from ..visual.motion import body_poses, body_velocities, magnitudes, POSE, poses_in_space
+from ..visual.trajectory import body_poses, body_velocities, magnitudes, POSE, poses_in_space
 
 # Numbers of an arrow: its foot [m], its force [N].
 ARROW = 6
@@ -119,7 +119,7 @@ def motion_columns(mechanism):
 
 
 def motion_rows(motion):
-    """Return the rows of a recording or of topics, a Motion: float32, shape (instants, width)."""
+    """Return the rows of a ``Trajectory``: float32, shape (instants, width)."""
     names, count = motion.mechanism.coordinates, len(motion.time)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
     return np.hstack([

@@ -16,7 +16,7 @@ import numpy as np
 
 from .drawing import all_places, ARROW, MechanismArtist
 from .gif import Gif
-from .motion import body_poses, magnitudes, Motion, named_point
+from .trajectory import body_poses, magnitudes, named_point, Trajectory
 from .pictures import COLORS
 from .views import perspective, PLANE
 
@@ -59,7 +59,7 @@ def between(motion, times):
         columns = [np.interp(times, motion.time, column) for column in flat.T]
         return np.array(columns).T.reshape(len(times), *values.shape[1:])
 
-    return Motion(motion.mechanism, times, *(
+    return Trajectory(motion.mechanism, times, *(
         at(values) for values in (motion.position, motion.velocity, motion.effort,
                                   motion.forces)))
 
@@ -118,7 +118,7 @@ class Animation:
 
     Parameters
     ----------
-    motion : Motion
+    motion : Trajectory
         Its times rise; forces may be NaN where none are known.
     title : str
         Title of the figure.

@@ -20,7 +20,7 @@ import numpy as np
 from .appearance import (
     body_colors, convex_hull, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, sliders)
-from .motion import force_of, named_point, pose_of, world_points
+from .trajectory import force_of, named_point, pose_of, world_points
 from .views import PLANE
 from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
 

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, PATH_COLOR, rgb
-from .motion import body_poses, named_point, pose_of, world_points
+from .trajectory import body_poses, named_point, pose_of, world_points
 from .views import FRONT, PLANE
 
 MILLIMETRES = 1e3

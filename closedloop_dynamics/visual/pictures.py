@@ -9,7 +9,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
 from .drawing import all_places, MechanismArtist
-from .motion import body_poses, magnitudes
+from .trajectory import body_poses, magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
 

@@ -121,7 +121,7 @@ class SpatialEngine:
                 int(system.table[calls.EVALUATION]))
             good = evaluation(system.table.ctypes.data, q.ctypes.data, qd.ctypes.data)
             return system.qdd.copy(), system.lam.copy(), bool(good)
-        return self.interpreted(routines.Unrolling(self.model), self.model, q, qd, tau)
+        return self.interpreted(routines.MechanismTrace(self.model), self.model, q, qd, tau)
 
     @staticmethod
     def interpreted(unrolling, model, q, qd, tau):
@@ -134,15 +134,15 @@ class SpatialEngine:
     def in_parts(self, which, q, qd, tau):
         """Return (qdd, good) of the outward recursion and a routine that goes on from there."""
         inputs = _inputs(self.model, q, qd, tau)
-        outputs, _ = interpret(routines.Unrolling(self.model).routine(calls.OUTWARD), inputs)
+        outputs, _ = interpret(routines.MechanismTrace(self.model).routine(calls.OUTWARD), inputs)
         inputs[calls.WORK_BODY] = _array(
             outputs, calls.WORK_BODY, len(self.model.tree) * space.WORK_COLUMNS)
-        outputs, good = interpret(routines.Unrolling(self.model).routine(which), inputs)
+        outputs, good = interpret(routines.MechanismTrace(self.model).routine(which), inputs)
         return _array(outputs, calls.QDD, self.nv), good
 
     def corrections(self, which, q, qd):
         """Return least changes of coordinates and of rates that close the loops, (2, nv)."""
-        outputs, _ = interpret(routines.Unrolling(self.model).routine(which),
+        outputs, _ = interpret(routines.MechanismTrace(self.model).routine(which),
                                _inputs(self.model, q, qd, np.zeros(self.nv)))
         return _array(outputs, calls.CORRECTIONS, 2 * self.nv).reshape(2, -1)
 

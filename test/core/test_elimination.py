@@ -77,7 +77,7 @@ def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
     check_that_doubled_loops_share_the_force(case, False)
 
 
-# Unrolling so many equations takes a second: the shipped mechanisms, the others with --all.
+# Tracing so many equations takes a second: the shipped mechanisms, the others with --all.
 @pytest.mark.parametrize('case', cases.first(len(cases.SHIPPED), cases.ALL), ids=str)
 def test_every_loop_twice_moves_the_same_unrolled(case):
     check_that_doubled_loops_share_the_force(case, None)

@@ -7,7 +7,7 @@ from closedloop_dynamics.core import types as t
 from closedloop_dynamics.core.codegen import function_table as calls, routines, space
 from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
+from closedloop_dynamics.simulation.global_assembly import find_closed, Loops
 from closedloop_dynamics.simulation.tree_choice import count_operations
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def state(mechanism, cut='spherical'):
 
 def triples(mechanism):
     """Return the rows that are eliminated as one joint."""
-    return routines.Unrolling(SpatialEngine(mechanism).model).recursion.hinges
+    return routines.MechanismTrace(SpatialEngine(mechanism).model).recursion.hinges
 
 
 @pytest.mark.parametrize('axes', [AXES, AXES[::-1], ((0.6, 0.0, 0.8), (0.0, 1.0, 0.0),
@@ -92,14 +92,14 @@ def test_forces_on_the_bodies_in_between_act_in_the_hinges(monkeypatch):
     engine, rng = SpatialEngine(mechanism), np.random.default_rng(5)
     model = engine.model
     inputs = _inputs(model, q, qd, tau)
-    outputs, _ = interpret(routines.Unrolling(model).routine(calls.OUTWARD), inputs)
+    outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.OUTWARD), inputs)
     body = _array(outputs, calls.WORK_BODY, len(model.tree) * space.WORK_COLUMNS)
     body = body.reshape(-1, space.WORK_COLUMNS)
     body[1:, list(space.FORCES)] += rng.normal(size=body[1:, list(space.FORCES)].shape)
     inputs[calls.WORK_BODY] = body
-    found = interpret(routines.Unrolling(model).routine(calls.ACCELERATION), inputs)[0]
+    found = interpret(routines.MechanismTrace(model).routine(calls.ACCELERATION), inputs)[0]
     monkeypatch.setattr(space, 'hinges', lambda *_: ())
-    one_by_one = interpret(routines.Unrolling(model).routine(calls.ACCELERATION), inputs)[0]
+    one_by_one = interpret(routines.MechanismTrace(model).routine(calls.ACCELERATION), inputs)[0]
     for which, count in ((calls.QDD, engine.nv), (calls.LAM, engine.nc)):
         assert_agree(_array(found, which, count), _array(one_by_one, which, count), 1e-11)
 

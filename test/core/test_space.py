@@ -187,7 +187,7 @@ def in_space(mechanism):
 
 def operations(model):
     """Return how many additions, multiplications and divisions an evaluation takes."""
-    routine = routines.Unrolling(model).routine(EVALUATION)
+    routine = routines.MechanismTrace(model).routine(EVALUATION)
     kinds = (graph.ADD, graph.SUBTRACT, graph.MULTIPLY, graph.DIVIDE, graph.NEGATE)
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
@@ -203,7 +203,7 @@ def test_planar_mechanisms_written_in_space_cost_no_more(name):
     assert operations(engine.model) <= 1.03 * operations(plane)
     tau = rng.normal(size=engine.nv)
     found = engine.forward_dynamics(q, qd, tau)
-    planar = routines.Unrolling(plane)
+    planar = routines.MechanismTrace(plane)
     expected = SpatialEngine.interpreted(planar, plane, q, qd, tau)
     for one, other in zip(found[:2], expected[:2]):
         assert_agree(one, other, 1e-11)

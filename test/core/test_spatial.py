@@ -30,7 +30,7 @@ PLANAR = {'three_rrr': 781, 'carpet_scraper': 891, 'hoeken_pantograph_leg': 891,
 def unrolling(name):
     """Return the unrolling of a case, not yet run."""
     _, mechanism, _, _ = cases.drawn(name)
-    return routines.Unrolling(build_model(mechanism, (0.0, -9.81)))
+    return routines.MechanismTrace(build_model(mechanism, (0.0, -9.81)))
 
 
 @pytest.mark.parametrize('name', cases.SHIPPED)
@@ -59,7 +59,7 @@ def test_equations_out_of_the_plane_fall_away(kind, left):
     _, mechanism, _, _ = cases.drawn('four_bar')
     model = build_model(mechanism)
     model.cut[:, CUT_TYPE], model.cut[:, KEPT] = kind, possible(kind)
-    one = routines.Unrolling(model)
+    one = routines.MechanismTrace(model)
     one.outward()
     held = one.recursion.cuts[0]
     # In space five, five and six.

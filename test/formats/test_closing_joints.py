@@ -5,7 +5,7 @@
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.simulation.far_assembly import find_closed
+from closedloop_dynamics.simulation.global_assembly import find_closed
 from closedloop_dynamics.simulation.model_scene import assembled
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np

@@ -9,7 +9,7 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.far_assembly import Loops
+from closedloop_dynamics.simulation.global_assembly import Loops
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest

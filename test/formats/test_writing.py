@@ -20,7 +20,7 @@ from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
+from closedloop_dynamics.simulation.global_assembly import find_closed, Loops
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest

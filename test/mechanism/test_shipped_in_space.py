@@ -8,7 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import body_poses, closure, named_point, pose_of
+from closedloop_dynamics.visual.trajectory import body_poses, closure, named_point, pose_of
 import numpy as np
 import pytest
 

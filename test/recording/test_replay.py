@@ -14,7 +14,7 @@ from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import Motion
+from closedloop_dynamics.visual.trajectory import Trajectory
 from closedloop_dynamics.visual.pictures import deviations
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ class Recorder:
         published, index, jumps, time, torque, whole, *state = zip(*rows)
         published, index, jumps, time, torque, *state = map(
             np.array, (published, index, jumps, time, torque, *state))
-        motion = Motion(self.simulation.mechanism, time[published], *(
+        motion = Trajectory(self.simulation.mechanism, time[published], *(
             values[published] for values in state))
         numbers = np.where(published, np.cumsum(published) - 1, -1)
         return Recording(motion, self.changes[0][0], self.changes,

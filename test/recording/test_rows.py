@@ -17,7 +17,7 @@ from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.simulation.key_paths import changed, resolve
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
-from closedloop_dynamics.visual.motion import closure
+from closedloop_dynamics.visual.trajectory import closure
 import numpy as np
 import pytest
 

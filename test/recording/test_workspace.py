@@ -16,7 +16,7 @@ from closedloop_dynamics.recording.workspace import (
 from closedloop_dynamics.simulation.pose_grid import angles_of, orientation_of
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.singular_curves import TYPE_1, TYPE_2
-from closedloop_dynamics.visual.motion import body_poses, pose_of, world_points
+from closedloop_dynamics.visual.trajectory import body_poses, pose_of, world_points
 import numpy as np
 import pytest
 

@@ -12,7 +12,7 @@ from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text
-from closedloop_dynamics.visual.motion import world_points
+from closedloop_dynamics.visual.trajectory import world_points
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest

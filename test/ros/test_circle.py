@@ -3,9 +3,9 @@
 
 """The joints lead the point round the circle, and their rates are those of their positions."""
 
-from closedloop_dynamics.ros.references import Circle, PathError
+from closedloop_dynamics.ros.references import CircularPath, PathError
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import body_poses, named_point, pose_of
+from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
 import numpy as np
 import pytest
 
@@ -18,7 +18,7 @@ def simulation():
 
 
 def circle_of(simulation, radius=0.12, frequency=0.25, phase=-0.2, joints=None, name=POINT):
-    return Circle(simulation.mechanism, simulation.position, name, radius, frequency, phase,
+    return CircularPath(simulation.mechanism, simulation.position, name, radius, frequency, phase,
                   joints or simulation.joint_names)
 
 

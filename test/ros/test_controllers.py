@@ -7,7 +7,7 @@ from pathlib import Path
 
 from closedloop_dynamics.ros.torque_source_parameters import closed_loop, TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import body_poses, named_point
+from closedloop_dynamics.visual.trajectory import body_poses, named_point
 import numpy as np
 import pytest
 from rclpy.parameter import parameter_dict_from_yaml_file

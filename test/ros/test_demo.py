@@ -20,7 +20,7 @@ from closedloop_dynamics.ros.references import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import Motion
+from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np
 import pytest
 
@@ -219,7 +219,7 @@ def test_a_reference_that_began_early_is_found_and_a_lag_is_not_hidden(headstart
     followed = np.maximum(moment + headstart - lag, 0.0)[:, np.newaxis]
     position[:, [0, 5, 6]] = aim.reference.at(followed, np.zeros(3))[0]
     position[0, [0, 5, 6]] = 0.0
-    motion = Motion(scene.mechanism, moment, position, np.zeros((801, 7)), np.zeros((801, 7)),
+    motion = Trajectory(scene.mechanism, moment, position, np.zeros((801, 7)), np.zeros((801, 7)),
                     np.zeros((801, 2, 3)))
     wanted, _, found = wanted_motion(motion, aim)
     assert found == pytest.approx(headstart, abs=1e-9)
@@ -258,7 +258,7 @@ def platform_on_a_circle(share=1.0):
         simulation.set_state(joints, hold=simulation.actuated_joints)
         position.append(simulation.position)
     zero = np.zeros((len(moment), 7))
-    return Motion(scene.mechanism, moment, np.array(position), zero, zero, np.ones(
+    return Trajectory(scene.mechanism, moment, np.array(position), zero, zero, np.ones(
         (len(moment), 2, 3))), aim
 
 
@@ -284,7 +284,7 @@ def turning(mean, ripple):
     position, velocity = np.tile(Simulation(scene).position, (801, 1)), np.zeros((801, 7))
     position[:, 0] = mean * moment - ripple / (20 * np.pi) * np.cos(20 * np.pi * moment)
     velocity[:, 0] = mean + ripple * np.sin(20 * np.pi * moment)
-    return Motion(scene.mechanism, moment, position, velocity, np.zeros((801, 7)),
+    return Trajectory(scene.mechanism, moment, position, velocity, np.zeros((801, 7)),
                   np.ones((801, 3, 3))), aim
 
 
@@ -311,7 +311,7 @@ def test_loops_that_are_open_are_told():
 
 
 def run_of(moment, simulated=None, commands=None):
-    motion = Motion(load_scene('four_bar').mechanism, moment, *np.zeros((3, len(moment), 3)),
+    motion = Trajectory(load_scene('four_bar').mechanism, moment, *np.zeros((3, len(moment), 3)),
                     np.zeros((len(moment), 1, 3)))
     commands = moment + 0.001 if commands is None else commands
     return Run(motion, moment[-1] if simulated is None else simulated,

@@ -7,7 +7,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.impedance import Impedance
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
-from closedloop_dynamics.visual.motion import wrench_in_joints
+from closedloop_dynamics.visual.trajectory import wrench_in_joints
 import numpy as np
 import pytest
 

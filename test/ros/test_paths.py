@@ -4,12 +4,13 @@
 """Paths in space: points go where they should, and joints with them."""
 
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.references import Circle, freedoms_of, PathError, solve, Ways
+from closedloop_dynamics.ros.references import (
+    CircularPath, freedoms_of, PathError, PointToPointPath, solve)
 from closedloop_dynamics.ros.torque_source_node import Orientations
 from closedloop_dynamics.ros.torque_source_parameters import reference, TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.motion import body_poses, named_point, pose_of
+from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
 from geometry_msgs.msg import Transform
 from geometry_msgs.msg import Twist
 import numpy as np
@@ -59,7 +60,7 @@ def check_rates(path, times):
 
 def test_a_platform_goes_round_and_its_axis_round_a_cone():
     mechanism, start, joints = started('stewart_platform')
-    circle = Circle(mechanism, start, CENTER, 0.08, 0.25, 0.0, joints, 0.12)
+    circle = CircularPath(mechanism, start, CENTER, 0.08, 0.25, 0.0, joints, 0.12)
     np.testing.assert_allclose(circle.center, (-0.08, 0.0, 0.6), atol=1e-11)
     driven = [mechanism.coordinates.coordinates[joint].start for joint in joints]
     np.testing.assert_allclose(circle.place(0.0), start[driven], atol=1e-10)
@@ -89,7 +90,7 @@ def test_a_platform_goes_round_and_its_axis_round_a_cone():
 def test_a_delta_robot_reaches_its_places_at_rest():
     mechanism, start, joints = started('delta_robot')
     places, durations = np.array([[0.0, 0.0, 0.1], [0.2, 0.1, 0.1]]), [0.3, 0.5, 0.4]
-    ways = Ways(mechanism, start, CENTER, places, durations, joints)
+    ways = PointToPointPath(mechanism, start, CENTER, places, durations, joints)
     origin = named_point(mechanism, body_poses(mechanism, start), CENTER)
     np.testing.assert_allclose(ways.places - origin, [*places, np.zeros(3)], atol=1e-12)
     assert ways.period == pytest.approx(1.2)
@@ -112,7 +113,7 @@ def test_what_cannot_be_followed_is_said():
                              ({'name': 'nose'}, 'expected one of the points')):
         given = {'name': CENTER, 'radius': 0.1, 'frequency': 0.25, 'phase': 0.0, **options}
         with pytest.raises(PathError, match=problem):
-            Circle(mechanism, start, joints=joints, **given)
+            CircularPath(mechanism, start, joints=joints, **given)
     point = mechanism.points[0]
     with pytest.raises(PathError, match='cannot bring'):
         solve(mechanism, start, point, np.array([0.0, 0.0, -3.0]), None)

@@ -24,7 +24,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 from closedloop_dynamics.studies.spinning_bodies import (
     free_body, LEAN, LEVER, MOMENTS, nutation, SPIN)
-from closedloop_dynamics.visual.motion import from_rows
+from closedloop_dynamics.visual.trajectory import from_rows
 import numpy as np
 import pytest
 from scipy.integrate import quad, simpson

@@ -23,7 +23,7 @@ from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
-from closedloop_dynamics.visual.motion import body_poses
+from closedloop_dynamics.visual.trajectory import body_poses
 import numpy as np
 import pytest
 

@@ -16,7 +16,7 @@ from closedloop_dynamics.simulation.cognates import cognates
 from closedloop_dynamics.simulation.inversion import inverted
 from closedloop_dynamics.simulation.mirror import mirrored
 from closedloop_dynamics.simulation.scene_text import write_scene
-from closedloop_dynamics.visual.motion import (
+from closedloop_dynamics.visual.trajectory import (
     body_poses, named_point, pose_of, poses_in_space, rotated)
 import numpy as np
 import pytest

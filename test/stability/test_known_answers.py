@@ -70,7 +70,7 @@ def test_mass_that_sticks_does_not_creep():
     assert simulation.position[0] == rest
 
 
-# Unrolling twice the equations of a scissor lift takes long.
+# Tracing twice the equations of a scissor lift takes long.
 @pytest.mark.parametrize('name', [
     pytest.param(name, marks=pytest.mark.slow) if name == 'scissor_lift' else name
     for name in sorted({scene.mechanism.name for scene in map(load_scene, scene_names())

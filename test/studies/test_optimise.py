@@ -16,7 +16,7 @@ from closedloop_dynamics.studies.optimise import (
     from_start, optimise, Optimum, OptimumFileError, problem_of, solve)
 from closedloop_dynamics.studies.quantities import (
     Driven, Infeasible, Quantities, Variable, with_values)
-from closedloop_dynamics.visual.motion import named_paths
+from closedloop_dynamics.visual.trajectory import named_paths
 import numpy as np
 import pytest
 

@@ -8,7 +8,8 @@ from functools import partial
 
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.sweep.batch import failed, Job, SAMPLE_DONE, SAMPLE_FAILED
-from closedloop_dynamics.sweep.executors import dispatched, EngineError, Handed, Inline
+from closedloop_dynamics.sweep.executors import (
+    dispatched, EngineError, ExternalExecutor, SerialExecutor)
 from closedloop_dynamics.sweep.plan import Grid, Plan
 from closedloop_dynamics.sweep.runner import calls
 import numpy as np
@@ -20,7 +21,7 @@ JOB = Job(PLAN.scene, PLAN.paths, PLAN.schedule, PLAN.keep)
 TASKS = np.split(np.arange(20), [3, 6, 9, 12, 15, 18])
 
 
-class Lossy(Inline):
+class Lossy(SerialExecutor):
     """An engine whose workers die of some samples; all that is on its way dies with them."""
 
     def __init__(self, deadly=(), first_loss=None, error=BrokenExecutor):
@@ -72,7 +73,7 @@ def keep_going(engine):
 
 
 def test_all_samples_come_back_once():
-    samples, status, _ = run(Inline())
+    samples, status, _ = run(SerialExecutor())
     np.testing.assert_array_equal(samples, np.arange(20))
     assert (status == SAMPLE_DONE).all()
 
@@ -101,9 +102,9 @@ def test_an_engine_that_reports_each_loss_alone_is_served_the_same():
 
 
 def test_a_handed_in_executor_computes_the_same():
-    alone = run(Inline())[2]
+    alone = run(SerialExecutor())[2]
     with ThreadPoolExecutor(2) as executor:
-        samples, _, batches = run(Handed(executor))
+        samples, _, batches = run(ExternalExecutor(executor))
         assert executor.submit(int).result() == 0
     np.testing.assert_array_equal(samples, np.arange(20))
     expected = {int(b.samples[0]): b for b in alone}
@@ -121,4 +122,4 @@ def test_a_broken_executor_ends_the_sweep_with_a_word():
             return future
 
     with Broken(1) as executor, pytest.raises(EngineError, match='resume'):
-        run(Handed(executor))
+        run(ExternalExecutor(executor))

@@ -48,7 +48,7 @@ def assert_complete(path, written):
 def test_workers_end_in_the_middle_of_sending():
     for delay in np.linspace(0.0, 0.04, 9):
         before = set(threading.enumerate())
-        processes = executors.Processes(2)
+        processes = executors.ProcessExecutor(2)
         first = processes.submit(np.zeros, 1000)
         for _ in range(3):
             processes.submit(np.zeros, 4_000_000)
@@ -71,7 +71,7 @@ def test_workers_end_however_long_sending_takes(monkeypatch):
         return receive(self, size, *more)
 
     monkeypatch.setattr(Connection, '_recv', slowly)
-    processes = executors.Processes(1)
+    processes = executors.ProcessExecutor(1)
     processes.submit(np.zeros, 4_000_000)
     assert begun.wait(300)
     closing = threading.Thread(target=processes.close, daemon=True)
@@ -99,13 +99,13 @@ def test_a_killed_process_loses_no_sample(tmp_path, written):
 
 def test_workers_are_started_only_where_they_pay(tmp_path, written, monkeypatch):
     started = []
-    make = executors.Processes
+    make = executors.ProcessExecutor
 
     def noted(workers):
         started.append(workers)
         return make(1)
 
-    monkeypatch.setattr(executors, 'Processes', noted)
+    monkeypatch.setattr(executors, 'ProcessExecutor', noted)
     monkeypatch.setattr(os, 'sched_getaffinity', lambda pid: range(8))
     monkeypatch.setattr(executors, 'WORTH', 1e6)
     monkeypatch.setattr(executors, 'WORTH_AT_ONCE', 1e6)

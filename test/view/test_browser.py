@@ -12,7 +12,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.page import recorded_page
-from closedloop_dynamics.visual.motion import body_poses, poses_in_space
+from closedloop_dynamics.visual.trajectory import body_poses, poses_in_space
 import numpy as np
 import pytest
 

@@ -9,7 +9,7 @@ import struct
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.runner import SAMPLES
-from closedloop_dynamics.visual.motion import poses_in_space
+from closedloop_dynamics.visual.trajectory import poses_in_space
 import numpy as np
 import pytest
 

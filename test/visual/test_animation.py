@@ -11,7 +11,8 @@ from closedloop_dynamics.recording.recording import since_the_last_reset
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.signals import Interrupted
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual import animation as animations, motion as motions, pictures
+from closedloop_dynamics.visual import (
+    animation as animations, pictures, trajectory as motions)
 from closedloop_dynamics.visual.appearance import body_colors, FORCE_COLOR, PATH_COLOR
 from closedloop_dynamics.visual.drawing import mixed
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -47,7 +48,7 @@ def test_frames_are_evenly_spread_in_time(motion, rate, speed, count):
 
 
 def test_motion_between_its_instants_is_interpolated(motion):
-    shown = motions.Motion(motion.mechanism, *(getattr(motion, name)[::2] for name in (
+    shown = motions.Trajectory(motion.mechanism, *(getattr(motion, name)[::2] for name in (
         'time', 'position', 'velocity', 'effort', 'forces')))
     between = animations.between(shown, motion.time)
     np.testing.assert_array_equal(between.position[::2], motion.position[::2])
@@ -103,7 +104,7 @@ def test_a_long_path_is_drawn_in_pieces(motion, monkeypatch):
 
 
 def test_forces_that_are_not_known_are_left_out(motion):
-    unknown = motions.Motion(motion.mechanism, motion.time, motion.position, motion.velocity,
+    unknown = motions.Trajectory(motion.mechanism, motion.time, motion.position, motion.velocity,
                              motion.effort, np.full_like(motion.forces, np.nan))
     animation = animations.Animation(unknown, 'test', np.array([0.0, 0.1]))
     assert len(animation) == 2
@@ -172,7 +173,7 @@ def test_mp4_is_made_by_ffmpeg_from_whole_frames(csv_file, tmp_path, monkeypatch
 def test_forces_between_two_frames_are_in_full_view(motion, monkeypatch):
     forces = motion.forces.copy()
     forces[23, 1] = 0.0, 3e4, 4e4
-    struck = motions.Motion(motion.mechanism, motion.time, motion.position, motion.velocity,
+    struck = motions.Trajectory(motion.mechanism, motion.time, motion.position, motion.velocity,
                             motion.effort, forces)
     limits = []
     plot = animations.Animation._plot_forces
@@ -208,7 +209,7 @@ def test_an_interruption_leaves_no_file(csv_file, tmp_path, monkeypatch, capsys,
 
 
 def test_what_was_before_a_reset_is_left_out(motion):
-    twice = motions.Motion(motion.mechanism, *(
+    twice = motions.Trajectory(motion.mechanism, *(
         np.concatenate([values, values[:1], values])
         for values in (motion.time, motion.position, motion.velocity, motion.effort,
                        motion.forces)))

@@ -7,7 +7,7 @@ from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.scene import config_directory
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual import motion as motions, pictures
+from closedloop_dynamics.visual import pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import outline
 from closedloop_dynamics.visual.drawing import MechanismArtist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -59,7 +59,7 @@ def everything(tmp_path):
     mechanism = read_mechanism(path)
     random = np.random.default_rng(5)
     count, joints = 50, len(mechanism.joints)
-    return motions.Motion(
+    return motions.Trajectory(
         mechanism, np.linspace(0.0, 1.0, count), *random.normal(size=(3, count, joints)),
         forces=random.normal(size=(count, len(mechanism.cut_joints), 3)))
 
@@ -194,7 +194,7 @@ def test_turning_joints_are_shown_within_a_turn():
     motion, _ = simulated('four_bar')
     position = motion.position.copy()
     position[:, 0] = np.linspace(0.0, 20.0, len(position))
-    turning = motions.Motion(motion.mechanism, motion.time, position, motion.velocity,
+    turning = motions.Trajectory(motion.mechanism, motion.time, position, motion.velocity,
                              motion.effort, motion.forces)
     wanted = np.full_like(position, np.nan)
     wanted[:, 0] = 4.7

@@ -6,7 +6,8 @@
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.visual import animation as animations, motion as motions, pictures
+from closedloop_dynamics.visual import (
+    animation as animations, pictures, trajectory as motions)
 from closedloop_dynamics.visual.appearance import convex_hull, solid
 from closedloop_dynamics.visual.drawing import all_places, MechanismArtist
 from closedloop_dynamics.visual.views import FRONT, perspective, SIDE, TOP
@@ -38,7 +39,7 @@ def waved(name, count=40):
     time = np.linspace(0.0, 1.0, count)
     joints = len(mechanism.joints)
     position = 0.2 * np.sin(3.0 * time)[:, np.newaxis] * rng.normal(size=joints)
-    return motions.Motion(
+    return motions.Trajectory(
         mechanism, time, position, *rng.normal(size=(2, count, joints)),
         forces=rng.normal(size=(count, len(mechanism.cut_joints), 6)))
 

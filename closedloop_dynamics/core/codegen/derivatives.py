@@ -20,7 +20,7 @@ from . import elimination, forward_dynamics
 from .differentiation import differentiated
 from .function_table import CLOSURE, LAM, QDD
 from .routines import zeros
-from .scene_routines import SceneUnrolling
+from .scene_routines import SceneTrace
 from .spatial import at_parent, rigid
 from .vectors import add, cross, dot, is_zero, scale, subtract, times, transpose, ZERO
 from ..manifold import manifold_of
@@ -38,7 +38,7 @@ _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
          ((1, 1), (0, -1), (3, 1), (2, -1)))
 
 
-class DerivativeUnrolling(SceneUnrolling):
+class DerivativeTrace(SceneTrace):
     """
     A mechanism and what acts on it, unrolled for derivatives.
 
@@ -47,7 +47,7 @@ class DerivativeUnrolling(SceneUnrolling):
     Parameters
     ----------
     model, act, values
-        As for ``SceneUnrolling``.
+        As for ``SceneTrace``.
 
     """
 

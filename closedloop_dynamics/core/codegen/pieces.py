@@ -88,7 +88,7 @@ def _addresses(arrays, make, kind, model, row):
     return _known[key]
 
 
-class _Sketch:
+class _Tracer:
     """Symbols of what one piece reads; what it stores where."""
 
     def __init__(self, arrays, constants):
@@ -154,7 +154,7 @@ class _Body:
 
     def _piece(self, name, stage):
         arrays = self.arrays
-        sketch = _Sketch(arrays, self.model.body.shape[1])
+        sketch = _Tracer(arrays, self.model.body.shape[1])
         constants = np.stack([sketch.constant, sketch.constant])
         body = arrays.bodies(self.model, constants)[1]
         gravity = 3 * (0.0,)
@@ -180,8 +180,8 @@ class _Body:
         first, second = sketch.row(FIRST, 4), [
             sketch.graph.put(LOAD, SECOND, place) for place in (-2, -1, 0)]
         one.motion[_BODY] = motion = (
-            one.rolled(_BODY, _PARENT, first, second) if body.ball
-            else one.moved(_BODY, _PARENT, first[0], second[2]))
+            one.spherical_kinematics(_BODY, _PARENT, first, second) if body.ball
+            else one.joint_kinematics(_BODY, _PARENT, first[0], second[2]))
         inertia, force = rigid(body, motion)
         sketch.store(OWN, {**self.arrays.columns_of(motion),
                            **by_column(inertia, self.arrays.INERTIAS),
@@ -243,7 +243,7 @@ class _Body:
         """Carry a wrench to the parent, less what the joint gives way to; tell its shares."""
         self._factored(sketch, one)
         own = sketch.row(SECOND, 1)[0] if coupled else 0.0
-        force, scaled, wrench = one.reduce(
+        force, scaled, wrench = one.transmit_articulated_wrench(
             _BODY, sketch.own[DINV], self._wrench(sketch, FIRST), own)
         sketch.store(FIRST, by_column(wrench, self._packed))
         sketch.store(SECOND, {0: force, 1: scaled})
@@ -251,7 +251,7 @@ class _Body:
     def carry(self, sketch, one, beyond=False):
         """Carry a wrench to the parent; tell its share in the joint."""
         beyond = beyond and bool(one.bodies[_BODY].turns)
-        force, wrench = one.carry(_BODY, self._wrench(sketch, FIRST), beyond)
+        force, wrench = one.transmit_wrench(_BODY, self._wrench(sketch, FIRST), beyond)
         sketch.store(FIRST, by_column(wrench, self._packed))
         sketch.store(SECOND, {0: force, 1: 0.0})
 
@@ -263,7 +263,7 @@ class _Body:
 
         """
         body, inertia = one.bodies[_BODY], one.inertia[_BODY]
-        share, wrench = one.carry(_BODY, times(inertia, one.motion[_BODY].axis))
+        share, wrench = one.transmit_wrench(_BODY, times(inertia, one.motion[_BODY].axis))
         sketch.store(SECOND, {0: share + (0.0 if body.armature is None else body.armature)})
         sketch.store(FIRST, by_column(add(wrench, one.rotor[_BODY] + ZERO), self._packed))
         if not self.on_ground:
@@ -349,7 +349,7 @@ class _Cut:
 
     def _piece(self, name, stage):
         arrays = self.arrays
-        sketch = _Sketch(arrays, self.model.cut_point.shape[1])
+        sketch = _Tracer(arrays, self.model.cut_point.shape[1])
         cut, = arrays.cuts(self.model, sketch.constant[np.newaxis])
         one = Recursion([], [], 3 * (0.0,))
         one.motion = [arrays.motion_of(row, _NO_JOINT, one.ground)

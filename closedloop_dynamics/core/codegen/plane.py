@@ -196,12 +196,12 @@ def motion_of(row, body, ground):
         Of symbols.
     body : Body
         Of this row.
-    ground : Motion
+    ground : BodyKinematics
         Of the ground.
 
     Returns
     -------
-    Motion
+    BodyKinematics
 
     """
     cos, sin = row[COS], row[SIN]
@@ -219,7 +219,7 @@ def columns_of(motion):
 
     Parameters
     ----------
-    motion : Motion
+    motion : BodyKinematics
         Of a body.
 
     Returns

@@ -73,7 +73,7 @@ def addresses(model, which, form=SCALAR):
     key = topology(model), which, form
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [Unrolling(model).routine(one) for one in which], form)
+            key, lambda: [MechanismTrace(model).routine(one) for one in which], form)
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
@@ -93,12 +93,12 @@ def operations(model):
         Additions, subtractions, multiplications, divisions and negations.
 
     """
-    routine = Unrolling(model).routine(EVALUATION)
+    routine = MechanismTrace(model).routine(EVALUATION)
     kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
-class Unrolling:
+class MechanismTrace:
     """
     One mechanism with symbols in the place of all numbers that may change.
 

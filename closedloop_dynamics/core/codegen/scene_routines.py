@@ -12,7 +12,7 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 from . import forward_dynamics
 from .expression_graph import Routine
 from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU
-from .routines import Unrolling, zeros
+from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
@@ -23,7 +23,7 @@ VALUES, POINT, ENERGY, PLACE = range(40, 44)
 PLACE_RATE = 47
 
 
-class SceneUnrolling(Unrolling):
+class SceneTrace(MechanismTrace):
     """
     One mechanism and what acts on it, with symbols in the place of all numbers that may change.
 
@@ -108,7 +108,7 @@ class Forces:
 
     Parameters
     ----------
-    unrolling : SceneUnrolling
+    unrolling : SceneTrace
         After the outward recursion.
 
     Attributes

@@ -15,7 +15,7 @@ Evaluating Derivatives, 2nd ed. (2008), section 15).
 
 """
 
-from .derivatives import DerivativeUnrolling
+from .derivatives import DerivativeTrace
 from .differentiation import differentiated, gradients
 from .expression_graph import LOAD, replayed
 from .routines import zeros
@@ -44,14 +44,14 @@ REVERSE = ACCELERATION_REVERSE, POSITION_REVERSE, RATE_REVERSE
 CLOSURE = (CLOSURE_FORWARD,)
 
 
-class SensitivityUnrolling(DerivativeUnrolling):
+class SensitivityTrace(DerivativeTrace):
     """
     A mechanism and what acts on it, unrolled for the derivatives of steps.
 
     Parameters
     ----------
     model, act, values
-        As for ``SceneUnrolling``.
+        As for ``SceneTrace``.
     entries : sequence of (int, int)
         Parameters: arrays, such as BODY, and places in them.
 

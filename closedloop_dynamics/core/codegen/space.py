@@ -428,12 +428,12 @@ def motion_of(row, body, ground):
         Of symbols.
     body : Body
         Of this row.
-    ground : Motion
+    ground : BodyKinematics
         Of the ground.
 
     Returns
     -------
-    Motion
+    BodyKinematics
 
     """
     frame = _matrix(row[FRAME:])
@@ -459,7 +459,7 @@ def columns_of(motion):
 
     Parameters
     ----------
-    motion : Motion
+    motion : BodyKinematics
         Of a body.
 
     Returns

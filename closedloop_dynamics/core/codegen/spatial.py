@@ -153,7 +153,7 @@ class Cut(NamedTuple):
                                  bias=equation.bias - acceleration)
 
 
-class Motion(NamedTuple):
+class BodyKinematics(NamedTuple):
     """
     A body's motion, in world axes.
 
@@ -193,7 +193,7 @@ class Motion(NamedTuple):
     acceleration: tuple
     axis: tuple
 
-    def carried(self, vector):
+    def convective_acceleration(self, vector):
         """Return the acceleration of a point at a place fixed in the body, from its origin."""
         return times(self.gradient(), vector)
 
@@ -249,7 +249,7 @@ class Recursion:
 
     Attributes
     ----------
-    motion : list of Motion
+    motion : list of BodyKinematics
         After ``outward``.
     inertia : list of 6 by 6 tuples
         Of the rigid bodies after ``outward``, articulated after ``inward``.
@@ -265,7 +265,7 @@ class Recursion:
     def __init__(self, bodies, cuts, gravity, hinges=()):
         """Keep the description."""
         self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
-        self.ground = Motion(
+        self.ground = BodyKinematics(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
             2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
@@ -284,8 +284,8 @@ class Recursion:
         self.take(model, q, qd)
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
-            motion = (self.rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
-                      if self.bodies[i].ball else self.moved(i, p, q[first], qd[dof]))
+            motion = (self.spherical_kinematics(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
+                      if self.bodies[i].ball else self.joint_kinematics(i, p, q[first], qd[dof]))
             inertia, force = rigid(self.bodies[i], motion)
             self.motion.append(motion)
             self.inertia.append(inertia)
@@ -310,7 +310,7 @@ class Recursion:
             for i, axis in zip(rows, IDENTITY):
                 self.motion[i] = self.motion[i]._replace(axis=axis + ZERO)
 
-    def moved(self, i, p, coordinate, rate):
+    def joint_kinematics(self, i, p, coordinate, rate):
         """Return the motion of a body on its parent."""
         body, parent = self.bodies[i], self.motion[p]
         base, carrier, joined, angle = parent.base, parent.carrier, parent.joined, parent.angle
@@ -324,7 +324,7 @@ class Recursion:
         turn, slide = scale(direction, body.turns), scale(direction, body.slides)
         offset = add(times(parent.frame, body.place), scale(slide, coordinate))
         sliding, spinning = scale(slide, rate), scale(turn, rate)
-        return Motion(
+        return BodyKinematics(
             base, carrier, joined or bool(body.turns), angle, frame,
             add(parent.origin, offset), offset,
             add(parent.spin, spinning),
@@ -332,10 +332,10 @@ class Recursion:
             add(parent.spin_rate, cross(parent.spin, spinning)),
             # Coriolis acceleration of sliding along a turning axis.
             add(add(parent.acceleration, scale(cross(parent.spin, sliding), 2.0)),
-                parent.carried(offset)),
+                parent.convective_acceleration(offset)),
             turn + slide)
 
-    def rolled(self, i, p, quaternion, rates):
+    def spherical_kinematics(self, i, p, quaternion, rates):
         """Return the motion of a row of a spherical joint on the row before it."""
         body, parent = self.bodies[i], self.motion[p]
         axis = IDENTITY[body.axis] + ZERO
@@ -345,7 +345,8 @@ class Recursion:
             base=base, carrier=i, joined=False, angle=0.0, frame=base,
             origin=add(parent.origin, offset),
             offset=offset, velocity=add(parent.velocity, cross(parent.spin, offset)),
-            acceleration=add(parent.acceleration, parent.carried(offset)), axis=axis)
+            acceleration=add(parent.acceleration, parent.convective_acceleration(offset)),
+            axis=axis)
         if body.axis != Z:
             return motion
         # Of any length: between steps integrators leave the unit sphere.
@@ -621,13 +622,14 @@ class Recursion:
         i, scaled = model.path_body[entry], 0.0
         if responses == LEVERS:
             beyond = self._counts_angles(i) and self._joined_before(model, i)
-            force, wrench = self.carry(i, wrench, beyond, own)
+            force, wrench = self.transmit_wrench(i, wrench, beyond, own)
         else:
-            force, scaled, wrench = self.reduce(i, work.body[i, DINV], wrench, own)
+            force, scaled, wrench = self.transmit_articulated_wrench(
+                i, work.body[i, DINV], wrench, own)
         work.response[entry, row], work.response_scaled[entry, row] = force, scaled
         return wrench
 
-    def carry(self, i, wrench, beyond=False, own=0.0):
+    def transmit_wrench(self, i, wrench, beyond=False, own=0.0):
         """
         Carry a wrench on a body to its parent.
 
@@ -658,7 +660,7 @@ class Recursion:
                       else subtract(wrench, scale(motion.axis, force)))
         return force, at_parent(wrench, motion.offset)
 
-    def reduce(self, i, inverse, wrench, own=0.0):
+    def transmit_articulated_wrench(self, i, inverse, wrench, own=0.0):
         """
         Carry a wrench on a body to its parent, less what the joint gives way to.
 
@@ -709,7 +711,7 @@ def rigid(body, motion):
         one + other for one, other in zip(about, coupling)) + tuple(
         one + tuple(body.mass if n == m else 0.0 for m in range(3))
         for n, one in enumerate(transpose(coupling)))
-    force = add(scale(motion.acceleration, body.mass), motion.carried(moment))
+    force = add(scale(motion.acceleration, body.mass), motion.convective_acceleration(moment))
     torque = add(cross(moment, motion.acceleration),
                  add(times(about, motion.spin_rate),
                      cross(motion.spin, times(about, motion.spin))))
@@ -807,8 +809,8 @@ def _gap(first, second, at_a, at_b):
     return (subtract(add(first.origin, at_a), add(second.origin, at_b)),
             subtract(add(first.velocity, cross(first.spin, at_a)),
                      add(second.velocity, cross(second.spin, at_b))),
-            subtract(add(first.acceleration, first.carried(at_a)),
-                     add(second.acceleration, second.carried(at_b))))
+            subtract(add(first.acceleration, first.convective_acceleration(at_a)),
+                     add(second.acceleration, second.convective_acceleration(at_b))))
 
 
 def _translations(cut, first, second, at_a, at_b):
@@ -896,8 +898,9 @@ def _perpendicular(one, other, first, second, turns):
     lever = cross(one, other)
     return Closure(
         dot(one, other), dot(lever, turns),
-        dot(first.carried(one), other) + dot(one, second.carried(other)) + 2.0 * dot(
-            cross(first.spin, one), cross(second.spin, other)),
+        dot(first.convective_acceleration(one), other)
+        + dot(one, second.convective_acceleration(other))
+        + 2.0 * dot(cross(first.spin, one), cross(second.spin, other)),
         lever + ZERO, negate(lever) + ZERO)
 
 

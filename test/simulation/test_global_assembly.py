@@ -6,7 +6,7 @@
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism)
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.far_assembly import CLOSED, find_closed, Loops, never_closed
+from closedloop_dynamics.simulation.global_assembly import CLOSED, find_closed, Loops, never_closed
 import numpy as np
 import pytest
 

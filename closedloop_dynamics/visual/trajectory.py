@@ -22,7 +22,7 @@ _INSTANT = 1e-6
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trajectory:
     """States of one mechanism at n instants."""
 
     mechanism: object  # Mechanism.mechanism.Mechanism
@@ -38,7 +38,7 @@ class Motion:
 
     def part(self, which):
         """Return some of its instants, chosen by a slice or an array of truth values."""
-        return Motion(self.mechanism, *(
+        return Trajectory(self.mechanism, *(
             getattr(self, each.name)[which] for each in fields(self)[1:]))
 
 
@@ -70,7 +70,7 @@ def from_rows(mechanism, names, rows):
     parts = wrench_parts(mechanism)
     forces = [[column.get(f'force.{cut.name}.{part}', zero) for part in parts]
               for cut in mechanism.cut_joints]
-    return Motion(
+    return Trajectory(
         mechanism, column['time'], joints('position'), joints('velocity'), joints('effort'),
         np.array(forces).reshape(len(forces), len(parts), len(rows)).transpose(2, 0, 1))
 
