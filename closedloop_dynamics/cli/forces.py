@@ -18,8 +18,8 @@ from ..recording.run import columns, row
 from ..simulation.errors import SimulationError
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
-from ..visual.trajectory import magnitudes
 from ..visual.progress import announced, progress_to
+from ..visual.trajectory import magnitudes
 
 
 def _add_arguments(parser):

@@ -19,9 +19,9 @@ from ..recording.kinematics import (
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
-from ..visual.trajectory import from_rows
 from ..visual.progress import announced, progress_to
 from ..visual.tables import text_table, write_csv
+from ..visual.trajectory import from_rows
 
 ANGLES, LENGTHS = ('deg', 'rad'), ('mm', 'm')
 MOST_POSES = 1_000_000

@@ -22,8 +22,8 @@ from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
 from ..recording.transmission import transmission_angle
-from ..visual.trajectory import from_rows
 from ..visual.progress import announced, progress_to
+from ..visual.trajectory import from_rows
 
 STYLE = """
 body {font: 15px/1.45 sans-serif; max-width: 62em; margin: 2em auto; padding: 0 1em; color: #222}

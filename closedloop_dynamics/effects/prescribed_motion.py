@@ -213,7 +213,7 @@ class PrescribedMotion(Effect):
             return DrivingConstraint(key, freedom=self.joint)
         length = math.hypot(*self.direction)
         return DrivingConstraint(key, point=self.point,
-                      direction=tuple(one / length for one in self.direction))
+                                 direction=tuple(one / length for one in self.direction))
 
     def commanded(self, now, start, times, values, rates=None, accelerations=None):
         """

@@ -10,8 +10,8 @@ import numpy as np
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
-from ..visual.trajectory import magnitudes, Trajectory
 from ..visual.tables import short, text_table
+from ..visual.trajectory import magnitudes, Trajectory
 
 # Beyond this share of a step, a time is no multiple of it.
 STAMP_ROUNDING = 1e-6

@@ -16,8 +16,8 @@ import numpy as np
 
 from .drawing import all_places, ARROW, MechanismArtist
 from .gif import Gif
-from .trajectory import body_poses, magnitudes, named_point, Trajectory
 from .pictures import COLORS
+from .trajectory import body_poses, magnitudes, named_point, Trajectory
 from .views import perspective, PLANE
 
 FRAME_DOTS_PER_INCH = 100

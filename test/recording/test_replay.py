@@ -14,8 +14,8 @@ from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.trajectory import Trajectory
 from closedloop_dynamics.visual.pictures import deviations
+from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np
 import pytest
 

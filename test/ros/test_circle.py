@@ -19,7 +19,7 @@ def simulation():
 
 def circle_of(simulation, radius=0.12, frequency=0.25, phase=-0.2, joints=None, name=POINT):
     return CircularPath(simulation.mechanism, simulation.position, name, radius, frequency, phase,
-                  joints or simulation.joint_names)
+                        joints or simulation.joint_names)
 
 
 def test_point_is_on_the_circle_and_the_body_keeps_its_angle(simulation):

@@ -220,7 +220,7 @@ def test_a_reference_that_began_early_is_found_and_a_lag_is_not_hidden(headstart
     position[:, [0, 5, 6]] = aim.reference.at(followed, np.zeros(3))[0]
     position[0, [0, 5, 6]] = 0.0
     motion = Trajectory(scene.mechanism, moment, position, np.zeros((801, 7)), np.zeros((801, 7)),
-                    np.zeros((801, 2, 3)))
+                        np.zeros((801, 2, 3)))
     wanted, _, found = wanted_motion(motion, aim)
     assert found == pytest.approx(headstart, abs=1e-9)
     error = np.abs(wanted - position)[100:, [0, 5, 6]].max()
@@ -285,7 +285,7 @@ def turning(mean, ripple):
     position[:, 0] = mean * moment - ripple / (20 * np.pi) * np.cos(20 * np.pi * moment)
     velocity[:, 0] = mean + ripple * np.sin(20 * np.pi * moment)
     return Trajectory(scene.mechanism, moment, position, velocity, np.zeros((801, 7)),
-                  np.ones((801, 3, 3))), aim
+                      np.ones((801, 3, 3))), aim
 
 
 SPEED = 45 * 2 * np.pi / 60
@@ -312,7 +312,7 @@ def test_loops_that_are_open_are_told():
 
 def run_of(moment, simulated=None, commands=None):
     motion = Trajectory(load_scene('four_bar').mechanism, moment, *np.zeros((3, len(moment), 3)),
-                    np.zeros((len(moment), 1, 3)))
+                        np.zeros((len(moment), 1, 3)))
     commands = moment + 0.001 if commands is None else commands
     return Run(motion, moment[-1] if simulated is None else simulated,
                {'joint_states': moment, 'torque_command': commands})

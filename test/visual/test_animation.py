@@ -105,7 +105,7 @@ def test_a_long_path_is_drawn_in_pieces(motion, monkeypatch):
 
 def test_forces_that_are_not_known_are_left_out(motion):
     unknown = motions.Trajectory(motion.mechanism, motion.time, motion.position, motion.velocity,
-                             motion.effort, np.full_like(motion.forces, np.nan))
+                                 motion.effort, np.full_like(motion.forces, np.nan))
     animation = animations.Animation(unknown, 'test', np.array([0.0, 0.1]))
     assert len(animation) == 2
     assert pixels(animation.frame(1), FORCE_COLOR) == 0
@@ -174,7 +174,7 @@ def test_forces_between_two_frames_are_in_full_view(motion, monkeypatch):
     forces = motion.forces.copy()
     forces[23, 1] = 0.0, 3e4, 4e4
     struck = motions.Trajectory(motion.mechanism, motion.time, motion.position, motion.velocity,
-                            motion.effort, forces)
+                                motion.effort, forces)
     limits = []
     plot = animations.Animation._plot_forces
 

@@ -195,7 +195,7 @@ def test_turning_joints_are_shown_within_a_turn():
     position = motion.position.copy()
     position[:, 0] = np.linspace(0.0, 20.0, len(position))
     turning = motions.Trajectory(motion.mechanism, motion.time, position, motion.velocity,
-                             motion.effort, motion.forces)
+                                 motion.effort, motion.forces)
     wanted = np.full_like(position, np.nan)
     wanted[:, 0] = 4.7
     figure = pictures.joint_motion(turning, 'turning', (wanted, wanted))

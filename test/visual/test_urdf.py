@@ -24,8 +24,8 @@ from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.space import SpatialGeometry
-from closedloop_dynamics.visual.trajectory import body_poses
 from closedloop_dynamics.visual.srdf import srdf
+from closedloop_dynamics.visual.trajectory import body_poses
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
