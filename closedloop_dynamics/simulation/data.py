@@ -345,6 +345,24 @@ class Data(Names):
         return self._geometry.leaves_out
 
     @property
+    def carried(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Return where the wrenches in the joints act: at the origins of the bodies they carry.
+
+        Returns
+        -------
+        row : ndarray of int, shape (number of joints,)
+            Of these bodies in the arrays; 0 of fixed joints.
+        point, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
+            Their origins and axes in the frames of the rows [m].
+
+        """
+        row, point, axes = self._geometry.joint_places
+        if not len(point):
+            point, axes = np.zeros((len(row), 3)), np.tile(np.eye(3), (len(row), 1, 1))
+        return row, point, axes
+
+    @property
     def takes_closed_states(self) -> bool:
         """Whether nothing else is asked of a state to start from than that it closes the loops."""
         return not (self._motions or self.leaves_out or self.system.is_independent

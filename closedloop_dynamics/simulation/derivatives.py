@@ -53,9 +53,35 @@ class Derivatives(NamedTuple):
     closure_rate_by_parameter: np.ndarray
 
 
+class WrenchDerivatives(NamedTuple):
+    """
+    Wrenches in the joints of the spanning tree, and their derivatives in one state.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        All that are not fixed.
+    wrench : ndarray, shape (n, 3), in space (n, 6)
+        As ``Simulation.joint_forces``: what the parent exerts on the child, in world axes, at the
+        child's origin [N m, N].
+    by_position, by_velocity, by_torque : ndarray, shape (n, 3, nv), in space (n, 6, nv)
+        By coordinates, rates and torques, as in ``Derivatives``.
+    by_parameter : ndarray, shape (n, 3, np), in space (n, 6, np)
+        Coordinates and rates held.
+
+    """
+
+    joints: tuple
+    wrench: np.ndarray
+    by_position: np.ndarray
+    by_velocity: np.ndarray
+    by_torque: np.ndarray
+    by_parameter: np.ndarray
+
+
 class Differentiator:
     """
-    Derivatives of the accelerations and multipliers of any state of a scene.
+    Derivatives of the accelerations, multipliers and joint forces of any state of a scene.
 
     Compiled once for a mechanism and its effects; masses, lengths and parameters of effects are
     read anew with each call.
@@ -89,8 +115,7 @@ class Differentiator:
     def __init__(self, simulation, parameters=()):
         """Compile, unless an earlier process has."""
         require_derivatives(simulation)
-        self._by_parameter = StepDerivatives(
-            simulation, parameter_arrays(simulation, parameters)) if len(parameters) else None
+        self._steps = StepDerivatives(simulation, parameter_arrays(simulation, parameters))
         self._simulation = simulation
         self._enabled, self._laws = dict(simulation.effect_set.enabled), laws_of(simulation)
         self._system = system = simulation.system
@@ -135,6 +160,62 @@ class Differentiator:
             In positions where closure equations depend on one another, or nearly.
 
         """
+        q, qd = self._evaluated(position, velocity, torque)
+        if not native.call(self._table, 0, q, qd) or not np.isfinite(self._found).all():
+            raise SingularityError(
+                'The accelerations have no derivatives here: closure equations depend on one '
+                'another in this position, or nearly, or points that a spring joins meet. Take a '
+                'position beside it. (So it is everywhere where masses differ so much that the '
+                'elimination alone does not tell.)')
+        nv = len(self._qdd)
+        parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
+        by_parameter = np.zeros((len(self._found[0]), 0)), *np.zeros((2, len(self._lam), 0))
+        if self._steps.parameters.names:
+            by_parameter = self._steps.by_parameter(q, qd, self._qdd, self._lam)
+        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts, self._rates[nv:].T.copy(),
+                           self._rates[:nv].T.copy(), *by_parameter)
+
+    def wrenches(self, position, velocity, torque=None):
+        """
+        Differentiate the wrenches in the joints in a state that closes the loops.
+
+        Parameters
+        ----------
+        position, velocity, torque
+            As for a call.
+
+        Returns
+        -------
+        WrenchDerivatives
+
+        Raises
+        ------
+        ValueError
+            For numbers that make no sense.
+        SimulationError
+            Where the multipliers alone do not tell the wrenches.
+        SingularityError
+            In positions where closure equations depend on one another, or nearly.
+
+        """
+        joints, _ = self._simulation.force_places()
+        if not joints:
+            raise SimulationError(
+                'The wrenches in the joints have no derivatives here: closure equations that '
+                'repeat others are left out, so that forces are not unique, or couplings hand '
+                'torques over at cut joints.')
+        q, qd = self._evaluated(position, velocity, torque)
+        nv, size = len(qd), 3 if self._simulation.mechanism.planar else 6
+        # In the plane: the moment about z, and the forces along x and y.
+        kept = [2, 3, 4] if size == 3 else range(6)
+        wrench, changes = (
+            found.reshape(len(joints), 6, -1)[:, kept]
+            for found in self._steps.wrenches(q, qd, self._qdd, self._lam))
+        return WrenchDerivatives(
+            tuple(joints), wrench[:, :, 0], *np.split(changes, [nv, 2 * nv, 3 * nv], axis=2))
+
+    def _evaluated(self, position, velocity, torque):
+        """Evaluate a state, of what the code was generated for; return copies of its numbers."""
         if self._system is not self._simulation.system:
             raise SimulationError(
                 'The simulation works on other closure equations now: make a new Differentiator.')
@@ -146,17 +227,4 @@ class Differentiator:
                 'Effects have other expressions or ends now: make a new Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
         self._lam[:] = self._system.lam
-        q, qd = (np.array(one, dtype=float) for one in (position, velocity))
-        if not native.call(self._table, 0, q, qd) or not np.isfinite(self._found).all():
-            raise SingularityError(
-                'The accelerations have no derivatives here: closure equations depend on one '
-                'another in this position, or nearly, or points that a spring joins meet. Take a '
-                'position beside it. (So it is everywhere where masses differ so much that the '
-                'elimination alone does not tell.)')
-        nv = len(self._qdd)
-        parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
-        by_parameter = np.zeros((len(self._found[0]), 0)), *np.zeros((2, len(self._lam), 0))
-        if self._by_parameter is not None:
-            by_parameter = self._by_parameter.by_parameter(q, qd, self._qdd, self._lam)
-        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts, self._rates[nv:].T.copy(),
-                           self._rates[:nv].T.copy(), *by_parameter)
+        return tuple(np.array(one, dtype=float) for one in (position, velocity))

@@ -307,11 +307,9 @@ class Readings(Data):
             Rows of their children, and origins and axes of these in the frames of the rows.
 
         """
-        row, point, axes = self._geometry.joint_places
+        row, point, axes = self.carried
         if self.leaves_out or self._couples:
             row = np.zeros_like(row)
-        if not len(point):
-            point, axes = np.zeros((len(row), 3)), np.tile(np.eye(3), (len(row), 1, 1))
         moving = row > 0
         return ([joint.name for joint, moves in zip(self.mechanism.joints, moving) if moves],
                 (row[moving], point[moving], axes[moving]))

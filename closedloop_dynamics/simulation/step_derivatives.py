@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Derivatives of accelerations and corrections of a scene, forward or in reverse, compiled."""
+"""Derivatives of accelerations, corrections and wrenches of a scene, compiled."""
 
 import numpy as np
 
@@ -10,9 +10,10 @@ from .traced_scene import TracedScene
 from ..core.codegen import function_table as calls
 from ..core.codegen.machine_code import machine_code, SCALAR
 from ..core.codegen.routines import topology
+from ..core.codegen.scene_routines import POINT
 from ..core.codegen.sensitivities import (
     ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, NAMES, RESULT, SEED,
-    SensitivityTrace, TABLE_COLUMNS)
+    SensitivityTrace, TABLE_COLUMNS, WRENCH, WRENCH_FORWARD)
 from ..engine import native
 from ..integration.stepped_run import StepRoutines
 
@@ -43,9 +44,12 @@ class StepDerivatives:
         self._nq = len(simulation.position)
         size = self._nq + 2 * nv + len(parameters.entries)
         qdd, lam = np.zeros(nv), np.zeros(nc)
-        seed, result = np.zeros(size), np.zeros(max(size, nv + nc, 2 * nc))
-        table = self._scene.table(
-            {calls.QDD: qdd, calls.LAM: lam, SEED: seed, RESULT: result}, TABLE_COLUMNS)
+        rows, self._origins, _ = simulation.carried
+        self._rows = tuple(rows.tolist())
+        seed, result = np.zeros(size), np.zeros(max(size, nv + nc, 2 * nc, 12 * len(rows)))
+        table = self._scene.table({
+            calls.QDD: qdd, calls.LAM: lam, SEED: seed, RESULT: result, POINT: self._origins},
+            TABLE_COLUMNS)
         self.routines = StepRoutines(table, qdd, lam, seed, result)
 
     def need(self, group):
@@ -55,16 +59,17 @@ class StepDerivatives:
         Parameters
         ----------
         group : tuple of int
-            ``FORWARD``, ``REVERSE`` or ``CLOSURE`` of ``core.codegen.sensitivities``.
+            ``FORWARD``, ``REVERSE``, ``CLOSURE`` or ``WRENCH`` of ``core.codegen.sensitivities``.
 
         """
         table, model, scene = self.routines.table, self.parameters.model, self._scene
         if table[group[0]]:
             return
-        key = 'sensitivities', group, topology(model), self.parameters.entries, *scene.key
+        key = ('sensitivities', group, topology(model), self.parameters.entries, self._rows,
+               *scene.key)
         find = machine_code(key, lambda: [SensitivityTrace(
-            model, scene.act, scene.values.shape, self.parameters.entries).routine(one)
-            for one in group], SCALAR)
+            model, scene.act, scene.values.shape, self.parameters.entries, self._rows).routine(
+                one) for one in group], SCALAR)
         for one in group:
             table[one] = find(NAMES[one])
 
@@ -76,8 +81,8 @@ class StepDerivatives:
             routines.seed[:] = seed
             if not native.call(routines.table, which, q, qd):
                 raise SingularityError(
-                    'There are no derivatives by parameters here: closure equations depend on '
-                    'one another in this position, or nearly. Take a position beside it.')
+                    'There are no derivatives here: closure equations depend on one another in '
+                    'this position, or nearly. Take a position beside it.')
             result[:] = routines.result
         return found.T
 
@@ -102,6 +107,34 @@ class StepDerivatives:
         seeds = self._seeds_of_parameters()
         found = self._changes(ACCELERATION_FORWARD, q, qd, seeds)[:len(qdd) + len(lam)]
         return found.copy(), *self._of_closures(q, qd, seeds)
+
+    def wrenches(self, q, qd, qdd, lam):
+        """
+        Return the wrenches in the joints that are not fixed, and their derivatives.
+
+        Parameters
+        ----------
+        q, qd, qdd, lam : ndarray, shapes (nq,), (nv,), (nv,), (nc,)
+            A state, its accelerations and multipliers.
+
+        Returns
+        -------
+        wrenches : ndarray, shape (6 n,)
+            Moment and force of each, in world axes, at the origin of the child.
+        derivatives : ndarray, shape (6 n, 3 nv + np)
+            By joint displacements, rates, torques and parameters.
+
+        """
+        self.need(WRENCH)
+        self.routines.qdd[:], self.routines.lam[:] = qdd, lam
+        nv, nq = len(qd), self._nq
+        seeds = np.zeros((3 * nv, len(self.routines.seed)))
+        seeds[:nv, :nq] = turned(self._system.manifold, q, np.eye(nv)).T
+        seeds[nv:, nq:nq + 2 * nv] = np.eye(2 * nv)
+        found = self._changes(
+            WRENCH_FORWARD, q, qd, np.vstack((seeds, self._seeds_of_parameters())))
+        count = 6 * np.count_nonzero(self._rows)
+        return found[:count, 0].copy(), found[count:2 * count].copy()
 
     def closures(self, q, qd):
         """

@@ -18,8 +18,10 @@ Evaluating Derivatives, 2nd ed. (2008), section 15).
 from .derivatives import DerivativeTrace
 from .differentiation import differentiated, gradients
 from .expression_graph import LOAD, replayed
+from .function_table import LAM, QDD
 from .routines import zeros
-from .vectors import ZERO
+from .scene_routines import POINT
+from .vectors import cross, subtract, times, ZERO
 from ..types import CUT_ROW
 
 # Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
@@ -30,18 +32,18 @@ TABLE_COLUMNS = RESULT + 1
 # In the graph alone: a correction and its multipliers, before they are solved for.
 _CORRECTION, _MULTIPLIER = 50, 51
 # The routines, by their places in the table: of accelerations, of the corrections of positions and
-# of rates, and of what corrections are made of, the errors of the closure equations and their
-# rates.
+# of rates, of what corrections are made of, the errors of the closure equations and their rates,
+# and of the wrenches in the joints of the tree.
 (ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
- RATE_REVERSE, CLOSURE_FORWARD) = range(7)
+ RATE_REVERSE, CLOSURE_FORWARD, WRENCH_FORWARD) = range(8)
 NAMES = {
     ACCELERATION_FORWARD: 'acceleration_forward', ACCELERATION_REVERSE: 'acceleration_reverse',
     POSITION_FORWARD: 'position_forward', POSITION_REVERSE: 'position_reverse',
     RATE_FORWARD: 'rate_forward', RATE_REVERSE: 'rate_reverse',
-    CLOSURE_FORWARD: 'closure_forward'}
+    CLOSURE_FORWARD: 'closure_forward', WRENCH_FORWARD: 'wrench_forward'}
 FORWARD = ACCELERATION_FORWARD, POSITION_FORWARD, RATE_FORWARD
 REVERSE = ACCELERATION_REVERSE, POSITION_REVERSE, RATE_REVERSE
-CLOSURE = (CLOSURE_FORWARD,)
+CLOSURE, WRENCH = (CLOSURE_FORWARD,), (WRENCH_FORWARD,)
 
 
 class SensitivityTrace(DerivativeTrace):
@@ -54,12 +56,15 @@ class SensitivityTrace(DerivativeTrace):
         As for ``SceneTrace``.
     entries : sequence of (int, int)
         Parameters: arrays, such as BODY, and places in them.
+    rows : sequence of int
+        Of the bodies that the joints carry, 0 for those without a wrench.
 
     """
 
-    def __init__(self, model, act, values, entries):
+    def __init__(self, model, act, values, entries, rows):
         """Know the inputs: coordinates, rates and parameters; torques stand for themselves."""
         super().__init__(model, act, values)
+        self._rows = rows
         state = [*self.q, *self.qd]
         self._inputs = [*state, *(self.graph.put(LOAD, *entry) for entry in entries)]
         # Where they are among all that may change.
@@ -73,6 +78,8 @@ class SensitivityTrace(DerivativeTrace):
         if what == 'closure':
             self.recursion.outward(self.model, self.q, self.qd, self.work)
             results = self._changes([*self._errors('value'), *self._errors('rate')])
+        elif what == 'wrench':
+            results = self._wrenches()
         else:
             results = self._of_solution(what, way)
         self.outputs = [(RESULT, place, value) for place, value in enumerate(results)]
@@ -98,6 +105,21 @@ class SensitivityTrace(DerivativeTrace):
         return replayed(self.graph, results, lambda source, place: parts[source][
             place] if source in parts else self.graph.put(LOAD, source, place))
 
+    def _wrenches(self):
+        """Return the wrenches in joints, in world axes, and what they change by."""
+        own, wrenches, closed = self._balanced()
+        found, origins = [], self.symbols(POINT, (len(self._rows), 3))
+        for row, origin in zip(self._rows, origins):
+            if row > 0:
+                moment, force = wrenches[row][:3], wrenches[row][3:]
+                lever = times(self.recursion.motion[row].frame, origin)
+                found += [*subtract(moment, cross(lever, force)), *force]
+        self.prepare()
+        change = iter(self._forward([*own, *closed], True))
+        solved = {symbol.place: next(change) for source, size in (
+            (QDD, self.nv), (LAM, self.nc)) for symbol in self.symbols(source, (size,))}
+        return [*found, *self._changes(found, solved)]
+
     def _errors(self, held):
         """Return what all closure equations tell, in the user's order."""
         found = zeros(self.nc)
@@ -107,11 +129,11 @@ class SensitivityTrace(DerivativeTrace):
                 found[row] = getattr(closure, held)
         return found
 
-    def _changes(self, values):
-        """Return what values change by in the direction that is an input."""
+    def _changes(self, values, more=()):
+        """Return what values change by in the direction that is an input, and by more symbols."""
         return differentiated(self.graph, values, {
-            one.place: self.graph.put(LOAD, SEED, place)
-            for one, place in zip(self._inputs, self._places)})
+            **{one.place: self.graph.put(LOAD, SEED, place)
+               for one, place in zip(self._inputs, self._places)}, **dict(more)})
 
     def _forward(self, residuals, by_torque):
         column = self._changes(residuals)
