@@ -35,6 +35,13 @@ def benchmark(monkeypatch):
     return importlib.import_module
 
 
+def test_gradients_prints_their_price(benchmark, capsys):
+    assert benchmark('gradients').main(['four_bar', '--repeats', '2']) == 0
+    *_, row = capsys.readouterr().out.splitlines()
+    rollout, gradient, ratio, compiling = map(float, row.split('|')[2:-1])
+    assert 0.0 < rollout < gradient and ratio > 1.0 and compiling > 0.0
+
+
 def test_forward_dynamics_prints_times(benchmark, capsys):
     assert benchmark('forward_dynamics').main(
         ['four_bar', 'three_rrr', '--count', '2000', '--repeats', '2', '--without-starts']) == 0

@@ -13,6 +13,7 @@ import numpy as np
 from .command import (
     add_set, Command, FAILED, not_negative, require_free, UsageError, with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
+from ..recording.reading import BagReadError
 from ..recording.recording import RecordingError
 from ..recording.run import columns, row
 from ..simulation.errors import SimulationError
@@ -53,7 +54,7 @@ def _run(arguments):
             name for name in simulation.actuated_joints if name in simulation.joint_names]
         try:
             stamps, positions = measured_positions(arguments.bag, arguments.topic, joints)
-        except RecordingError as error:
+        except (RecordingError, BagReadError) as error:
             raise UsageError(str(error)) from None
     times = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
     largest = _Largest(simulation)

@@ -390,6 +390,8 @@ class Runner:
         def change():
             self.simulation.prepare_method(**values)()
             self._pacer.step_size = self.simulation.step_size
+            # It was the other method's.
+            self._failure = None
 
         self._busily('preparing the method', change)
 

@@ -103,3 +103,10 @@ def test_a_motion_through_a_singular_position_is_refused(tmp_path, capsys):
     assert main(['forces', str(tmp_path / 'motion'), '--scene', 'three_rrr', '--output',
                  str(tmp_path / 'forces')]) == 1
     assert 's of the recording: ' in capsys.readouterr().err
+
+
+def test_what_is_no_bag_is_refused(tmp_path, capsys):
+    (tmp_path / 'run.csv').write_text('time,theta_1\n0,0\n')
+    assert main(['forces', str(tmp_path / 'run.csv'), '--scene', 'three_rrr', '--output',
+                 str(tmp_path / 'forces')]) == 2
+    assert 'run.csv: expected a rosbag2 bag' in capsys.readouterr().err

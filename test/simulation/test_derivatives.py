@@ -17,6 +17,7 @@ from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
+from closedloop_dynamics.simulation.key_paths import numbers
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -206,6 +207,93 @@ def test_singular_positions_are_refused(tmp_path):
     assert np.isfinite(differentiate(simulation.position, simulation.velocity).by_position).all()
     with pytest.raises(SingularityError, match='closure equations depend on one another'):
         differentiate(np.zeros(3), np.zeros(3))
+
+
+def require_wrenches(scene, keys, effects=(), step=1e-3):
+    """Compare derivatives of the wrenches in joints with differences of the dense equations."""
+    simulation = simulation_of(scene, effects, integrator='rk4', step_size=1e-3)
+    command = torques(simulation)
+    simulation.step(command, 0.1)
+    q, qd, nv = simulation.position, simulation.velocity, len(simulation.velocity)
+    assert np.abs(qd).max() > 1e-3
+    found = Differentiator(simulation, keys).wrenches(q, qd, command)
+    joints = [joint.name for joint in simulation.mechanism.joints]
+    kept = [joints.index(name) for name in found.joints]
+    np.testing.assert_allclose(found.wrench, simulation.joint_forces[kept], rtol=0,
+                               atol=1e-10 * np.abs(found.wrench).max())
+    dense = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
+    tau, manifold = dense.joint_torques(command), dense.system.manifold
+
+    def wrenches(change):
+        state = np.concatenate((q, qd + change[nv:2 * nv]))
+        if manifold is None:
+            state[:nv] += change[:nv]
+        else:
+            native.move(manifold, state[:len(q)], change[:nv].copy(), 1.0)
+        dense.integrated[:len(state)], dense.system.tau[:] = state, tau + change[2 * nv:]
+        dense.touch()
+        return dense.joint_forces[kept]
+
+    def require(derivative, function, step):
+        expected = sum(weight / step * (function(k * step) - function(-k * step))
+                       for k, weight in WEIGHTS)
+        np.testing.assert_allclose(derivative, expected, rtol=0,
+                                   atol=2e-9 * max(1.0, np.abs(expected).max()))
+
+    parts = np.concatenate((found.by_position, found.by_velocity, found.by_torque), axis=2)
+    for unit, derivative in zip(np.eye(3 * nv), np.moveaxis(parts, 2, 0)):
+        require(derivative, lambda size: wrenches(size * unit), step)
+    model = simulation.scene.model()
+    for place, key in enumerate(keys):
+        value = numbers(simulation.scene)[key]
+
+        def of_other(change):
+            other = model.with_parameters({key: value + change})
+            return np.array(other.evaluate(other.state(q, qd), command).joint_forces)[kept]
+        require(found.by_parameter[:, :, place], of_other, 2e-3 * abs(value))
+
+
+def test_derivatives_of_wrenches_in_the_plane():
+    point = load_scene('three_rrr').mechanism.points[0].name
+    require_wrenches('three_rrr', (
+        'mechanism.bodies.distal_1.mass', 'mechanism.joints.theta_4.position.0',
+        'mechanism.bodies.proximal_1.center_of_mass.0', 'effects.damper.coefficient'),
+        {'damper': JointDamping('theta_2', 0.05),
+         'strut': PointSpring(point, None, (0.1, 0.7), 20.0, 0.3, 0.1)})
+
+
+def test_derivatives_of_wrenches_in_space():
+    # In space the origins of bodies depend on their centres of mass.
+    require_wrenches('rssr_four_bar', (
+        'mechanism.bodies.rod.mass', 'mechanism.bodies.crank.center_of_mass.0',
+        'effects.gravity.acceleration.2'), step=2e-3)
+
+
+@pytest.mark.slow
+def test_derivatives_of_wrenches_with_orientations():
+    require_wrenches('stewart_platform', (
+        'mechanism.bodies.platform.mass', 'mechanism.joints.foot_1.position.0'))
+
+
+def redundant():
+    return load_scene('bennett')
+
+
+def coupled_at_a_cut():
+    scene = load_scene('geared_five_bar')
+    coupling, = scene.mechanism.couplings
+    joints = {'crank_1_joint': 0.02, scene.mechanism.cut_joints[0].name: -0.04}
+    return replace(scene, effects={}, initial=replace(scene.initial, hold=()), mechanism=replace(
+        scene.mechanism, couplings=(replace(coupling, joints=joints),)))
+
+
+@pytest.mark.parametrize('scene', [redundant, coupled_at_a_cut])
+def test_wrenches_that_multipliers_do_not_tell_are_refused(scene):
+    simulation = Simulation.from_scene(scene())
+    differentiate, state = Differentiator(simulation), (simulation.position, simulation.velocity)
+    assert np.isfinite(differentiate(*state).by_torque).all()
+    with pytest.raises(SimulationError, match='not unique, or couplings'):
+        differentiate.wrenches(*state)
 
 
 @pytest.mark.parametrize('scene, name, reason', (

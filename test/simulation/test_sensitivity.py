@@ -4,6 +4,8 @@
 """Derivatives of trajectories: twins in complex numbers, differences, flows, and refusals."""
 
 from dataclasses import replace
+from pathlib import Path
+import runpy
 
 import closedloop_dynamics as cld
 from closedloop_dynamics.effects.external_force import ExternalForce
@@ -21,6 +23,7 @@ import pytest
 
 from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE
 
+ROOT = Path(__file__).resolve().parents[2]
 # Of sixth order.
 WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
 STEPS, EVERY, ROWS = 60, 20, 6
@@ -465,3 +468,26 @@ def test_what_cannot_be_run_is_told_with_the_time():
     with pytest.raises((ClosureError, NumericalError), match='In the step from'):
         cld.Sensitivity(loop, {'integrator': 'rk4', 'step_size': 1e-3}).trajectory(
             None, [[1e12]], steps=10)
+
+
+def test_the_example_finds_the_least_effort():
+    example = runpy.run_path(str(ROOT / 'doc' / 'examples' / 'optimise_trajectory.py'))
+    for scene, (move, duration) in example['MOVES'].items():
+        torques, effort, distance = example['optimise'](scene, move, duration)
+        assert effort == pytest.approx((torques ** 2).mean()) and distance < 1e-6
+        # Along all directions that lead to the goal, too, no torques are less.
+        model = cld.load_scene(scene).model()
+        sensitivity = cld.Sensitivity(
+            model, {'integrator': 'rk4', 'step_size': duration / example['STEPS']})
+        trajectory = sensitivity.trajectory(None, torques, steps=example['STEPS'])
+        ends = []
+        for what in ('position', 'velocity'):
+            columns = trajectory.position if what == 'position' else trajectory.velocity
+            names = model.assemble().coordinates.columns(what)
+            for name in model.actuated_joints:
+                weights = np.zeros_like(columns)
+                weights[-1, names.index(f'{what}.{name}')] = 1.0
+                ends.append(trajectory.gradient(**{f'by_{what}': weights}).torques.ravel())
+        beside = torques.ravel() - np.linalg.pinv(np.array(ends)) @ (
+            np.array(ends) @ torques.ravel())
+        assert np.abs(beside).max() < 1e-3 * np.abs(torques).max(), scene

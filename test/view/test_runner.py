@@ -111,6 +111,23 @@ def test_a_step_that_fails_stops_and_is_told(shown):
     assert controls(shown)['playing'] and shown.simulation.time > 0.2
 
 
+def test_a_failure_is_that_of_its_method(shown):
+    before = controls(shown)['method']
+    try:
+        shown.ask('method', values={'integrator': 'semi_implicit_euler', 'step_size': 0.01})
+        shown.ask('step', count=300)
+        assert 'semi_implicit_euler' in controls(shown)['failure']
+        failed_at = shown.simulation.time
+        shown.ask('method', values={'integrator': 'auto'})
+        assert controls(shown)['failure'] is None
+        shown.ask('step', count=100)
+        assert controls(shown)['failure'] is None
+        assert shown.simulation.time == pytest.approx(failed_at + 1.0)
+    finally:
+        shown.ask('method', values={
+            key: before[key] for key in ('integrator', 'step_size', 'accuracy')})
+
+
 def test_a_position_drive_arrives(shown):
     place = shown.simulation.joint_names.index('theta_1')
     goal = shown.simulation.position[place] + 0.3

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+What the gradient of a trajectory costs, beside the same trajectory without one.
+
+    python benchmark/gradients.py                         (from the checkout)
+
+The gradient is that of a cost of all states by all torques, the start and the mass of a body, by
+the adjoint of 200 RK4 steps; the trajectory is part of its time. Without one: ``rollout``. Both
+in turn, CPU time. Compiling is apart: with an empty cache it is what a first use waits for.
+
+"""
+
+import argparse
+from contextlib import contextmanager
+import os
+import sys
+from tempfile import TemporaryDirectory
+import time
+
+from machine import description, ROOT
+
+sys.path.insert(0, str(ROOT))
+
+import closedloop_dynamics as cld  # noqa: E402,I100
+from closedloop_dynamics.visual.tables import markdown_table  # noqa: E402
+import numpy as np  # noqa: E402
+
+SCENES = 'four_bar', 'carpet_scraper', 'three_rrr', 'rssr_four_bar', 'stewart_platform'
+CACHE = 'CLOSEDLOOP_CACHE_DIR'
+METHOD, STEPS, ROWS = {'integrator': 'rk4', 'step_size': 1e-3}, 200, 20
+
+
+@contextmanager
+def empty_cache():
+    """Let generated code be kept in an empty folder."""
+    before = os.environ.get(CACHE)
+    with TemporaryDirectory() as folder:
+        os.environ[CACHE] = folder
+        try:
+            yield
+        finally:
+            del os.environ[CACHE]
+            if before is not None:
+                os.environ[CACHE] = before
+
+
+def measured(scene, repeats):
+    """Return the time of a rollout and of a gradient [s], and of the first gradient beyond."""
+    scene = cld.load_scene(scene)
+    model, start = scene.model(), scene.model().assemble()
+    body = next(body.name for body in scene.mechanism.bodies if body.mass > 0.0)
+    sensitivity = cld.Sensitivity(model, METHOD, (f'mechanism.bodies.{body}.mass',))
+    torques = 0.01 * np.random.default_rng(1).normal(size=(ROWS, len(model.actuated_joints)))
+
+    def gradient():
+        trajectory = sensitivity.trajectory(start, torques, steps=STEPS)
+        return trajectory.gradient(trajectory.position, trajectory.velocity)
+
+    def rollout():
+        return cld.rollout(model, start, torques, steps=STEPS, method=METHOD)
+
+    rollout()
+    began = time.process_time()
+    gradient()
+    first, times = time.process_time() - began, ([], [])
+    for _ in range(repeats):
+        for found, run in zip(times, (rollout, gradient)):
+            began = time.process_time()
+            run()
+            found.append(time.process_time() - began)
+    return *map(min, times), first - min(times[1])
+
+
+def main(arguments=None):
+    """Measure, and print a table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('scenes', nargs='*', default=SCENES, help='which are measured')
+    parser.add_argument('--repeats', type=int, default=40)
+    options = parser.parse_args(arguments)
+    with empty_cache():
+        found = [(scene, *measured(scene, options.repeats)) for scene in options.scenes]
+    print(description())
+    print(markdown_table(
+        ['', 'rollout [ms]', 'gradient with its trajectory [ms]', 'ratio', 'compiling [s]'],
+        [[f'`{scene}`', f'{1e3 * run:.2f}', f'{1e3 * both:.2f}', f'{both / run:.2f}',
+          f'{first:.2f}'] for scene, run, both, first in found]))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
