@@ -61,7 +61,7 @@ def parameter_arrays(simulation, keys):
 
     Parameters
     ----------
-    simulation : Simulation
+    simulation : Data
         It stays as it is.
     keys : sequence of str
         Key paths, such as ``'mechanism.bodies.crank.mass'`` or ``'parameters.l'``.
@@ -76,11 +76,11 @@ def parameter_arrays(simulation, keys):
         Where there is no such number, or the motion does not follow it smoothly, with the reason.
 
     """
-    present = simulation.scene, simulation.effects, simulation.enabled_effects
+    scene, effects = simulation.scene, simulation.effect_set
     # The nearest start will do.
     scene = replace(
-        present[0], effects=present[1], initial=replace(present[0].initial, hold=()),
-        switched_off=tuple(name for name in present[1] if name not in present[2]))
+        scene, effects=dict(effects.records), initial=replace(scene.initial, hold=()),
+        switched_off=tuple(name for name, enabled in effects.enabled.items() if not enabled))
     arrays, columns, parallel = _arrays(simulation), [], _parallel(simulation)
     flat = np.concatenate([array.ravel() for array in arrays.values()])
     size = np.concatenate([

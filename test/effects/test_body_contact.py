@@ -12,8 +12,11 @@ from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from .machines import assert_balanced, block, flyer, simulated
 from .test_bushing import pair
@@ -260,3 +263,65 @@ def test_impossible_contacts_are_refused(values, key):
 def test_a_body_does_not_touch_itself():
     with pytest.raises(FieldError, match='another body'):
         simulated(flyer(), {'touch': BodyContact('ball', 'rim', 'line', 1.0)}, [0, 0, 0])
+
+
+def test_a_joint_with_clearance_is_that_of_an_independent_program():
+    # The slider-crank of Flores and others (2008) without its wrist pin: a journal in a bearing.
+    speed, crank, rod, clearance = 500.0, 0.05, 0.12, 5e-4
+    mass, inertia, slider = 0.21, 2.5e-4, 0.14
+    stiffness, restitution, impact = 6.61e10, 0.9, 0.5
+    rate = -speed * (1.0 + crank / rod)
+    scene = load_scene({
+        'mechanism': {
+            'name': 'clearance', 'bodies': {
+                'crank': {'mass': 0.3, 'center_of_mass': [0.025, 0.0], 'inertia': 1e-4},
+                'rod': {'mass': mass, 'center_of_mass': [rod / 2, 0.0], 'inertia': inertia},
+                'slider': {'mass': slider, 'center_of_mass': [0.0, 0.0], 'inertia': 1e-5}},
+            'joints': {
+                'a': {'type': 'revolute', 'parent': 'ground', 'child': 'crank',
+                      'position': [0.0, 0.0], 'actuated': True},
+                'b': {'type': 'revolute', 'parent': 'crank', 'child': 'rod',
+                      'position': [crank, 0.0]},
+                'c': {'type': 'prismatic', 'parent': 'ground', 'child': 'slider',
+                      'position': [0.0, 0.0]}},
+            'points': {'journal': {'body': 'rod', 'position': [rod, 0.0]},
+                       'bearing': {'body': 'slider', 'position': [0.0, 0.0]}}},
+        'initial': {'position': {'a': 0.0, 'b': 0.0, 'c': crank + rod},
+                    'velocity': {'a': speed, 'b': rate}, 'hold': ['a', 'b', 'c']},
+        'effects': {
+            'motor': {'type': 'prescribed_motion', 'joint': 'a', 'shape': 'expression',
+                      'expression': f'{speed}*t'},
+            'contact': {'type': 'body_contact', 'point': 'journal', 'radius': 0.0095,
+                        'other': 'bearing', 'shape': 'circle', 'other_radius': 0.01,
+                        'hollow': True, 'stiffness': stiffness, 'exponent': 1.5,
+                        'restitution': restitution, 'impact_velocity': impact}}})
+    lossy = damping(restitution, impact)
+
+    def rates(time, state):
+        """Return rates and accelerations of the rod's angle in the world and of the slider."""
+        angle, place, turning, moving = state
+        arm = crank * np.array([np.cos(speed * time), np.sin(speed * time)])
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = np.array([-along[1], along[0]])
+        away = arm + rod * along - [place, 0.0]
+        approach = speed * np.array([-arm[1], arm[0]]) + rod * turning * across - [moving, 0.0]
+        distance, push = np.hypot(*away), np.zeros(2)
+        if distance > clearance:
+            push = -stiffness * (distance - clearance) ** 1.5 * max(
+                0.0, 1.0 + lossy * (away @ approach) / distance) * away / distance
+        moment = rod * across @ push + mass * rod / 2 * speed ** 2 * across @ arm
+        return [turning, moving, moment / (inertia + mass * rod ** 2 / 4), -push[0] / slider]
+
+    times = np.linspace(0.0, 0.012, 13)
+    expected = solve_ivp(rates, (0.0, times[-1]), [0.0, crank + rod, speed + rate, 0.0],
+                         method='DOP853', rtol=1e-11, atol=1e-13, max_step=1e-5,
+                         t_eval=times).y[:2, 1:].T
+    simulation, found, forces = Simulation.from_scene(scene, accuracy=1e-9), [], []
+    for _ in times[1:]:
+        simulation.step(duration=1e-3)
+        found.append((simulation.position[0] + simulation.position[1], simulation.position[2]))
+        forces.append(simulation.effect_readings('contact')['normal_force'])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+    # It is lost and found again.
+    assert min(forces) == 0.0 and max(forces) > 1000.0
+    assert simulation.effect_readings('contact')['dissipated_energy'] > 0.1
