@@ -13,11 +13,11 @@ in turn, CPU time. Compiling is apart: with an empty cache it is what a first us
 """
 
 import argparse
-from contextlib import contextmanager
 import os
 import sys
 from tempfile import TemporaryDirectory
 import time
+from unittest.mock import patch
 
 from machine import description, ROOT
 
@@ -28,29 +28,14 @@ from closedloop_dynamics.visual.tables import markdown_table  # noqa: E402
 import numpy as np  # noqa: E402
 
 SCENES = 'four_bar', 'carpet_scraper', 'three_rrr', 'rssr_four_bar', 'stewart_platform'
-CACHE = 'CLOSEDLOOP_CACHE_DIR'
 METHOD, STEPS, ROWS = {'integrator': 'rk4', 'step_size': 1e-3}, 200, 20
-
-
-@contextmanager
-def empty_cache():
-    """Let generated code be kept in an empty folder."""
-    before = os.environ.get(CACHE)
-    with TemporaryDirectory() as folder:
-        os.environ[CACHE] = folder
-        try:
-            yield
-        finally:
-            del os.environ[CACHE]
-            if before is not None:
-                os.environ[CACHE] = before
 
 
 def measured(scene, repeats):
     """Return the time of a rollout and of a gradient [s], and of the first gradient beyond."""
-    scene = cld.load_scene(scene)
-    model, start = scene.model(), scene.model().assemble()
-    body = next(body.name for body in scene.mechanism.bodies if body.mass > 0.0)
+    model = cld.load_scene(scene).model()
+    start = model.assemble()
+    body = next(body.name for body in model.mechanism.bodies if body.mass > 0.0)
     sensitivity = cld.Sensitivity(model, METHOD, (f'mechanism.bodies.{body}.mass',))
     torques = 0.01 * np.random.default_rng(1).normal(size=(ROWS, len(model.actuated_joints)))
 
@@ -80,7 +65,7 @@ def main(arguments=None):
     parser.add_argument('scenes', nargs='*', default=SCENES, help='which are measured')
     parser.add_argument('--repeats', type=int, default=40)
     options = parser.parse_args(arguments)
-    with empty_cache():
+    with TemporaryDirectory() as folder, patch.dict(os.environ, CLOSEDLOOP_CACHE_DIR=folder):
         found = [(scene, *measured(scene, options.repeats)) for scene in options.scenes]
     print(description())
     print(markdown_table(

@@ -193,7 +193,7 @@ class Differentiator:
         ValueError
             For numbers that make no sense.
         SimulationError
-            Where the multipliers alone do not tell the wrenches.
+            Where the multipliers alone do not determine the wrenches.
         SingularityError
             In positions where closure equations depend on one another, or nearly.
 

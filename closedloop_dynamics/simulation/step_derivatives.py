@@ -114,8 +114,8 @@ class StepDerivatives:
 
         Parameters
         ----------
-        q, qd, qdd, lam : ndarray, shapes (nq,), (nv,), (nv,), (nc,)
-            A state, its accelerations and multipliers.
+        q, qd, qdd, lam
+            As for ``by_parameter``.
 
         Returns
         -------
@@ -127,12 +127,9 @@ class StepDerivatives:
         """
         self.need(WRENCH)
         self.routines.qdd[:], self.routines.lam[:] = qdd, lam
-        nv, nq = len(qd), self._nq
-        seeds = np.zeros((3 * nv, len(self.routines.seed)))
-        seeds[:nv, :nq] = turned(self._system.manifold, q, np.eye(nv)).T
-        seeds[nv:, nq:nq + 2 * nv] = np.eye(2 * nv)
-        found = self._changes(
-            WRENCH_FORWARD, q, qd, np.vstack((seeds, self._seeds_of_parameters())))
+        found = self._changes(WRENCH_FORWARD, q, qd, np.vstack((
+            self._seeds_of_displacements(q), self._seeds_of_rates_and_torques(),
+            self._seeds_of_parameters())))
         count = 6 * np.count_nonzero(self._rows)
         return found[:count, 0].copy(), found[count:2 * count].copy()
 
@@ -147,10 +144,7 @@ class StepDerivatives:
         by_parameter, rate_by_parameter : ndarray, shape (nc, np)
 
         """
-        nv = len(qd)
-        seeds = np.zeros((nv, len(self.routines.seed)))
-        seeds[:, :self._nq] = turned(self._system.manifold, q, np.eye(nv)).T
-        return (*self._of_closures(q, qd, seeds),
+        return (*self._of_closures(q, qd, self._seeds_of_displacements(q)),
                 *self._of_closures(q, qd, self._seeds_of_parameters()))
 
     def _of_closures(self, q, qd, seeds):
@@ -158,6 +152,15 @@ class StepDerivatives:
         nc = len(self.routines.lam)
         found = self._changes(CLOSURE_FORWARD, q, qd, seeds)
         return found[:nc].copy(), found[nc:2 * nc].copy()
+
+    def _seeds_of_displacements(self, q):
+        nv = len(self.routines.qdd)
+        seeds = np.zeros((nv, len(self.routines.seed)))
+        seeds[:, :self._nq] = turned(self._system.manifold, q, np.eye(nv)).T
+        return seeds
+
+    def _seeds_of_rates_and_torques(self):
+        return np.eye(2 * len(self.routines.qdd), len(self.routines.seed), self._nq)
 
     def _seeds_of_parameters(self):
         matrix, seed = self.parameters.matrix, self.routines.seed

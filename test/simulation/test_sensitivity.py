@@ -482,10 +482,9 @@ def test_the_example_finds_the_least_effort():
         trajectory = sensitivity.trajectory(None, torques, steps=example['STEPS'])
         ends = []
         for what in ('position', 'velocity'):
-            columns = trajectory.position if what == 'position' else trajectory.velocity
             names = model.assemble().coordinates.columns(what)
             for name in model.actuated_joints:
-                weights = np.zeros_like(columns)
+                weights = np.zeros_like(getattr(trajectory, what))
                 weights[-1, names.index(f'{what}.{name}')] = 1.0
                 ends.append(trajectory.gradient(**{f'by_{what}': weights}).torques.ravel())
         beside = torques.ravel() - np.linalg.pinv(np.array(ends)) @ (

@@ -115,10 +115,10 @@ class SensitivityTrace(DerivativeTrace):
                 lever = times(self.recursion.motion[row].frame, origin)
                 found += [*subtract(moment, cross(lever, force)), *force]
         self.prepare()
-        change = iter(self._forward([*own, *closed], True))
-        solved = {symbol.place: next(change) for source, size in (
-            (QDD, self.nv), (LAM, self.nc)) for symbol in self.symbols(source, (size,))}
-        return [*found, *self._changes(found, solved)]
+        solved = [*self.symbols(QDD, (self.nv,)), *self.symbols(LAM, (self.nc,))]
+        changes = self._forward([*own, *closed], True)
+        return [*found, *self._changes(found, {
+            one.place: change for one, change in zip(solved, changes)})]
 
     def _errors(self, held):
         """Return what all closure equations tell, in the user's order."""
