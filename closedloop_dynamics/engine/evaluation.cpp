@@ -3,6 +3,7 @@
 
 #include "evaluation.hpp"
 
+#include "branch.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "formulations.hpp"
@@ -113,7 +114,9 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd)
       return;
     }
   }
-  accelerate_with_all_equations(system, q, qd);
+  if (!accelerate_on_branch(system, q, qd)) {
+    accelerate_with_all_equations(system, q, qd);
+  }
   restore_forces(system, q, qd);
 }
 

@@ -142,11 +142,11 @@ double hand_over(const Model & model, const Workspace & work)
 }
 }  // namespace
 
-bool prepare_refined(const Model & model, Values tau, const Workspace & work)
+bool prepare_refined(const Model & model, Values tau, const Workspace & work, double limit)
 {
   const double smallest = factor_geometry(model, work);
   note(model, work, smallest);
-  if (!good(model, smallest, POOR_PIVOT)) {
+  if (!good(model, smallest, limit)) {
     return false;
   }
   inward(model, tau, work, true);
@@ -160,11 +160,11 @@ bool prepare_refined(const Model & model, Values tau, const Workspace & work)
 
 bool accelerate_refined(
   const Model & model, const Workspace & work, Values tau, double baumgarte, Values qdd,
-  Values lam)
+  Values lam, double limit)
 {
   const Indexes & cut = model.cut;
   const Values & right = work.right, & change = work.change;
-  if (!prepare_refined(model, tau, work)) {
+  if (!prepare_refined(model, tau, work, limit)) {
     return false;
   }
   qdd.fill(0.0);

@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__REFINEMENT_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__REFINEMENT_HPP_
 
+#include "elimination.hpp"
 #include "model.hpp"
 
 // Forward dynamics by iterative refinement, where links differ much in mass or have none.
@@ -13,11 +14,14 @@ namespace closedloop
 
 /// Factor the constraint matrix of the geometry, then that of the masses; return whether the
 /// closure equations are well apart.
-bool prepare_refined(const Model &, Values tau, const Workspace &);
+bool prepare_refined(
+  const Model &, Values tau, const Workspace &, double limit = POOR_PIVOT);
 
-/// Accelerations and multipliers, refined; false where the refinement does not converge.
+/// Accelerations and multipliers, refined; false where the smallest pivot of the geometry is below a
+/// limit, or the refinement does not converge.
 bool accelerate_refined(
-  const Model &, const Workspace &, Values tau, double baumgarte, Values qdd, Values lam);
+  const Model &, const Workspace &, Values tau, double baumgarte, Values qdd, Values lam,
+  double limit = POOR_PIVOT);
 
 }  // namespace closedloop
 

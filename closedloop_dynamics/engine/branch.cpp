@@ -1,0 +1,135 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "branch.hpp"
+
+#include <array>
+
+#include "elimination.hpp"
+#include "evaluation.hpp"
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "null_space.hpp"
+#include "recursion.hpp"
+#include "refinement.hpp"
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Pivots below this, the square of twice the singular value at which places around a state are
+// asked: rounding, divided three times by its root, would show in accelerations.
+constexpr double NEAR_PIVOT = 4e-6;
+// Corrections that bring a state onto its branch: beside it by 1e-4, two leave rounding.
+constexpr int MOST_CORRECTIONS = 4;
+// Closure error, against the size of the mechanism, that counts as on the branch; and the one,
+// against the smallest pivot, from which the nearest branch is certain to be that of the state.
+constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
+// Numbers of all arrays that are needed here.
+constexpr Index ROOM = 1024;
+
+/// Arrays that live as long as an evaluation, out of one block.
+class Scratch
+{
+public:
+  Values take(Index count)
+  {
+    used_ += count;
+    return {numbers_.data() + used_ - count, count};
+  }
+  Values copy_of(Values values)
+  {
+    const Values found = take(values.size);
+    copy(values, found);
+    return found;
+  }
+
+private:
+  std::array<double, ROOM> numbers_;
+  Index used_ = 0;
+};
+
+/// Add forces to those on the bodies.
+void add_forces(const Workspace & work, Table forces)
+{
+  for (Index i = 0; i < forces.rows; ++i) {
+    for (Index n = 0; n < forces.columns; ++n) {
+      work.body(i, work.first_force() + n) += forces(i, n);
+    }
+  }
+}
+
+/// Bring a state onto the branch next to it, in place; return whether it is there.
+bool return_to_branch(const System & system, Values q, Values qd, double pivot)
+{
+  const Workspace & work = system.work;
+  const double size = system.settings[setting::SIZE];
+  for (int count = 0; ; ++count) {
+    // Whether its own pivots are good does not matter: the geometry's have been judged.
+    call(system.table, routine::CORRECTION, q, qd);
+    const double error = largest(work.closure);
+    if (count == 0 && !(error <= CERTAIN * pivot * size)) {
+      return false;
+    }
+    if (!(error > ROUNDING * size && count < MOST_CORRECTIONS)) {
+      for (Index i = 0; i < qd.size; ++i) {
+        qd[i] += system.corrections(1, i);
+      }
+      return error <= SETTLED * size;
+    }
+    move(system.manifold, q, system.corrections[0], 1.0);
+  }
+}
+}  // namespace
+
+bool accelerate_on_branch(const System & system, Values q, Values qd)
+{
+  const Workspace & work = system.work;
+  const Values & health = work.health;
+  const double pivot = health[health::SMALLEST_PIVOT];
+  const Index size = work.size(), bodies = work.body.rows;
+  if (!(system.whole.empty() && system.settings[setting::BAUMGARTE_GAIN] == 0.0 &&
+    pivot < POOR_PIVOT && good(system.model, pivot, NEAR_PIVOT) &&
+    q.size + qd.size + 2 * work.closure.size + bodies * size <= ROOM))
+  {
+    return false;
+  }
+  Scratch scratch;
+  const Values near = scratch.copy_of(q), near_rate = scratch.copy_of(qd);
+  outward(system.model, q, qd, work);
+  // What effects add to the bodies' forces is that of the state itself.
+  const Table added{scratch.take(bodies * size).data, bodies, size};
+  added.fill(0.0);
+  if (system.has_effects()) {
+    bias_forces(work, added);
+    apply_listed(system, q, qd);
+    for (Index i = 0; i < bodies; ++i) {
+      for (Index n = 0; n < size; ++n) {
+        added(i, n) = work.body(i, work.first_force() + n) - added(i, n);
+      }
+    }
+  }
+  update(system.model, work, Responses::NONE);
+  const Values closure = scratch.copy_of(work.closure);
+  const Values closure_rate = scratch.copy_of(work.closure_rate);
+  bool found = return_to_branch(system, near, near_rate, pivot);
+  if (found) {
+    outward(system.model, near, near_rate, work);
+    add_forces(work, added);
+    found = accelerate_refined(
+      system.model, work, system.applied, 0.0, system.qdd, system.lam, NEAR_PIVOT);
+  }
+  if (found) {
+    health[health::RANK_REVEALING_COUNT] += 1.0;
+    health[health::SINGULAR_COUNT] += 1.0;
+  }
+  outward(system.model, q, qd, work);
+  add_forces(work, added);
+  copy(closure, work.closure);
+  copy(closure_rate, work.closure_rate);
+  return found;
+}
+
+}  // namespace closedloop
