@@ -31,17 +31,8 @@ if 'ROS_DOMAIN_ID' not in os.environ or 'PYTEST_XDIST_WORKER' in os.environ:
 gc.set_threshold(100_000, 20, 100)
 
 
-# Where scripts/test shares the files among processes, those that compile or wait longest go first.
-# Two that stand side by side compile different kernels: without effects, and with them.
-FIRST = (
-    'test/integration/test_methods.py', 'test/effects/test_effect_set.py',
-    'test/core/test_forward_dynamics.py', 'test/effects/test_joint_friction.py',
-    'test/core', 'test/stability/test_known_answers.py', 'test/studies', 'test/effects',
-    'test/stability', 'test/packaging', 'test/simulation',
-    'test/test_benchmark.py', 'test/view/test_browser.py',
-    'test/ros/test_simulator_process.py', 'test/test_documentation.py', 'test/ros/test_faults.py',
-    'test/ros/test_recorder_process.py', 'test/attack', 'test/ros/test_demo.py',
-    'test/test_linters.py', 'test/ros', 'test/recording', 'test/sweep')
+# Tests in these folders wait for processes more than they compute.
+WAITING = ('ros', 'view', 'packaging', 'attack')
 
 
 def pytest_addoption(parser):
@@ -50,16 +41,30 @@ def pytest_addoption(parser):
         'with --all, start each pair of commands in the documents N times (default: 20)'))
 
 
-def _turn(item):
-    """Return which file's turn it is."""
-    return next((k for k, start in enumerate(FIRST) if item.nodeid.startswith(start)), len(FIRST))
+def in_order(files):
+    """
+    Return files in the order in which ``scripts/test`` gives them to its processes.
+
+    Long files first, so that none is begun when all others have ended; those whose tests wait
+    evenly among those whose tests compute.
+
+    """
+    kinds = {}
+    for file in sorted(files, key=lambda file: (-file.stat().st_size, file)):
+        kinds.setdefault(file.relative_to(ROOT / 'test').parts[0] in WAITING, []).append(file)
+    return sorted(files, key=lambda file: next(
+        place for kind in kinds.values() if file in kind
+        for place in [(kind.index(file) + 0.5) / len(kind)]))
 
 
 def pytest_collection_modifyitems(config, items):
-    items.sort(key=_turn)
+    turn = {file: k for k, file in enumerate(in_order({item.path for item in items}))}
+    items.sort(key=lambda item: turn[item.path])
     if config.getoption('--all'):
         return
-    slow = [item for item in items if item.get_closest_marker('slow')]
+    kept, slow = [], []
+    for item in items:
+        (slow if item.get_closest_marker('slow') else kept).append(item)
     if slow:
         config.hook.pytest_deselected(items=slow)
-        items[:] = [item for item in items if item not in slow]
+        items[:] = kept

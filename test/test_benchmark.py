@@ -333,6 +333,7 @@ def quick_results(tmp_path_factory):
     return output
 
 
+@pytest.mark.slow
 def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
     document = benchmark('make_performance_doc')
     path = tmp_path / 'performance.md'
@@ -429,7 +430,8 @@ def test_comparison_runs_two_commits(benchmark, tmp_path):
     assert len(result['times']['evaluation three_rrr'][1]) == 3
 
 
-@pytest.mark.parametrize('engine', ['peer_pinocchio', 'peer_mujoco', 'peer_exudyn'])
+@pytest.mark.parametrize('engine', [
+    pytest.param('peer_pinocchio', marks=pytest.mark.slow), 'peer_mujoco', 'peer_exudyn'])
 def test_peers_agree(benchmark, engine):
     pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
                          'peer_exudyn': 'exudyn'}[engine])

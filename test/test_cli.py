@@ -74,10 +74,11 @@ def test_no_scene_is_written_over_a_directory_or_into_none(capsys, tmp_path, com
 
 
 @pytest.mark.parametrize('line, expected', [
-    ('closedloop wor', 'workspace '), ('closedloop check stew', 'stewart_platform '),
-    ('closedloop compare four_bar thr', 'three_rrr'), ('closedloop simulate --integ',
-                                                       '--integrator '),
-    ('closedloop simulate {folder}/sce', '{folder}/scene.yaml ')])
+    ('closedloop check stew', 'stewart_platform '),
+    ('closedloop simulate {folder}/sce', '{folder}/scene.yaml '),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('closedloop wor', 'workspace '), ('closedloop compare four_bar thr', 'three_rrr'),
+        ('closedloop simulate --integ', '--integrator ')))])
 def test_shells_complete_commands_scenes_and_files(tmp_path, line, expected):
     pytest.importorskip('argcomplete', reason='the extra completion is not installed')
     (tmp_path / 'scene.yaml').touch()

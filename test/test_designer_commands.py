@@ -23,8 +23,9 @@ from .test_cli import call, read
 
 
 @pytest.mark.parametrize('scene, size', [
-    ('four_bar', 1.0), ('slider_crank', 1.0), ('three_rrr_vertical', 0.05), ('delta_robot', 0.1),
-    ('stewart_platform', 0.02), ('geared_five_bar', 0.5)])
+    ('four_bar', 1.0), ('slider_crank', 1.0), ('three_rrr_vertical', 0.05),
+    ('stewart_platform', 0.02), ('geared_five_bar', 0.5),
+    pytest.param('delta_robot', 0.1, marks=pytest.mark.slow)])
 def test_work_of_the_drives_is_what_the_energy_gains(scene, size):
     model = load_scene(scene).model()
     start = model.assemble()

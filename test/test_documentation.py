@@ -122,7 +122,13 @@ def check_output(where, wanted, output):
             assert words(line) in lines, f'{where}: no line {line!r} (there) in\n{output}'
 
 
-@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+# They compute for longer than five seconds.
+LONG = ('optimise.md', 'recipes.md', 'control.md', 'workspace.md')
+
+
+@pytest.mark.parametrize('page', [
+    pytest.param(page, marks=pytest.mark.slow) if page.name in LONG else page
+    for page in PAGES], ids=lambda page: page.name)
 def test_commands_and_scripts_do_what_the_page_says(page, scratch, capsys):
     write_files(page, scratch)
     for block in blocks_of(page):

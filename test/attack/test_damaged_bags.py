@@ -137,7 +137,7 @@ def outcome(path, original, finished, out):
 
 
 @pytest.mark.parametrize('count', [
-    4, pytest.param(100, marks=pytest.mark.slow)])
+    2, pytest.param(100, marks=pytest.mark.slow)])
 def test_damaged_bags_end_in_an_error_or_are_told(tmp_path, capsys, count):
     results, worst = Counter(), []
     for number, variant in enumerate(VARIANTS):

@@ -176,7 +176,7 @@ def call(capsys, *arguments):
 
 @pytest.mark.filterwarnings('ignore')
 @pytest.mark.parametrize('count', [
-    240, pytest.param(2700, marks=(pytest.mark.slow, pytest.mark.timeout(3600)))])
+    100, pytest.param(2700, marks=(pytest.mark.slow, pytest.mark.timeout(3600)))])
 def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
     rng, counts, bad = np.random.default_rng(20261121), Counter(), []
     sources = [[(config_directory() / kind / f'{file}.yaml').read_text() for kind, file in (
@@ -271,7 +271,7 @@ def command_line(rng):
 
 @pytest.mark.filterwarnings('ignore')
 @pytest.mark.parametrize('count', [
-    120, pytest.param(1500, marks=(pytest.mark.slow, pytest.mark.timeout(3600)))])
+    60, pytest.param(1500, marks=(pytest.mark.slow, pytest.mark.timeout(3600)))])
 def test_command_lines_are_refused_in_words_or_done(tmp_path, monkeypatch, capsys, count):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'good.yaml').write_text(

@@ -64,7 +64,7 @@ def attack(rng):
     return 'silent' if apart > FARTHER * max(report.error_bound, accuracy) else 'accepted'
 
 
-@pytest.mark.parametrize('count', [12, pytest.param(300, marks=[
+@pytest.mark.parametrize('count', [6, pytest.param(300, marks=[
     pytest.mark.slow, pytest.mark.timeout(7200)])])
 def test_no_redundant_loop_loses_energy_in_silence(count, monkeypatch):
     # Loops over bodies are compiled once for all topologies.

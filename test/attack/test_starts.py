@@ -70,6 +70,7 @@ def attack(pair, starts, processes, listener, enough=STATES):
     return bad
 
 
+@pytest.mark.slow
 def test_pair_of_commands_ends_well_on_a_busy_machine(processes, listener):
     assert attack('scraper', 1, processes, listener, STATES // 4) == []
 

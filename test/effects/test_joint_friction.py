@@ -305,6 +305,7 @@ def excavator_arm(friction, motion):
         replace(scene, effects={**scene.effects, 'friction': friction}), motion)
 
 
+@pytest.mark.slow
 def test_reactions_are_right_where_the_elimination_alone_will_not_do():
     simulation = excavator_arm(
         JointFriction('slew', friction_coefficient=1e-9), {'boom_cylinder': '1.015'})
@@ -313,6 +314,7 @@ def test_reactions_are_right_where_the_elimination_alone_will_not_do():
         np.linalg.norm(simulation.force('slew')[3:]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_joint_that_motions_hold_at_rest_needs_no_friction():
     motion = {'slew': '0.1 * t', 'boom_cylinder': '1.015 + 0.1 * sin(t)',
               'stick_cylinder': '1.225', 'bucket_cylinder': '1.027'}
@@ -329,7 +331,12 @@ def test_a_joint_that_motions_hold_at_rest_needs_no_friction():
         np.linalg.norm(frictionless.force('stick_pin')[3:]), rel=1e-9)
     for name, force in frictionless.motion_forces.items():
         assert simulation.motion_forces[name] == pytest.approx(force, rel=1e-9)
-    # A joint that they move rubs.
+
+
+@pytest.mark.slow
+def test_a_joint_that_motions_move_rubs():
+    motion = {'slew': '0.1 * t', 'boom_cylinder': '1.015 + 0.1 * sin(t)',
+              'stick_cylinder': '1.225', 'bucket_cylinder': '1.027'}
     moved = excavator_arm(JointFriction('boom_pin', coulomb=3.0), motion)
     moved.step()
     assert moved.effect_readings('friction')['torque'] == -3.0

@@ -93,17 +93,18 @@ def interrupted(scene, method, action):
 
 
 @pytest.mark.parametrize('scene, integrator', [
-    ('three_rrr', 'rk4'), ('three_rrr', 'auto'), ('three_rrr', 'dop853'),
-    ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
-    ('carpet_scraper_on_carpet', 'auto'), ('stewart_platform', 'rk4')])
+    ('three_rrr', 'auto'), ('three_rrr', 'rodas4_fixed'), ('stewart_platform', 'rk4'),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('three_rrr', 'rk4'), ('three_rrr', 'dop853'), ('three_rrr', 'rodas4'),
+        ('carpet_scraper_on_carpet', 'auto')))])
 def test_an_interrupt_ends_a_long_step(scene, integrator):
     said = interrupted(scene, {'integrator': integrator, 'step_size': 1e-4}, 'step')
     assert said['took'] < HEARD and said['error'] < 1e-6 and said['time'] >= 0.01
 
 
 @pytest.mark.parametrize('integrator, samples, threads', [
-    ('rk4', 1, 1), ('rk4', 8, 1), ('rk4', 24, 2), ('rodas4_fixed', 2, 2), ('auto', 1, 1),
-    ('auto', 2, 2)])
+    ('rk4', 8, 1), ('auto', 2, 2), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('rk4', 1, 1), ('rk4', 24, 2), ('rodas4_fixed', 2, 2), ('auto', 1, 1)))])
 def test_an_interrupt_ends_a_long_rollout(integrator, samples, threads):
     said = interrupted('three_rrr', {'integrator': integrator, 'step_size': 1e-4},
                        {'samples': samples, 'steps': 5_000_000, 'threads': threads})

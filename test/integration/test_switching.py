@@ -13,7 +13,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from ..reference import famous, peaucellier
+from ..reference import cases, famous, peaucellier
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
@@ -34,7 +34,7 @@ def worst_error(scene, torque, accuracy, change=None, duration=1.0):
     return worst, runs[0]
 
 
-@pytest.mark.parametrize('scene', scene_names())
+@pytest.mark.parametrize('scene', cases.only(cases.CLASSES, scene_names()))
 def test_every_shipped_scene_is_right_to_the_default_accuracy(scene):
     accuracy = Method().accuracy
     asked = min(accuracy, load_scene(scene).method.accuracy)

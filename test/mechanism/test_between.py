@@ -58,7 +58,8 @@ def centers(mechanism, torques):
         for body in bodies}
 
 
-@pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard', 'delta_robot'])
+@pytest.mark.parametrize('name', [
+    'rssr_four_bar', 'bricard', pytest.param('delta_robot', marks=pytest.mark.slow)])
 def test_any_tree_gives_the_same_motion(tmp_path, name):
     machine, torques = getattr(spatial_machines, name)()
     expected = centers(machine, torques)

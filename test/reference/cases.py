@@ -23,7 +23,7 @@ SPECIAL = {'ladder': lambda rng: special.ladder(4, rng.uniform(-1.0, 1.0), rng.n
            'parallelogram': lambda rng: special.parallelogram(rng.uniform(0.2, 1.0)),
            'chain': lambda rng: special.chain(rng, 6),
            'star': lambda rng: special.star(rng, 4)}
-# One to four subsystems each, listed in order and shuffled.
+# One to four subsystems each, every other one shuffled.
 RANDOM = range(20)
 # Rods, pins in slots, couplings.
 ELEMENTS = tuple(f'elements_{n}' for n in range(8))
@@ -36,8 +36,20 @@ def first(number, values):
             for k, value in enumerate(values)]
 
 
-# Two of each kind of random linkage, and half of those with elements; --all takes the others.
-PARAMETERS = (*SHIPPED, *SPECIAL, *first(8, RANDOM), *first(4, ELEMENTS))
+def only(kept, values):
+    """Return the parameters of a test: those not among ``kept`` are slow."""
+    assert set(kept) <= set(values)
+    return [value if value in kept else pytest.param(value, marks=pytest.mark.slow)
+            for value in values]
+
+
+# One shipped scene of each class of topology: one loop, several, gears, cables, and in space
+# trees with loops, platforms, loops that are mobile only because of their lengths.
+CLASSES = ('four_bar', 'three_rrr', 'carpet_scraper_on_carpet', 'slider_crank_end_stop',
+           'planetary_gear', 'rope_hoist', 'stewart_platform', 'differential', 'bennett')
+# One random linkage of each number of subsystems, and half of those with elements; --all takes
+# the others.
+PARAMETERS = (*SHIPPED, *SPECIAL, *first(4, RANDOM), *first(4, ELEMENTS))
 
 
 def drawn(case, seed=0):

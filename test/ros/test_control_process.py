@@ -103,7 +103,8 @@ def test_clock_has_the_time_of_every_state_and_follows_the_factor(processes, lis
     assert 'at 0.5 x real time' in simulator.output
 
 
-@pytest.mark.parametrize('waits', [{'mode': 'lockstep'}, {'wait_for_command': 'true'}])
+@pytest.mark.parametrize('waits', [
+    {'mode': 'lockstep'}, pytest.param({'wait_for_command': 'true'}, marks=pytest.mark.slow)])
 def test_controller_manager_that_waits_for_the_clock_gets_it(processes, listener, waits):
     """
     A loop like that of ros2_control_node.

@@ -209,7 +209,8 @@ def test_flood_of_parameters_is_answered(processes, listener):
 
 
 @pytest.mark.parametrize('name, request_', [
-    ('pause', SetBool.Request(data=True)), ('step', Trigger.Request()),
+    pytest.param('pause', SetBool.Request(data=True), marks=pytest.mark.slow),
+    pytest.param('step', Trigger.Request(), marks=pytest.mark.slow),
     ('reset', Trigger.Request())])
 def test_flood_of_calls_is_answered(processes, listener, name, request_):
     simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
@@ -244,7 +245,8 @@ def test_subscribers_that_come_and_go_cost_the_others_nothing(processes, listene
 
 @pytest.mark.parametrize('number', [
     signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-@pytest.mark.parametrize('delay', [0.3, 1.0, 2.0])
+@pytest.mark.parametrize('delay', [
+    1.0, *(pytest.param(delay, marks=pytest.mark.slow) for delay in (0.3, 2.0))])
 def test_signal_at_any_moment_of_the_start_ends_the_process(processes, number, delay):
     simulator = processes.start(SIMULATOR, scene='four_bar')
     time.sleep(delay)
@@ -285,7 +287,8 @@ def test_twenty_simulators_in_one_domain(processes, listener):
         assert simulator.wait() == 0
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_services_answer_and_signals_are_heard_while_a_step_takes_long(
         processes, listener, number):
     # Two hundred steps at once, of a crank that reaches 1e5 rad/s: tens of seconds.

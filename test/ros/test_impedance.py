@@ -40,7 +40,7 @@ def pushed(scene, point, law, force, duration, period=0.004):
 
 @pytest.mark.parametrize('scene, stiffness', [
     ('three_rrr_vertical', [2000.0, 4000.0, 800.0]),
-    ('three_rrr_horizontal', [5000.0, 2000.0, 800.0])])
+    pytest.param('three_rrr_horizontal', [5000.0, 2000.0, 800.0], marks=pytest.mark.slow)])
 def test_constant_force_moves_the_point_by_force_over_stiffness(scene, stiffness):
     law = law_of(scene, 'platform_center', stiffness, [500.0, 500.0, 60.0])
     start = Simulation.from_scene(scene).point('platform_center')

@@ -131,7 +131,8 @@ def test_recording_ends_by_itself(processes, tmp_path):
     assert read_with_rosbags(bag) == {}
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_bag_is_whole_after_signals(processes, listener, tmp_path, number):
     recorder = processes.start(RECORDER, output='bag', topics='[t]').wait_until_ready()
     publisher = heard_publisher(listener, recorder, 't')

@@ -252,6 +252,7 @@ def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
     np.testing.assert_allclose(acceleration[0], 100.0 * 0.2, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys):
     path = file_of(made('bricard'), tmp_path)
     recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()

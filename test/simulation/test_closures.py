@@ -66,6 +66,7 @@ def with_points(body, points):
                 tuple(about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]))
 
 
+@pytest.mark.slow
 def test_a_delta_robot_with_distances_is_one_with_rods_of_two_points():
     machine, torques = spatial_machines.delta_robot()
     joints = {joint.name: joint for joint in machine.joints}

@@ -93,7 +93,8 @@ CASES = {
         [0.0, -9.81], 'low')}
 
 
-@pytest.mark.parametrize('name', CASES)
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=pytest.mark.slow) if name == 'bricard' else name for name in CASES])
 def test_forces_and_friction_do_not_depend_on_the_cut(tmp_path, name):
     mechanism, choices, *how = CASES[name]
     found = []

@@ -349,7 +349,6 @@ def test_the_command_draws_modes_and_writes_their_motion(tmp_path, monkeypatch, 
     middle = Simulation.from_scene('four_bar').position
     largest = np.abs(ends - middle).max(axis=1)
     np.testing.assert_allclose(largest, 0.1, rtol=0.2)
-    assert main(['animate', 'mode.csv', '--output', 'mode.gif']) == 0
     assert main(['view', 'mode.csv', '--save', 'mode.html']) == 0
     for arguments, message in (
             (['--mode', '2', '--output', 'two.csv'], '--mode: expected a number from 1 to 1'),

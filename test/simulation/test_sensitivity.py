@@ -470,6 +470,7 @@ def test_what_cannot_be_run_is_told_with_the_time():
             None, [[1e12]], steps=10)
 
 
+@pytest.mark.slow
 def test_the_example_finds_the_least_effort():
     example = runpy.run_path(str(ROOT / 'doc' / 'examples' / 'optimise_trajectory.py'))
     for scene, (move, duration) in example['MOVES'].items():

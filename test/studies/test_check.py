@@ -12,6 +12,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import pytest
 
+from ..reference import cases
 from ..reference.machines import parallelogram
 
 
@@ -99,7 +100,7 @@ def test_time_constant_is_shown_where_it_matters():
     assert 'Effects: none' in describe(replace(scene, effects={}))
 
 
-@pytest.mark.parametrize('name', scene_names())
+@pytest.mark.parametrize('name', cases.only(cases.CLASSES, scene_names()))
 def test_every_shipped_scene_is_described_in_plain_columns(name):
     text = describe(load_scene(name))
     assert all(line == line.rstrip() for line in text.splitlines())

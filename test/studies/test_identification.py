@@ -145,6 +145,7 @@ def driven(scene, courses, count):
             {name: efforts[:, k] for k, name in enumerate(courses)})
 
 
+@pytest.mark.slow
 def test_a_whole_body_in_space_is_exact():
     # All of a platform that moves in all six directions: principal moments and centre of mass.
     scene = load_scene('stewart_platform')

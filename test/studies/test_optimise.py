@@ -173,7 +173,7 @@ def test_front_of_straightness_and_torque_ripple():
         'carpet_scraper', {'mechanism.cut_joints.cut_1.point_a.0': (0.03, 0.045),
                            'mechanism.joints.theta_2.position.0': (-0.11, -0.08)},
         ['straightness(part(tool, -75deg, 75deg))', 'max(torque.theta_1) - min(torque.theta_1)'],
-        requirement, {'theta_1': Drive(-math.pi, math.pi)}, poses=19, speed=5.0, starts=1,
+        requirement, {'theta_1': Drive(-math.pi, math.pi)}, poses=13, speed=5.0, starts=1,
         front=3, workers=1)
     aims = np.array([one.aims for one in optimum.front])
     assert optimum.finished and len(aims) == 3

@@ -9,14 +9,14 @@ from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import pytest
 
+from ..reference import cases
+
 
 PLANAR = [name for name in scene_names() if load_scene(name).mechanism.planar]
 
 
-# A cam follower has hundreds of numbers, all but some of the points of its curve.
-@pytest.mark.parametrize('name', [
-    pytest.param(name, marks=pytest.mark.slow) if name == 'cam_follower' else name
-    for name in PLANAR])
+@pytest.mark.parametrize('name', cases.only(
+    [name for name in cases.CLASSES if name in PLANAR], PLANAR))
 def test_every_number_can_be_reached_and_changed_alone(name):
     scene = load_scene(name)
     before = numbers(scene)

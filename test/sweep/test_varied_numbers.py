@@ -10,6 +10,8 @@ from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 import numpy as np
 import pytest
 
+from ..reference import cases
+
 # Scenes whose equations repeat one another: which are worked on may depend on the masses.
 BUILT = {'bennett', 'bricard', 'excavator_arm', 'geared_five_bar'}
 
@@ -45,7 +47,7 @@ def varied(monkeypatch):
     return taken
 
 
-@pytest.mark.parametrize('name', shipped_names('scenes'))
+@pytest.mark.parametrize('name', cases.only(cases.CLASSES, shipped_names('scenes')))
 def test_numbers_taken_in_place_are_those_of_a_scene_that_has_them(varied, name):
     scene, rng, count = load_scene(name), np.random.default_rng(7), 3
     simulation = Simulation(scene)
