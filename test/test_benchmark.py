@@ -153,6 +153,7 @@ def test_every_machine_is_measured_at_three_accuracies(benchmark, monkeypatch, t
     assert report.Results(tmp_path / 'all_machines.csv').note('four_bar', 0) == 'kept'
 
 
+@pytest.mark.slow
 def test_held_torques_of_every_machine_accelerate_its_drives_alike(benchmark):
     machines = benchmark('all_machines')
     for scene in ('three_rrr', 'delta_robot'):

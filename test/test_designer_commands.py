@@ -24,8 +24,8 @@ from .test_cli import call, read
 
 @pytest.mark.parametrize('scene, size', [
     ('four_bar', 1.0), ('slider_crank', 1.0), ('three_rrr_vertical', 0.05),
-    ('stewart_platform', 0.02), ('geared_five_bar', 0.5),
-    pytest.param('delta_robot', 0.1, marks=pytest.mark.slow)])
+    ('geared_five_bar', 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('stewart_platform', 0.02), ('delta_robot', 0.1)))])
 def test_work_of_the_drives_is_what_the_energy_gains(scene, size):
     model = load_scene(scene).model()
     start = model.assemble()
@@ -391,8 +391,9 @@ def test_sensitivities_are_those_of_two_circles(tmp_path):
 @pytest.mark.parametrize('name, drives, count', [
     ('hoeken_pantograph_leg', {'theta_1': Drive(0.5, 3.5)}, 12),
     ('slider_crank', {'crank_joint': Drive(0.5, 3.5)}, 2),
-    ('scissor_lift', None, 8), ('rssr_four_bar', {'crank': Drive(0.0, 2.0)}, 7),
-    ('stewart_platform', None, 3)])
+    ('rssr_four_bar', {'crank': Drive(0.0, 2.0)}, 7),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('scissor_lift', None, 8), ('stewart_platform', None, 3)))])
 def test_sensitivities_are_those_of_other_machines_driven_so(name, drives, count):
     scene = load_scene(name)
     if drives is None:

@@ -179,13 +179,12 @@ def wait_for_more(names):
 
 
 TOGETHER = [block for page in PAGES for block in blocks_of(page) if block.note == TERMINALS]
-# Of scenes and controllers that other tests start, too (test/attack/test_starts.py).
-COMMON = [block for block in TOGETHER if block.page.name in ('install.md', 'look.md') and (
-    next_block(block) is None or next_block(block).note != AFTERWARDS)]
+# Without --all those of one node, of two in lockstep, and of ones that are asked afterwards.
+SHORT = ('describe_a_mechanism.md', 'examples_impedance.md', 'examples_lockstep.md')
 
 
 @pytest.mark.parametrize('block', [
-    pytest.param(block, marks=pytest.mark.slow) if block in COMMON else block
+    block if block.page.name in SHORT else pytest.param(block, marks=pytest.mark.slow)
     for block in TOGETHER], ids=str)
 def test_nodes_run_together_as_the_page_says(block, scratch, capsys):
     write_files(block.page, scratch)

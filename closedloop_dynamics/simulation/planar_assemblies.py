@@ -19,8 +19,6 @@ import math
 from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
 from ..mechanism.mechanism import DISTANCE, FIXED, GROUND, POINT_ON_LINE, PRISMATIC, REVOLUTE
 
@@ -218,6 +216,10 @@ class PlanarEquations:
 
     def _groups(self):
         """Yield unknowns and equations that belong together, each group after those it needs."""
+        # Imported here: every simulation imports this file, and that would take 40 % longer.
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+
         columns = list(dict.fromkeys(
             key for equation in self.equations for key in self._keys(equation)))
         rows = [equation for equation in self.equations for _ in range(2)]

@@ -128,6 +128,7 @@ def test_nodes_run_together_and_end_when_interrupted(start):
     assert codes == dict.fromkeys(names, 0), [process.output for process in processes]
 
 
+@pytest.mark.slow
 @ONCE
 def test_colcon_test_finds_the_tests(workspace):
     colcon(workspace, 'test', '--pytest-args', 'test/mechanism/test_expressions.py')

@@ -239,6 +239,7 @@ def test_a_point_of_a_five_bar():
         assert np.abs(np.linalg.det(np.stack(ways, axis=1))).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_threads_change_nothing(three_rrr):
     one, two = (compute(three_rrr, Request(CENTER, SMALL, (0.3,)), workers) for workers in (1, 2))
     np.testing.assert_array_equal(one.status, two.status)

@@ -19,6 +19,7 @@ def test_a_mechanism_without_couplings_and_motions_has_no_topics_of_them(make_no
     assert topics.isdisjoint(f'/{topic}' for topic in TOPICS)
 
 
+@pytest.mark.slow
 def test_forces_are_published_recorded_and_met(processes, listener, tmp_path, capsys):
     recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
     # Steps of one size remember nothing: a recording that began late is met to the last bit.

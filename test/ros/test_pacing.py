@@ -50,6 +50,7 @@ def test_simulated_time_follows_the_clock_within_one_step(factor, step_size):
     assert pacer.simulated == pytest.approx(machine.steps * step_size)
 
 
+@pytest.mark.slow
 def test_equal_ticks_take_equal_steps_for_an_hour():
     machine = FakeMachine()
     pacer = started(machine)

@@ -87,6 +87,7 @@ def test_a_platform_goes_round_and_its_axis_round_a_cone():
     check_rates(circle, (0.7, 2.0, 5.3))
 
 
+@pytest.mark.slow
 def test_a_delta_robot_reaches_its_places_at_rest():
     mechanism, start, joints = started('delta_robot')
     places, durations = np.array([[0.0, 0.0, 0.1], [0.2, 0.1, 0.1]]), [0.3, 0.5, 0.4]

@@ -38,9 +38,8 @@ def test_a_recording_that_began_late_is_met_exactly(
     assert 'largest deviation of a position: 0 rad or m' in output
 
 
-@pytest.mark.parametrize('scene', [
-    pytest.param('three_rrr_payload_friction', marks=pytest.mark.slow),
-    'carpet_scraper_on_carpet'])
+@pytest.mark.slow
+@pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
 def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, scene):
     recorder = processes.start(RECORDER, output='bag').wait_until_ready()
     simulator = processes.start(SIMULATOR, scene=scene, wait_for_command='true')

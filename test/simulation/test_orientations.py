@@ -383,6 +383,7 @@ def marked(mechanism, body, *places):
         Point(f'point_{k}', body, tuple(place)) for k, place in enumerate(places)))
 
 
+@pytest.mark.slow
 def test_stewart_platform_on_a_free_joint_moves_as_known():
     mechanism, forces = stewart_on_a_free_platform()
     center = mechanism.bodies[-1].center_of_mass

@@ -90,6 +90,7 @@ def test_stewart_platform_moves_as_known():
     assert_agree(one.energy - start, 8.148633672, 1e-9)
 
 
+@pytest.mark.slow
 def test_delta_robot_moves_as_known():
     center = spatial_machines.delta_robot()[0].bodies[-1].center_of_mass
     mechanism, torques = machine('delta_robot', ('platform', center),

@@ -206,6 +206,7 @@ def test_friction_in_a_joint_follows_the_force_that_the_joint_carries():
     assert abs(one.energy_balance.residual) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', [
     'excavator_arm', pytest.param('double_wishbone', marks=pytest.mark.slow)])
 def test_generated_code_finds_the_forces_that_drive_effects_as_the_loops_do(name, monkeypatch):

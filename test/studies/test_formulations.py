@@ -121,6 +121,7 @@ def test_exponent_is_fitted_over_the_largest_tenfold():
     assert 'ladder, system: time ~ N^3.00' in growth_text(rows)
 
 
+@pytest.mark.slow
 def test_command_writes_table_and_picture(capsys, tmp_path):
     arguments = ['formulations', '--quick', '--largest', '1', '--output', str(tmp_path / 'out')]
     assert main(arguments) == 0
