@@ -8,6 +8,7 @@ from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.recording.replay import replay
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
+import pytest
 from sensor_msgs.msg import JointState
 
 TOPICS = ('coupling_forces', 'tooth_forces', 'motion_forces')
