@@ -54,15 +54,15 @@ def parts(node, rate, count):
 
     def fill():
         states._state.filled(sec, nanosec, *content[:3])
-        for message in states._messages:
+        for message in states.templates:
             message.filled(sec, nanosec, wrench)
 
     def publish_objects():
-        states._state_publisher.publish(states.joint_state(sec, nanosec, *content[:3]))
-        for publisher in states._force_publishers:
+        states.state_publisher.publish(states.joint_state(sec, nanosec, *content[:3]))
+        for publisher in states.force_publishers:
             publisher.publish(wrench_message)
 
-    wrench_message = states._messages[0]._build(sec, nanosec, wrench)
+    wrench_message = states.templates[0]._build(sec, nanosec, wrench)
     physics = timed(lambda: node.live.advance(steps), count)
     reading = timed(read, count)
     filling = timed(fill, count)

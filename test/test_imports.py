@@ -104,6 +104,32 @@ def test_private_names_are_used_where_they_are_defined():
     assert not found
 
 
+def defined_privately(tree):
+    """Return the private names that a file gives to functions, classes, values and members."""
+    return private_members(tree) | private(
+        getattr(node, 'name', None) or node.id for node in ast.walk(tree)
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef))
+        or isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store))
+
+
+def test_tests_use_nothing_private():
+    known, found = set().union(*map(defined_privately, syntax_trees().values())), []
+    for path in (ROOT / 'test').rglob('*.py'):
+        tree = ast.parse(path.read_text())
+        others = known - defined_privately(tree)
+        for node in ast.walk(tree):
+            used = set()
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ('self', 'cls'):
+                used = {node.attr}
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith('tattr'):
+                used = {each.value for each in node.args if isinstance(each, ast.Constant)}
+            elif isinstance(node, ast.ImportFrom) and (node.module or '').startswith(PACKAGE):
+                used = {alias.name for alias in node.names}
+            if used & others:
+                found.append(f'{path}:{node.lineno} {ast.unparse(node)}')
+    assert not found
+
+
 def test_no_part_of_a_node_holds_it():
     found = []
     for path in (ROOT / PACKAGE / 'ros').glob('*.py'):

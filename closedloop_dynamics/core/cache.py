@@ -44,12 +44,12 @@ def directory():
         'XDG_CACHE_HOME') or '~/.cache'
     try:
         base = Path(place).expanduser().absolute() / PACKAGE.name
-        path = base / _sources()[:16]
+        path = base / sources_digest()[:16]
         new = not path.is_dir()
         # Processes that start together may each find it missing.
         path.mkdir(parents=True, exist_ok=True)
         if new:
-            _remove_unused(base)
+            remove_unused(base)
         # What is used is not removed.
         with contextlib.suppress(OSError):
             os.utime(path)
@@ -58,7 +58,7 @@ def directory():
     return path
 
 
-def _sources():
+def sources_digest():
     """Return a digest of everything that generated code depends on beside the mechanism."""
     digest = hashlib.sha256(repr((sys.byteorder, llvmlite.__version__)).encode())
     for path in sorted((PACKAGE / 'core').rglob('*.py')):
@@ -67,7 +67,7 @@ def _sources():
     return digest.hexdigest()
 
 
-def _remove_unused(base):
+def remove_unused(base):
     for path in base.iterdir():
         # Another process may be removing it.
         with contextlib.suppress(OSError):

@@ -65,7 +65,7 @@ def pieces(x, y, closed, interpolation, hollow):
         points = points[::-1]
     ends = np.vstack((points, points[:1])) if closed else points
     _require_comparable(ends)
-    rows = _straight(ends) if interpolation == 'linear' else _spline(ends, closed)
+    rows = straight(ends) if interpolation == 'linear' else _spline(ends, closed)
     _require_no_crossing(rows, closed, 1 if interpolation == 'linear' else FINENESS)
     return tuple(tuple(map(float, row)) for row in rows)
 
@@ -118,7 +118,7 @@ def _require_comparable(points):
                          f'[{far[0]:g}, {far[1]:g}] among them', path=('x',))
 
 
-def _straight(ends):
+def straight(ends):
     rows = np.zeros((len(ends) - 1, COLUMNS))
     rows[:, [0, 4]], rows[:, [1, 5]] = ends[:-1], np.diff(ends, axis=0)
     return rows

@@ -10,7 +10,7 @@ from .traced_effect import TracedEffect
 from ..mechanism.checks import name as name_check
 from ..mechanism.fields import at, FieldError, shown
 
-_of_users = set()
+of_users = set()
 
 
 def register(name, record_type):
@@ -36,7 +36,7 @@ def register(name, record_type):
         if not (isinstance(record_type, type) and issubclass(record_type, TracedEffect)
                 and is_dataclass(record_type)):
             raise FieldError('a dataclass derived from TracedEffect', shown(record_type))
-        if name in EFFECTS and name not in _of_users:
+        if name in EFFECTS and name not in of_users:
             raise FieldError('a name that no effect of the package has', shown(name))
-    _of_users.add(name)
+    of_users.add(name)
     EFFECTS[name] = record_type

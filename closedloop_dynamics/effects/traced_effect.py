@@ -39,7 +39,7 @@ MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
 # Numbers of an entry of the law's data.
 COLUMNS = 9
 # Addresses of what was compiled, by what it computes.
-_compiled = {}
+compiled = {}
 
 
 class Coordinate:
@@ -375,8 +375,8 @@ def _entry(machine, kind, *ends):
 def _address(law):
     """Return the address of a law's routine."""
     key = law.arithmetic
-    if key not in _compiled:
+    if key not in compiled:
         outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
-        _compiled[key] = machine_code(
+        compiled[key] = machine_code(
             ('law', key), lambda: [Routine('law', law.graph, outputs)], LAW)('law')
-    return _compiled[key]
+    return compiled[key]

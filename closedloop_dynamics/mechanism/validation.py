@@ -220,7 +220,7 @@ def checked(mechanism):
             raise FieldError('at least one entry', 'none', path=(key,))
     _check_names(mechanism)
     _check_references(mechanism)
-    _check_tree(mechanism)
+    check_tree(mechanism)
     _check_couplings(mechanism)
     if spatial:
         check_axes(mechanism)
@@ -399,7 +399,7 @@ def _check_couplings(mechanism):
                              path=('couplings', coupling.name, 'radius'))
 
 
-def _check_tree(mechanism):
+def check_tree(mechanism):
     """Refuse what is no tree on the ground: each body is the child of one joint."""
     carrier = {}
     for joint in mechanism.joints:

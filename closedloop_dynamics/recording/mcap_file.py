@@ -77,7 +77,7 @@ class McapFile:
     def __init__(self, path, compression, make_room):
         self.path = path
         self.counts, self.span = Counter(), (0, 0)
-        self._stream = _Stream(path, make_room)
+        self._stream = Stream(path, make_room)
         self._writer = Writer(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
         self._writer.start('ros2', 'closedloop_dynamics')
         self._stream.flush()
@@ -139,34 +139,34 @@ class McapFile:
             self._stream.close()
 
 
-class _Stream:
+class Stream:
     """Stream that ``mcap`` writes to: data between two flushes goes to the file as a whole."""
 
     def __init__(self, path, make_room):
         self._file = open(path, 'xb', buffering=0)
         self._make_room = make_room
-        self._end, self._buffer = 0, bytearray()
+        self._end, self.buffer = 0, bytearray()
         # The first error; whether there was no room even after room was made.
         self.failure, self.broken = None, False
 
     @property
     def waits(self):
-        return bool(self._buffer)
+        return bool(self.buffer)
 
     def write(self, data):
-        self._buffer += data
+        self.buffer += data
 
     def tell(self):
-        return self._end + len(self._buffer)
+        return self._end + len(self.buffer)
 
     def flush(self):
         try:
-            self._put()
+            self.put()
         except OSError as error:
             self.failure = self.failure or error
             self._make_room()
             try:
-                self._put()
+                self.put()
             except OSError:
                 self.broken = True
                 raise
@@ -174,9 +174,9 @@ class _Stream:
     def close(self):
         self._file.close()
 
-    def _put(self):
+    def put(self):
         """Write all that waits, or leave the file as it was."""
-        left = memoryview(self._buffer)
+        left = memoryview(self.buffer)
         try:
             while left:
                 left = left[self._file.write(left):]
@@ -184,8 +184,8 @@ class _Stream:
             os.ftruncate(self._file.fileno(), self._end)
             self._file.seek(self._end)
             raise
-        self._end += len(self._buffer)
-        self._buffer = bytearray()
+        self._end += len(self.buffer)
+        self.buffer = bytearray()
 
 
 def has_end(path):

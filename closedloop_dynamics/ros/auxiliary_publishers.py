@@ -89,15 +89,15 @@ class ReplayLog:
         changed = accuracy != self._accuracy and self._simulation.scene.method.by_budget
         if changed or not np.array_equal(torque, self._torque):
             if changed or self._simulation.time > self._time:
-                self._note(NO_STATE, NO_STATE)
+                self.write_row(NO_STATE, NO_STATE)
             self._torque[:] = torque
         self._accuracy = accuracy
 
     def follow(self, stamp):
         """Publish the entry of the present state."""
-        self._note(stamp.sec, stamp.nanosec)
+        self.write_row(stamp.sec, stamp.nanosec)
 
-    def _note(self, second, nanosecond):
+    def write_row(self, second, nanosecond):
         time = self._simulation.time
         if time < self._time:
             self._jumps += 1

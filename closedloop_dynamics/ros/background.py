@@ -54,7 +54,7 @@ class IdleStateInhibitor:
     def __init__(self):
         self._thread = os.getpid()
         self._cores = os.sched_getaffinity(self._thread)
-        self._process = None
+        self.process = None
 
     def keep(self, awake):
         """
@@ -63,14 +63,14 @@ class IdleStateInhibitor:
         Raises OSError if this system does not allow it.
 
         """
-        if awake and self._process is None:
+        if awake and self.process is None:
             core = ctypes.CDLL(None).sched_getcpu()
-            self._process = start_child(*COMMAND, str(core))
+            self.process = start_child(*COMMAND, str(core))
             os.sched_setaffinity(self._thread, {core})
-        elif not awake and self._process is not None:
-            self._process.kill()
-            self._process.wait()
-            self._process = None
+        elif not awake and self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
             os.sched_setaffinity(self._thread, self._cores)
 
 

@@ -106,7 +106,7 @@ class Diagnostics:
         simulation = self._live.simulation
         report = simulation.report()
         self.summary = accuracy_summary(report, simulation.energy_balance.residual)
-        self._send({
+        self.report({
             'time': self._time(standing),
             'method': self._method(report),
             'closure': closure_finding(report.closure),
@@ -121,11 +121,11 @@ class Diagnostics:
 
     def stall(self, reason):
         """Publish that a step takes long, and nothing that would disturb it."""
-        self._send({'time': Finding(WARN, reason)})
+        self.report({'time': Finding(WARN, reason)})
 
     def fail(self, reason):
         """Publish that the simulation has stopped, and why."""
-        self._send({'time': Finding(ERROR, f'stopped: {reason}')})
+        self.report({'time': Finding(ERROR, f'stopped: {reason}')})
 
     def _mark(self, counts):
         """Begin another period."""
@@ -173,7 +173,7 @@ class Diagnostics:
                                simulation.effect_readings(name).items()})
         return Finding(OK, ', '.join(enabled) or 'none', values)
 
-    def _send(self, findings):
+    def report(self, findings):
         send(self._publisher, self._name, self._live.stamps.message(),
              self._live.simulation.scene.name, findings)
 

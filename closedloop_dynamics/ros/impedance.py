@@ -59,14 +59,14 @@ class Impedance:
         self._place = np.array([*points[name].position, 0.0][:3])
         self._closures = geometry_of(self._mechanism).equations
         self._actuated = simulation.actuated
-        self._target = self._pose(simulation.position)
+        self.target = self.pose(simulation.position)
         self.tune(stiffness, damping, feedforward, limit)
 
     def tune(self, stiffness, damping, feedforward, limit):
         """Take other gains."""
-        self._stiffness, self._damping = np.zeros(6), np.zeros(6)
+        self.stiffness, self.damping = np.zeros(6), np.zeros(6)
         used = IN_PLANE if self._mechanism.planar else range(6)
-        self._stiffness[used], self._damping[used] = stiffness, damping
+        self.stiffness[used], self.damping[used] = stiffness, damping
         self._feedforward, self._limit = feedforward, limit
 
     def restart(self):
@@ -74,13 +74,13 @@ class Impedance:
 
     def torque(self, time, position, velocity):
         """Return the torques, shape (n,), for a state, shapes (nq,), (nv,)."""
-        place, turn, arm = self._pose(position)
+        place, turn, arm = self.pose(position)
         moving = body_velocities(
             self._mechanism, position, velocity[np.newaxis], (self._body,))[0, 0]
         moving[:3] += np.cross(moving[3:], arm)
-        away = np.concatenate([self._target[0] - place, _rotation_vector(
-            composed(self._target[1], turn * CONJUGATE))])
-        wrench = self._stiffness * away - self._damping * moving
+        away = np.concatenate([self.target[0] - place, _rotation_vector(
+            composed(self.target[1], turn * CONJUGATE))])
+        wrench = self.stiffness * away - self.damping * moving
         # Along the axes of the body.
         inward = turn * CONJUGATE
         in_tree = wrench_in_joints(
@@ -91,7 +91,7 @@ class Impedance:
         torque += self._simulation.inverse_dynamics(position, rest, rest)[0]
         return np.clip(torque, -self._limit, self._limit)
 
-    def _pose(self, position):
+    def pose(self, position):
         """Return the place of the point, how its body is turned, and the way to it from there."""
         pose = poses_in_space(body_poses(self._mechanism, position, (self._body,))[0])
         arm = rotated(pose[3:], self._place)

@@ -92,7 +92,7 @@ class JointStatesNode(Node):
             f'joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
         if not values['forces']:
             wrenches = []
-        self._states = StatePublisher(
+        self.states = StatePublisher(
             self, simulation.coordinates, wrenches, ['world'] * len(wrenches),
             simulation.mechanism.cut_coordinates, prefix='complete_')
         self._no_forces = np.zeros((0, 3 if simulation.mechanism.planar else 6))
@@ -176,7 +176,7 @@ class JointStatesNode(Node):
                 simulation.constraint_forces, simulation.joint_forces[self._moving]])
         cuts = (simulation.cut_position, simulation.cut_velocity,
                 np.zeros(len(simulation.cut_joint_names))) if simulation.cut_joint_names else ()
-        self._states.publish(stamp_of(message), completion.position, completion.velocity, effort,
+        self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,
                              forces, cuts)
 
     def _complain(self, kind, problem):

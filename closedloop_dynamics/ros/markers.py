@@ -78,7 +78,7 @@ class Markers:
         self._scale = values['marker_force_scale']
         self._simulation, self._mechanism = simulation, simulation.mechanism
         self._count = 0
-        self._next = -math.inf
+        self.next_due = -math.inf
         self._path = deque(maxlen=PATH_POINTS)
         self._peak = 0.0
         self._size = size = extent(self._mechanism)
@@ -88,7 +88,7 @@ class Markers:
         if self._point is not None and self._point not in names:
             raise StartError(f"parameter 'marker_point': expected one of the points of "
                              f"{self._mechanism.name} ({', '.join(names)}), got '{self._point}'")
-        self._links = link_markers(self._mechanism, size)
+        self.links = link_markers(self._mechanism, size)
         self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
         self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
         self._summary = summary
@@ -107,9 +107,9 @@ class Markers:
 
     def follow(self, stamp):
         """Publish the markers of the present state if it is time to, and if anybody wants them."""
-        if not self._publisher or (now := time.monotonic()) < self._next:
+        if not self._publisher or (now := time.monotonic()) < self.next_due:
             return
-        self._next = max(self._next + 1.0 / self._rate, now)
+        self.next_due = max(self.next_due + 1.0 / self._rate, now)
         if self._publisher.get_subscription_count():
             self._publisher.publish(self.array(stamp))
         else:
@@ -119,11 +119,11 @@ class Markers:
         """Return the markers of the present state, a MarkerArray."""
         poses = self._simulation.body_poses
         numbers = poses_in_space(poses).tolist()
-        for marker, body in self._links:
+        for marker, body in self.links:
             set_pose(marker.pose, numbers[body])
-        places = [self._cut_place(cut, poses) for cut in self._mechanism.cut_joints]
+        places = [self.cut_place(cut, poses) for cut in self._mechanism.cut_joints]
         self._cuts.points = [self._raised(place) for place in places]
-        markers = [marker for marker, _ in self._links] + [self._cuts] * bool(places)
+        markers = [marker for marker, _ in self.links] + [self._cuts] * bool(places)
         markers += self._forces(places)
         if self._point is not None:
             markers += self._trace()
@@ -137,7 +137,7 @@ class Markers:
         self._count = len(markers)
         return MarkerArray(markers=markers)
 
-    def _cut_place(self, cut, poses):
+    def cut_place(self, cut, poses):
         return world_points(pose_of(self._mechanism, poses, cut.body_a), cut.point_a).tolist()
 
     def _trace(self):

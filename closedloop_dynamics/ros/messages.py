@@ -57,8 +57,8 @@ class SerializedTemplate:
         rng = np.random.default_rng(1)
         marks = [rng.uniform(1e100, 1e101, size) for size in sizes]
         self._data = bytearray(serialize_message(build(*_MARK, *marks)))
-        self._stamps = self._places(_STAMP.pack(*_MARK))
-        places = [self._places(mark.tobytes()) for mark in marks if len(mark)]
+        self._stamps = self.positions_of(_STAMP.pack(*_MARK))
+        places = [self.positions_of(mark.tobytes()) for mark in marks if len(mark)]
         self.direct = bool(self._stamps) and all(len(found) == 1 for found in places)
         if self.direct:
             offsets = iter(place for place, in places)
@@ -67,7 +67,7 @@ class SerializedTemplate:
             # What was looked for is not to be published by mistake.
             self.filled(0, 0, *(np.full(size, np.nan) for size in sizes))
 
-    def _places(self, mark):
+    def positions_of(self, mark):
         """Return where a mark is among the bytes."""
         return [match.start() for match in re.finditer(re.escape(mark), self._data)]
 
@@ -203,16 +203,16 @@ class StatePublisher:
         if count:
             self._turned = SerializedTemplate(
                 self.multi_dof_joint_state, [7 * count, 6 * count, 6 * count])
-            self._turned_publisher = node.create_publisher(
+            self.orientation_publisher = node.create_publisher(
                 MultiDOFJointState, f'{prefix}multi_dof_joint_states', STATE_QOS)
-        self._messages = [
+        self.templates = [
             SerializedTemplate(partial(wrench_stamped, frame), (6,)) for frame in frames]
         # All wrenches as the messages have them: force, then torque.
         self._wrenches = np.zeros((len(wrenches), 6))
-        self._state_publisher = node.create_publisher(
+        self.state_publisher = node.create_publisher(
             JointState, f'{prefix}joint_states', STATE_QOS)
         try:
-            self._force_publishers = [
+            self.force_publishers = [
                 node.create_publisher(WrenchStamped, topic, STATE_QOS) for topic in wrenches]
         except InvalidTopicNameException:
             raise StartError(
@@ -266,26 +266,26 @@ class StatePublisher:
         self._wrenches[:, _COMPONENTS[wrenches.shape[1]]] = wrenches
         # The state last: who answers it knows the forces.
         for publisher, message, wrench in zip(
-                self._force_publishers, self._messages, self._wrenches):
+                self.force_publishers, self.templates, self._wrenches):
             publisher.publish(message.filled(sec, nanosec, wrench))
         for (publisher, message), efforts in zip(self._others, others):
             publisher.publish(message.filled(sec, nanosec, efforts))
         states = [(position, velocity, effort), cuts][:len(self._parts)]
         if self._turned is not None:
-            self._turned_publisher.publish(self._turned.filled(sec, nanosec, *map(
+            self.orientation_publisher.publish(self._turned.filled(sec, nanosec, *map(
                 np.concatenate, zip(*map(_turns, self._parts, states)))))
             states = list(map(_single, self._parts, states))
             self.published += 1
         position, velocity, effort = states[0] if len(states) == 1 else map(
             np.concatenate, zip(*states))
-        self._state_publisher.publish(
+        self.state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
-        self.published += 1 + len(self._force_publishers) + len(self._others)
+        self.published += 1 + len(self.force_publishers) + len(self._others)
 
     @property
     def subscribers(self):
         """Return how many subscribe to joint_states."""
-        return self._state_publisher.get_subscription_count()
+        return self.state_publisher.get_subscription_count()
 
     def is_received(self):
         """
@@ -296,9 +296,9 @@ class StatePublisher:
 
         """
         now = time.monotonic()
-        turned = () if self._turned is None else (self._turned_publisher,)
+        turned = () if self._turned is None else (self.orientation_publisher,)
         if all(publisher.wait_for_all_acked(PATIENCE)
-               for publisher in (self._state_publisher, *turned, *self._force_publishers,
+               for publisher in (self.state_publisher, *turned, *self.force_publishers,
                                  *(publisher for publisher, _ in self._others))):
             self._stuck_since = None
             return True

@@ -344,9 +344,9 @@ class CircularPath:
             raise PathError('the joints do not come back to where they began: the circle goes '
                             'round a singular configuration; choose a smaller one')
         chosen = _places(mechanism, joints)
-        self._harmonics = np.fft.rfft(np.array(table[1:-1])[:, chosen], axis=0) / POSITIONS
-        self._harmonics[1:] *= 2.0
-        self._orders = 1j * np.arange(len(self._harmonics))[:, np.newaxis]
+        self.harmonics = np.fft.rfft(np.array(table[1:-1])[:, chosen], axis=0) / POSITIONS
+        self.harmonics[1:] *= 2.0
+        self._orders = 1j * np.arange(len(self.harmonics))[:, np.newaxis]
 
     def at(self, time, start=None):
         """Return position and velocity at a time [s]; ``start`` is not looked at."""
@@ -360,12 +360,12 @@ class CircularPath:
 
     def place(self, turn):
         """Return positions at an angle travelled [rad]."""
-        return np.real(self._harmonics * np.exp(self._orders * turn)).sum(axis=0)
+        return np.real(self.harmonics * np.exp(self._orders * turn)).sum(axis=0)
 
     def _shape(self, time):
         """Return positions, their derivatives by the angle travelled, and its own by time."""
         turn, *rates = self._turn(max(0.0, time))
-        waves = self._harmonics * np.exp(self._orders * turn)
+        waves = self.harmonics * np.exp(self._orders * turn)
         return (np.real(waves).sum(axis=0), np.real(self._orders * waves).sum(axis=0),
                 np.real(self._orders ** 2 * waves).sum(axis=0), rates)
 

@@ -101,7 +101,7 @@ class SimulatorNode(Node):
         log_cost(
             self.simulation, values['real_time_factor'] if values['mode'] == REALTIME else 1.0,
             self.get_logger())
-        self._throttles = {key: Throttle() for key in (
+        self.throttles = {key: Throttle() for key in (
             'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
@@ -109,17 +109,17 @@ class SimulatorNode(Node):
         self.counts = {'states set': 0, 'states refused': 0}
         declare_fact(self, 'actuated_joints', self.simulation.actuated_joints,
                      'Order of the values of torque_command; told by the scene.')
-        self._effects = EffectParameters(self, self.simulation)
+        self.effect_parameters = EffectParameters(self, self.simulation)
         self._create_simulation()
         self._create_observers()
         self._create_inputs(lockstep)
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
-        self._awake = IdleStateInhibitor()
+        self.idle_states = IdleStateInhibitor()
         self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.
-        self._timer = self._due = None
+        self.timer = self._due = None
         # Where the process lets this node act: what it is to do beside ticks, and since when it
         # has been busy.
         self._beats, self._pending, self._busy_since = False, deque(), None
@@ -328,7 +328,7 @@ class SimulatorNode(Node):
             self.live.stamps.let_period_pass()
         dropped = self.pacer.dropped
         self._guarded(self.mode.tick)
-        if self.pacer.dropped > dropped and self._throttles['overload'].ready():
+        if self.pacer.dropped > dropped and self.throttles['overload'].ready():
             self.get_logger().warning(self.pacer.overload())
 
     def _guarded(self, action):
@@ -388,7 +388,7 @@ class SimulatorNode(Node):
         response.message = self.busy
         if response.message:
             return response
-        self._guarded(self._reset)
+        self._guarded(self.reset)
         response.success = self.exit_code is None
         response.message = (
             f"back at the start of '{self.simulation.scene.name}', time 0{self._but()}"
@@ -396,7 +396,7 @@ class SimulatorNode(Node):
         self.get_logger().info(f'reset: {response.message}')
         return response
 
-    def _reset(self):
+    def reset(self):
         self.mode.stop()
         self.simulation.reset()
         self.command.forget()
@@ -405,9 +405,9 @@ class SimulatorNode(Node):
         if self.running:
             self.mode.start()
         self._renew_timer()
-        self._jump()
+        self.jump()
 
-    def _jump(self):
+    def jump(self):
         self.mode.restart()
         self.live.jump()
 
@@ -469,7 +469,7 @@ class SimulatorNode(Node):
         for note in simulation.assembly_notes():
             self.warn('refused', f'set_state: {note}')
         self.counts['states set'] += 1
-        self._guarded(self._jump)
+        self._guarded(self.jump)
 
     def _but(self):
         return f'; {self.standing}' if self.standing else ''
@@ -540,23 +540,23 @@ class SimulatorNode(Node):
 
     def _renew_timer(self):
         """Tick as often as the mode wants now."""
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-        self._timer = self._due = None
+        if self.timer is not None:
+            self.destroy_timer(self.timer)
+        self.timer = self._due = None
         if self._beats and self.mode.name == REALTIME and self.running:
             self._due = time.monotonic() + self.mode.tick_period
         else:
             # A steady clock: neither a jump of the system's time nor a stopped
             # /clock may stop the simulation.
-            self._timer = self.create_timer(
+            self.timer = self.create_timer(
                 self.mode.tick_period, self._on_timer,
                 clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._attend_to_core()
 
     def _stop_ticking(self):
         self._due = None
-        if self._timer is not None:
-            self._timer.cancel()
+        if self.timer is not None:
+            self.timer.cancel()
 
     def take_over(self):
         """Let the process call ``act()`` when it is due, instead of a timer."""
@@ -588,14 +588,14 @@ class SimulatorNode(Node):
     def _attend_to_core(self):
         """Keep the core awake while that is wanted and time runs."""
         try:
-            self._awake.keep(self._values['keep_core_awake'] and self.running)
+            self.idle_states.keep(self._values['keep_core_awake'] and self.running)
         except OSError as error:
             self.get_logger().warning(f'keep_core_awake: not on this system ({error})')
 
     def close(self):
         """Say what was done."""
         self._stop_ticking()
-        self._awake.keep(False)
+        self.idle_states.keep(False)
         pacer, counts = self.pacer, self.command.counts
         if pacer.simulated > 0.0 and self.exit_code is None:
             for line in str(self.simulation.report()).splitlines():
@@ -617,7 +617,7 @@ class SimulatorNode(Node):
         ``'busy'``.
 
         """
-        throttle = self._throttles[kind]
+        throttle = self.throttles[kind]
         if throttle.ready():
             more = throttle.take_held_back()
             self.get_logger().warning(

@@ -111,9 +111,9 @@ class ComputedTorque:
 
     def __init__(self, simulation, controller, feedforward, limit):
         self._simulation = simulation
-        self._controller = controller
+        self.controller = controller
         self._feedforward = feedforward
-        self._limit = limit
+        self.torque_limit = limit
         self._actuated = simulation.actuated
         self._coordinates = simulation.coordinates
         self._torque = np.zeros(len(self._actuated))
@@ -122,14 +122,14 @@ class ComputedTorque:
     def tune(self, kp, kd, ki, feedforward, limit):
         """Take other gains."""
         none = np.zeros_like(limit)
-        self._controller.tune(kp, kd, ki, none, none + np.inf)
-        self._feedforward, self._limit = feedforward, limit
+        self.controller.tune(kp, kd, ki, none, none + np.inf)
+        self._feedforward, self.torque_limit = feedforward, limit
 
     def restart(self):
         """Let the next state be the first one."""
         self._last = None
         self._torque[:] = 0.0
-        self._controller.restart()
+        self.controller.restart()
 
     def follow(self, points, time, position, velocity):
         """
@@ -140,7 +140,7 @@ class ComputedTorque:
 
         """
         position = self._coordinates.by_freedom(position)
-        self._controller.follow(Trajectory(
+        self.controller.follow(Trajectory(
             points, time, position[self._actuated], velocity[self._actuated]), time)
 
     def torque(self, time, position, velocity):
@@ -153,12 +153,12 @@ class ComputedTorque:
         else:
             position = position + lead * velocity + 0.5 * lead ** 2 * acceleration
         velocity = velocity + lead * acceleration
-        wanted = self._controller.torque(
+        wanted = self.controller.torque(
             time + lead, self._coordinates.by_freedom(position)[self._actuated],
             velocity[self._actuated])
         torque = self._torque_for(wanted, position, velocity) + self._feedforward
         if np.isfinite(torque).all():
-            self._torque = np.clip(torque, -self._limit, self._limit)
+            self._torque = np.clip(torque, -self.torque_limit, self.torque_limit)
         return self._torque
 
     def _torque_for(self, wanted, position, velocity):

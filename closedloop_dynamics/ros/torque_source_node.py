@@ -147,29 +147,29 @@ class TorqueSourceNode(Node):
         watch_changes(self)
         self.published = 0
         self.joints = ()
-        self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
+        self.values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle()
-        self._expected = self._values['wait_for_subscribers']
+        self._expected = self.values['wait_for_subscribers']
         self._answered = None
         # The last command, when the state that it answers was, and the states skipped since.
         self._sent, self._sent_for, self._skipped = None, None, 0
         self._has_acted, self._points = False, None
         self._read_names = self._read_indices = None
-        self._timer = self._simulation = self._law = self._orientations = None
+        self._timer = self.simulation = self.law = self._orientations = None
         self.add_on_set_parameters_callback(self._check_change)
-        self.add_post_set_parameters_callback(self._change)
-        joints = tuple(name for name in self._values['joints'] if name)
-        if self._values['mode'] in MODEL_MODES:
-            self._simulation = self._load(joints)
+        self.add_post_set_parameters_callback(self.apply_parameters)
+        joints = tuple(name for name in self.values['joints'] if name)
+        if self.values['mode'] in MODEL_MODES:
+            self.simulation = self._load(joints)
             self._create_command(by_name=False)
-            self._begin(self._simulation.actuated_joints)
+            self._begin(self.simulation.actuated_joints)
         elif joints:
             self._create_command(by_name=True)
             self._begin(joints)
         else:
             self._check_without_joints()
             self._create_command(by_name=False)
-            self._question = JointQuestion(self, self._values['simulator'])
+            self._question = JointQuestion(self, self.values['simulator'])
             self._every(QUESTION_PERIOD, self._ask)
 
     def on_joint_states(self, message):
@@ -190,7 +190,7 @@ class TorqueSourceNode(Node):
         time_of_state = stamp_of(message) * 1e-9
         if self._is_on_its_way(time_of_state, message.effort):
             return
-        torque = self._law.torque(time_of_state, *state)
+        torque = self.law.torque(time_of_state, *state)
         self._publish(torque, message.header.stamp)
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
         if self._points is not None:
@@ -219,7 +219,7 @@ class TorqueSourceNode(Node):
             return True
         if not self._has_acted:
             # A machine that waits for its first command has not begun to move.
-            self._law.restart()
+            self.law.restart()
         return False
 
     def on_trajectory(self, message):
@@ -232,7 +232,7 @@ class TorqueSourceNode(Node):
     def _follow(self, *state):
         points, self._points = self._points, None
         try:
-            self._law.follow(points, *state)
+            self.law.follow(points, *state)
         except TrajectoryError as error:
             self.get_logger().warning(f'joint_trajectory refused: {error}')
             return
@@ -242,12 +242,12 @@ class TorqueSourceNode(Node):
     def _is_heard(self):
         """Return whether all that are to hear the commands do."""
         if self._expected:
-            count = self._publisher.get_subscription_count()
+            count = self.publisher.get_subscription_count()
             if count < self._expected:
                 if self._complaint.ready():
                     self.get_logger().info(
                         f'waiting for {self._expected} subscribers of '
-                        f"'{self._publisher.topic_name}', there are {count} "
+                        f"'{self.publisher.topic_name}', there are {count} "
                         '(wait_for_subscribers)')
                 return False
             # Once begun, it goes on whoever leaves.
@@ -273,7 +273,7 @@ class TorqueSourceNode(Node):
         if self._question.answer is None:
             if self._complaint.ready():
                 self.get_logger().info(
-                    f"waiting for node '{self._values['simulator']}' to tell its joints")
+                    f"waiting for node '{self.values['simulator']}' to tell its joints")
             return
         self._timer.cancel()
         try:
@@ -284,38 +284,38 @@ class TorqueSourceNode(Node):
 
     def _begin(self, joints):
         """Set up the law and send its torques from now on."""
-        self._law, self.joints = self._law_for(joints), joints
-        if isinstance(self._command, JointState):
-            self._command.name = list(joints)
-        if self._values['mode'] in FEEDBACK_MODES:
+        self.law, self.joints = self._law_for(joints), joints
+        if isinstance(self.command, JointState):
+            self.command.name = list(joints)
+        if self.values['mode'] in FEEDBACK_MODES:
             self._joints_read = joints
-            if self._simulation is not None:
-                coordinates = self._simulation.coordinates
+            if self.simulation is not None:
+                coordinates = self.simulation.coordinates
                 self._joints_read = tuple(coordinates.names[k] for k in coordinates.single)
                 if len(coordinates.balls):
-                    self._orientations = Orientations(self._simulation.mechanism)
+                    self._orientations = Orientations(self.simulation.mechanism)
                     self.create_subscription(
                         MultiDOFJointState, 'multi_dof_joint_states', self.on_orientations,
                         STATE_DEPTH)
             self.create_subscription(
                 JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
-            if self._values['mode'] == 'computed_torque':
+            if self.values['mode'] == 'computed_torque':
                 self.create_subscription(
                     JointTrajectory, 'joint_trajectory', self.on_trajectory, QUEUE_DEPTH)
         else:
             self._epoch = None
-            self._every(1.0 / self._values['rate'], self._on_timer)
-        self.get_logger().info(f"mode {self._values['mode']}, driving {', '.join(joints)}")
+            self._every(1.0 / self.values['rate'], self.on_timer)
+        self.get_logger().info(f"mode {self.values['mode']}, driving {', '.join(joints)}")
 
     def _load(self, joints):
         """Return the model of modes that have one."""
-        mode = self._values['mode']
-        if not self._values['scene']:
+        mode = self.values['mode']
+        if not self.values['scene']:
             raise StartError(f"mode '{mode}' needs parameter 'scene'")
         if joints:
             raise StartError(f"mode '{mode}' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        simulation = load_simulation(self._values, self.get_logger())[0]
+        simulation = load_simulation(self.values, self.get_logger())[0]
         driven = [cut.name for cut in simulation.cut_joints if cut.actuated]
         if driven:
             raise StartError(f"mode '{mode}' leads joints of the tree, and not "
@@ -325,21 +325,21 @@ class TorqueSourceNode(Node):
 
     def _create_command(self, by_name):
         if by_name:
-            self._command = JointState()
-            self._publisher = self.create_publisher(JointState, 'joint_command', QUEUE_DEPTH)
+            self.command = JointState()
+            self.publisher = self.create_publisher(JointState, 'joint_command', QUEUE_DEPTH)
         else:
-            self._command = Float64MultiArray()
-            self._publisher = self.create_publisher(
+            self.command = Float64MultiArray()
+            self.publisher = self.create_publisher(
                 Float64MultiArray, 'torque_command', QUEUE_DEPTH)
 
     def _law_for(self, joints):
-        if self._values['mode'] in FEEDBACK_MODES:
-            return closed_loop(self._values, joints, self._simulation)
-        return open_loop(self._values, joints)
+        if self.values['mode'] in FEEDBACK_MODES:
+            return closed_loop(self.values, joints, self.simulation)
+        return open_loop(self.values, joints)
 
     def _check_without_joints(self):
         """Refuse now what no number of joints can make right."""
-        self._law_for(self._any_joints(self._values))
+        self._law_for(self._any_joints(self.values))
 
     def _any_joints(self, values):
         """Return the joints, or as many as the values are for where they are not known yet."""
@@ -348,43 +348,43 @@ class TorqueSourceNode(Node):
 
     def _check_change(self, parameters):
         """Refuse values that do not fit the joints."""
-        values = {**self._values, **{one.name: one.value for one in parameters}}
+        values = {**self.values, **{one.name: one.value for one in parameters}}
         try:
-            if self._values['mode'] in FEEDBACK_MODES:
-                gains(values, self._any_joints(values), self._simulation)
+            if self.values['mode'] in FEEDBACK_MODES:
+                gains(values, self._any_joints(values), self.simulation)
             else:
                 open_loop(values, self._any_joints(values))
         except StartError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _change(self, parameters):
+    def apply_parameters(self, parameters):
         """Take other gains or torques."""
-        self._values.update((one.name, one.value) for one in parameters)
-        if self._law is None:
+        self.values.update((one.name, one.value) for one in parameters)
+        if self.law is None:
             return
-        if self._values['mode'] in FEEDBACK_MODES:
-            self._law.tune(*gains(self._values, self.joints, self._simulation))
+        if self.values['mode'] in FEEDBACK_MODES:
+            self.law.tune(*gains(self.values, self.joints, self.simulation))
         else:
-            self._law = open_loop(self._values, self.joints)
+            self.law = open_loop(self.values, self.joints)
 
-    def _on_timer(self):
+    def on_timer(self):
         if not self._is_heard():
             return
         now = time.monotonic()
         if self._epoch is None:
             self._epoch = now
-        self._publish(self._law(now - self._epoch))
+        self._publish(self.law(now - self._epoch))
 
     def _publish(self, torque, stamp=None):
         values = array('d', torque.tobytes())
-        if isinstance(self._command, JointState):
+        if isinstance(self.command, JointState):
             # An answer carries the stamp of the state that it answers.
-            self._command.header.stamp = stamp or self.get_clock().now().to_msg()
-            self._command.effort = values
+            self.command.header.stamp = stamp or self.get_clock().now().to_msg()
+            self.command.effort = values
         else:
-            self._command.data = values
-        self._publisher.publish(self._command)
+            self.command.data = values
+        self.publisher.publish(self.command)
         self.published += 1
 
     def _read(self, message):

@@ -106,7 +106,7 @@ class Assembler:
 
         """
         free = self._free(hold)
-        q, psi = self._closed(np.array(guess, dtype=float), free)
+        q, psi = self.solve_closure(np.array(guess, dtype=float), free)
         if not self._is_closed(psi):
             self._require_no_surplus(guess, hold)
             raise AssemblyError(self._open_loops(guess, psi, hold))
@@ -116,7 +116,7 @@ class Assembler:
             self._require_inertia(q)
         return q
 
-    def _closed(self, q, free):
+    def solve_closure(self, q, free):
         """Return the coordinates where Newton's method ended, and psi there."""
         psi, metric, start = self.closure(q), None, q
         if self._is_closed(psi):
@@ -315,7 +315,7 @@ class Assembler:
         size = np.where(self._coordinates.lengths, self.extent, 1.0)
         for _ in range(NEIGHBOURS):
             with suppress(AssemblyError):
-                near, psi = self._closed(
+                near, psi = self.solve_closure(
                     self._coordinates.moved(q, NEARBY * size * rng.uniform(-1.0, 1.0, self.nv)),
                     np.arange(self.nv))
                 if self._is_closed(psi):
@@ -550,7 +550,7 @@ class Assembler:
 
     def _require_no_surplus(self, guess, hold):
         """Refuse held joints that follow from those held before them."""
-        q, psi = self._closed(np.array(guess, dtype=float), np.arange(self.nv))
+        q, psi = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
         if len(hold) == 0 or not self._is_closed(psi):
             return
         jac, held, surplus = self.jacobian_of_largest_rank(q), [], []
@@ -594,7 +594,7 @@ class Assembler:
                   'points.')
         if len(hold) == 0:
             return nearer
-        q, psi = self._closed(np.array(guess, dtype=float), np.arange(self.nv))
+        q, psi = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
         if not self._is_closed(psi):
             return f'Nor can it with none held. {nearer}'
         nearest = ', '.join(

@@ -24,6 +24,7 @@ from .inverse_dynamics import InverseDynamics
 from .modeling import extent
 from .motions import DrivingConstraints, require_actuated
 from .names import Names
+from .loop_model import LoopModel
 from .redundancy import geometry_of
 from .scene_records import Method, Scene
 from .state import State
@@ -109,7 +110,7 @@ class Data(Names):
         # Where it was found last which rates are decided, and which ones are.
         self._decided: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
-        self._inverse = self._inverse_dynamics()
+        self.inverse = self._inverse_dynamics()
         self._set_probes()
 
     def _assemble_start(self) -> None:
@@ -272,6 +273,11 @@ class Data(Names):
 
         """
         return self._qd.copy()
+
+    @property
+    def loop_model(self) -> LoopModel:
+        """Return the choice of closure equations that the elimination works on."""
+        return self._geometry
 
     @property
     def integrated(self) -> np.ndarray:
@@ -478,7 +484,7 @@ class Data(Names):
             self._present.evaluate()
             self._fresh = True
 
-    def _exchange(self, model: t.Model) -> None:
+    def exchange(self, model: t.Model) -> None:
         """Evaluate with other closure equations, from the same state."""
         self._take(with_equations(self.system, model))
         self._fresh = False
@@ -489,7 +495,7 @@ class Data(Names):
         self._motions.look_up(system.model)
         self._effects.move(system)
         self._assembler = Assembler(self.mechanism, self._equations)
-        self._inverse = self._inverse_dynamics()
+        self.inverse = self._inverse_dynamics()
         self._set_probes()
 
     def joint_torques(self, torque: Optional[Numbers]) -> np.ndarray:
@@ -652,14 +658,14 @@ class Data(Names):
         """
         self._fresh = False
         self._effects.follow_time(self._table.states, self.time)
-        found = self._inverse.solve_given(position, velocity, acceleration)
+        found = self.inverse.solve_given(position, velocity, acceleration)
         if found is not None:
             return found
         nv = len(self.joint_names)
         q = self._taken(position)
         qd, qdd = (vector(name, values, nv) for name, values in (
             ('velocity', velocity), ('acceleration', acceleration)))
-        return self._inverse.solve(q, qd, qdd)
+        return self.inverse.solve(q, qd, qdd)
 
     def tree_torque(self, position: np.ndarray, velocity: np.ndarray,
                     acceleration: np.ndarray) -> np.ndarray:
@@ -683,7 +689,7 @@ class Data(Names):
         """
         self._fresh = False
         self._effects.follow_time(self._table.states, self.time)
-        return self._inverse.needed(position, velocity, acceleration)
+        return self.inverse.needed(position, velocity, acceleration)
 
 
 def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:

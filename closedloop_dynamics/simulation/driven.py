@@ -128,7 +128,7 @@ class DrivenKinematics:
 
     def __init__(self, mechanism, position):
         """Choose the equations to solve."""
-        self._mechanism, self._coordinates = mechanism, mechanism.coordinates
+        self._mechanism, self.coordinates = mechanism, mechanism.coordinates
         self._geometry = geometry_of(mechanism)
         self._equations, self._size = self._geometry.equations, extent(mechanism)
         # Of all equations.
@@ -138,7 +138,7 @@ class DrivenKinematics:
         self._drives = np.array(
             [numbers.index(number) for number in range(len(numbers) - count, len(numbers))],
             dtype=np.int64)
-        self._unit = np.where(self._coordinates.lengths, self._size, 1.0)
+        self._unit = np.where(self.coordinates.lengths, self._size, 1.0)
         self._manifold = manifold_of(self._model)
         self.position = np.array(position, dtype=float)
         self.values = self.values_at(self.position)
@@ -358,7 +358,7 @@ class DrivenKinematics:
             return BranchEnd(values, self.position.copy(), UNCLEAR, (
                 f'{where} is no singular position, but no position that closes the loops was '
                 'found next to it.'))
-        names = moving_joints(self._coordinates, motion)
+        names = moving_joints(self.coordinates, motion)
         share = np.abs(left[len(loops):]).max()
         if share < DRIVEN:
             return BranchEnd(values, self.position.copy(), CHANGE_POINT, (
@@ -382,7 +382,7 @@ class DrivenKinematics:
         """Return a driven value with its unit."""
         if motion.point is not None:
             return f'{value:.9g} m'
-        for coordinates in (self._coordinates, self._mechanism.cut_coordinates):
+        for coordinates in (self.coordinates, self._mechanism.cut_coordinates):
             if motion.freedom in coordinates.names:
                 if coordinates.lengths[coordinates.names.index(motion.freedom)]:
                     return f'{value:.9g} m'

@@ -134,7 +134,7 @@ class Loops:
             [m].
 
         """
-        return self._move(q)[:2]
+        return self.kinematics(q)[:2]
 
     def unwound(self, q, start):
         """Return the same position with angles within half a turn of those of a start."""
@@ -147,7 +147,7 @@ class Loops:
                     q[at] -= 2.0 * np.pi * np.round((q[at] - start[at]) / (2.0 * np.pi))
         return q
 
-    def _move(self, q):
+    def kinematics(self, q):
         """Return frames and origins of the bodies, and the axes of all rates."""
         frames, origins = {GROUND: _UNIT}, {GROUND: np.zeros(3)}
         spins, arms, slides = (np.zeros((self.nv, 3)) for _ in range(3))
@@ -212,7 +212,7 @@ class Loops:
             How many of the numbers each cut joint has, then each coupling; limits follow.
 
         """
-        frames, origins, spins, moments = self._move(q)
+        frames, origins, spins, moments = self.kinematics(q)
         size = size or self.size
         scale = np.where(self.coordinates.lengths, size, 1.0)
         values, rows, counts = [], [], []
@@ -306,7 +306,7 @@ class Loops:
 
     def metric(self, q):
         """Return the inertia of the tree, shape (nv, nv), in units of its largest entry."""
-        frames, origins, spins, moments = self._move(q)
+        frames, origins, spins, moments = self.kinematics(q)
         inertia = np.zeros((self.nv, self.nv))
         for body in self.mechanism.bodies:
             if body.massless:

@@ -245,8 +245,8 @@ class LoopModel:
         if kept.tobytes() in self._tried:
             return None
         if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
-                _distinct(jac, self.equations.groups, kept)
-                > better * _distinct(jac, self.equations.groups, present)):
+                distinctness(jac, self.equations.groups, kept)
+                > better * distinctness(jac, self.equations.groups, present)):
             return None
         return self.keep(kept)
 
@@ -317,6 +317,6 @@ def independent(jac, groups):
     return kept, 0.0
 
 
-def _distinct(jac, groups, kept):
+def distinctness(jac, groups, kept):
     """Return the smallest singular value of some equations, scaled."""
     return np.linalg.svd(scaled(jac, groups)[kept], compute_uv=False).min(initial=1.0)

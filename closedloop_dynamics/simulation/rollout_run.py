@@ -167,7 +167,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
         return done
     if at_start:
         simulation.reset()
-    return _stepped(simulation, all_torques(simulation, torques), schedule,
+    return run_stepwise(simulation, all_torques(simulation, torques), schedule,
                     schedule.steps(simulation.step_size), quantities)
 
 
@@ -325,7 +325,7 @@ def _efforts(simulation, buffer, tau, schedule):
     return efforts
 
 
-def _stepped(simulation, tau, schedule, steps, quantities):
+def run_stepwise(simulation, tau, schedule, steps, quantities):
     """Return the record of a run made step by step."""
     values = nothing(quantities, simulation.mechanism, schedule.instants)
     failure = None

@@ -585,7 +585,7 @@ class Simulation(Readings):
             native.bind(name, engine, run)
             for name in ('advance_run', 'resume_run', 'look_at_energy'))
 
-    def _choose_equations(self, status: int) -> bool:
+    def choose_equations(self, status: int) -> bool:
         """
         Choose the equations that the elimination works on anew, after a step that failed.
 
@@ -615,7 +615,7 @@ class Simulation(Readings):
                 return True
             # What is left out may be what holds it together.
             model = self._geometry.keep(None)
-        self._exchange(model)
+        self.exchange(model)
         return True
 
     def leave_out_again(self) -> bool:
@@ -633,12 +633,12 @@ class Simulation(Readings):
         model = self._geometry.choose(self._q)
         if not self.leaves_out:
             return False
-        self._exchange(model)
+        self.exchange(model)
         return True
 
-    def _exchange(self, model: t.Model) -> None:
+    def exchange(self, model: t.Model) -> None:
         """Let the method and the guards work on other closure equations, too."""
-        super()._exchange(model)
+        super().exchange(model)
         self._driver.take(self.system)
         self._stiffness.move(self.system)
         self._set_run()
@@ -682,7 +682,7 @@ class Simulation(Readings):
                     # Another thread was.
                     raise KeyboardInterrupt
                 if status is not None:
-                    if not self._choose_equations(status):
+                    if not self.choose_equations(status):
                         break
                     driver.go_on()
                 status, elapsed = driver.advance(self._state, *grid, size, portion)
@@ -787,7 +787,7 @@ class Simulation(Readings):
     def reset(self) -> None:
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
-            self._exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
+            self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
                            else self._geometry.keep(None))
         self.exchanges = 0
         self._set_time(0.0, 0)
@@ -833,7 +833,7 @@ class Simulation(Readings):
 
         """
         if self.leaves_out and not self._geometry.serves(state.q):
-            self._exchange(self._geometry.choose(state.q))
+            self.exchange(self._geometry.choose(state.q))
         whole = self._state.copy()
         for part, values in zip(self._parts, (state.q, state.qd, state.own)):
             whole[part] = values
@@ -976,7 +976,7 @@ class Simulation(Readings):
         """
         state = self._near(position, velocity, hold)
         if self.leaves_out and not self._geometry.serves(state[0]):
-            self._exchange(self._geometry.choose(state[0]))
+            self.exchange(self._geometry.choose(state[0]))
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(state[0])
         self._require_step_from(*state)
@@ -1195,7 +1195,7 @@ class Simulation(Readings):
         self._set_run()
         self._effects.follow_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):
-            self._exchange(self._geometry.keep(None))
+            self.exchange(self._geometry.keep(None))
         self._driver.restart()
         self._jump()
         if len(anew):

@@ -52,9 +52,9 @@ class RateControl:
         """Build the model."""
         effects = {name: effect for name, effect in scene.effects.items()
                    if effect.drive() is None}
-        self._model = Simulation(_only(scene, effects))
+        self._model = Simulation(scene_with(scene, effects))
         # At rest dry friction would hold what the torques are to move.
-        self._smooth = Simulation(_only(scene, (
+        self._smooth = Simulation(scene_with(scene, (
             name for name, effect in effects.items() if not effect.ENDS_STEPS)))
         names = self._model.actuated_joints
         if set(rates) != set(names):
@@ -310,7 +310,7 @@ def _row(simulation):
         {point.name: simulation.point(point.name) for point in simulation.mechanism.points})
 
 
-def _only(scene, names):
+def scene_with(scene, names):
     """Return the scene with these of its effects."""
     names = tuple(names)
     return replace(scene, effects={name: scene.effects[name] for name in names},
@@ -324,7 +324,7 @@ def _forces(simulation):
 
 def _without(scene, names):
     """Return the scene without some of its effects."""
-    return _only(scene, (name for name in scene.effects if name not in names))
+    return scene_with(scene, (name for name in scene.effects if name not in names))
 
 
 def _times(scene, types, whole):

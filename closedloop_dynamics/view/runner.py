@@ -140,26 +140,26 @@ class Runner:
         self.simulation = simulation = Simulation(self._hand.scene)
         self._clock, self.playing, self._kinematic = clock, False, False
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
-        self._failure, self._holder, self._grabbed = None, None, None
-        self._start, self._unsampled = None, 0
+        self._failure, self.holder, self._grabbed = None, None, None
+        self.start_pose, self._unsampled = None, 0
         self._achieved, self._paced = None, (0.0, 0.0)
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
                         for place in simulation.actuated_in_tree.tolist()}
         lengths = simulation.coordinates.lengths
-        self._drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
+        self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
                         for name, inertia in self._inertias().items()}
-        self._columns = SimulationRows(
+        self.rows = SimulationRows(
             simulation, [self._hand.spring], len(scene.mechanism.points))
         self.described = describe(
-            scene.mechanism, self._columns.columns, scene.effects, mode='live',
+            scene.mechanism, self.rows.columns, scene.effects, mode='live',
             title=scene.name,
             drives=[described_drive(scene.mechanism, name, simulation.position,
                                     self._reach(name, place), MODES)
                     for name, place in self._places.items()],
             hand=True, poses=True, gravity=self._hand.gravity, **CHOICES)
         self.feed = Feed(self.described)
-        self._before = self._now = (0.0, self._columns.row())
+        self._before = self._now = (0.0, self.rows.row())
         self._looked, self._findings, self._changed = clock(), (), True
         self._tell()
         self.feed.show(*self._now)
@@ -179,7 +179,7 @@ class Runner:
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
         slides = bool(self.simulation.coordinates.lengths[place])
-        return round_up(REACH[slides] * self._drives[name].inertia)
+        return round_up(REACH[slides] * self.drives[name].inertia)
 
     def _positions(self):
         """Return the number of each freedom, shape (nv,)."""
@@ -191,7 +191,7 @@ class Runner:
         tau = simulation.joint_torques(None)
         position, velocity = self._positions(), simulation.velocity
         for name, place in self._places.items():
-            tau[place] = self._drives[name].torque(
+            tau[place] = self.drives[name].torque(
                 simulation.time, position[place], velocity[place])
         return tau
 
@@ -200,7 +200,7 @@ class Runner:
         simulation = self.simulation
         every = most = max(1, math.ceil(
             self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
-        if any(drive.mode != TORQUE for drive in self._drives.values()):
+        if any(drive.mode != TORQUE for drive in self.drives.values()):
             most = min(most, max(1, round(DRIVE_PERIOD / simulation.step_size)))
         while steps > 0:
             portion = min(steps, most)
@@ -210,13 +210,13 @@ class Runner:
                     simulation.advance(self._torques(), portion - 1)
                     portion = 1
                     steps = 1
-                self._before = simulation.time, self._columns.row()
+                self._before = simulation.time, self.rows.row()
             simulation.advance(self._torques(), portion)
             steps -= portion
             self._unsampled += portion
             if self._unsampled >= every and not self._slow:
                 self._unsampled = 0
-                self.feed.sample(simulation.time, self._columns.sample())
+                self.feed.sample(simulation.time, self.rows.sample())
 
     @property
     def _slow(self):
@@ -249,9 +249,9 @@ class Runner:
         now = self._clock()
         if now - self._looked > LOOK_PERIOD or not self.playing:
             self._looked = now
-            self._findings = self._columns.look().findings
+            self._findings = self.rows.look().findings
             self._achieved = self._real_time_share()
-        time_now, row = self.simulation.time, self._columns.row()
+        time_now, row = self.simulation.time, self.rows.row()
         if self.playing and self._slow:
             begin, before = self._before
             share = self._pacer.portion_of_step
@@ -296,7 +296,7 @@ class Runner:
                 simulation.coordinates.told('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
             drives=drives_told({name: (drive.mode, drive.value)
-                                for name, drive in self._drives.items()}),
+                                for name, drive in self.drives.items()}),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
             effects=effects_told(
@@ -328,7 +328,7 @@ class Runner:
         if not self.playing:
             self._failure = None
             self.playing = True
-            self._before = self.simulation.time, self._columns.row()
+            self._before = self.simulation.time, self.rows.row()
             self._pacer.start()
 
     def _do_pause(self, page):
@@ -342,13 +342,13 @@ class Runner:
     def _do_reset(self, page):
         self._stop()
         self._failure = None
-        for drive in self._drives.values():
+        for drive in self.drives.values():
             drive.set(TORQUE, 0.0, 0.0, 0.0)
 
         def reset():
             self.simulation.reset()
-            if self._start is not None:
-                self.simulation.set_state(self._start)
+            if self.start_pose is not None:
+                self.simulation.set_state(self.start_pose)
 
         self._guarded(reset)
         self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
@@ -357,10 +357,10 @@ class Runner:
     def _do_speed(self, page, factor):
         self._pacer.real_time_factor = self.simulation.pace = factor
         # In slow motion frames lie between these two.
-        self._before = self.simulation.time, self._columns.row()
+        self._before = self.simulation.time, self.rows.row()
 
     def _do_drive(self, page, joint, mode):
-        drive = drive_of(self._drives, joint)
+        drive = drive_of(self.drives, joint)
         if drive.mode != mode:
             require_one_number(self.simulation.coordinates, joint, mode)
             time, position = self._now_at(joint)
@@ -368,7 +368,7 @@ class Runner:
                 mode, f'{position:.9g}'), time, position)
 
     def _do_command(self, page, joint, value):
-        drive = drive_of(self._drives, joint)
+        drive = drive_of(self.drives, joint)
         drive.set(drive.mode, value, *self._now_at(joint))
 
     def _now_at(self, joint):
@@ -410,14 +410,14 @@ class Runner:
     def _do_grab(self, page, body, place, at):
         self._hand.require_near(at)
         name = self._hand.point(body, place)
-        self._holder, self._grabbed = page, [body, place]
+        self.holder, self._grabbed = page, [body, place]
         if self._kinematic:
             self._pose_to(at)
         else:
             self._pull(at, enabled=True, point_a=name)
 
     def _do_pull(self, page, at):
-        if self._holder is not page:
+        if self.holder is not page:
             return
         self._hand.require_near(at)
         if self._kinematic:
@@ -430,8 +430,8 @@ class Runner:
             self._hand.spring, enabled, anchor=tuple(at[:self._hand.dimensions]), **more)
 
     def _do_release(self, page):
-        if self._holder is page:
-            self._holder = self._grabbed = None
+        if self.holder is page:
+            self.holder = self._grabbed = None
             if self._hand.spring in self.simulation.enabled_effects:
                 self.simulation.set_effect(self._hand.spring, False)
 
@@ -439,20 +439,20 @@ class Runner:
 
     def _do_kinematic(self, page, on):
         self._stop()
-        if self._holder is not None:
-            self._do_release(self._holder)
+        if self.holder is not None:
+            self._do_release(self.holder)
         if on:
             self._failure = None
             self.simulation.set_state(self.simulation.position)
         elif self._kinematic:
             # What was posed is the start from now on.
-            self._start = self.simulation.position
+            self.start_pose = self.simulation.position
             self._do_reset(page)
         self._kinematic = on
 
     def _do_pose(self, page, joint, value):
         require_kinematic(self._kinematic)
-        drive_of(self._drives, joint)
+        drive_of(self.drives, joint)
         joint_to(self.simulation, joint, value)
 
     def _pose_to(self, at):

@@ -74,8 +74,8 @@ class Server:
         self._started, self._error = threading.Event(), None
         self._loop, self._over = None, None
         self._wanted_port, self.port = port, None
-        self._thread = threading.Thread(target=self._run, name='view_server', daemon=True)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name='view_server', daemon=True)
+        self.thread.start()
         self._started.wait()
         if self._error is not None:
             raise self._error
@@ -87,7 +87,7 @@ class Server:
         with suppress(RuntimeError):
             # The loop may be over already.
             self._loop.call_soon_threadsafe(self._over.set)
-        self._thread.join(2.0 * PATIENCE)
+        self.thread.join(2.0 * PATIENCE)
 
     def _run(self):
         asyncio.run(self._serve())

@@ -155,7 +155,7 @@ class Animation:
         height = np.clip(6.5 * (high - low) / (right - left), 2.0, 7.0)
         # An even number of pixels, as video wants.
         figure.set_size_inches(8.0, round(2.6 + height, 1))
-        self._plot_forces(below, motion, forces, largest)
+        self.plot_forces(below, motion, forces, largest)
         figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
         figure.legend(
             handles=artist.legend_handles(
@@ -232,7 +232,7 @@ class Animation:
             self._changes.append(
                 (arrow.set_visible, length > ARROW['shrinkA'] * FRAME_DOTS_PER_INCH / 72.0))
 
-    def _plot_forces(self, axes, motion, magnitudes, largest):
+    def plot_forces(self, axes, motion, magnitudes, largest):
         for k, cut in enumerate(motion.mechanism.cut_joints):
             axes.plot(motion.time, magnitudes[:, k], linewidth=1.2,
                       color=COLORS[k % len(COLORS)], label=cut.name)

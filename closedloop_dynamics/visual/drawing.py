@@ -166,14 +166,14 @@ class MechanismArtist:
 
     def places(self, part):
         """Return where a part is seen in each pose, shape (n, m, 2) [m]."""
-        return self.view.project(self._world(part))
+        return self.view.project(self.world(part))
 
     def layers(self, part):
         """Return in which layer a part lies in each pose, shape (n,): the nearer, the higher."""
-        nearness = self.view.nearness(self._world(part)).mean(axis=1)
+        nearness = self.view.nearness(self.world(part)).mean(axis=1)
         return part.layer + DEPTH_LAYERS * (0.5 + np.arctan(4.0 * nearness / self.extent) / np.pi)
 
-    def _world(self, part):
+    def world(self, part):
         places = [world_points(pose_of(self.mechanism, self.poses, body), points)
                   for body, points in part.points]
         size = 2 if self.mechanism.planar else 3

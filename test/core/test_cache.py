@@ -25,9 +25,9 @@ def package(tmp_path, monkeypatch):
     ('core/kernel.py', True), ('core/codegen/routine.py', True), ('effects/law.py', False),
     ('integration/step.py', False), ('cli/command.py', False)])
 def test_edits_of_what_generates_code_lead_to_another_directory(package, name, depends):
-    before = cache._sources()
+    before = cache.sources_digest()
     (package / name).write_text('VALUE = 2\n')
-    assert (cache._sources() != before) == depends
+    assert (cache.sources_digest() != before) == depends
 
 
 def test_code_that_nobody_used_for_long_is_removed(tmp_path):
@@ -35,7 +35,7 @@ def test_code_that_nobody_used_for_long_is_removed(tmp_path):
         (tmp_path / name).mkdir()
         (tmp_path / name / 'routines').write_text('code')
         os.utime(tmp_path / name, 2 * (time.time() - age,))
-    cache._remove_unused(tmp_path)
+    cache.remove_unused(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ['new']
 
 

@@ -233,7 +233,7 @@ def test_inverse_dynamics_sees_the_effects(case):
     simulation = simulated(mechanism, effects, q, qd)
     # What the drive does to a command is not the mechanism's.
     simulation.set_effect('motor', enabled=False)
-    moving = simulation._state
+    moving = simulation.integrated
     table = simulation.system.effects
     row, = np.flatnonzero(table.index[:, LOADED])
     state = table.index[row, 0]

@@ -169,11 +169,11 @@ def test_expressions_have_their_values(text, function):
 def test_a_change_of_parameters_compiles_nothing():
     law = Law({'x': '-k*x - c*v'}, parameters={'k': 10.0, 'c': 0.0}, **X)
     one = simulated(block(), {'it': law}, [0.5])
-    known = len(traced_effect._compiled)
+    known = len(traced_effect.compiled)
     for stiffness in (20.0, 0.0, 1.0):
         one.set_effect('it', parameters={'k': stiffness, 'c': 0.5})
         assert one.acceleration[0] == pytest.approx(-0.5 * stiffness)
-    assert len(traced_effect._compiled) == known
+    assert len(traced_effect.compiled) == known
     with pytest.raises(FieldError, match='effects.it'):
         one.set_effect('it', parameters={'k': 1.0})
     with pytest.raises(FieldError, match='effects.it.parameters.k'):

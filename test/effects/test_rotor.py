@@ -39,8 +39,7 @@ def test_rotors_add_to_the_diagonal_of_the_inertia(case):
     bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
     qdd, lam = simulation.forward_dynamics(q, qd)
     # Without rotors it moves the same way if their torques are taken from its joints.
-    jac = bare._assembler.jacobian(q)
-    gim = bare._assembler.inertia(q)
+    jac, gim = bare.constraint_jacobian, bare.inertia
     free, bare_lam = bare.forward_dynamics(q, qd)
     left = gim @ (qdd - free) + 4.0 * inertia * qdd - jac.T @ (lam - bare_lam)
     scale = np.abs(gim @ qdd).max() + np.abs(jac.T @ lam).max()
@@ -67,7 +66,7 @@ def test_rotors_in_every_freedom_add_to_the_diagonal_of_the_inertia():
     simulation = simulated(mechanism, effects, q, qd, integrator='dop853', tolerance=1e-11)
     bare = simulated(mechanism, {'gravity': effects['gravity']}, q, qd)
     qdd, free = (one.acceleration for one in (simulation, bare))
-    gim = bare._assembler.inertia(bare.position)
+    gim = bare.inertia
     np.testing.assert_allclose(gim @ (qdd - free), -inertia * qdd, rtol=0.0,
                                atol=1e-12 * np.abs(gim @ qdd).max())
     simulation.step(duration=0.3)

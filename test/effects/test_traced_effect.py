@@ -112,12 +112,12 @@ def test_a_stop_of_a_user_is_that_of_the_package(machine):
 
 def test_parameters_change_without_compiling_and_in_rollouts():
     one = simulated(block(), {'it': Stop('slide')}, [-0.1])
-    known = len(traced_effect._compiled)
+    known = len(traced_effect.compiled)
     one.set_effect('it', stiffness=50.0)
     assert one.acceleration[0] == pytest.approx(5.0)
     found = one.rollout(steps=100, every=100, parameters={
         'effects.it.stiffness': [10.0, 50.0, 300.0]})
-    assert len(traced_effect._compiled) == known
+    assert len(traced_effect.compiled) == known
     for k, stiffness in enumerate((10.0, 50.0, 300.0)):
         alone = simulated(block(), {'it': Stop('slide', stiffness)}, [-0.1])
         alone.step(duration=100 * alone.step_size)
@@ -179,7 +179,7 @@ def files(tmp_path):
     (tmp_path / 'soft.py').write_text(STOP)
     yield tmp_path / 'scene.yaml', tmp_path / 'soft.py'
     for name in set(registry.EFFECTS) - set(known):
-        registration._of_users.remove(name)
+        registration.of_users.remove(name)
         del registry.EFFECTS[name]
 
 

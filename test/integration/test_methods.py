@@ -76,7 +76,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for raster in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=raster)
-        counts.append(simulation._driver.driver.control[ACCEPTED])
+        counts.append(simulation.monitor.driver.control[ACCEPTED])
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 

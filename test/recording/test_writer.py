@@ -204,15 +204,15 @@ def test_what_fits_into_a_limited_file_is_readable(tmp_path, storage, compressio
 
 def test_a_full_disk_has_room_for_the_end_of_the_bag(tmp_path, monkeypatch):
     """What was kept free takes the last chunk and the index: every reader opens the bag."""
-    put = mcap_file._Stream._put
+    put = mcap_file.Stream.put
 
     def put_on_small_disk(stream):
         used = sum(path.stat().st_size for path in (tmp_path / 'bag').iterdir())
-        if used + len(stream._buffer) > RESERVE + 400_000:
+        if used + len(stream.buffer) > RESERVE + 400_000:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         put(stream)
 
-    monkeypatch.setattr(mcap_file._Stream, '_put', put_on_small_disk)
+    monkeypatch.setattr(mcap_file.Stream, 'put', put_on_small_disk)
     files = BagFiles(tmp_path / 'bag', 'mcap')
     channel = add(files, '/numbers', VALUES)
     with pytest.raises(OSError, match='No space'):

@@ -33,7 +33,7 @@ def simulator(make_node):
     """Return a function that creates a simulator whose timer does not tick by itself."""
     def make(**parameters):
         node = make_node(SimulatorNode, wait_for_command=True, **parameters)
-        node._timer.cancel()
+        node.timer.cancel()
         return node
 
     return make
@@ -187,7 +187,7 @@ def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkey
     drawn = []
     array = markers.array
     monkeypatch.setattr(markers, 'array', lambda *of: drawn.append(1) or array(*of))
-    markers._next = 0.0
+    markers.next_due = 0.0
     node.live.publish()
     assert not drawn
     pictures = collect(listener, 'visualization_marker_array', MarkerArray)

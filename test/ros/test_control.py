@@ -303,7 +303,7 @@ def test_what_the_integrator_knows_nothing_of_is_refused_at_the_start(build, key
 def test_the_log_tells_of_changes_of_the_accuracy(build, monkeypatch):
     node = build(budget=0.5)
     noted = []
-    monkeypatch.setattr(node.log, '_note', lambda *stamp: noted.append(
+    monkeypatch.setattr(node.log, 'write_row', lambda *stamp: noted.append(
         (node.simulation.time, node.simulation.accuracy)))
     advance(node, 0.05, ticks=5)
     del noted[:]
@@ -375,7 +375,7 @@ def test_stamps_never_go_back_while_the_clock_does_not(build):
     # A state that was set from outside is told in between, when the tick was due already.
     advance(node, 0.005)
     node.clock.now += 0.007
-    node._jump()
+    node.jump()
     node.tick()
     assert np.all(np.diff(node.stamps_seen) > 0)
 
@@ -390,8 +390,8 @@ def test_stamps_of_a_clock_that_others_publish_are_its_own(build):
 def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
     free = os.sched_getaffinity(0)
     node = build()
-    awake = node._awake
-    assert awake._process is None
+    awake = node.idle_states
+    assert awake.process is None
     for ask, kept in (
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True),
             (lambda: pause(node), False), (lambda: pause(node, False), True),
@@ -399,11 +399,11 @@ def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=False)]), False),
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True)):
         ask()
-        assert (awake._process is not None) == kept
+        assert (awake.process is not None) == kept
         # On one core, together.
         assert os.sched_getaffinity(0) <= free
         assert (len(os.sched_getaffinity(0)) == 1) == kept or len(free) == 1
-    process = awake._process
+    process = awake.process
     deadline = time.monotonic() + 240.0
     while os.sched_getscheduler(process.pid) != os.SCHED_IDLE or (
             os.sched_getaffinity(process.pid) != os.sched_getaffinity(0)):
@@ -441,7 +441,7 @@ def test_ticks_that_the_process_makes_itself_come_on_a_grid(build, monkeypatch):
     monkeypatch.setattr('closedloop_dynamics.ros.simulator_node.time.monotonic', steady)
     assert node.due() is None
     node.take_over()
-    assert node._timer is None
+    assert node.timer is None
     begin, ticks = steady.now, []
     monkeypatch.setattr(node, 'tick', lambda: ticks.append(node.due()))
     for late in (0.0, 0.004, 0.0, 0.035, 0.0):
@@ -452,16 +452,19 @@ def test_ticks_that_the_process_makes_itself_come_on_a_grid(build, monkeypatch):
     # While time stands still a timer does.
     pause(node)
     assert node.due() is None
-    assert node._timer is not None
+    assert node.timer is not None
     pause(node, False)
     assert node.due() == pytest.approx(steady.now + 0.01)
 
 
 def test_system_that_does_not_let_a_core_be_kept_awake_is_told(build, monkeypatch):
+    def refuse(awake):
+        raise OSError('no')
+
     node = build()
     said = []
     monkeypatch.setattr(node, 'get_logger', lambda: type('', (), {'warning': said.append}))
-    monkeypatch.setattr(node._awake, 'keep', lambda awake: (_ for _ in ()).throw(OSError('no')))
+    monkeypatch.setattr(node.idle_states, 'keep', refuse)
     assert node.set_parameters([Parameter('keep_core_awake', value=True)])[0].successful
     assert said == ['keep_core_awake: not on this system (no)']
 

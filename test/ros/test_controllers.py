@@ -50,7 +50,7 @@ def misses(mechanism, position, center):
 
 def center_of(name):
     law, simulation = law_of(name)
-    return law._controller.reference.center, simulation.mechanism
+    return law.controller.reference.center, simulation.mechanism
 
 
 # What doc/look.md states.

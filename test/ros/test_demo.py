@@ -250,7 +250,7 @@ def platform_on_a_circle(share=1.0):
     simulation = Simulation(scene)
     base = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
     moment = np.arange(0.0, 8.0, 0.1)
-    mean = np.real(aim.reference._harmonics[0])
+    mean = np.real(aim.reference.harmonics[0])
     position = []
     for instant in moment:
         joints = simulation.position

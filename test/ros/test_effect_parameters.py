@@ -75,9 +75,9 @@ def test_a_force_follows_its_topic(make_node, tmp_path):
         'effects:\n'
         '  push: {type: external_force, point: wrist_pin}\n')
     node = make_node(SimulatorNode, scene=str(scene))
-    node._effects.on_force('push', Vector3(x=3.0, y=-1.0))
+    node.effect_parameters.on_force('push', Vector3(x=3.0, y=-1.0))
     assert node.simulation.effects['push'].force == (3.0, -1.0)
-    node._effects.on_force('push', Vector3(x=float('nan')))
+    node.effect_parameters.on_force('push', Vector3(x=float('nan')))
     assert node.simulation.effects['push'].force == (3.0, -1.0)
 
 

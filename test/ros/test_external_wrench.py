@@ -100,7 +100,7 @@ def test_a_wrench_ends_and_nothing_is_left_of_it(make):
     advance(node, 1)
     assert not node.live.wrench.torques.any() and not node.simulation.effort.any()
     # None ends it at once, and so does a reset.
-    for end in (lambda: node.on_external_wrench(wrench('platform')), node._reset):
+    for end in (lambda: node.on_external_wrench(wrench('platform')), node.reset):
         node.on_external_wrench(wrench('platform', (0.1, 0.0, 0.0)))
         advance(node, 1)
         assert node.live.wrench.torques.any()

@@ -29,7 +29,7 @@ def broadcast(make_node, monkeypatch):
                 node, kind, topic, *more) if topic != '/tf' else SimpleNamespace(
                 publish=sent.append, get_subscription_count=lambda: 1))
         node = make_node(SimulatorNode, wait_for_command=True, **parameters)
-        node._timer.cancel()
+        node.timer.cancel()
         for _ in range(20):
             node.simulation.step(duration=0.01)
         node.live.publish()
@@ -55,7 +55,7 @@ def test_constraint_forces_refer_to_frames_at_the_cut_points(broadcast, scene):
     rows = {body.name: row for body, row in zip(
         simulation.mechanism.bodies, simulation.body_poses)}
     for name, cut, message in zip(
-            found, simulation.mechanism.cut_joints, node.states._messages):
+            found, simulation.mechanism.cut_joints, node.states.templates):
         wrench = deserialize_message(message.filled(0, 0, np.zeros(6)), WrenchStamped)
         assert wrench.header.frame_id == name
         x, y, angle = rows[cut.body_a]
@@ -83,7 +83,7 @@ def test_links_are_where_they_are_under_a_prefix(broadcast):
 @pytest.mark.skipif(frames.TFMessage is not None, reason='tf2_msgs is installed')
 def test_without_the_message_type_forces_refer_to_the_world(make_node):
     node = make_node(SimulatorNode, scene='four_bar', wait_for_command=True)
-    message, = node.states._messages
+    message, = node.states.templates
     wrench = deserialize_message(message.filled(0, 0, np.zeros(6)), WrenchStamped)
     assert wrench.header.frame_id == 'world'
     with pytest.raises(StartError, match='tf2_msgs/msg/TFMessage is not installed'):

@@ -77,13 +77,13 @@ def test_torques_have_the_power_of_springs_and_dampers(scene, point):
     for sign in (1.0, -1.0):
         places.append(simulation.coordinates.moved(q, sign * instant * qd))
     energies = []
-    for place, turn, _ in map(law._pose, places):
-        away = np.concatenate([law._target[0] - place, _turned(law._target[1], turn)])
-        energies.append(0.5 * away @ (law._stiffness * away))
-    rate = np.concatenate([law._pose(places[0])[0] - law._pose(places[1])[0],
-                           _turned(law._pose(places[0])[1], law._pose(places[1])[1])]) / (
+    for place, turn, _ in map(law.pose, places):
+        away = np.concatenate([law.target[0] - place, _turned(law.target[1], turn)])
+        energies.append(0.5 * away @ (law.stiffness * away))
+    rate = np.concatenate([law.pose(places[0])[0] - law.pose(places[1])[0],
+                           _turned(law.pose(places[0])[1], law.pose(places[1])[1])]) / (
                                2.0 * instant)
-    expected = -(energies[0] - energies[1]) / (2.0 * instant) - rate @ (law._damping * rate)
+    expected = -(energies[0] - energies[1]) / (2.0 * instant) - rate @ (law.damping * rate)
     assert abs(expected) > 1e-3
     assert power == pytest.approx(expected, rel=1e-5)
 
@@ -121,5 +121,5 @@ def test_bad_parameters_are_refused(make_node, parameters, problem):
 def test_stiffness_changes_while_it_runs(make_node):
     node = make_node(TorqueSourceNode, mode='impedance', scene='three_rrr',
                      impedance_point='platform_center', stiffness=[100.0])
-    node._change([type('Given', (), {'name': 'stiffness', 'value': [1.0, 2.0, 3.0]})])
-    assert node._law._stiffness.tolist() == [1.0, 2.0, 0.0, 0.0, 0.0, 3.0]
+    node.apply_parameters([type('Given', (), {'name': 'stiffness', 'value': [1.0, 2.0, 3.0]})])
+    assert node.law.stiffness.tolist() == [1.0, 2.0, 0.0, 0.0, 0.0, 3.0]

@@ -28,7 +28,7 @@ def build(make_node, monkeypatch):
     def make(**parameters):
         node = make_node(JointStatesNode, **parameters)
         node.seen = []
-        monkeypatch.setattr(node._states, 'publish', lambda *state: node.seen.append(state))
+        monkeypatch.setattr(node.states, 'publish', lambda *state: node.seen.append(state))
         return node
     return make
 

@@ -37,9 +37,9 @@ def publisher(make_node):
             make_node(_Plain), Coordinates([
                 Joint(name, kind, 'ground', name, (0.0, 0.0)) for name in joints]), cuts,
             [f'at_{cut}' for cut in cuts])
-        publisher._turned_publisher = Recorder(MultiDOFJointState)
-        publisher._state_publisher = Recorder(JointState)
-        publisher._force_publishers = [Recorder(WrenchStamped) for _ in cuts]
+        publisher.orientation_publisher = Recorder(MultiDOFJointState)
+        publisher.state_publisher = Recorder(JointState)
+        publisher.force_publishers = [Recorder(WrenchStamped) for _ in cuts]
         return publisher
     return build
 
@@ -56,10 +56,10 @@ def check_state(publisher):
         numbers = scale * np.arange(1.0, 7.0)
         forces = scale * np.array([[0.5, 10.0, 20.0], [0.0, 30.0, 40.0]])
         publisher.publish(12_345_678_901, numbers[:2], numbers[2:4], numbers[4:], forces)
-        state = publisher._state_publisher.messages[-1]
+        state = publisher.state_publisher.messages[-1]
         assert state.name == ['a', 'b']
         assert [*state.position, *state.velocity, *state.effort] == numbers.tolist()
-        wrenches = [each.messages[-1] for each in publisher._force_publishers]
+        wrenches = [each.messages[-1] for each in publisher.force_publishers]
         for each in (state, *wrenches):
             assert (each.header.stamp.sec, each.header.stamp.nanosec) == (12, 345_678_901)
         assert [each.header.frame_id for each in wrenches] == ['at_cut_1', 'at_cut_2']
@@ -73,26 +73,26 @@ def check_state(publisher):
 def test_messages_carry_the_state_and_one_stamp(publisher):
     publisher = publisher()
     check_state(publisher)
-    assert publisher._state_publisher.raw == 2
+    assert publisher.state_publisher.raw == 2
 
 
 def test_they_carry_the_same_where_the_serialised_bytes_are_not_understood(
         publisher, monkeypatch):
-    monkeypatch.setattr(SerializedTemplate, '_places', lambda self, mark: [])
+    monkeypatch.setattr(SerializedTemplate, 'positions_of', lambda self, mark: [])
     publisher = publisher()
     check_state(publisher)
-    assert publisher._state_publisher.raw == 0
+    assert publisher.state_publisher.raw == 0
 
 
 @pytest.mark.parametrize('understood', [True, False])
 def test_orientations_go_into_a_message_of_their_own(publisher, monkeypatch, understood):
     if not understood:
-        monkeypatch.setattr(SerializedTemplate, '_places', lambda self, mark: [])
+        monkeypatch.setattr(SerializedTemplate, 'positions_of', lambda self, mark: [])
     publisher = publisher(('a', 'b'), (), 'free')
     q, qd, tau = np.arange(14.0), np.arange(20.0, 32.0), np.arange(40.0, 52.0)
     publisher.publish(12_345_678_901, q, qd, tau, np.zeros((0, 6)))
-    assert publisher._turned_publisher.raw == understood
-    message, = publisher._turned_publisher.messages
+    assert publisher.orientation_publisher.raw == understood
+    message, = publisher.orientation_publisher.messages
     assert message.joint_names == ['a', 'b']
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
     assert [value for pose in message.transforms for value in (
@@ -103,7 +103,7 @@ def test_orientations_go_into_a_message_of_their_own(publisher, monkeypatch, und
         assert [value for pair in parts for part in pair
                 for value in (part.x, part.y, part.z)] == expected.tolist()
     # The others have none.
-    state, = publisher._state_publisher.messages
+    state, = publisher.state_publisher.messages
     assert not state.name and not len(state.position)
     assert state.header.stamp == message.header.stamp
 
@@ -113,7 +113,7 @@ def test_names_of_any_length_move_the_numbers_but_not_into_one_another(publisher
         publisher_ = publisher(('x' * length, 'y'), ())
         publisher_.publish(5, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]),
                            np.zeros((0, 3)))
-        state = publisher_._state_publisher.messages[-1]
+        state = publisher_.state_publisher.messages[-1]
         assert state.name == ['x' * length, 'y']
         assert [*state.position, *state.velocity, *state.effort] == [1, 2, 3, 4, 5, 6]
 

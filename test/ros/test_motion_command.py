@@ -89,7 +89,7 @@ def test_a_trajectory_is_followed_and_bad_ones_change_nothing(node):
     assert node.motion.counts['motions followed'] == 2
     # Of an accuracy of 1e-6.
     assert abs(simulation.energy_balance.residual) < 1e-8
-    node._reset()
+    node.reset()
     assert simulation.position[0] == pytest.approx(0.0, abs=1e-12)
     assert simulation.effects['motion_theta_1'].times is None
 

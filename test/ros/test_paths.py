@@ -35,7 +35,8 @@ def placed(mechanism, start, joints, values):
     for share in np.linspace(0.0, 1.0, 9)[1:]:
         guess = position.copy()
         guess[places] = start[places] + share * (values - start[places])
-        position = one._assembler.positions(guess, joints)
+        one.set_state(guess, hold=joints)
+        position = one.position
     return position
 
 

@@ -149,7 +149,7 @@ def test_forces_that_are_not_finite_are_not_published(node, monkeypatch):
 
 def test_overload_is_reported_with_the_factor_and_does_not_spiral(node, monkeypatch):
     messages = []
-    node._throttles['overload'].period = 0.0
+    node.throttles['overload'].period = 0.0
     monkeypatch.setattr(
         node.pacer, 'overload', lambda: messages.append(node.pacer.achieved) or '')
     steps = node.simulation.advance
@@ -213,7 +213,7 @@ def test_parameters_that_can_change_take_effect(node):
     results = node.set_parameters([
         Parameter('publish_rate', value=200.0), Parameter('real_time_factor', value=0.5)])
     assert all(result.successful for result in results)
-    assert node._timer.timer_period_ns == 5_000_000
+    assert node.timer.timer_period_ns == 5_000_000
     advance(node, 0.02)
     assert node.simulation.time == pytest.approx(0.01)
 
@@ -285,10 +285,10 @@ def test_whole_numbers_serve_as_floating_point_ones(make_node):
 
 def test_scene_is_read_and_validated_once(make_node, monkeypatch):
     read, checked = [], []
-    begin, check = Document.__init__, validation._check_tree
+    begin, check = Document.__init__, validation.check_tree
     monkeypatch.setattr(Document, '__init__', lambda self, path, *more: (
         read.append(Path(path).parent.name), begin(self, path, *more))[1])
-    monkeypatch.setattr(validation, '_check_tree', lambda mechanism: (
+    monkeypatch.setattr(validation, 'check_tree', lambda mechanism: (
         checked.append(mechanism.name), check(mechanism)))
     make_node(SimulatorNode, scene='four_bar', step_size=0.002, integrator='rk4')
     assert (read, checked) == (['scenes', 'mechanisms'], ['four_bar'])

@@ -57,7 +57,7 @@ def made(name):
 def stepped_node(make_node, path, **parameters):
     """Return a node that only moves when it is told to."""
     node = make_node(SimulatorNode, scene=path, step_count=20, **parameters)
-    node._timer.cancel()
+    node.timer.cancel()
     node.on_pause(SetBool.Request(data=True), SetBool.Response())
     return node
 
@@ -144,7 +144,7 @@ def test_diagnostics_tell_whether_forces_are_unique(
     node = stepped_node(make_node, file_of(made(name), tmp_path))
     step(node)
     sent = []
-    monkeypatch.setattr(node.diagnostics, '_send', sent.append)
+    monkeypatch.setattr(node.diagnostics, 'report', sent.append)
     node.look_after()
     findings, = sent
     messages = {key: finding.message for key, finding in findings.items()}
@@ -183,11 +183,11 @@ def test_markers_are_where_the_machine_is(make_node, tmp_path, name):
             by_name.setdefault(marker.ns, []).append(marker)
     poses = node.simulation.body_poses
     names = [body.name for body in mechanism.bodies]
-    links = [marker for marker, _ in node.markers._links]
+    links = [marker for marker, _ in node.markers.links]
     assert links == by_name['links'] + by_name['joint_axes']
     # Bars have all that the description places on them, and axes go through their joints.
     assert len(by_name['links']) == sum(not body.massless for body in mechanism.bodies)
-    for marker, body in node.markers._links:
+    for marker, body in node.markers.links:
         pose = marker.pose
         np.testing.assert_array_equal(poses[body], [
             getattr(part, key) for part, keys in (
@@ -200,7 +200,7 @@ def test_markers_are_where_the_machine_is(make_node, tmp_path, name):
             marked = marked_points(mechanism, names[body])
             assert {tuple(end) for end in ends} <= {tuple(place) for place in marked}
     cut, = mechanism.cut_joints
-    place = node.markers._cut_place(cut, poses)
+    place = node.markers.cut_place(cut, poses)
     np.testing.assert_allclose(points_of(by_name['cut_joints'][0]), [place])
     start, end = points_of(by_name['constraint_forces'][0])
     np.testing.assert_allclose(start, place)
@@ -245,7 +245,7 @@ def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
     state = JointState(name=list(one.joint_names), position=one.position.tolist(),
                        velocity=one.velocity.tolist(), effort=[0.0] * len(one.joint_names))
     sent = []
-    node._publisher.publish = sent.append
+    node.publisher.publish = sent.append
     node.on_joint_states(state)
     # From rest: kp times the distance.
     acceleration, _ = one.forward_dynamics(one.position, one.velocity, sent[-1].data)

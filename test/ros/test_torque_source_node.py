@@ -23,7 +23,7 @@ def make_source(make_node, monkeypatch):
         parameters.setdefault('wait_for_subscribers', 0)
         node = make_node(TorqueSourceNode, **parameters)
         node.sent = []
-        monkeypatch.setattr(node._publisher, 'publish', lambda message: node.sent.append(
+        monkeypatch.setattr(node.publisher, 'publish', lambda message: node.sent.append(
             list(message.effort if isinstance(message, JointState) else message.data)))
         return node
 
@@ -41,14 +41,14 @@ def state(time, position, velocity, names=('a', 'b', 'c')):
 
 def test_constant_torques_go_to_the_joints_named(make_source):
     source = make_source(joints=['b', 'a'], torque=[1.0, 2.0])
-    source._on_timer()
-    assert source._command.name == ['b', 'a']
+    source.on_timer()
+    assert source.command.name == ['b', 'a']
     assert source.sent == [[1.0, 2.0]]
 
 
 def test_one_value_is_for_all_joints(make_source):
     source = make_source(joints=['b', 'a'], torque=[3.0])
-    source._on_timer()
+    source.on_timer()
     assert source.sent == [[3.0, 3.0]]
 
 
@@ -59,7 +59,7 @@ def test_sine_is_about_the_torque(make_source, monkeypatch):
     monkeypatch.setattr(
         'closedloop_dynamics.ros.torque_source_node.time.monotonic', lambda: now[0])
     for now[0] in (100.0, 100.5, 101.0, 101.5):
-        source._on_timer()
+        source.on_timer()
     assert [values[0] for values in source.sent] == pytest.approx([10.0, 12.0, 10.0, 8.0])
 
 
@@ -85,13 +85,13 @@ def test_pd_without_target_holds_where_it_began(make_source):
 def test_nothing_is_sent_until_all_that_are_to_hear_it_do(make_source, monkeypatch, parameters):
     source = make_source(joints=['a'], wait_for_subscribers=2, **parameters)
     count = [0]
-    monkeypatch.setattr(source._publisher, 'get_subscription_count', lambda: count[0])
+    monkeypatch.setattr(source.publisher, 'get_subscription_count', lambda: count[0])
 
     def look(time):
-        if source._values['mode'] == 'pd':
+        if source.values['mode'] == 'pd':
             source.on_joint_states(state(time, [time], [0.0], names=['a']))
         else:
-            source._on_timer()
+            source.on_timer()
 
     for count[0] in (0, 1):
         look(1.0 + count[0])
@@ -120,7 +120,7 @@ def test_state_that_is_only_repeated_is_answered_once(make_source, monkeypatch):
 def test_answer_by_name_carries_the_stamp_of_the_state(make_source, monkeypatch):
     source = make_source(mode='pd', joints=['a'], kp=[10.0])
     source.on_joint_states(state(12.5, [0.5], [0.0], names=['a']))
-    stamp = source._command.header.stamp
+    stamp = source.command.header.stamp
     assert (stamp.sec, stamp.nanosec) == (12, 500_000_000)
 
 
@@ -144,7 +144,7 @@ def test_computed_torque_drives_all_actuated_joints_of_its_scene(make_source):
     source = make_source(
         mode='computed_torque', scene='three_rrr', kp=[100.0], kd=[20.0])
     assert source.joints == ('theta_1', 'theta_6', 'theta_7')
-    start = source._simulation
+    start = source.simulation
     source.on_joint_states(state(1.0, start.position, start.velocity, start.joint_names))
     # At rest where it is to stay: what holds the machine against gravity.
     held, _ = start.inverse_dynamics(start.position, [0.0] * 7, [0.0] * 7)
@@ -171,10 +171,10 @@ def test_state_that_knows_nothing_of_the_last_command_is_skipped(make_source):
 
 def test_torque_limit_is_that_of_the_actuator(make_source):
     source = make_source(mode='computed_torque', scene='carpet_scraper_dry', kp=[1e6])
-    assert source._law._limit.tolist() == [60.0]
+    assert source.law.torque_limit.tolist() == [60.0]
     source = make_source(mode='computed_torque', scene='carpet_scraper_dry', kp=[1e6],
                          torque_limit=[7])
-    assert source._law._limit.tolist() == [7.0]
+    assert source.law.torque_limit.tolist() == [7.0]
 
 
 def test_gains_change_while_it_runs(make_source):
@@ -200,7 +200,7 @@ def test_gains_change_while_it_runs(make_source):
 def test_constant_torque_changes_while_it_runs(make_source):
     source = make_source(joints=['a'], torque=[1.0])
     source.set_parameters([Parameter('torque', value=[2])])
-    source._on_timer()
+    source.on_timer()
     assert source.sent == [[2.0]]
     result, = source.set_parameters([Parameter('torque', value=[math.inf])])
     assert not result.successful

@@ -46,9 +46,9 @@ def test_the_engine_closes_loops_as_singular_values_do(monkeypatch, name, held):
             scene.initial.hold)])
     guess = mechanism.coordinates.moved(
         start, 0.02 * one.extent * rng.uniform(-1.0, 1.0, one.nv))
-    found, psi = one._closed(guess, free)
+    found, psi = one.solve_closure(guess, free)
     monkeypatch.setattr(Equations, 'closed', lambda *_: None)
-    dense, _ = one._closed(guess, free)
+    dense, _ = one.solve_closure(guess, free)
     np.testing.assert_allclose(found, dense, rtol=0.0, atol=1e-9)
     # The joints held may leave no closed position so far from the start.
     assert held or np.abs(psi).max(initial=0.0) <= TOLERANCE * one.extent

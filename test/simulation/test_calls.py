@@ -40,7 +40,7 @@ def ends(scene, cuts=CUTS, duration=DURATION, kept=None):
     for cut in cuts:
         simulation = Simulation(scene)
         if kept is not None:
-            simulation._exchange(simulation._geometry.keep(kept))
+            simulation.exchange(simulation.loop_model.keep(kept))
         for _ in range(round(duration / (cut * simulation.step_size))):
             simulation.step(None, cut * simulation.step_size)
         found.append(simulation.position)

@@ -64,7 +64,7 @@ def test_rates_and_accelerations_are_differences_of_positions(scene, drives, poi
                        np.ones_like(later)], axis=2)
     motion = kinematics.follow(values)
     assert motion.end is None
-    coordinates = kinematics._coordinates
+    coordinates = kinematics.coordinates
     differences = [np.array([
         coordinates.apart(motion.position[k + n], motion.position[k - n])
         for k in range(2, count)]) / (2.0 * n * step) for n in (1, 2)]

@@ -44,7 +44,7 @@ def test_arrays_lists_and_evaluators_give_the_same(name):
     close((evaluate.acceleration, evaluate.multipliers), given)
     qdd = given[0]
     needed = simulation.inverse_dynamics(q.tolist(), qd.tolist(), qdd.tolist())
-    at_once = simulation._inverse.solve_given(q, qd, qdd)
+    at_once = simulation.inverse.solve_given(q, qd, qdd)
     assert at_once is not None
     close(at_once, needed, 1e-9)
 

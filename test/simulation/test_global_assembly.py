@@ -65,7 +65,7 @@ def test_metric_is_the_kinetic_energy():
     def energy():
         step, total = 1e-5, 0.0
         (frames, origins, *_), (before, behind, *_), (after, ahead, *_) = (
-            loops._move(loops.moved(q, s * rates)) for s in (0.0, -step, step))
+            loops.kinematics(loops.moved(q, s * rates)) for s in (0.0, -step, step))
         for body in loops.mechanism.bodies:
             velocity = (ahead[body.name] - behind[body.name]) / (2.0 * step)
             spin = (after[body.name] - before[body.name]) / (2.0 * step) @ frames[body.name].T

@@ -21,7 +21,7 @@ def built(mechanism, q, qd, **effects):
     """Return the inverse dynamics of a simulation in the earth's gravity."""
     return Simulation(Scene(
         'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(dense.EARTH), **effects}, Method()))._inverse
+        {'gravity': Gravity(dense.EARTH), **effects}, Method())).inverse
 
 
 def closed_motion(rng, mechanism, q, qd):
@@ -60,7 +60,7 @@ def test_a_stretched_leg_that_hangs_at_rest_needs_no_torque():
     # The drives hold a stretched leg against each other: any multiple of that adds up to nothing.
     simulation = Simulation.from_scene('three_rrr_vertical')
     rest = Linearisation(simulation).equilibrium().position
-    for one in (simulation._inverse.solve, simulation._inverse.solve_given):
+    for one in (simulation.inverse.solve, simulation.inverse.solve_given):
         torque, _ = one(rest, np.zeros(7), np.zeros(7))
         assert np.abs(torque).max() < 1e-6
 

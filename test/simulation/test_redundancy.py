@@ -223,13 +223,13 @@ def test_friction_that_depends_on_a_force_that_is_not_unique_is_warned_of():
 
 def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
     simulation = Simulation.from_scene('bennett')
-    first = simulation._equations.kept
+    first = simulation.loop_model.equations.kept
     choices, marks = cycle((np.roll(first, 1), first)), count()
     # Two choices, each better than the other.
     monkeypatch.setattr(loop_model, 'independent', lambda *_: (next(choices), 0.0))
-    monkeypatch.setattr(loop_model, '_distinct', lambda *_: 10.0 ** -next(marks))
+    monkeypatch.setattr(loop_model, 'distinctness', lambda *_: 10.0 ** -next(marks))
     tries = 0
-    while simulation._choose_equations(POOR_EQUATIONS):
+    while simulation.choose_equations(POOR_EQUATIONS):
         tries += 1
         assert tries < 10
     # The other choice, the present one leniently, and all equations.

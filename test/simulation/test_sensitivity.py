@@ -216,7 +216,8 @@ def test_of_all_methods_they_are_the_derivative(scene, integrator, stabilisation
     case = Case(scene, integrator, stabilisation=stabilisation, size=0.02)
     if stabilisation == 'projection':
         # What is differentiated closes loops.
-        assert case.trajectory._record.tape.corrections.any() or integrator == 'rk4'
+        for q, qd in zip(case.trajectory.position, case.trajectory.velocity):
+            assert case.model.evaluate(case.model.state(q, qd)).closure < 1e-10
     case.require_one_derivative()
     direction = case.rng.normal(size=case.torques.shape)
     expected = differences(

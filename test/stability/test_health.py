@@ -227,16 +227,17 @@ def pendulum(effect, method=STEP):
 def test_fastest_rate_of_a_spring_and_of_a_damper():
     inertia = 1.0 / 3.0
     stiff = pendulum(JointSpring('joint_0', 1e4, 0.0))
-    assert fastest_rate(stiff.system, stiff._state) == pytest.approx(
+    assert fastest_rate(stiff.system, stiff.integrated) == pytest.approx(
         math.sqrt(1e4 / inertia), rel=0.05)
     viscous = pendulum(JointDamping('joint_0', 100.0))
-    assert fastest_rate(viscous.system, viscous._state) == pytest.approx(100.0 / inertia, rel=0.05)
+    assert fastest_rate(viscous.system, viscous.integrated) == pytest.approx(
+        100.0 / inertia, rel=0.05)
 
 
 def test_fastest_rate_sees_the_states_of_effects():
     lagging = pendulum(Actuator('joint_0', lag=0.001))
     assert lagging.fastest_rate == pytest.approx(1000.0, rel=0.05)
-    assert fastest_rate(lagging.system, lagging._state) < 100.0
+    assert fastest_rate(lagging.system, lagging.integrated) < 100.0
 
 
 def test_states_of_effects_that_are_too_fast_are_refused():

@@ -81,7 +81,7 @@ def test_what_changes_little_is_left_out_together(monkeypatch):
         name for one in little for name in one.names)
     # The run without all of them, and no other.
     names = set(scene.effects) - set(study.together.names)
-    alone = effects.record(Simulation(effects._only(scene, names)), 0.1, 5)
+    alone = effects.record(Simulation(effects.scene_with(scene, names)), 0.1, 5)
     assert np.array_equal(study.together.run.position, alone.position)
     advice = effects_report.advice(study, 0.01)
     assert f'{" and ".join(study.together.names)} together: changes' in advice

@@ -50,9 +50,9 @@ def assert_same(result, expected):
 def stepped(monkeypatch):
     """Note the runs that are made step by step."""
     seen = []
-    original = rollout_run._stepped
+    original = rollout_run.run_stepwise
     monkeypatch.setattr(
-        rollout_run, '_stepped', lambda *given: seen.append(given[0]) or original(*given))
+        rollout_run, 'run_stepwise', lambda *given: seen.append(given[0]) or original(*given))
     return seen
 
 

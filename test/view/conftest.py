@@ -49,8 +49,8 @@ def shown(shown_once):
     shown = shown_once
     shown.end = math.inf
     shown.ask('kinematic', on=False)
-    shown.runner._start = None
-    shown.ask('release', page=shown.runner._holder)
+    shown.runner.start_pose = None
+    shown.ask('release', page=shown.runner.holder)
     shown.ask('reset')
     shown.ask('effect', name='gravity', enabled=True, values={'acceleration': [0.0, -9.81]})
     shown.ask('speed', factor=1.0)

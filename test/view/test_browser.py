@@ -70,7 +70,7 @@ def test_a_slider_moves_the_mechanism(open_page, live):
     live.end = 1.0
     tab.wait(f'Math.abs({POSITION} - {start}) > 0.2')
     pause(tab, live, lambda: tab.click('#play'))
-    assert live.runner._drives['theta_1'].value > 0.0
+    assert live.runner.drives['theta_1'].value > 0.0
     place = live.simulation.joint_names.index('theta_1')
     assert tab.ask(POSITION) == np.float32(live.simulation.position[place])
     changed = (np.abs(stage(tab) - before).max(axis=2) > 30).mean()

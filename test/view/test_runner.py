@@ -190,7 +190,7 @@ def test_what_accuracy_costs_is_told_while_it_runs(shown):
         shown.ask('play')
         # The estimate and the cost are looked at four times a second.
         shown.run(40)
-        told, row = json.loads(shown.feed.description), shown.runner._columns.row()
+        told, row = json.loads(shown.feed.description), shown.runner.rows.row()
         return {(plot['group'], plot['name']): row[told['columns']['plots'] + k]
                 for k, plot in enumerate(told['plots'])}
 

@@ -97,7 +97,7 @@ def test_ten_pages_come_and_go(live):
         first.until(lambda client: client.time > time + 0.2)
         assert first.controls['playing']
     while live.feed.pages:
-        live.server._thread.join(0.01)
+        live.server.thread.join(0.01)
     assert live.feed.refused == json.loads(live.feed.controls)['refused']
 
 
@@ -108,7 +108,7 @@ def test_the_run_goes_on_without_its_server(live):
     live.server.close()
     time = live.simulation.time
     while live.simulation.time < time + 0.3:
-        live.server._thread.join(0.01)
+        live.server.thread.join(0.01)
     assert live.runner.playing
 
 

@@ -176,13 +176,13 @@ def test_forces_between_two_frames_are_in_full_view(motion, monkeypatch):
     struck = motions.Trajectory(motion.mechanism, motion.time, motion.position, motion.velocity,
                                 motion.effort, forces)
     limits = []
-    plot = animations.Animation._plot_forces
+    plot = animations.Animation.plot_forces
 
     def watched(animation, axes, *arguments):
         plot(animation, axes, *arguments)
         limits.extend(axes.get_ylim())
 
-    monkeypatch.setattr(animations.Animation, '_plot_forces', watched)
+    monkeypatch.setattr(animations.Animation, 'plot_forces', watched)
     animations.Animation(struck, 'test', animations.frame_times(struck, 10.0, 1.0))
     assert limits[0] <= 0.0 and limits[1] >= 5e4
 

@@ -146,7 +146,7 @@ def test_nearer_bodies_cover_those_behind():
     artist = MechanismArtist(Figure().add_subplot(), motion.mechanism, poses, FRONT)
     parts = [part for part in artist.bodies(0) if part.layer is not None]
     assert len(parts) == sum(not body.massless for body in motion.mechanism.bodies)
-    behind = [artist._world(part)[0, :, 1].mean() for part in parts]
+    behind = [artist.world(part)[0, :, 1].mean() for part in parts]
     layers = [part.artist.get_zorder() for part in parts]
     assert np.all(np.diff(np.array(layers)[np.argsort(behind)]) < 1e-12)
     assert np.ptp(layers) > 0.05
