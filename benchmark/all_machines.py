@@ -12,7 +12,7 @@ cheapest of their settings that keeps the error. They know joints, loops and gra
 the other effects of a scene: where these matter, they do not come near its motion.
 
 The motion that errors are measured against is that of dop853 with a tolerance of 1e-13; dopri5
-with another formulation tells how far and how well it is known. CPU time of one thread; of held
+with another formulation shows how far and how well it is known. CPU time of one thread; of held
 torques that of a loop in Python that makes a call for each of them. Robots are found by name in a
 folder with a clone of example-parallel-robots and left out without it.
 
@@ -193,7 +193,7 @@ def torques(simulation, rate):
 
 
 def row(motion, engine, setting, error, cost, evaluations=math.nan, target=math.nan, note=''):
-    """Return what is told of a run, without its machine."""
+    """Return what is reported of a run, without its machine."""
     return {'rate': motion.rate, 'engine': engine, 'setting': setting, 'target': target,
             'error': error, 'cpu_time_per_second': cost, 'evaluations_per_second': evaluations,
             'known_to': motion.known, 'duration': motion.duration, 'note': note}

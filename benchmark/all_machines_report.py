@@ -15,7 +15,7 @@ from closedloop_dynamics.visual.tables import markdown_table, seconds
 MOTIONS = {0: 'free', 100: 'torques held at 100 Hz', 1000: 'torques held at 1 kHz'}
 NAMES = {0: 'free', 100: 'held 100', 1000: 'held 1000'}
 NOTHING = '-'
-# Errors that are told must be so much larger than what the reference is known to.
+# Errors that are reported must be so much larger than what the reference is known to.
 ABOVE = 3.0
 COST, ERROR = 'cpu_time_per_second', 'error'
 # Marker, colour, whether it is filled, of at most five lines.

@@ -4,7 +4,7 @@
 """
 What accuracy costs where torques are sampled and held, as by every digital controller.
 
-Each method starts anew at every new torque, so that its steps are no longer than the period in
+Each method restarts at every new torque, so that its steps are no longer than the period in
 which torques are held. Two costs are measured: evaluations of the accelerations, which do not
 depend on the machine, and CPU time of a loop in Python that calls ``Simulation.advance`` once a
 period.

@@ -5,7 +5,7 @@
 Whether a node keeps its periods, and which accuracy, while other programs take the cores.
 
 A real simulator with a budget publishes at a rate; programs that only compute run beside it, more
-and more of them, and then none again. For each load one line tells the periods that the node
+and more of them, and then none again. For each load one line gives the periods that the node
 missed, by the times at which DDS sent its states, and those that a bare loop missed that does
 nothing but sleep until the next period, beside the node and for as long. From the node's
 diagnostics come the accuracy that it keeps, the bound of the error, and the CPU time that it uses
@@ -31,7 +31,7 @@ import numpy as np
 BUSY = [sys.executable, '-c', 'while True: pass']
 # After a change of the load [s]: the accuracy follows within half a second and more.
 SETTLING = 2.0
-# What is told of the method, by a part of its name among the diagnostics.
+# What is reported of the method, by a part of its name among the diagnostics.
 TOLD = ('accuracy', 'bound in the latest second', 'used of the budget')
 HEADER = (f'{"busy":>5}{"node: missed":>14}{"p99 [ms]":>10}{"max [ms]":>10}'
           f'{"loop: missed":>14}{"p99 [ms]":>10}{"max [ms]":>10}{"of":>8}'
@@ -77,7 +77,7 @@ class Listener(Subscriber):
             DiagnosticArray, '/diagnostics', lambda message: None, 100)
 
     def diagnostics(self):
-        """Return what was told of the method since the last time, a list of {key: float}."""
+        """Return what was reported of the method since the last time, a list of {key: float}."""
         found = []
         with self._diagnostics.handle:
             while taken := self._diagnostics.handle.take_message(DiagnosticArray, False):

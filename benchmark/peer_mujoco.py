@@ -169,7 +169,7 @@ class Engine:
         def execute():
             self._start(model, data, case.q, case.qd, case.tau)
             mujoco.mj_step(model, data, round(case.duration / step))
-            # On bad values MuJoCo starts anew by itself.
+            # On bad values MuJoCo restarts by itself.
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 return np.full(len(case.q), np.nan)
             return data.qpos[self.order]

@@ -52,7 +52,7 @@ def busy(result):
     before, after = result['load']
     told = f'Load average before and after: {before:.1f} and {after:.1f}.'
     if before > QUIET:
-        told += ' Other programs kept the machine busy: ratios tell more than times.'
+        told += ' Other programs kept the machine busy: ratios say more than times.'
     return told
 
 

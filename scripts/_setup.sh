@@ -70,7 +70,7 @@ choose_kind() {
     find_any_python
   fi
   name=$kind-$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')${VERSIONS:+-$VERSIONS}
-  # Not the Python of an environment that happens to be active: it may be the one that is about to be made anew.
+  # Not the Python of an environment that happens to be active: it may be the one that is about to be remade.
   base_python=$("$base_python" -c 'import os, sys; print(os.path.realpath(sys._base_executable))')
 }
 
@@ -111,7 +111,7 @@ pip_install() {
       --constraint "$constraints" "$@" 2>&1 </dev/null); then
     tail -n 20 <<<"$output" >&2
     fail "pip could not install the above. Most often the network or a proxy is in the way." \
-      "All that pip did is in $log; the next run begins anew."
+      "All that pip did is in $log; the next run begins again."
   fi
 }
 

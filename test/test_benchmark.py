@@ -84,7 +84,7 @@ def test_tables_of_the_accuracy_document_are_those_of_its_files(benchmark, tmp_p
         begun = re.findall(r'<!-- begin (.*) -->', text)
         here = {name: parts.pop(name) for name in begun if name in parts}
         assert document.filled(text, here) == text, (
-            'python benchmark/make_accuracy_doc.py --measured makes them anew')
+            'python benchmark/make_accuracy_doc.py --measured makes them again')
         assert {name for name in begun if name not in here} == {
             {'accuracy.md': 'machine', 'accuracy_methods.md': 'methods machine',
              'accuracy_machines.md': 'machines machine'}[page]}
@@ -105,7 +105,7 @@ def test_figures_of_the_readme_and_of_sentences_are_those_of_the_files(benchmark
                         ('doc/performance.md', {'space speed': sentences.space_speed(pictures)})):
         text = (ROOT / page).read_text()
         assert benchmark('make_accuracy_doc').filled(text, parts) == text, (
-            'python benchmark/make_documents.py --measured makes them anew')
+            'python benchmark/make_documents.py --measured makes them again')
     assert (ROOT / 'README.md').read_text().count('<!-- begin') == 2
 
 

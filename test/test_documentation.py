@@ -279,7 +279,7 @@ def test_every_shipped_scene_is_shown():
 def test_pages_that_are_written_from_the_code_are_up_to_date(name):
     written = runpy.run_path(str(ROOT / 'doc' / f'make_{name}.py'))
     assert (ROOT / 'doc' / f'{name}.md').read_text() == written['page'](), (
-        f'python doc/make_{name}.py writes the page anew')
+        f'python doc/make_{name}.py writes the page again')
 
 
 @pytest.mark.slow

@@ -159,7 +159,7 @@ def add_motion(parser):
     parser.add_argument('--motion', type=_law, action='append', default=[],
                         metavar='JOINT=EXPRESSION',
                         help='motion of a joint as an expression in the time t [rad or m], such '
-                             'as theta_1=4.7124*t; what drives it is told; may be repeated '
+                             'as theta_1=4.7124*t; what drives it is reported; may be repeated '
                              '(default: as the scene says)')
 
 

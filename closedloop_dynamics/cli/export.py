@@ -35,7 +35,7 @@ def _add_arguments(parser):
                         help='a shipped scene or mechanism by its name, a YAML file, or a model')
     parser.add_argument('--output', metavar='FILE', type=Path, required=True,
                         help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
-                             f'{C} or {FMU} tells the format')
+                             f'{C} or {FMU} gives the format')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     parser.add_argument('--drake', action='store_true',
                         help='SDF for Drake, which refuses loops of joints: pins and ball joints '

@@ -118,7 +118,7 @@ class _Largest:
 
 COMMAND = Command(
     name='forces',
-    summary='tell the torques and joint forces that a recorded motion takes',
+    summary='compute the torques and joint forces of a recorded motion',
     description="""\
 Read the positions of some joints from a bag (those that a robot measures), find the whole
 motion that closes the loops, and the torques and forces that it takes by the model of a

@@ -18,7 +18,7 @@ from ..simulation.scene import load_scene
 from ..visual.progress import announced
 from ..visual.tables import text_table, write_csv
 
-# How many joints a shape is told by, and how many shapes are drawn.
+# How many joints describe a shape, and how many shapes are drawn.
 MOST_JOINTS, MOST_SHAPES = 4, 12
 STABILITY = {True: 'stable', False: 'unstable', None: 'not decided to first order'}
 

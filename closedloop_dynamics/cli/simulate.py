@@ -26,7 +26,7 @@ from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to
 
 STANDARD_OUTPUT = '-'
-# Simulated time up to which the error is estimated unless told otherwise [s].
+# Simulated time up to which the error is estimated unless set otherwise [s].
 LONGEST_ESTIMATED = 10.0
 LOADING = 'Loading ...'
 
@@ -55,7 +55,7 @@ def _add_arguments(parser):
                              help='write what accuracy costs, too: the error of each row, and '
                                   'evaluations and CPU time per simulated second')
     run_options.add_argument('--dry-run', action='store_true',
-                             help='tell what the run will cost, from a probe of its first part '
+                             help='print what the run will cost, from a probe of its first part '
                                   'that takes a second or so, and write nothing')
     run_options.add_argument('--error-estimate', action=argparse.BooleanOptionalAction,
                              help='run a second, finer simulation that estimates the error '
@@ -90,7 +90,7 @@ def _run(arguments):
             program_watch.noting() as received, progress_to(
                 arguments.duration, 's', simulation.scene.name) as show, \
             warnings.catch_warnings():
-        # The summary tells of it.
+        # The summary has it.
         warnings.simplefilter('ignore', InaccuracyWarning)
 
         def on_row(values):
@@ -133,7 +133,7 @@ def _tell_cost(simulation, torque, estimated, arguments):
     run_cost, _ = costs
     print('\n'.join(f'{simulation.scene.name}: {cost}' for cost in costs))
     if not run_cost.failure:
-        print(f'  with rows{" and the run that tells the error" if estimated else ""} '
+        print(f'  with rows{" and the run that gives the error" if estimated else ""} '
               f'{run_cost.whole:.2g} s; {run_cost.share:.2%} of real time')
     if simulation.scene.method.by_budget:
         print(f'  {allowance(simulation.scene.method.budget, costs)}')

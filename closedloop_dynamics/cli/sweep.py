@@ -162,7 +162,7 @@ examples:
   closedloop sweep three_rrr --vary mechanism.bodies.platform.mass=normal:8:0.4 \\
       --vary torque.theta_1=0,5 --samples 500 --seed 7 --output monte_carlo.zarr
 
-Exit code 1 where no sample succeeded. doc/sweep.md tells what is in the file.
+Exit code 1 where no sample succeeded. doc/sweep.md states what is in the file.
 """,
     add_arguments=_add_arguments,
     run=_run)

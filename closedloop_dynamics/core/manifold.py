@@ -64,7 +64,7 @@ def manifold_of(model):
         return None
     place = np.full(len(rows), -1)
     place[rows[~turns, DOF]] = rows[~turns, COORDINATE]
-    # The last of three rows, about the third axis, tells of all.
+    # The last of three rows, about the third axis, has all.
     last = rows[turns & (rows[:, AXIS] == 2)]
     balls = np.column_stack([last[:, COORDINATE], last[:, DOF] - 2])
     return Manifold(np.ascontiguousarray(balls), place, np.zeros(len(rows)))

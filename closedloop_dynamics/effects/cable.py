@@ -45,7 +45,7 @@ COLUMNS, SPATIAL_COLUMNS = 5, 6
 # Columns of EffectTable.values in space: row of the body of the pulleys' axis, less than zero
 # where there are guides alone; the axis in the frame of that row.
 CARRIER, AXIS = 3, 4
-# A start is told where the stretch is a larger share of the free length than wire ropes work at,
+# A start is reported where the stretch, by the free length, is larger than wire ropes work at,
 # and the tension more than so many times the weight of all bodies.
 LARGE_STRETCH, LARGE_TENSION = 0.005, 10.0
 

@@ -7,7 +7,7 @@ Courses over time: a quantity as a chain of pieces, each a polynomial and a sine
     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece)
 
 A state of the effect counts the pieces, so that within a step one formula holds; steps end where
-the next begins (``engine/time_events.hpp``). With a period the chain begins anew again and again.
+the next begins (``engine/time_events.hpp``). With a period the chain repeats for ever.
 
 """
 

@@ -70,7 +70,7 @@ class Machine:
         return self._joints[name]
 
     def motion(self, equation):
-        """Return what is told above of a prescribed motion."""
+        """Return the description above of a prescribed motion."""
         return self._motions[equation]
 
     def joint_row(self, name):
@@ -155,7 +155,7 @@ class Effect:
     # direction in which the joint slides (``engine/stick_slip.hpp``), or where its course over
     # time has corners (``engine/time_events.hpp``).
     ENDS_STEPS = False
-    # Whether the effect exerts in its joint what a drive would be told to.
+    # Whether the effect exerts in its joint what a drive would be commanded.
     COMMANDS = False
     # Files that a scene may name: key -> the fields that take their columns.
     FILES = {}
@@ -288,7 +288,7 @@ class Effect:
 
     def winding_places(self, columns):
         """
-        Return where cables are told to be wound round pulleys.
+        Return which cables are declared to be wound round pulleys.
 
         Parameters
         ----------

@@ -136,7 +136,7 @@ class EffectSet:
         self._refill(PRESCRIBED_MOTION)
 
     def _refill(self, kind):
-        """Write the parameters of the effects of a kind anew."""
+        """Rewrite the parameters of the effects of a kind."""
         for row in np.flatnonzero(self._table.kind == kind):
             self._fill(row)
 
@@ -236,7 +236,7 @@ class EffectSet:
         return True
 
     def restart(self):
-        """Let the instruments begin anew."""
+        """Restart the instruments."""
         enabled = [record for name, record in self.records.items() if self.enabled[name]]
         self.sensors = Chain(enabled)
         # Noise of another sequence, so that the tree's is the same with and without.
@@ -300,7 +300,7 @@ class EffectSet:
         Returns
         -------
         ndarray of int
-            Places of the own states that start anew.
+            Places of the own states that restart.
 
         Raises
         ------
@@ -489,7 +489,7 @@ class EffectSet:
 
     def winding_places(self):
         """
-        Return where the data of effects tell how far cables are wound round pulleys.
+        Return where effects' data have how far cables are wound round pulleys.
 
         Returns
         -------

@@ -9,7 +9,7 @@ Dry friction in a joint: Coulomb and Stribeck, with exact rest.
     at rest   tau = what keeps the joint at rest, as long as |tau| <= F(0)
 
 Nothing is regularised: the joint does not give way, creep, or swing, and no stiffness limits the
-steps. A state tells which way the joint slides (1 or -1) or that it is at rest (0); it
+steps. A state says which way the joint slides (1 or -1) or that it is at rest (0); it
 is constant within a step and changes between steps (``engine/stick_slip.hpp``). What holds the
 joints at rest is found with each evaluation (``engine/sticking.hpp``), which costs an evaluation
 more for each of them, while they rest. A joint that loops and prescribed motions hold at rest

@@ -411,7 +411,7 @@ def _polynomial(duration, one, other):
 def _require_smooth(pieces, period):
     """Refuse pieces where position or speed jumps from one to the next."""
     ends = [*(piece[0] for piece in pieces[1:]), *([] if period is None else [period])]
-    # Once around, where the course begins anew.
+    # Once around, where the course begins again.
     following = [*pieces[1:], *([] if period is None else [pieces[0]])]
     met = [(*_at(one, end - one[0]), *_at(other, 0.0), end)
            for one, other, end in zip(pieces, following, ends)]

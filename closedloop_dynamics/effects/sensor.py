@@ -108,7 +108,7 @@ class Chain:
         return any(instrument.remembers for instrument in self.instruments)
 
     def forget(self):
-        """Measure anew, even at the time that was measured last."""
+        """Measure again, even at the time that was measured last."""
         self._time = None
 
     def measure(self, time, position, velocity):

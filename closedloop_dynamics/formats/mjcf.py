@@ -93,7 +93,7 @@ def read_mjcf(path, asked=Asked()):
     reader = _Reader(mujoco, compiled, model, ellipsoids)
     links = reader.read()
     reader.start(start)
-    # What it warns of was told above.
+    # What it warns of was reported above.
     with _heard(mujoco, {}):
         touching = read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
     if touching and not (reader.disabled('CONTACT') or reader.disabled('CONSTRAINT')):
@@ -307,7 +307,7 @@ def _strip_below(element, geoms, needed, wrapped, left_out):
             *child.attributes, child.attributes.get('type'))
         for key in _SOFT:
             child.attributes.pop(key, None)
-        # Of a geometry a plugin tells the shape; around some tendons are wrapped.
+        # Of a geometry a plugin gives the shape; around some tendons are wrapped.
         if flat or child.tag in PARTS and (child.tag, element.tag) != ('plugin', 'geom') or (
                 told and child.tag == 'geom' and child.attributes.get('name') not in wrapped):
             left_out[child.tag] += 1

@@ -50,7 +50,7 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
     Parameters
     ----------
     path : str or pathlib.Path
-        Of the file; how its name ends tells the format.
+        Of the file; how its name ends gives the format.
     end_stops : float, optional
         Stiffness that limits of joints become end stops with [N m/rad or N/m].
     loops : mapping, optional

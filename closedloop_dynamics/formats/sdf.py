@@ -31,7 +31,7 @@ from ..mechanism.rotations import of_angles, of_quaternion
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}
 GEARBOX = 'gearbox'
-# Types whose limit of effort tells whether they are driven.
+# Types whose limit of effort shows whether they are driven.
 DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 # Limits beyond this are none.
 ENDLESS = 1e15

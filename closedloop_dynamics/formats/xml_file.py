@@ -6,7 +6,7 @@ XML from anywhere, read as plain elements that remember their lines.
 
 Nothing is fetched and no entity is expanded: a file with a document type definition is refused.
 Size, depth and number of elements are limited while it is read. What a reader of a format never
-asks for is told as ignored.
+asks for is reported as ignored.
 
 """
 

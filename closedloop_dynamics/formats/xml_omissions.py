@@ -15,8 +15,8 @@ MOVING = {
     'dampingFactor': 'damping of velocities acts on no real body',
     'fluid_added_mass': 'no effect has the inertia of a fluid',
     'kinematic': 'forces move every body that is not static',
-    'initial_position': 'a scene tells where joints start',
-    'state': 'a scene tells where joints start',
+    'initial_position': 'a scene states where joints start',
+    'state': 'a scene states where joints start',
     'enable_wind': 'a file has no wind of its own',
     'drake:linear_bushing_rpy': 'bushings close no loops',
     'drake:controller_gains': 'commands are torques and forces of joints'}
@@ -27,7 +27,7 @@ NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?')
 OFF = ('', 'false')
 # What has numbers, but no size.
 WITHOUT_SIZE = ('plugin', 'state')
-# Elements that are told by their names.
+# Elements that are reported by their names.
 OWNERS = ('link', 'joint', 'gazebo', 'model')
 
 

@@ -4,7 +4,7 @@
 """
 How an advance ended, and the columns of the records that the engine's steppers keep.
 
-The meanings are told in ``engine/error_control.hpp`` and ``engine/switching.hpp``; a test compares
+The meanings are in ``engine/error_control.hpp`` and ``engine/switching.hpp``; a test compares
 the places.
 
 """

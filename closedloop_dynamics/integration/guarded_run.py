@@ -4,7 +4,7 @@
 """
 A run that the engine makes and watches, call by call, until there is something to do or to tell.
 
-The meanings of columns are told in ``engine/guarded_run.hpp``; a test compares the places.
+The meanings of columns are in ``engine/guarded_run.hpp``; a test compares the places.
 
 """
 

@@ -33,7 +33,7 @@ class SciPySolver:
 
     @property
     def stepper(self):
-        """Return what tells the engine to leave the steps to Python."""
+        """Return the code by which the engine leaves the steps to Python."""
         return one_run(HOST_STEPS, self._stabilisation)
 
     def advance(self, state, origin, done, step_size, steps):
@@ -77,7 +77,7 @@ class SciPySolver:
         self._system = system
 
     def go_on(self):
-        """Let the next call, which is the same again, begin anew."""
+        """Restart with the next call, which is the same again."""
         self.restart()
 
     memory = ()

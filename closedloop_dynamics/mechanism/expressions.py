@@ -122,7 +122,7 @@ class Parameters:
         Parameters
         ----------
         record_type : type
-            Dataclass; its types tell which of its fields are made of numbers.
+            Dataclass; its types state which of its fields are made of numbers.
         values : mapping
             By key; keys that the record has not stay as they are.
 

@@ -331,7 +331,7 @@ class Mechanism:
     ``ground_visual`` is what the ground is drawn as, as ``Body.visual`` of bodies.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
-    is what ``reader.with_parameters`` computes them with others from, ``tree`` tells which joints
+    is what ``reader.with_parameters`` computes them with others from, ``tree`` states which joints
     the program chose to cut (``between.ChosenTree``); none of these makes two mechanisms differ.
 
     """

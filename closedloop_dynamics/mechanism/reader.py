@@ -80,7 +80,7 @@ def mechanism_of(data: Any, folder: Path,
 
 
 def _located(data: Any, folder: Path) -> Any:
-    """Return data with the paths of meshes, which are told from a folder on, as a whole."""
+    """Return data with the paths of meshes, which are relative to a folder, as a whole."""
     bodies = data.get('bodies') if isinstance(data, Mapping) else None
     drawn = [body.get('visual') for body in (
         bodies.values() if isinstance(bodies, Mapping) else ()) if isinstance(body, Mapping)]

@@ -18,7 +18,7 @@ from ..simulation.simulation import Simulation
 # CPU time that a probe may take [s]; one that took less than the second is made once more, and the
 # faster one counts: what runs for the first time is slower, and other programs disturb.
 LONGEST, SHORT = 0.5, 0.2
-# Of a second method that is told beside the first: its tolerance or accuracy, and its step size,
+# Of a second method that is listed beside the first: its tolerance or accuracy, and its step size,
 # against those of the first.
 FINER, SHORTER = 1e-3, 0.5
 
@@ -30,7 +30,7 @@ class Cost:
     key: str  # Of a scene's method: ``accuracy``, ``tolerance`` or ``step_size``
     value: float  # Its value
     duration: float  # Simulated time [s]
-    # CPU time of the simulated time alone [s]; with rows and the second run that tells the error.
+    # CPU time of the simulated time alone [s]; with rows and the second run that gives the error.
     cpu_time: float
     whole: float
     probed: float  # Simulated time that the probe covered [s]
@@ -70,7 +70,7 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
     torque : mapping, sequence or None
         As for ``Simulation.step``.
     estimated : bool
-        Whether a second, finer run beside the first tells its error.
+        Whether a second, finer run beside the first gives its error.
     longest : float, optional
         CPU time that each of the two probes may take [s]; ``LONGEST`` when not given.
 

@@ -26,7 +26,7 @@ STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log',
 EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
 # Of joints with an orientation.
 TURNED = 'multi_dof_joint_states'
-# Damages of a bag that are told one by one.
+# Damages of a bag that are reported one by one.
 MOST_TOLD = 5
 
 
@@ -129,7 +129,7 @@ def _recording(path, messages, scene, namespace, finished):
     scene = scene or (changes[0][0] if changes else None)
     if scene is None:
         raise RecordingError(
-            f"{path}: the topic 'scene' is not in it, which tells what was simulated; add --scene")
+            f"{path}: the topic 'scene' is not in it, which names what was simulated; add --scene")
     stamps = [stamp_of(message) for message in states]
     mechanism, order = scene.mechanism, _order(path, states[0], scene)
     log, rows = _log(messages.get(prefix + LOG, []), mechanism, stamps)
@@ -262,7 +262,7 @@ def _matched(stamps, others):
     """
     Yield pairs of indices of equal stamps.
 
-    Stamps may come back: in simulated time they stand still in a pause, and begin anew after
+    Stamps may come back: in simulated time they stand still in a pause, and begin again after
     a reset. The first of the one belongs to the first of the other then.
 
     """

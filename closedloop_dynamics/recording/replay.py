@@ -34,7 +34,7 @@ class Replay:
     # compare.
     recorded: Trajectory
     simulated: Trajectory
-    starts: list  # List of (float, str): times at which the re-simulation began anew [s], and why
+    starts: list  # List of (float, str): times at which the re-simulation began again [s], and why
     notes: list  # List of str: what limits the comparison
     # How many times larger a small difference of positions has become up to each instant.
     growth: np.ndarray
@@ -71,7 +71,7 @@ def replay(recording, progress=lambda time: None):
     """
     Simulate a recording with its scene again, twice: to compare, and to see what grows.
 
-    ``progress`` is told how many states are done. Raises SimulationError where that fails.
+    ``progress`` is called with how many states are done. Raises SimulationError where that fails.
 
     """
     kind = _Stamped if recording.log is None else _Logged
@@ -167,7 +167,7 @@ class _Logged(_Player):
                 yield k >= self._known
 
     def _go_to(self, k):
-        """Advance to the time of an entry, or start there anew."""
+        """Advance to the time of an entry, or start there again."""
         log, before = self._log, max(k - 1, 0)
         jump = log.jumps[k] != log.jumps[before]
         if jump and log.time[k] < log.time[before]:
@@ -234,7 +234,7 @@ class _Logged(_Player):
         """Return the first entry from k on at which nothing acts that is not in the log."""
         log, simulation = self._log, self.simulation
         delay = simulation.command_delay
-        # Error control starts anew with a command; a delayed one does so between two entries.
+        # Error control restarts with a command; a delayed one does so between two entries.
         adaptive = INTEGRATORS[simulation.scene.method.integrator].kind == ADAPTIVE
         for entry in range(k, len(log.time) - 1):
             begins = not adaptive or delay == 0.0 and np.any(

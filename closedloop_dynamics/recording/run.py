@@ -18,7 +18,7 @@ from ..simulation.errors import SimulationError
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.trajectory import wrench_parts
 
-# What is told of joints, and of cut joints.
+# What is reported of joints, and of cut joints.
 QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
 # What accuracy costs: the error of the row [rad or m], NaN without a second run; the accuracy that
 # is kept [rad or m], NaN where none is; evaluations [1/s] and CPU time since the row before, per
@@ -26,7 +26,7 @@ QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
 COSTS = ('error', 'accuracy', 'evaluation_rate', 'cpu_share')
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
-# Tolerance of the run that tells the error, against that of the run itself.
+# Tolerance of the run that gives the error, against that of the run itself.
 FINER = 1.0 / 30.0
 
 
@@ -186,7 +186,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     torque : mapping, sequence or None
         As for ``Simulation.step``.
     report : Report
-        Filled while the run goes on, so that it tells of a run that fails, too.
+        Filled while the run goes on, so that it reports a run that fails, too.
     on_row : callable
         Takes the numbers of ``row``.
     keep_going : callable

@@ -249,7 +249,7 @@ class SequenceGaps:
         self._latest = []
 
     def forget(self):
-        """Begin anew: publishers have come or gone."""
+        """Restart: publishers have come or gone."""
         self._latest.clear()
 
     def missing(self, number, publishers):

@@ -20,7 +20,7 @@ class ExternalWrench:
     """
     Lets wrenches act on bodies of a simulation as the joint torques that do the same.
 
-    These are found anew whenever the simulation advances, and constant in between. As long as
+    These are found again whenever the simulation advances, and constant in between. As long as
     there are none, nothing is computed.
 
     Attributes
@@ -40,7 +40,7 @@ class ExternalWrench:
                         for point in mechanism.points}
         self._places.update({body.name: (body.name, np.zeros(3)) for body in mechanism.bodies})
         self._acting = {}
-        # What a motion takes is told by its own equation.
+        # A motion's force comes from its own equation.
         self._moved = [mechanism.coordinates.index[motion.freedom]
                        for motion in mechanism.motions
                        if motion.freedom in mechanism.coordinates.index]

@@ -18,7 +18,7 @@ class LiveSimulation:
     The simulation that a mode advances under a ``TorqueCommand``, and its publishing.
 
     ``stamps`` are the time that messages carry, ``states`` publishes them; a command grows old by
-    the simulated time of ``pacer``, where it is not None, which is told to ``logger``.
+    the simulated time of ``pacer``, where it is not None, which is reported to ``logger``.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class LiveSimulation:
             self.expire()
             self.command.held += (
                 steps * self.simulation.step_size / self._pacer.real_time_factor)
-        # Before the notes, which tell of the accuracy of the steps that follow.
+        # Before the notes, which report the accuracy of the steps that follow.
         self.simulation.keep_budget()
         self.torque[:] = 0.0
         self.torque[self.simulation.actuated] = self.command.torque

@@ -15,7 +15,7 @@ from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationE
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
-# Simulated time whose cost is told at the start [s], calls in a second of it [Hz], and CPU time of
+# Simulated time whose cost the start reports [s], calls in a second of it [Hz], and CPU time of
 # each of the two probes [s].
 COST_DURATION, COST_RATE, LONGEST_PROBE = 10.0, 10.0, 0.1
 

@@ -15,11 +15,11 @@ which takes seconds, too, with all that was compiled.
 
 A step of a simulation may take long: next to a singular position, or while code for one is
 compiled. What is to be done in time is done outside the executor, and while it takes long, another
-thread runs the callbacks: services answer, and are told that the simulation is busy. A signal then
+thread runs the callbacks: services answer that the simulation is busy. A signal then
 ends the process after a while, in the midst of the step.
 
 rclpy's events executor takes a third of the processor time of the single-threaded one, which
-builds its wait set anew for every message. Its ``spin()`` does not work in every build of rclpy,
+rebuilds its wait set for every message. Its ``spin()`` does not work in every build of rclpy,
 and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake
 up a thread of its own first, and that one the caller: what has to happen in time is slept for
 here.
@@ -235,7 +235,7 @@ def spin(executor, over, beat=None):
     Run callbacks as they become due.
 
     ``over()`` is asked after every callback whether to end. ``beat`` is something to be done in
-    time: ``take_over()`` is called once where this is possible, ``due()`` tells when (of the
+    time: ``take_over()`` is called once where this is possible, ``due()`` gives when (of the
     steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long,
     callbacks run in another thread.
 

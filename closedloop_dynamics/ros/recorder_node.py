@@ -131,7 +131,7 @@ class RecorderNode(Node):
             logger.info(f"{sum(self._bag.written.values())} messages in '{self._bag.path}'")
 
     def _follow(self, topic, type_names):
-        """Subscribe to a topic, or anew if a publisher asks for another quality of service."""
+        """Subscribe to a topic, again if a publisher asks for another quality of service."""
         offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
         subscription = self._subscriptions_by_topic.get(topic)
         if subscription is None:
@@ -160,7 +160,7 @@ class RecorderNode(Node):
             return None
 
     def _subscribe(self, topic, message_class, profile):
-        # Without the message's info, where the middleware tells when it came: the events executor
+        # Without the message's info, where the middleware gives its arrival: the events executor
         # of some builds fails with it. It runs this at once.
         def on_message(data):
             self._record(topic, data, time.time_ns())

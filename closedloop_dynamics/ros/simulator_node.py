@@ -108,7 +108,7 @@ class SimulatorNode(Node):
         self._expected = values['wait_for_subscribers']
         self.counts = {'states set': 0, 'states refused': 0}
         declare_fact(self, 'actuated_joints', self.simulation.actuated_joints,
-                     'Order of the values of torque_command; told by the scene.')
+                     'Order of the values of torque_command; given by the scene.')
         self.effect_parameters = EffectParameters(self, self.simulation)
         self._create_simulation()
         self._create_observers()

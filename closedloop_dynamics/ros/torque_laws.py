@@ -77,7 +77,7 @@ class ProportionalDerivative:
         Return the torques for a state, shape (n,).
 
         The time [s] has any origin: the first state, and one from before the last (a simulation
-        that was reset), starts the reference anew. Position and velocity have shape (n,).
+        that was reset), starts the reference again. Position and velocity have shape (n,).
 
         """
         if self._first is None or time < self._last:

@@ -73,7 +73,7 @@ DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
 MODES = TORQUE, POSITION
 # The period is the longest of so many.
 PERIODS = 9
-# So does the spring that a hand pulls with, for the mass that the point feels, which is found anew
+# So does the spring that a hand pulls with, for the mass that the point feels, which is updated
 # so often in simulated time [s]. In shares of the machine's size: how far it stretches at most,
 # and how far the point may move in a period before it is let go.
 HAND_RATE, HAND_SHARE, FEEL_PERIOD, STRETCH, SWING = 30.0, 0.12, 0.02, 0.2, 0.25
@@ -81,7 +81,7 @@ VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
                            'given: all that are found.'),
     Parameter('host', '127.0.0.1', 'Address to listen on; any but that of this host needs the '
-                                   'token in the address that is told.'),
+                                   'token in the address that is printed.'),
     Parameter('port', 0, 'To listen on; 0: any that is free.', (0, 65535)),
     ALLOW_CODE,
 )

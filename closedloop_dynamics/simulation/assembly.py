@@ -43,7 +43,7 @@ NEARBY, NEIGHBOURS = 0.1, 3
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
 MOST_GUESSES = 10
-# Larger changes of a guess are told [rad, and shares of the size; shares of a rate].
+# Larger changes of a guess are reported [rad, and shares of the size; shares of a rate].
 LARGE_MOVE, LARGE_CHANGE_OF_RATE = 0.5, 0.1
 # With relative singular values below this a guess is too near two branches to belong to one.
 UNDECIDED = 1e-3

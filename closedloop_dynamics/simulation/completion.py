@@ -30,7 +30,7 @@ from ..engine import native
 PIECE, SURE, HALVINGS, MOST_PIECES = 0.1, 0.5, 12, 200
 # Corrections shorter than this are rounding; how long one is at most; how many there are at most;
 # a correction longer than this share of the one before is no good, and the matrices are computed
-# anew.
+# again.
 ROUNDING, LONGEST, MOST_CORRECTIONS, POOR = 1e-13, 0.25, 30, 0.1
 # Matrices are those of a position no further away than this.
 NEAR = 0.02
@@ -72,7 +72,7 @@ class Completion:
         The most that a measured joint is away from its measured position [rad or m].
     sine : float
         Sine of the smallest angle between the motions of the mechanism and those in which no
-        measured joint moves. 0: singular, the measured joints do not tell where the others are.
+        measured joint moves. 0: singular, the measured joints do not determine the others.
     passed : bool
         Whether a singular position was touched or passed since the start, so that the mechanism
         may be on another branch now; this one stays on its own. Where the measured joints are not

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cut joints that have coordinates: these as arrays, and what is told of them."""
+"""Cut joints that have coordinates: these as arrays, and their readings."""
 
 import numpy as np
 

@@ -84,7 +84,7 @@ class Differentiator:
     Derivatives of the accelerations, multipliers and joint forces of any state of a scene.
 
     Compiled once for a mechanism and its effects; masses, lengths and parameters of effects are
-    read anew with each call.
+    read again with each call.
 
     Parameters
     ----------

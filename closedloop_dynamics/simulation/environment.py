@@ -345,14 +345,14 @@ class MechanismEnv(Env):
 
 
 def _require_plain(simulation):
-    """Refuse scenes of which positions and rates alone do not tell how they go on."""
+    """Refuse scenes of which positions and rates alone do not show how they go on."""
     effects = simulation.effect_set
     reasons = [reason for there, reason in (
         (len(effects.own), 'effects with states or clocks of their own'),
         (effects.delays, 'commands that arrive late'),
         (simulation.mechanism.motions, 'prescribed motions')) if there]
     if reasons:
-        raise ValueError(f'model: expected one whose positions and rates tell how it goes on, got '
+        raise ValueError(f'model: expected one whose positions and rates show how it goes on, got '
                          f'one with {", ".join(reasons)}; effects: '
                          f'{", ".join(simulation.effects)}')
 

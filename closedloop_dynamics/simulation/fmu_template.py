@@ -253,7 +253,7 @@ static double determinant_now(const Values *values)
   return complete(values, jacobian, none, change);
 }
 
-/* Choose independent coordinates anew, by elimination with complete pivoting. Returns whether
+/* Choose independent coordinates again, by elimination with complete pivoting. Returns whether
  * they have changed. */
 static int choose(Values *values)
 {

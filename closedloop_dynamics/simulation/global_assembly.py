@@ -36,7 +36,7 @@ AMPLITUDES = (0.2, 0.5, 1.0, 1.5, 2.5, 3.1)
 STARTS_EACH = 4
 # Share of the largest inertia that every coordinate has at least in the metric.
 LEAST_INERTIA = 1e-4
-# From so many starts a loop is tried alone, to tell whether it can be closed at all.
+# From so many starts a loop is tried alone, to find whether it can be closed at all.
 STARTS_ALONE = 12
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
 NEARBY, NEIGHBOURS = 0.1, 2

@@ -4,7 +4,7 @@
 """
 Guards of a run: error of the energy balance, loops that open, steps that cannot be stable.
 
-The engine looks, by the numbers here (``engine/guarded_run.hpp``); what it has found is told here,
+The engine looks, by the numbers here (``engine/guarded_run.hpp``); its findings are reported here,
 and raised where the motion has become meaningless.
 
 The fastest rate of the motion, the largest eigenvalue of the derivative's
@@ -292,7 +292,7 @@ def opened_loops(simulation):
         return SingularityError(
             f'A singular configuration was met up to t = {time:.9g} s: closure '
             'equations vanish there, and with the drift that stabilisation: none allows the '
-            'branch on which the mechanism goes on cannot be told. Take stabilisation: '
+            'branch on which the mechanism goes on is undetermined. Take stabilisation: '
             'projection.')
     return ClosureError(
         f'The loops have drifted apart by {simulation.closure:.3g} m (or rad) at t = '

@@ -212,7 +212,7 @@ def block_condition(model: Model, inertia: np.ndarray, jac: np.ndarray) -> float
 
     Notes
     -----
-    Eliminates anew, blocks in the order of the method, so that evaluations need not keep
+    Eliminates again, blocks in the order of the method, so that evaluations need not keep
     anything for it. Each equation is scaled by its entry on the diagonal: a fixed cut
     joint has equations of forces and of a torque.
 

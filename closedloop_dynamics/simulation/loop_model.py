@@ -63,7 +63,7 @@ class LoopModel:
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._first, self._known, self.model = None, {}, None
-        # Where equations were chosen anew the last time, and those that have been worked on there.
+        # Where equations were last chosen, and those that have been worked on there.
         self._place, self._tried = b'', set()
         self.opening, self.is_plain = AS_GOOD_AS_CLOSED, True
         self.keep(None)
@@ -192,7 +192,7 @@ class LoopModel:
         return assembler.jacobian_of_largest_rank(q) if singular else jac
 
     def _kept(self):
-        """Return what ``keep`` was told."""
+        """Return the argument of ``keep``."""
         return None if self.equations.kept.all() else self.equations.kept
 
     def serves(self, q):
@@ -218,7 +218,7 @@ class LoopModel:
 
     def reselected(self, q, better, nearby):
         """
-        Choose the equations that the elimination works on anew, where the present ones serve ill.
+        Choose the equations that the elimination works on again, where the present ones serve ill.
 
         Parameters
         ----------

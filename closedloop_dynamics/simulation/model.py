@@ -117,7 +117,7 @@ class Model(Names):
     def assemble(self, position: Optional[Numbers] = None, velocity: Optional[Numbers] = None,
                  hold: Sequence[str] = (), time: float = 0.0) -> State:
         """
-        Return a state that closes the loops, the effects' own states beginning anew.
+        Return a state that closes the loops, the effects' own states restarted.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class Model(Names):
         qd : array_like, shape (nv,) or (n, nv), optional
             Joint rates that keep them closed [rad/s or m/s]; zero when not given.
         own : array_like, shape (nz,) or (n, nz), optional
-            The effects' own states; beginning anew when not given.
+            The effects' own states; restarted when not given.
         time : float, or array_like of shape (n,)
             [s].
 
@@ -443,7 +443,7 @@ class Model(Names):
 
     def begins(self, state: State) -> bool:
         """
-        Tell whether the effects begin anew in a state, or in all of a batch.
+        Return whether the effects restart in a state, or in all of a batch.
 
         Parameters
         ----------
@@ -456,7 +456,7 @@ class Model(Names):
             return all(self._work.begins(one) for one in state.each)
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        """Copy and pickle as the scene, of which the model is built anew."""
+        """Copy and pickle as the scene, of which the model is rebuilt."""
         return Model, (self.scene,)
 
     def __repr__(self) -> str:
@@ -480,7 +480,7 @@ class _Workspace(Readings):
         return len(self._own)
 
     def begun(self, time: float, q: np.ndarray, qd: np.ndarray) -> State:
-        """Return a state in which the effects begin anew, as it is."""
+        """Return a state in which the effects begin again, as it is."""
         self._put(time, q, qd, self._effects.initial)
         self.system.tau[:] = 0.0
         self._feel_loads()
@@ -539,7 +539,7 @@ class _Workspace(Readings):
             state.q, state.qd, acceleration)))
 
     def begins(self, state: State) -> bool:
-        """Tell whether the effects that act on the motion begin anew in a state."""
+        """Return whether the effects that act on the motion restart in a state."""
         places = self._effects.own
         return not len(places) or np.array_equal(
             self.begun(0.0, state.q, state.qd).own[places], state.own[places])

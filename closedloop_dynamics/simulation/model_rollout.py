@@ -58,7 +58,7 @@ def rollout(model: Model, states: Optional[State] = None, torques: Optional[Arra
         simulation = _SIMULATIONS[model] = Simulation(model, None, method)
     if states is not None and not model.begins(states):
         raise ValueError(
-            'rollout: expected states in which the effects begin anew, as Model.assemble returns '
+            'rollout: expected states in which the effects begin again, as Model.assemble returns '
             'them, got some in which they have gone on; run Simulation(model, state) for these')
     return simulation.rollout(
         torques, None if states is None else states.q, None if states is None else states.qd,

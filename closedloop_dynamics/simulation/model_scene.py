@@ -4,7 +4,7 @@
 """
 Scenes of models in other formats: under gravity, at rest, with the loops closed.
 
-What a model says of damping, springs and the like becomes effects. What is left out is told by a
+What a model says of damping, springs and the like becomes effects. Omissions are reported by a
 warning, and so is how far the joints moved to close the loops.
 
 """
@@ -24,7 +24,7 @@ from ..mechanism.fields import at, FieldError
 from ..mechanism.mechanism import FIXED, MechanismError, REVOLUTE, SPHERICAL
 from ..mechanism.rotations import quaternion_of
 
-# So many of the joints that moved the furthest are told.
+# So many of the joints that moved the furthest are reported.
 MOST_TOLD = 3
 HELD = 'the drives held'
 # Loops that are open by less than this in sizes of the mechanism are so by digits of the file.
@@ -100,7 +100,7 @@ def closed_start(imported):
     Raises
     ------
     AssemblyError
-        Where none was found; it tells which loops stay open.
+        Where none was found; it states which loops stay open.
 
     """
     imported, found, notes = assembled(imported)
@@ -130,7 +130,7 @@ def assembled(imported):
         With the anchors of loops moved, where the last digits of a file keep them open.
     found : global_assembly.Found
     notes : list of str
-        What to tell of it; none where nothing moved.
+        Notes about it; none where nothing moved.
 
     """
     mechanism, size = imported.mechanism, extent(imported.mechanism)

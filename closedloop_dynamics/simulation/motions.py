@@ -17,7 +17,7 @@ from ..mechanism.fields import at, FieldError
 
 # Jumps, against the size of what jumps, or 1, that are rounding.
 NO_JUMP = 1e-9
-# A start that differs by more from the one of the scene is told [rad, m].
+# A start that differs by more from the one of the scene is reported [rad, m].
 OTHER_START = 1e-6
 # Smallest singular value of the scaled Jacobian below which a limit is near: some 0.01 rad.
 AT_LIMIT = 1e-2
@@ -284,7 +284,7 @@ class DrivingConstraints:
     @property
     def commanded(self):
         """
-        Effects whose course is told while it runs, by what a command calls them.
+        Effects whose course is commanded while it runs, by their names in commands.
 
         Returns
         -------

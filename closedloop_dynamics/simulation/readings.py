@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What can be told of the present state: accelerations, forces, energies and places."""
+"""Readings of the present state: accelerations, forces, energies and places."""
 
 import math
 from typing import Any, Dict, List, Optional, Sequence, Tuple

@@ -37,7 +37,7 @@ class Redundancy(NamedTuple):
     repeated : tuple of (str, str, str)
         Cut joint or coupling, its equation, and whether it repeats others at any lengths.
     shared : tuple of str
-        Joints, cut joints and couplings whose forces are not unique: the least are told.
+        Joints, cut joints and couplings whose forces are not unique: the least are reported.
     components : dict of str to tuple of str
         Of these joints, the components of the wrench, in world axes, that are not unique.
 

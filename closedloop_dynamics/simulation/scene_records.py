@@ -39,7 +39,7 @@ class Initial:
     hold : tuple of str
         Joints whose position and velocity are kept as given; may be empty.
     turned : dict of str to float
-        Of cut joints in space that turn, and whose turns are counted: angles that tell how often
+        Of cut joints in space that turn, and whose turns are counted: angles that show how often
         they have turned round, within half a turn [rad]; in a file beside the positions.
 
     """
@@ -57,7 +57,7 @@ class Initial:
                 raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
 
 
-# What the stamps of messages tell apart [s].
+# Resolution of the stamps of messages [s].
 SMALLEST_STEP = 1e-9
 
 

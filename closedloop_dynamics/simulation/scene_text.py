@@ -43,7 +43,7 @@ def scene_text(scene: Scene, effects: Optional[Mapping[str, Any]] = None,
     switched_off : sequence of str, optional
         In place of the scene's own: names of effects.
     **facts
-        What else is to be told, as JSON can: a simulated time, say.
+        Further entries, as JSON can hold: a simulated time, say.
 
     """
     data = scene_data(scene, effects, switched_off)
@@ -140,7 +140,7 @@ def read_scene_text(text: str) -> Tuple[Scene, Dict[str, Any]]:
     -------
     scene : scene_records.Scene
     facts : dict
-        What else was told.
+        Its further entries.
 
     Raises
     ------

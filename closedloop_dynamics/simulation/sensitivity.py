@@ -219,7 +219,7 @@ class Sensitivity:
                     raise ValueError(
                         f'state: expected a single one, got a batch of {len(state)}')
                 if not self.model.begins(state):
-                    raise ValueError('state: expected one in which the effects begin anew, as '
+                    raise ValueError('state: expected one in which the effects begin again, as '
                                      'Model.assemble returns it, got one in which they have gone '
                                      'on')
             simulation.begin_at(self.model.assemble() if state is None else state)

@@ -291,7 +291,7 @@ class Simulation(Readings):
             raise SimulationError(
                 f'The scene lists dry friction, or forces whose course over time has corners '
                 f'({", ".join(names)}): steps must end where a joint comes to rest and at '
-                f'corners, and {method.integrator} does not tell where its steps end. Take '
+                f'corners, and {method.integrator} does not choose where its steps end. Take '
                 f'another integrator ({", ".join(own)}), or leave them out.')
 
     def step(
@@ -482,7 +482,7 @@ class Simulation(Readings):
         self.measured_cut_joints()
 
     def _make(self, size: float, steps: int, call: int = 0) -> None:
-        """Make steps of one size [s], the end of a call of so many steps where that is told."""
+        """Make steps of one size [s], to the end of a call of so many where that is known."""
         counts = self._counts
         counts[guarded_run.DUE] = counts[guarded_run.HANDED] = 0
         counts[guarded_run.LEFT], counts[guarded_run.CALL] = steps, call
@@ -587,7 +587,7 @@ class Simulation(Readings):
 
     def choose_equations(self, status: int) -> bool:
         """
-        Choose the equations that the elimination works on anew, after a step that failed.
+        Choose the equations that the elimination works on again, after a step that failed.
 
         Parameters
         ----------
@@ -878,7 +878,7 @@ class Simulation(Readings):
         -------
         callable
             Lets the method take effect, from the next step on; time and state go on, the
-            account of cost and local error starts anew.
+            account of cost and local error restarts.
 
         Raises
         ------
@@ -894,8 +894,8 @@ class Simulation(Readings):
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
-        before, anew = self.system, self.leaves_out and not self._may_leave_out(method)
-        system = with_equations(before, self._geometry.of(None)[0]) if anew else before
+        before, needs_all = self.system, self.leaves_out and not self._may_leave_out(method)
+        system = with_equations(before, self._geometry.of(None)[0]) if needs_all else before
         system = with_partition(system, method.stabilisation == 'independent')
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
@@ -909,7 +909,7 @@ class Simulation(Readings):
                 # Equations, or the method, have been exchanged since.
                 self.prepare_method(**changes)()
                 return
-            if anew:
+            if needs_all:
                 self._geometry.keep(None)
                 self._take(system)
                 self.exchanges += 1
@@ -1134,8 +1134,8 @@ class Simulation(Readings):
         Returns
         -------
         rollout.Rollout
-            A sample that fails is told of in ``failures``; its numbers are NaN from then on.
-            One whose energy balance misses more than a thousandth of what moved is told of
+            A sample that fails is listed in ``failures``; its numbers are NaN from then on.
+            One whose energy balance misses more than a thousandth of what moved is listed
             there, too, with its numbers kept.
 
         Raises
@@ -1190,15 +1190,15 @@ class Simulation(Readings):
         self._add_work()
         self._start_balance()
         before = self.energy
-        anew = self._try_effect(name, enabled, parameters)
-        self._own[anew] = self._effects.initial[anew]
+        restarted = self._try_effect(name, enabled, parameters)
+        self._own[restarted] = self._effects.initial[restarted]
         self._set_run()
         self._effects.follow_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):
             self.exchange(self._geometry.keep(None))
         self._driver.restart()
         self._jump()
-        if len(anew):
+        if len(restarted):
             self._feel_loads()
         self._jump_balance(self.energy - before)
         if self._effects.records[name].feels_reactions:
@@ -1275,7 +1275,7 @@ class Simulation(Readings):
         self._motions.require_continued(
             name, effects.checked(name, enabled, parameters), enabled, self.time)
         was = effects.records.get(name), effects.enabled.get(name)
-        anew = effects.change(name, enabled, parameters)
+        restarted = effects.change(name, enabled, parameters)
         self._fresh = False
         try:
             self._require_finite_laws()
@@ -1284,7 +1284,7 @@ class Simulation(Readings):
             raise
         if effects.records[name].STIFFENS:
             self._require_stable(name, was)
-        return anew
+        return restarted
 
     def _require_stable(self, name: str, was: Tuple[Any, ...]) -> None:
         try:

@@ -150,7 +150,7 @@ class _Tree:
             constant = np.zeros(space.BODY_COLUMNS)
             constant[space.PLACE:space.PLACE + 3] = cleared(place)
             constant[space.TURNED:space.TURNED + 9] = turned.ravel()
-            # The frame of a ball begins anew; what only slides does not turn.
+            # The frame of a ball begins again; what only slides does not turn.
             constant[space.PARALLEL] = np.array_equal(turned, _UNIT)
             if kind == t.HELICAL:
                 constant[space.LEAD] = joint.lead

@@ -22,7 +22,7 @@ class State:
     A state, or a batch of states along a leading axis; it never changes.
 
     ``Model.assemble`` makes states that close the loops, ``Model.state`` takes numbers as they
-    are, ``Simulation.snapshot`` tells where a run stands.
+    are, ``Simulation.snapshot`` states where a run stands.
 
     Parameters
     ----------

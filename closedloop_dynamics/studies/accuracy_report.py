@@ -19,7 +19,7 @@ CSV_HEADER = (
     'integrator', 'stabilisation', 'formulation', 'step_size', 'tolerance', 'position_error',
     'velocity_error', 'force_error', 'closure', 'energy_error', 'evaluations_per_second',
     'cpu_time_per_second', 'failure')
-# Markers and dashes tell the lines apart without any colour.
+# Markers and dashes distinguish the lines without any colour.
 LINE_COLORS = (*COLORS, '#E69F00')
 MARKERS = 'osD^vP*X<>'
 REAL_TIME = 1.0

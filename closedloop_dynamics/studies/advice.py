@@ -31,7 +31,7 @@ def for_target(study, target):
     wanted = f'An error of positions of at most {target:g} rad or m over {study.duration:g} s'
     known = study.reference.error.position
     if target < known:
-        return Advice(None, f'{wanted} cannot be told: the reference itself is only known to '
+        return Advice(None, f'{wanted} cannot be decided: the reference itself is only known to '
                             f'{known:.1e}. Ask for more than that, or for a shorter duration.')
     holding = []
     for rows in study.lines().values():

@@ -189,7 +189,7 @@ def _repeated(mechanism, simulation, found):
         return []
     return [_table('Equations that repeat others', ('of', 'equation', 'repeats others'),
                    told.repeated),
-            _table('Forces that are not unique, of which the least are told',
+            _table('Forces that are not unique, of which the least are reported',
                    ('in', 'components, in world axes'),
                    [(name, ', '.join(told.components.get(name, ()))) for name in told.shared])]
 

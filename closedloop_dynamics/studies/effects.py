@@ -9,7 +9,7 @@ that type changes. What it costs has two factors: the arithmetic, that is the ti
 evaluation of the accelerations, in the same states with and without the effects; and the motion,
 that is the evaluations that a simulated second takes. Times are measured in turn, so that
 disturbances of the machine affect all of them, and each is compared with the one of the same
-round. The bare scene is measured twice: that tells how far such ratios can be trusted.
+round. The bare scene is measured twice: that shows how far such ratios can be trusted.
 
 """
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Motions from which parameters can be told apart.
+Motions from which parameters can be distinguished.
 
 Each measured joint follows a Fourier series of the period T that begins, and ends, at rest in the
 scene's start, q0:

@@ -17,7 +17,7 @@ HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time', 'ac
           'forces')
 CSV_HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time',
               'acceleration_error', 'force_error')
-# Okabe and Ito's palette; markers tell the lines apart without it.
+# Okabe and Ito's palette; markers distinguish the lines without it.
 STYLES = {'subsystem': ('#0072B2', 'o', '-'), 'system': ('#D55E00', 's', '--'),
           'augmented': ('#009E73', 'D', ':'), UNROLLED: ('#56B4E9', '^', '-')}
 # Scenes whose names stand upright below a picture.

@@ -792,7 +792,7 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
     'Redundant constraints': (
         ('3-RRR, loops twice',
          'Every cut joint of the 3-RRR twice: the same motion to 1e-9, each pair shares the '
-         'force of one, its rank is told, and that the forces are not unique.',
+         'force of one, its rank is reported, and that the forces are not unique.',
          'difference, relative', 1e-9, 1e-3, _doubled('three_rrr')),
         ('scraper, loops twice',
          'The same for the carpet scraping mechanism.', 'difference, relative', 1e-9, 1e-3,

@@ -64,7 +64,7 @@ def _turned_hexapod(method, quick):
         worst = max(worst, abs(balance.residual) / max(1.0, balance.kinetic))
         x, y, z, w = simulation.body_poses[platform, 3:]
         worst = max(worst, math.hypot(x, y))
-        # The cosine of its turn and the sine that is told change their signs together.
+        # The cosine of its turn and the sine that is given change their signs together.
         now = 1.0 - 2.0 * (y * y + z * z), simulation.health.drive_sine
         if before is not None and simulation.time < 0.6:
             crossed = [one * other < 0.0 for one, other in zip(before, now)]
@@ -183,7 +183,7 @@ IN_SPACE = (
      1e-2, _idle_spin, '1 s / 0.1 s'),
     ('hexapod turned by 90 degrees',
      'A Stewart platform is turned, level, through 90 degrees, where locked legs would leave it '
-     'loose: that is told, energy equals work.',
+     'loose: that is reported, energy equals work.',
      'energy without source, relative, or sine of half its tilt', 1e-6, 1e-2, _turned_hexapod,
      '1.2 s / 0.6 s'),
     ('starts 0.1 off',

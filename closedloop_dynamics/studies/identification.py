@@ -10,7 +10,7 @@ a unit rate of each independent coordinate, constraint forces drop out of invers
     N^T (Y p + e) = N^T tau
 
 Y p is what masses, first moments and inertias p take (linear, ``inertial_parameters``), e what
-known masses and effects take. Columns of N^T Y that depend on one another tell which sums of
+known masses and effects take. Columns of N^T Y that depend on one another determine which sums of
 parameters the motion shows (base parameters, Gautier and Khalil 1990), found by a QR factorisation
 with pivoting. The sums follow from weighted least squares, whose weights are the inverse standard
 deviations of what is left in each independent coordinate. All other numbers (lengths, coefficients
@@ -57,7 +57,7 @@ UNDECIDED = 1e-6
 IDENTIFIED = 0.1
 # Of intervals: how often they hold the true value.
 CONFIDENCE = 0.95
-# Weights are found anew so many times; no standard deviation is below this share of the torques.
+# Weights are found again so many times; no standard deviation is below this share of the torques.
 WEIGHTINGS, LEAST_DEVIATION = 3, 1e-12
 # Differences by a number: the step, as a share of the number, and weights by steps.
 STEP = 1e-3
@@ -145,7 +145,7 @@ class Combination(NamedTuple):
 @dataclass(frozen=True)
 class Identification:
     """
-    What a motion tells of the parameters.
+    What follows from a motion for the parameters.
 
     Attributes
     ----------

@@ -201,7 +201,7 @@ PATIENCE = 10.0
 # Where less is known than this, nothing is compared [rad or m]; less than the first only where
 # that would end the comparison before this share of the outputs.
 KNOWN_TO, SHARE = (1e-6, 1e-3), 0.1
-# Shift of the start that tells how differences grow [rad or m].
+# Shift of the start that shows how differences grow [rad or m].
 SHIFT = 1e-9
 
 
@@ -214,7 +214,7 @@ class Reference:
     # size.
     error: Difference
     description: str  # What it was computed with, how far and how well it is known, in sentences
-    growth: float = math.nan  # Of a small difference at the start; NaN where it cannot be told
+    growth: float = math.nan  # Of a small difference at the start; NaN where it is unknown
     cost: float = 0.0  # CPU time per simulated time
 
 
@@ -280,7 +280,7 @@ def compute_reference(scene, torque, interval, outputs):
     lines = [
         f'Reference: {_named(candidate, interval)}; proved by {" and ".join(proofs)}: they differ '
         f'by {own.position:.1e} rad or m, {own.velocity:.1e} rad/s or m/s, {own.force:.1e} N or '
-        f'N m. Smaller errors cannot be told.']
+        f'N m. Smaller errors cannot be measured.']
     growth = _growth(scene, torque, interval, known, candidate, reference.first(known))
     if not math.isnan(growth):
         lines.append(

@@ -36,8 +36,8 @@ def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda d
     Run cases, the rows of the atlas, with methods, its columns, by name; return the outcomes.
 
     The outcomes are by the names of case and method. ``quick``: fewer trials and shorter runs for
-    the default method, too; the others always have those. ``progress`` is told how many cells of
-    how many are done.
+    the default method, too; the others always have those. ``progress`` is called with the
+    numbers of cells done and of all.
 
     """
     atlas, total = {}, len(cases) * len(methods)

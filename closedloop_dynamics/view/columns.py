@@ -269,7 +269,7 @@ class SimulationRows:
             self._paths.ravel(), self.row()[self._first_plot:]])
 
     def _told(self):
-        """Return what effects tell of themselves, by name; nothing of those switched off."""
+        """Return the effects' own readings, by name; nothing of those switched off."""
         enabled = self._simulation.enabled_effects
         return {name: self._simulation.effect_readings(name)
                 for name in self._telling if name in enabled}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Requests of pages, checked where they arrive, and what pages are told in return."""
+"""Requests of pages, checked where they arrive, and the replies."""
 
 from dataclasses import fields
 import json
@@ -87,7 +87,7 @@ OPTIONAL = {'effect': ('enabled', 'values')}
 
 
 def effects_told(effects, enabled):
-    """Return what pages are told of effects, by name; ``enabled`` tells which names act."""
+    """Return the description of effects for pages, by name; ``enabled`` states which names act."""
     return {name: {
         'type': effect_type(record), 'enabled': enabled(name),
         'values': {each.name: getattr(record, each.name) for each in fields(record)}}

@@ -196,7 +196,7 @@ class Runner:
         return tau
 
     def _advance(self, steps):
-        """Advance by steps, with the drives' torques anew so often."""
+        """Advance by steps, with the drives' torques renewed so often."""
         simulation = self.simulation
         every = most = max(1, math.ceil(
             self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
@@ -274,7 +274,7 @@ class Runner:
         """Do what may fail as simulations do; stand still if it does, the state kept."""
         try:
             with warnings.catch_warnings():
-                # The report tells of it.
+                # The report has it.
                 warnings.simplefilter('ignore', InaccuracyWarning)
                 action()
         except SimulationError as error:

@@ -14,7 +14,7 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
     Simulate from time zero under constant torques, by actuated joint [N m or N]; all rows of it.
 
     ``duration`` is in s, ``rate`` in Hz: there is a row at every multiple of its inverse, whose
-    time ``progress`` is told. Returns Columns, times [s] and rows, both lists. Raises
+    time ``progress`` is called with. Returns Columns, times [s] and rows, both lists. Raises
     SimulationError.
 
     """

@@ -260,7 +260,7 @@ def write(animation, path, rate, progress=lambda done: None):
     Write an animation into a ``.gif`` or ``.mp4`` file, which is replaced when all is written.
 
     What ends the writing before leaves nothing. ``rate`` is in frames per second [Hz];
-    ``progress`` is told how many frames are done. Raises OSError where it cannot be written.
+    ``progress`` is called with the number of frames done. Raises OSError where writing fails.
 
     """
     require_writable(path)

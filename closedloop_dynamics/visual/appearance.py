@@ -6,7 +6,7 @@ Appearance of a mechanism: outlines and colours that pictures, URDF and markers 
 
 A body is drawn through the points the description gives it: its own joint, the
 joints and cut joints it carries, its named points. Colours tell subsystems
-apart; all of them can be told apart by colour-blind readers, too.
+apart; all of them can be distinguished by colour-blind readers, too.
 
 """
 

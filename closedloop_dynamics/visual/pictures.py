@@ -13,7 +13,7 @@ from .trajectory import body_poses, magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
 
-# Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
+# Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be distinguished.
 COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
 DASHES = ('-', '--', ':')
 DOTS_PER_INCH = 120

@@ -361,7 +361,7 @@ def _spatial_errors(cut, pose_a, pose_b, gap):
     elif cut.type == HELICAL:
         vectors.append(np.cross(rotated(left, along_b), along_b))
         angle = 2.0 * np.arctan2(np.sum(left[..., :3] * along_b, axis=-1), left[..., 3])
-        # As many turns as there are between the two is not told by where bodies are.
+        # As many turns as there are between the two is not given by where bodies are.
         turned = np.sum(gap * along_b, axis=-1) / cut.lead - angle
         vectors.append(cut.lead * ((turned + np.pi) % (2.0 * np.pi) - np.pi)[..., np.newaxis])
     return [vector[..., k] for vector in vectors for k in range(vector.shape[-1])]
@@ -403,6 +403,6 @@ def _cut_part(mechanism, cut, factor, others, position):
     across = rotated(pose_b[..., 3:], np.cross(cut.axis_b, there))
     angle = np.arctan2(np.sum(side * across, axis=-1),
                        np.sum(side * rotated(pose_b[..., 3:], there), axis=-1))
-    # As many turns as there are is not told by where bodies are.
+    # As many turns as there are is not given by where bodies are.
     turns = np.round((others / factor + angle) / (2.0 * np.pi))
     return factor * (angle - 2.0 * np.pi * turns)

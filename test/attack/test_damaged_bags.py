@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Bags with flipped, zeroed, doubled and missing bytes: an error, or the damage is told.
+Bags with flipped, zeroed, doubled and missing bytes: an error, or the damage is reported.
 
 Every case runs the reader, ``closedloop recover`` and the reader of ``closedloop replay`` in
 this process. *Silent* is a case where messages are lost or altered and nothing says so. Of a
-recording that was killed, a shorter one cannot be told from one that was killed earlier; that it
+recording that was killed, a shorter one is as one that was killed earlier; that it
 was cut short is said in both cases.
 
 """
@@ -132,7 +132,7 @@ def outcome(path, original, finished, out):
         return 'accepted'
     if not told and not cut:
         return 'silent'
-    # What is told by the reader is told by the replay.
+    # The replay reports what the reader does.
     return 'told' if complaints or not bag.damages else 'silent'
 
 

@@ -66,7 +66,7 @@ def test_corrections_agree(drawn):
         assert np.abs(ends[0] - start).max() > 1e-6
 
 
-def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
+def test_change_of_parameters_is_seen_and_a_rotor_links_again():
     rng, mechanism, q, qd = cases.drawn('three_rrr')
     pair, before = systems(mechanism), None
     for change in range(3):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What acts at cut joints of several freedoms acts as in the tree, and is told the same."""
+"""What acts at cut joints of several freedoms acts as in the tree, and is reported the same."""
 
 from dataclasses import replace
 

@@ -216,7 +216,7 @@ def test_turns_of_a_cut_joint_are_counted_where_anything_acts(tmp_path, spatial)
     assert sim.effect_readings('spring')['stored_energy'] == pytest.approx(
         0.005 * sim.cut_position[0] ** 2, rel=1e-12)
     assert abs(sim.energy_balance.residual) < 1e-6
-    # Where nothing acts, in space, the angle alone is told.
+    # Where nothing acts, in space, only the angle is known.
     assert (abs(bare.cut_position[0]) <= math.pi) == spatial
     before = sim.state
     sim.step(None, 0.1)

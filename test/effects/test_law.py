@@ -91,7 +91,7 @@ def test_a_law_over_time_is_a_prescribed_force():
     other = PrescribedForce(
         'expression', 'slide', expression='2*sin(3*t) - exp(-t)*cos(sin(t))')
     assert_same_motion(block, [0.4], [1.0], law, other)
-    # The time goes on where a law is switched on, and begins anew with the run.
+    # The time goes on where a law is switched on, and begins again with the run.
     one = simulated(block(), {'it': law}, [0.0])
     one.step(None, 0.5)
     one.set_effect('it', enabled=False)

@@ -144,7 +144,7 @@ def test_the_differential_splits_the_torque_whatever_the_speeds():
         assert [left, right] == pytest.approx(moved[:2], abs=1e-8)
         assert pinion == pytest.approx(3.0 * carrier, abs=1e-10)
         assert 2.0 * carrier == pytest.approx(left + right, abs=1e-10)
-        # Only what speeds the small spider up tells the two sides apart.
+        # Only what speeds the small spider up distinguishes the two sides.
         _, one, other = simulation.tooth_forces
         assert 0.02 * (other - one) == pytest.approx(
             1e-4 * simulation.acceleration[2], abs=1e-9)

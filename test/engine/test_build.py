@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How the engine is compiled: what is compiled anew, by which compiler, and what is said."""
+"""How the engine is compiled: what is compiled again, by which compiler, and what is said."""
 
 import os
 from pathlib import Path

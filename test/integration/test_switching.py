@@ -171,7 +171,7 @@ def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
     most = {1e-3: 1.05, 1e-6: 1.05, 1e-9: 1.5}[accuracy] if rate == 1000 else 2.2
     assert auto.system.work.health[EVALUATIONS] < most * made
     assert own + companion < most * own
-    # What is told of the error is told all the same.
+    # The error is reported all the same.
     assert worst <= accuracy and 0.3 * worst <= auto.report().error_bound <= accuracy
 
 
@@ -209,7 +209,7 @@ def test_steps_between_torques_are_those_of_the_lower_order_where_these_are_accu
         simulation.advance(tau, 1)
         short += int(control[SHORT])
         evaluations.append(control[WORK] - before)
-    # Six evaluations, and that of the end, which tells the error, are not twelve.
+    # Six evaluations, and that of the end, for the error, are not twelve.
     assert short > 150 and np.median(evaluations) == 6.0
     # Torques that are held for longer than expected: DOP853 goes on.
     simulation.advance(tau, 100)

@@ -24,5 +24,5 @@ def test_an_active_environment_is_not_taken_for_the_python_to_make_it_from(tmp_p
     subprocess.run([base, '-m', 'venv', '--without-pip', str(tmp_path)], check=True)
     name, python, digest = chosen(tmp_path / 'bin')
     assert python == base
-    # Nothing would be made anew, either.
+    # Nothing would be made again, either.
     assert [name, python, digest] == chosen(os.path.dirname(base))

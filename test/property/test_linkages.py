@@ -20,7 +20,7 @@ from ..reference.linkages import random_linkage
 # Some compile for minutes on a busy machine.
 pytestmark = pytest.mark.timeout(1200)
 GRAVITY = (1.3, -9.0)
-# Drawn anew from the same numbers in every run; compiled code has no deadline.
+# Drawn again from the same numbers in every run; compiled code has no deadline.
 FIXED = settings(max_examples=20, derandomize=True, deadline=None, database=None)
 SHORT = settings(FIXED, max_examples=8)
 # Each is unrolled once, for all properties: that takes longer than looking at it.

@@ -149,7 +149,7 @@ def test_methods_changed_while_running_are_followed():
     assert replay(recorder.recording()).largest == 0.0
 
 
-def test_late_recordings_and_states_set_from_outside_begin_anew():
+def test_late_recordings_and_states_set_from_outside_begin_again():
     recorder = Recorder(load_scene('three_rrr'))
     drive(recorder, 20)
     simulation = recorder.simulation

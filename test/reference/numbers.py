@@ -170,7 +170,7 @@ class Numbers:
     Parameters
     ----------
     model : Model
-        Constant arrays of a mechanism in space. They are read anew for each state. Equations are
+        Constant arrays of a mechanism in space. They are read again for each state. Equations are
         all that do not always hold.
 
     Attributes

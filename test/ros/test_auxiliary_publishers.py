@@ -59,7 +59,7 @@ def test_descriptions_are_there_for_whoever_comes_late(simulator, listener):
     assert facts == {'after': 0}
 
 
-def test_scene_is_told_anew_when_it_changes(simulator, listener):
+def test_scene_is_told_again_when_it_changes(simulator, listener):
     node = simulator(scene='three_rrr')
     scenes = collect(listener, 'scene', String, LATCHED)
     listener.wait(lambda: scenes, 'scene')

@@ -372,7 +372,7 @@ def test_stamps_never_go_back_while_the_clock_does_not(build):
     node = build(publish_rate=200.0)
     node.live.stamps.now = lambda: round(1e9 * node.clock.now)
     advance(node, 0.005)
-    # A state that was set from outside is told in between, when the tick was due already.
+    # A state that was set from outside is reported in between, when the tick was due already.
     advance(node, 0.005)
     node.clock.now += 0.007
     node.jump()

@@ -232,5 +232,5 @@ def test_diagnostics_tell_how_the_run_goes(processes, listener):
     listener.send(bad, Float64MultiArray(data=[1.0]),
                   lambda: DiagnosticStatus.WARN in levels('commands')[seen:], 'a warning')
     assert simulator.stop() == 0
-    # What the method cost is told at the end, too.
+    # What the method cost is reported at the end, too.
     assert '% of real time (heun, projection' in simulator.output

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The demonstration ends by itself, tells the truth, and leaves no process behind."""
+"""The demonstration ends by itself, reports what is true, and leaves no process behind."""
 
 import os
 from pathlib import Path
@@ -120,7 +120,7 @@ def test_short_demonstration_from_start_to_end(start):
 def test_default_demonstration_holds_what_it_drives(start):
     code, text, errors = start().end()
     assert '[1/2] carpet_scraper' in text and '[2/2] three_rrr' in text
-    # A busy machine is no reason to fail here, but has to be told.
+    # A busy machine is no reason to fail here, but has to be reported.
     assert (code == 1) == ('NOT as wanted' in text) == ('did not do' in errors), text + errors
     if 'NOT representative' not in text:
         assert text.count('verdict    as wanted') == 2, text

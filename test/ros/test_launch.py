@@ -5,7 +5,7 @@
 Tests of the launch files: what they start, for which arguments.
 
 PyPI has no ``launch`` for Jazzy. So stand-ins of its classes, which only keep what they are
-given, tell what would be started; where the real one is installed, it starts the nodes, too.
+given, print what would be started; where the real one is installed, it starts the nodes, too.
 
 """
 
@@ -72,7 +72,7 @@ def stand_ins(monkeypatch):
 
 @pytest.fixture
 def simulate(stand_ins, monkeypatch):
-    """Return a function that tells what simulate.launch.py starts for arguments."""
+    """Return a function that returns what simulate.launch.py starts for arguments."""
     module = load('simulate')
     installed = {'rviz2', 'tf2_ros'}
 
@@ -228,7 +228,7 @@ def test_two_mechanisms_stand_apart(stand_ins, simulate):
 
 @pytest.fixture
 def example(stand_ins, simulate, monkeypatch, tmp_path):
-    """Return a function that tells what a launch file starts: nodes, and others."""
+    """Return a function that returns what a launch file starts: nodes, and others."""
     def started(name, **arguments):
         module = load(name)
         if hasattr(module, 'get_package_prefix'):

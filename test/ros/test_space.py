@@ -55,7 +55,7 @@ def made(name):
 
 
 def stepped_node(make_node, path, **parameters):
-    """Return a node that only moves when it is told to."""
+    """Return a node that only moves when asked to."""
     node = make_node(SimulatorNode, scene=path, step_count=20, **parameters)
     node.timer.cancel()
     node.on_pause(SetBool.Request(data=True), SetBool.Response())

@@ -83,7 +83,7 @@ def test_limit_holds_and_the_integral_does_not_wind_up():
     assert history[-1, 0] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_state_from_before_the_last_one_starts_anew():
+def test_state_from_before_the_last_one_starts_again():
     controller = law(velocity=1.0, kp=10.0, ki=5.0)
     first = controller.torque(50.0, array(2.0), array(0.0))
     controller.torque(60.0, array(2.0), array(0.0))

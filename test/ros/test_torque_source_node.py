@@ -165,7 +165,7 @@ def test_state_that_knows_nothing_of_the_last_command_is_skipped(make_source):
     # On its way; taken for lost; on its way again; in effect.
     assert [answer(1.0 + 0.1 * i, 0.0) for i in range(1, 5)] == [[], [], [[5.0]], []]
     assert answer(1.5, 5.0) == [[5.0]]
-    # A simulation that was reset begins anew.
+    # A simulation that was reset begins again.
     assert answer(0.0, 0.0) == [[5.0]]
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Assembly: loops close, nearest in the metric of mass, held joints stay, surprises are told."""
+"""Assembly: loops close, nearest in the metric of mass, held joints stay, notes are right."""
 
 from dataclasses import replace
 

@@ -100,7 +100,7 @@ def test_what_no_position_of_the_mechanism_has_is_refused_and_the_last_one_kept(
             sines.append(completion.sine)
     np.testing.assert_array_equal(completion.position, kept)
     assert min(sines) < 0.5 * sines[0]
-    # The mechanism may have gone on the other way from there: that is told, and this way kept.
+    # The mechanism may have gone on the other way from there: that is reported, and this way kept.
     assert completion.passed
     completion.complete([begin])
     np.testing.assert_allclose(completion.position, simulation.position, atol=1e-10)

@@ -137,7 +137,7 @@ def test_derivatives_of_laws_of_users():
     require_derivatives('rssr_four_bar', {'it': in_space}, step=2e-3)
 
 
-def test_laws_of_users_whose_arithmetic_has_changed_are_differentiated_anew():
+def test_laws_of_users_whose_arithmetic_has_changed_are_differentiated_again():
     law = Law({'q': '-k*q'}, joints={'q': 'crank_joint'}, parameters={'k': 2.0})
     simulation = simulation_of('four_bar', {'it': law})
     state = simulation.position, simulation.velocity
@@ -185,7 +185,7 @@ def test_states_that_cannot_be_written_are_read():
         found.by_position, Differentiator(simulation)(state.q.tolist(), state.qd).by_position)
 
 
-def test_parameters_are_read_anew():
+def test_parameters_are_read_again():
     simulation = simulation_of('four_bar', {'damper': JointDamping('crank_joint', 0.1)})
     differentiate = Differentiator(simulation)
     state = simulation.position, simulation.velocity

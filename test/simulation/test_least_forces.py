@@ -106,7 +106,7 @@ def test_forces_and_friction_do_not_depend_on_the_cut(tmp_path, name):
         readings = one.effect_readings('dry')
         assert readings['dissipated_energy'] > 1e-6
         end = sizes(one)
-        # The friction follows the very force that is told.
+        # The friction follows the very force that is given.
         assert readings['reaction'] == pytest.approx(end[how[-1]], rel=1e-3)
         found.append([*(start[joint] for joint in sorted(start)),
                       *(end[joint] for joint in sorted(end)), readings['dissipated_energy']])

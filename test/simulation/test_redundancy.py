@@ -78,7 +78,7 @@ def test_check_tells_what_repeats_and_whose_forces_are_shared():
     scene = load_scene('bricard')
     told = describe(scene, Simulation(scene))
     assert 'Equations that repeat others: 1\n' in told and THESE_LENGTHS in told
-    assert 'Forces that are not unique, of which the least are told: 6\n' in told
+    assert 'Forces that are not unique, of which the least are reported: 6\n' in told
 
 
 def test_simulate_tells_whose_forces_are_shared(capsys):

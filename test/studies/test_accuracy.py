@@ -267,7 +267,7 @@ def test_advice_says_why_nothing_will_do():
     study = made_up({Line('rk4'): [(1e-2, 0.001), (1e-7, 0.002)]})
     assert for_target(study, 1e-9).row is None
     assert '1.0e-07, by rk4' in for_target(study, 1e-9).text
-    assert 'cannot be told' in for_target(study, 1e-13).text
+    assert 'cannot be decided' in for_target(study, 1e-13).text
     assert for_budget(study, 1e-4).row is None
     assert '0.1 % of real time' in for_budget(study, 1e-4).text
 

@@ -14,7 +14,7 @@ PATIENCE = 120.0
 
 
 class Client:
-    """What a page would be told, and what it asks for."""
+    """The messages to a page, and its requests."""
 
     def __init__(self, url):
         self._stack = ExitStack()

@@ -48,7 +48,7 @@ def pause(tab, live, how):
     """Pause in the way given; wait until the page shows the state that time stands still at."""
     how()
     tab.wait('!page.playing')
-    # The page is told of the pause before it gets the last state.
+    # The page hears of the pause before it gets the last state.
     tab.wait(f'!page.fresh && page.now === {float(live.simulation.time)!r}')
 
 

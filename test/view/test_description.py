@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a page is told of shapes, springs, cables and contacts, and the arrows of these."""
+"""Descriptions for a page of shapes, springs, cables and contacts, and the arrows of these."""
 
 from dataclasses import fields, replace
 import struct

@@ -60,7 +60,7 @@ def test_frames_show_the_state(shown):
     assert found['energy', 'kinetic'] == np.float32(balance.kinetic) > 0.0
 
 
-def test_time_stands_still_steps_and_starts_anew(shown):
+def test_time_stands_still_steps_and_starts_again(shown):
     shown.run(5)
     assert shown.simulation.time == 0.0
     shown.ask('step', count=7)

@@ -186,7 +186,7 @@ class DerivativeTrace(SceneTrace):
         return own - torque, wrench, closed
 
     def prepare(self):
-        """Factor; the routine tells where that does not go well."""
+        """Factorise; the routine returns where that fails."""
         bool(forward_dynamics.prepare(
             self.recursion, self.model, zeros(self.nv), self.work))
         # Changes of the accelerations have no bias of their own.

@@ -158,7 +158,7 @@ def factorize_well(model, work):
     """
     smallest = factorize(model, work)
     fine = good(model, smallest, SMALL_PIVOT)
-    # A small one may be that of the masses alone: what is told is what ``refinement`` finds.
+    # A small one may be that of the masses alone: the one reported comes from ``refinement``.
     note(model, work, chosen(fine, smallest, 1.0))
     return fine
 

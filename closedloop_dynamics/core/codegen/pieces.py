@@ -5,7 +5,7 @@
 Code for one body, and for one cut joint, of each kind: what the loops over a mechanism call.
 
 A piece is a stage of the recursions (``spatial``) for one body, of which rows of
-``Workspace.body`` tell the motion. Bodies of one kind (joint type, structure of the constants,
+``Workspace.body`` give the motion. Bodies of one kind (joint type, structure of the constants,
 whether the parent is the ground) share it, whatever their number, their masses and their lengths.
 
 """

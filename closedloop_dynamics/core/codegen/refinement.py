@@ -113,7 +113,7 @@ def prepare(recursion, model, tau, work):
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     work : Workspace
-        After ``outward``, afresh, and the applied forces. ``health`` tells the smallest
+        After ``outward``, afresh, and the applied forces. ``health`` gives the smallest
         relative pivot, without masses.
 
     Returns
@@ -193,7 +193,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     Returns
     -------
     bool
-        Whether the configuration is regular, with masses that double precision can tell apart.
+        Whether the configuration is regular, with masses that double precision can distinguish.
         If not, ``rank_revealing.accelerate`` must be asked, after the outward recursion again.
 
     Notes

@@ -157,7 +157,7 @@ class MechanismTrace:
 
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
-        # They are told the axes of all joints.
+        # They are given the axes of all joints.
         self.recursion.hinges = ()
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         self.write()

@@ -4,7 +4,7 @@
 """
 What a row of ``Workspace.body`` says of its body, as the recursions have it.
 
-Which columns hold what is told by ``plane`` and by ``space``; components that a planar row does
+Columns that ``plane`` and ``space`` fill; components that a planar row does
 not have are zero.
 
 """

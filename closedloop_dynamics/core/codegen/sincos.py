@@ -84,7 +84,7 @@ def _library(builder, name, angles, vector):
 
 def within(builder, angle, vector):
     """
-    Write the code that tells which angles the polynomials are good for.
+    Write the code that decides for which angles the polynomials hold.
 
     Parameters
     ----------
