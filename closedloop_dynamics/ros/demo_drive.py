@@ -6,11 +6,10 @@
 from dataclasses import dataclass
 from typing import Optional
 
+from closedloop_dynamics.control.controller import FEEDBACK_MODES, per_joint, reference
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
-from closedloop_dynamics.ros.parameters import per_joint
-from closedloop_dynamics.ros.torque_source_parameters import (
-    FEEDBACK_MODES, reference, TORQUE_SOURCE_PARAMETERS)
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.trajectory import body_poses
 import numpy as np

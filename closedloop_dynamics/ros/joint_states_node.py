@@ -9,6 +9,7 @@ that close the loops are found for each message, and published with its stamp.
 
 """
 
+from closedloop_dynamics.control.controller import per_joint
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.recording.run import moving_joints
@@ -18,7 +19,7 @@ from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import (
-    ALLOW_CODE, declare, Parameter, per_joint, usage, watch_changes)
+    ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.simulation.completion import Completion, CompletionError
 from closedloop_dynamics.visual.urdf import urdf

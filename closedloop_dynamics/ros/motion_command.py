@@ -3,9 +3,10 @@
 
 """Courses of prescribed motions from outside, checked on arrival."""
 
+from closedloop_dynamics.control.references import TrajectoryError
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.commands import CommandError
-from closedloop_dynamics.ros.references import points_of, TrajectoryError
+from closedloop_dynamics.ros.joint_trajectory import points_of
 
 FOLLOWED, REFUSED, LOST = 'motions followed', 'motions refused', 'motions lost'
 

@@ -4,7 +4,6 @@
 """Parameters of the nodes: typed, described, range-checked, with errors in one line."""
 
 from dataclasses import dataclass
-import math
 import textwrap
 from typing import Any, Optional, Tuple
 
@@ -196,23 +195,3 @@ def declare_fact(node, name, values, description):
     node.declare_parameter(
         name, list(values) if values else RosParameter.Type.STRING_ARRAY, descriptor,
         ignore_override=True)
-
-
-def per_joint(name, values, joints, nan_allowed=False):
-    """
-    Return a list parameter as one value per joint: one for all joints, or one for each.
-
-    Raises StartError if the length fits neither, or a value is not finite (or NaN, if allowed).
-
-    """
-    if not all(math.isfinite(value) or nan_allowed and math.isnan(value) for value in values):
-        raise StartError(
-            f"parameter '{name}': expected {'no infinite' if nan_allowed else 'finite'} "
-            f'numbers, got {list(values)}')
-    if len(values) == 1:
-        return [values[0]] * len(joints)
-    if len(values) != len(joints):
-        raise StartError(
-            f"parameter '{name}': expected 1 value, or {len(joints)} in the order "
-            f'{", ".join(joints)}; got {len(values)}')
-    return list(values)

@@ -37,6 +37,7 @@ import threading
 import time
 import warnings
 
+from closedloop_dynamics.control.errors import StartError
 from closedloop_dynamics.simulation.signals import SignalWatch
 
 # Which executor: anything else than 'events' means the single-threaded one.
@@ -51,10 +52,6 @@ NEAR, BEFORE = 0.004, 0.002
 LONG_BEAT, LOOK, TURN = 0.5, 0.1, 0.02
 # For a node to end after a signal, before its process does so without it [s].
 STOP_PATIENCE = 1.5
-
-
-class StartError(RuntimeError):
-    """A node that cannot start or go on; the message is for the user, in one line."""
 
 
 class StopRequest:

@@ -8,15 +8,17 @@ from itertools import chain
 from math import isfinite
 import time
 
+from closedloop_dynamics.control.controller import (
+    closed_loop, FEEDBACK_MODES, gains, MODEL_MODES, open_loop)
+from closedloop_dynamics.control.references import TrajectoryError
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of, SERVICE_QOS
+from closedloop_dynamics.ros.joint_trajectory import points_of
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
-from closedloop_dynamics.ros.references import points_of, TrajectoryError
-from closedloop_dynamics.ros.torque_source_parameters import (
-    closed_loop, FEEDBACK_MODES, gains, MODEL_MODES, open_loop, TORQUE_SOURCE_PARAMETERS)
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult

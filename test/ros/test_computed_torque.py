@@ -4,8 +4,8 @@
 """Tests of ComputedTorque against the simulation itself."""
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.ros.references import Reference, Wave
-from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
+from closedloop_dynamics.control.references import Reference, Wave
+from closedloop_dynamics.control.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 import pytest
 

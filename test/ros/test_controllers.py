@@ -5,7 +5,8 @@
 
 from pathlib import Path
 
-from closedloop_dynamics.ros.torque_source_parameters import closed_loop, TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.control.controller import closed_loop
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.trajectory import body_poses, named_point
 import numpy as np

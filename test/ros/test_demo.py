@@ -12,11 +12,11 @@ import sys
 import time
 import uuid
 
+from closedloop_dynamics.control.references import Reference, Wave
 from closedloop_dynamics.ros import demo
 from closedloop_dynamics.ros.demo_drive import Aim, aim_of, drive_for, shipped_drives
 from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, Run, summary, wanted_motion)
-from closedloop_dynamics.ros.references import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation

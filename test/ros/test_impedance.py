@@ -4,7 +4,7 @@
 """A point under the impedance law gives way as springs and dampers do."""
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.ros.impedance import Impedance
+from closedloop_dynamics.control.impedance import Impedance
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 from closedloop_dynamics.visual.trajectory import wrench_in_joints

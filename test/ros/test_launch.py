@@ -18,12 +18,12 @@ import sys
 from types import ModuleType, SimpleNamespace
 
 from ament_index_python.packages import PackageNotFoundError
+from closedloop_dynamics.control.controller import FEEDBACK_MODES
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
-from closedloop_dynamics.ros.torque_source_parameters import (
-    FEEDBACK_MODES, TORQUE_SOURCE_PARAMETERS)
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / 'launch'

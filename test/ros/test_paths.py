@@ -3,11 +3,12 @@
 
 """Paths in space: points go where they should, and joints with them."""
 
-from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.references import (
+from closedloop_dynamics.control.controller import reference
+from closedloop_dynamics.control.references import (
     CircularPath, freedoms_of, PathError, PointToPointPath, solve)
+from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import Orientations
-from closedloop_dynamics.ros.torque_source_parameters import reference, TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of closedloop_dynamics.ros.torque_laws on one joint with a plain inertia."""
+"""Tests of closedloop_dynamics.control.torque_laws on one joint with a plain inertia."""
 
-from closedloop_dynamics.ros.references import Reference, Wave
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
+from closedloop_dynamics.control.references import Reference, Wave
+from closedloop_dynamics.control.torque_laws import ProportionalDerivative
 import numpy as np
 import pytest
 

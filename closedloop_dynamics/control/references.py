@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Where joints are to be, by time: waves about a motion, trajectories from messages, paths.
+Where joints are to be, by time: waves about a motion, trajectories, paths.
 
 Every quantity is an array over the joints driven, in one order. A path is that of a point of a
 mechanism, a circle or straight ways from place to place: smooth, periodic, from rest.
@@ -12,13 +12,12 @@ mechanism, a circle or straight ways from place to place: smooth, periodic, from
 from dataclasses import dataclass
 import math
 
-from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE
-from closedloop_dynamics.visual.trajectory import (
-    body_poses, closure_errors, coupling_errors, named_point, pose_of)
 import numpy as np
 
-# Of what a point of a trajectory gives, in the order of the derivatives.
-KEYS = ('positions', 'velocities', 'accelerations')
+from ..mechanism.rotations import composed, CONJUGATE
+from ..visual.trajectory import (
+    body_poses, closure_errors, coupling_errors, named_point, pose_of)
+
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.
 POSITIONS = 128
@@ -109,53 +108,6 @@ class Points:
     stamp: float
     times: np.ndarray
     derivatives: list
-
-
-def points_of(message, joints, held=True):
-    """
-    Return the Points of a JointTrajectory of all the joints, in their order.
-
-    Of what is ``held`` at the last point the velocity must be zero there. Raises TrajectoryError
-    for what cannot be followed.
-
-    """
-    names = list(message.joint_names)
-    if sorted(names) != sorted(joints):
-        raise TrajectoryError(f'expected the joints {", ".join(joints)}, each once; got '
-                              f'{", ".join(names) or "none"}')
-    if not message.points:
-        raise TrajectoryError('it has no points')
-    order = [names.index(joint) for joint in joints]
-    derivatives = []
-    for key in KEYS:
-        rows = [getattr(point, key) for point in message.points]
-        if not any(map(len, rows)):
-            break
-        for index, row in enumerate(rows):
-            if len(row) != len(joints):
-                raise TrajectoryError(f'points[{index}].{key}: expected {len(joints)} values, '
-                                      f'as other points have, got {len(row)}')
-        values = np.array(rows, dtype=float)[:, order]
-        if not np.isfinite(values).all():
-            raise TrajectoryError(f'{key}: expected finite numbers')
-        derivatives.append(values)
-    if not derivatives:
-        raise TrajectoryError('its points give no positions')
-    for index, point in enumerate(message.points):
-        if len(point.effort) or len(derivatives) < 2 and len(point.accelerations):
-            raise TrajectoryError(f'points[{index}]: expected no effort, and accelerations only '
-                                  'with velocities')
-    times = np.array([_seconds(point.time_from_start) for point in message.points])
-    if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
-        raise TrajectoryError(
-            f'time_from_start: expected increasing times from 0 s on, got {times.tolist()}')
-    if held and len(derivatives) > 1 and np.any(derivatives[1][-1]):
-        raise TrajectoryError('velocities: expected 0 in the last point, which is held')
-    return Points(_seconds(message.header.stamp), times, derivatives)
-
-
-def _seconds(time):
-    return time.sec + 1e-9 * time.nanosec
 
 
 class Trajectory:

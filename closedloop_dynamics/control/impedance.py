@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The impedance law of the torque source: a point behaves as if held by springs and dampers.
+The impedance law: a point behaves as if held by springs and dampers.
 
 The joints that are not driven follow by the loops: with J the Jacobian of the closure equations,
 rates are ``G qd_driven``, where ``J G = 0`` and the rows of G of driven joints are those of the
@@ -11,12 +11,13 @@ driven ones (principle of virtual power).
 
 """
 
-from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE, rotated
-from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation.redundancy import geometry_of
-from closedloop_dynamics.visual.trajectory import (
-    body_poses, body_velocities, poses_in_space, wrench_in_joints)
 import numpy as np
+
+from .errors import StartError
+from ..mechanism.rotations import composed, CONJUGATE, rotated
+from ..simulation.redundancy import geometry_of
+from ..visual.trajectory import (
+    body_poses, body_velocities, poses_in_space, wrench_in_joints)
 
 # Of forces and torques in space, those of a planar mechanism: along x and y, about z.
 IN_PLANE = [0, 1, 5]

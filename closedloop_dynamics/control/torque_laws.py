@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Laws of the torque source: torques from the state of joints and where they are to be.
+Torques from the state of joints and where they are to be.
 
 A mechanism with closed loops may need a hundred times the torque in one
 position that it needs in another, for the same acceleration. Gains that hold
@@ -13,8 +13,9 @@ controller sees a unit inertia everywhere.
 
 import math
 
-from closedloop_dynamics.ros.references import Trajectory
 import numpy as np
+
+from .references import Trajectory
 
 # A torque answers a state, acts from that state on and is held for one period:
 # in the middle of which, half a period ahead, it should be right.
