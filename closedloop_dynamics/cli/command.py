@@ -156,14 +156,14 @@ def add_torque(parser):
 
 def add_motion(parser):
     """Add the option of prescribed motions, to be read by ``mapping``."""
-    parser.add_argument('--motion', type=_law, action='append', default=[],
+    parser.add_argument('--motion', type=law, action='append', default=[],
                         metavar='JOINT=EXPRESSION',
                         help='motion of a joint as an expression in the time t [rad or m], such '
                              'as theta_1=4.7124*t; what drives it is reported; may be repeated '
                              '(default: as the scene says)')
 
 
-def _law(text):
+def law(text):
     """Convert ``JOINT=EXPRESSION`` to a pair."""
     name, equals, law = text.partition('=')
     if not (name and law):
@@ -272,7 +272,11 @@ def scene_of(arguments):
     SceneError, UsageError
 
     """
-    scene = scene_to_change(arguments)
+    return with_motion(scene_to_change(arguments), arguments)
+
+
+def with_motion(scene, arguments):
+    """Return a scene with the motions that the command line prescribes; raise UsageError."""
     try:
         return moving(scene, mapping(arguments.motion, '--motion'))
     except FieldError as error:

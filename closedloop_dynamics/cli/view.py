@@ -14,13 +14,17 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, assignment, checked_torques, Command, mapping, port,
-    positive, read_scene, recording_of, require_free, UsageError, with_numbers)
+    add_reading, add_recording, assignment, checked_torques, Command, law, mapping, port,
+    positive, read_scene, recording_of, require_free, UsageError, with_motion, with_numbers)
+from ..control.errors import StartError
+from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.signals import program_watch
 from ..view.columns import motion_columns, motion_rows
 from ..view.description import describe
+from ..view.messages import EXPRESSION, FREE, HELD, OWN, POSITION, SPEED, TORQUE
+from ..view.own_motion import chosen
 from ..view.page import live_page, recorded_page
 from ..view.saved import simulated
 from ..visual.progress import announced, progress_to
@@ -29,6 +33,8 @@ from ..visual.progress import announced, progress_to
 USUAL_PORT = 8791
 # Rows per simulated second of a saved page, and the most that a page is given.
 RATE, MOST_ROWS = 240.0, 36_000
+# Options that drive a scene.
+DRIVING = 'torque', 'speed', 'position', 'motion', 'controller'
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
 # Only ros/ knows ROS: the node is a process of its own.
 VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
@@ -51,10 +57,22 @@ def _add_arguments(parser):
     parser.add_argument('--rate', metavar='HZ', type=positive,
                         help='with --save, rows per simulated second, of which paths and plots '
                              f'are drawn (default: {RATE:g}, fewer beyond {MOST_ROWS} rows)')
-    parser.add_argument('--torque', type=assignment, action='append', default=[],
-                        metavar='JOINT=VALUE',
-                        help='with --save, constant torque of an actuated joint [N m], or force '
-                             'of a prismatic one [N]; may be repeated (default: none)')
+    for name, what in (('torque', 'constant torque of an actuated joint [N m], or force of a '
+                        'prismatic one [N]'),
+                       ('speed', 'speed that a drive holds [rad/s or m/s]'),
+                       ('position', 'position that a drive holds [rad or m]')):
+        parser.add_argument(f'--{name}', type=assignment, action='append', default=[],
+                            metavar='JOINT=VALUE', help=f'{what}; may be repeated')
+    parser.add_argument('--motion', type=law, action='append', default=[],
+                        metavar='JOINT=EXPRESSION',
+                        help='position that a drive tracks, an expression in the time t, such as '
+                             'theta_1=1.05+2*pi*t [rad or m]; with --save the exact motion of the '
+                             'joint; may be repeated')
+    parser.add_argument('--drives', choices=(OWN, HELD, FREE), default=OWN,
+                        help='how the other joints are driven: by the motion of its own that a '
+                             'shipped machine has, held where they are, or free (default: own)')
+    parser.add_argument('--controller', metavar='FILE.yaml', type=Path,
+                        help='drive the machine by a controller, as in config/controllers')
     parser.add_argument('--host', metavar='ADDRESS', default='127.0.0.1',
                         help='address to listen on; any but that of this host needs the token in '
                              'the address that is printed (default: 127.0.0.1)')
@@ -75,8 +93,9 @@ def _run(arguments):
     if arguments.save is not None:
         require_free(arguments, arguments.save, option='--save')
         return _save(arguments)
-    if arguments.torque:
-        raise UsageError('--torque: expected it with --save; the page has sliders')
+    for option in DRIVING:
+        if getattr(arguments, option) and _is_recording(arguments.what):
+            raise UsageError(f'--{option}: expected a scene, as a recording is not driven')
     return _play(arguments) if _is_recording(arguments.what) else _live(arguments)
 
 
@@ -106,9 +125,12 @@ def _live(arguments):
     scene = with_numbers(read_scene(arguments.what, arguments), arguments)
     with announced(LOADING):
         try:
-            runner = Runner(scene)
-        except AssemblyError as error:
+            runner = Runner(scene, own=chosen(
+                _drives(arguments), arguments.drives, arguments.controller))
+        except (AssemblyError, StartError) as error:
             raise UsageError(f'{arguments.what}: {error}') from None
+        except FieldError as error:
+            raise UsageError(f'drives: {error}') from None
     _told(runner.described)
     with program_watch.noting() as received:
         server = _served(arguments, [live_page(scene.name)], [runner.feed])
@@ -117,6 +139,19 @@ def _live(arguments):
         finally:
             server.close()
     return 128 + received[0]
+
+
+def _drives(arguments):
+    """Return mode and value of the drives that the command line names, by joint."""
+    found = {}
+    for mode, option in ((TORQUE, 'torque'), (SPEED, 'speed'), (POSITION, 'position'),
+                         (EXPRESSION, 'motion')):
+        for joint, value in mapping(getattr(arguments, option), f'--{option}').items():
+            if joint in found:
+                raise UsageError(f'--{option} {joint}: expected one way to drive it, got also '
+                                 f'{found[joint][0]}')
+            found[joint] = mode, value
+    return found
 
 
 def _play(arguments):
@@ -185,7 +220,11 @@ def _save(arguments):
 
 def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
-    scene = with_numbers(read_scene(arguments.what, arguments), arguments)
+    for option in ('speed', 'position', 'controller'):
+        if getattr(arguments, option):
+            raise UsageError(f'--{option}: expected it without --save, where joints move exactly: '
+                             'by --motion')
+    scene = with_motion(with_numbers(read_scene(arguments.what, arguments), arguments), arguments)
     with announced(LOADING):
         simulation = checked_torques(arguments.what, scene, torque)
     with progress_to(arguments.duration, 's', scene.name) as show:
@@ -211,6 +250,8 @@ this computer and needs no network. Closing it changes nothing; Ctrl-C ends the 
 examples:
   closedloop view three_rrr
   closedloop view four_bar --set mechanism.bodies.crank.mass=2
+  closedloop view four_bar --motion 'crank_joint=1.05+2*pi*t'
+  closedloop view stewart_platform --drives held
   closedloop view my_bag
   closedloop view --node /closedloop_simulator
   closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html

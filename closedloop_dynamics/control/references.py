@@ -22,7 +22,9 @@ from ..visual.trajectory import (
 # rounding for circles that keep away from singular configurations.
 POSITIONS = 128
 # Newton steps for each of them, and what must be left at most [m or rad].
-ITERATIONS, TOLERANCE = 12, 1e-11
+ITERATIONS, TOLERANCE = 30, 1e-11
+# Slopes are found anew where a step does not make what is left smaller by this factor.
+SLOW = 0.1
 DIFFERENCE = 1e-6
 # Of a straight way between two places, which a spline goes through.
 STRETCHES = 24
@@ -190,23 +192,36 @@ def solve(mechanism, position, point, place, turn):
     none nearby, or many.
 
     """
-    position = np.array(position, dtype=float)
+    return _solve(mechanism, position, point, place, turn)[0]
+
+
+def _solve(mechanism, position, point, place, turn, slopes=None):
+    """Do so with the slopes of a solution nearby, as long as they serve; return them, too."""
+    position, last = np.array(position, dtype=float), math.inf
     coordinates = mechanism.coordinates
-    steps = DIFFERENCE * np.eye(coordinates.nv)
     for _ in range(ITERATIONS):
-        shifted = [coordinates.moved(position, step) for step in (*steps, *-steps)]
-        left, *errors = residual(mechanism, np.array([position, *shifted]), point, place, turn)
-        if np.abs(left).max() < TOLERANCE:
-            return position
-        count = len(steps)
-        jacobian = (np.array(errors[:count]) - errors[count:]).T / (2.0 * DIFFERENCE)
-        move, _, rank, _ = np.linalg.lstsq(jacobian, -left, rcond=1e-9)
-        if rank < count:
-            break
-        position = coordinates.moved(position, move)
+        left = residual(mechanism, position, point, place, turn)
+        worst = np.abs(left).max()
+        if worst < TOLERANCE:
+            return position, slopes
+        if slopes is None or not worst < SLOW * last:
+            slopes = _slopes(mechanism, position, point, place, turn)
+            if np.linalg.matrix_rank(slopes, 1e-9 * np.abs(slopes).max()) < slopes.shape[1]:
+                break
+        last = worst
+        position = coordinates.moved(position, np.linalg.lstsq(slopes, -left, rcond=1e-9)[0])
     where = ', '.join(f'{part:.4g}' for part in place)
     raise PathError(
         f"the mechanism cannot bring '{point.name}' to ({where}), or is singular there")
+
+
+def _slopes(mechanism, position, point, place, turn):
+    """Return the derivatives of ``residual``, shape (number of equations, nv)."""
+    moved = mechanism.coordinates.moved
+    steps = DIFFERENCE * np.eye(mechanism.coordinates.nv)
+    errors = residual(mechanism, np.array([moved(position, step) for step in (*steps, *-steps)]),
+                      point, place, turn)
+    return (errors[:len(steps)] - errors[len(steps):]).T / (2.0 * DIFFERENCE)
 
 
 def freedoms_of(mechanism, position):
@@ -287,11 +302,13 @@ class CircularPath:
         ways[:, :2] = radius * np.stack([np.cos(turn + phase), np.sin(turn + phase)], axis=1)
         self.center = place - ways[0]
         leaning = [_leaning(tilt, angle + phase) for angle in turn] if tilt else None
-        table = [np.array(start, dtype=float)]
+        table, slopes = [np.array(start, dtype=float)], None
         for k in [*range(POSITIONS), 0]:
             wanted = turned if leaning is None else composed(
                 composed(leaning[k], leaning[0] * CONJUGATE), turned)
-            table.append(solve(mechanism, table[-1], point, self.center + ways[k], wanted))
+            found, slopes = _solve(
+                mechanism, table[-1], point, self.center + ways[k], wanted, slopes)
+            table.append(found)
         if np.abs(mechanism.coordinates.apart(table[-1], table[1])).max() > 1e-6:
             raise PathError('the joints do not come back to where they began: the circle goes '
                             'round a singular configuration; choose a smaller one')
@@ -370,11 +387,12 @@ class PointToPointPath:
         share = np.linspace(0.0, 1.0, STRETCHES + 1)
         chosen = _places(mechanism, joints)
         position, begin, self._ways = np.array(start, dtype=float), origin, []
+        slopes = None
         for place in self.places:
             table = []
             for each in share:
-                position = solve(
-                    mechanism, position, point, begin + each * (place - begin), turned)
+                position, slopes = _solve(
+                    mechanism, position, point, begin + each * (place - begin), turned, slopes)
                 table.append(position[chosen])
             way = CubicSpline(share, np.array(table))
             self._ways.append((way, way.derivative(), way.derivative(2)))

@@ -33,7 +33,8 @@ from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.messages import (
-    drive_of, drives_told, effects_told, POSITION, require_kinematic, require_one_number, TORQUE)
+    drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_kinematic,
+    require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
 from closedloop_dynamics.view.runner import Hand, round_up
@@ -164,7 +165,7 @@ class RemoteSimulator:
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
             drives=[self._drive_of(scene, name) for name in self._drives],
-            hand=self._wrenches is not None, gravity=gravity,
+            hand=self._wrenches is not None, gravity=gravity, own=False,
             # Orientations have topics of their own.
             poses=not len(names.balls), **CHOICES)
         for text in described['missing']:
@@ -241,7 +242,7 @@ class RemoteSimulator:
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
-            drives=drives_told(self._drives), unused=list(self._scene.method.unused),
+            motion=None, drives=drives_told(self._drives), unused=list(self._scene.method.unused),
             method={key: getattr(self._scene.method, key) for key in METHOD},
             effects=effects_told(
                 self._scene.effects, lambda name: name not in self._scene.switched_off))
@@ -300,6 +301,16 @@ class RemoteSimulator:
             drive[:] = mode, 0.0 if mode == TORQUE else float(
                 self._position[self._names.place[self._names.index[joint]]]), 0.0
             self._command()
+
+    def _do_motion(self, which):
+        with at('which'):
+            one_of((HELD, FREE))(which)
+        for joint, drive in self._drives.items():
+            if which == HELD and self._names.place[self._names.index[joint]] >= 0:
+                self._do_drive(joint, POSITION)
+            else:
+                drive[:] = TORQUE, 0.0, 0.0
+        self._command()
 
     def _do_command(self, joint, value):
         with at('value'):

@@ -107,8 +107,9 @@ class Pacer:
         """
         Take the steps that are due, for a limited time; return the simulated time dropped [s].
 
-        ``take(n)`` takes n steps; after ``budget`` [s of the clock] no more are begun; steps are
-        due up to ``until`` [s of the clock], or now.
+        ``take(n)`` takes n steps, or where these take long a part of one: then it returns how
+        many it took, and no more are begun, as after ``budget`` [s of the clock]. Steps are due up
+        to ``until`` [s of the clock], or now.
 
         """
         begin = now = self.clock()
@@ -116,12 +117,13 @@ class Pacer:
         steps = math.floor(self._due / self.step_size + ROUNDING)
         while steps > 0 and now - begin < budget:
             portion = min(steps, self._portion(begin + budget - now))
-            take(portion)
-            steps -= portion
-            self._due -= portion * self.step_size
-            self.simulated += portion * self.step_size
+            taken = take(portion)
+            steps = 0 if taken is not None else steps - portion
+            done = portion if taken is None else taken
+            self._due -= done * self.step_size
+            self.simulated += done * self.step_size
             before, now = now, self.clock()
-            self._cost = (now - before) / portion
+            self._cost = (now - before) / done
         return self._drop()
 
     def _accrue(self, now):

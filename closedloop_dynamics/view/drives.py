@@ -5,7 +5,7 @@
 
 import math
 
-from .messages import EXPRESSION, POSITION, SPEED, TORQUE
+from .messages import EXPRESSION, OWN, POSITION, SPEED, TORQUE
 from ..effects.prescribed_motion import PrescribedMotion
 from ..mechanism.checks import number, text
 from ..mechanism.fields import at
@@ -31,10 +31,10 @@ class Drive:
     Attributes
     ----------
     mode : str
-        ``torque``, ``position``, ``speed`` or ``expression``.
+        ``torque``, ``position``, ``speed``, ``expression``, or ``own``: a controller knows.
     value : float or str
         Torque [N m; N], position [rad; m], speed [rad/s; m/s], or expression in the time ``t``
-        for the position.
+        for the position; name of the controller.
 
     """
 
@@ -54,7 +54,7 @@ class Drive:
 
         """
         with at('value'):
-            (text if mode == EXPRESSION else number)(value)
+            (text if mode in (EXPRESSION, OWN) else number)(value)
         motion, shift = None, 0.0
         if mode == EXPRESSION:
             motion = PrescribedMotion('expression', joint=self.joint, expression=value)

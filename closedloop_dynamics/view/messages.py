@@ -14,6 +14,9 @@ from ..mechanism.fields import at, FieldError, mapping, shown
 SLOWEST, FASTEST = 0.01, 10.0
 MOST_STEPS = 1000
 TORQUE, POSITION, SPEED, EXPRESSION = 'torque', 'position', 'speed', 'expression'
+# As a controller, or the scene's own motion, has it.
+OWN = 'own'
+HELD, FREE = 'held', 'free'
 
 
 def _speed(value):
@@ -72,7 +75,8 @@ ASKED = {
     'play': {}, 'pause': {}, 'reset': {}, 'release': {},
     'step': {'count': _count},
     'speed': {'factor': _speed},
-    'drive': {'joint': _word, 'mode': one_of((TORQUE, POSITION, SPEED, EXPRESSION))},
+    'drive': {'joint': _word, 'mode': one_of((TORQUE, POSITION, SPEED, EXPRESSION, OWN))},
+    'motion': {'which': one_of((OWN, HELD, FREE))},
     'command': {'joint': _word, 'value': _number_or_text},
     'effect': {'name': name, 'enabled': boolean, 'values': _values},
     'method': {'values': _values},

@@ -15,18 +15,20 @@ from .description import CHOICES, describe, described_drive, EARTH, grabs
 from .drives import Drive
 from .feed import Feed
 from .messages import (
-    drive_of, drives_told, effects_told, EXPRESSION, POSITION, require_kinematic,
-    require_one_number, SPEED, TORQUE)
+    drive_of, drives_told, effects_told, EXPRESSION, FREE, HELD, OWN, POSITION,
+    require_kinematic, require_one_number, SPEED, TORQUE)
+from .own_motion import MODES, OwnMotion
 from .posing import felt_inertia, joint_to, point_to
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
 from ..effects.point_spring import PointSpring
 from ..formats.model import free_name
-from ..mechanism.fields import FieldError, shown
+from ..mechanism.checks import one_of
+from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Point
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.modeling import extent
-from ..simulation.pacer import Pacer
+from ..simulation.pacer import Pacer, ROUNDING
 from ..simulation.simulation import Simulation
 
 # Frames per second; share of their period that may go into computing; between two looks at what
@@ -34,8 +36,14 @@ from ..simulation.simulation import Simulation
 RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
 # States between two frames that paths and plots are drawn of, at most about.
 SAMPLES = 20
-# Simulated time after which drives that track something find their torques again [s].
-DRIVE_PERIOD = 0.002
+# A step that takes longer than the first, on the clock, is made in parts of about the second [s];
+# no part is shorter than this share of the step.
+LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 1e-3
+# Steps that are asked for one by one are made so many at once.
+TOGETHER = 10
+# Simulated time after which drives that track something, and controllers, find their torques again
+# [s].
+DRIVE_PERIOD, OWN_PERIOD = 0.002, 0.005
 # Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
 REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
@@ -43,7 +51,6 @@ REACH = {False: 60.0, True: 20.0}
 GIVE, DAMPING = 0.05, 0.5
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
-MODES = TORQUE, POSITION, SPEED, EXPRESSION
 METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
 
 
@@ -123,6 +130,9 @@ class Runner:
         What is simulated.
     clock : callable
         Returns seconds; steady.
+    own : callable, optional
+        Returns what drives a scene from the start, given also what a controller is to know of it:
+        ``own_motion.own_motion``; by default nothing.
 
     Attributes
     ----------
@@ -134,11 +144,14 @@ class Runner:
 
     """
 
-    def __init__(self, scene, clock=time.monotonic):
+    def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion()):
         """Build the simulation, standing still at its start."""
         self._hand = Hand(scene, extent(scene.mechanism))
         self.simulation = simulation = Simulation(self._hand.scene)
         self._clock, self.playing, self._kinematic = clock, False, False
+        self._own = own(scene, self._hand.scene)
+        # Share of a step that is made at once, and steps that were asked for one by one.
+        self._part, self._single = 1.0, 0.0
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self.holder, self._grabbed = None, None, None
         self.start_pose, self._unsampled = None, 0
@@ -149,15 +162,18 @@ class Runner:
         lengths = simulation.coordinates.lengths
         self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
                         for name, inertia in self._inertias().items()}
+        self._start_drives()
         self.rows = SimulationRows(
             simulation, [self._hand.spring], len(scene.mechanism.points))
         self.described = describe(
             scene.mechanism, self.rows.columns, scene.effects, mode='live',
             title=scene.name,
             drives=[described_drive(scene.mechanism, name, simulation.position,
-                                    self._reach(name, place), MODES)
+                                    self._reach(name, place), self._modes(name))
                     for name, place in self._places.items()],
-            hand=True, poses=True, gravity=self._hand.gravity, **CHOICES)
+            hand=True, poses=True, gravity=self._hand.gravity, own=any(
+                value is not None for _, value in self._own.starts.values()),
+            **CHOICES)
         self.feed = Feed(self.described)
         self._before = self._now = (0.0, self.rows.row())
         self._looked, self._findings, self._changed = clock(), (), True
@@ -165,6 +181,27 @@ class Runner:
         self.feed.show(*self._now)
 
     # What drives are given.
+
+    def _modes(self, name):
+        """Return what a drive can be told."""
+        controller = self._own.controller
+        known = controller is not None and name in controller.joints
+        return (*MODES, OWN) if known else MODES
+
+    def _start_drives(self):
+        """Let each drive do what the machine begins with."""
+        self._restart_controller()
+        for name in self._own.starts:
+            drive_of(self.drives, name)
+        for name, drive in self.drives.items():
+            (mode, value), (time, position) = self._own.start(name), self._now_at(name)
+            with at(name):
+                drive.set(mode, position if value is None else value, time, position)
+
+    def _restart_controller(self):
+        self._held = math.inf, {}
+        if self._own.controller is not None:
+            self._own.controller.restart()
 
     def _inertias(self):
         """Return, by actuated joint, the inertia that its drive feels at the start."""
@@ -188,21 +225,35 @@ class Runner:
     def _torques(self):
         """Return the joint torques that the drives give now, shape (nv,)."""
         simulation = self.simulation
-        tau = simulation.joint_torques(None)
-        position, velocity = self._positions(), simulation.velocity
+        tau, position = simulation.joint_torques(None), self._positions()
         for name, place in self._places.items():
-            tau[place] = self.drives[name].torque(
-                simulation.time, position[place], velocity[place])
+            drive = self.drives[name]
+            tau[place] = self._controlled()[name] if drive.mode == OWN else drive.torque(
+                simulation.time, position[place], simulation.velocity[place])
         return tau
+
+    def _controlled(self):
+        """Return the torques of the controller, which are held for its period, by joint."""
+        simulation, (since, torques) = self.simulation, self._held
+        if not 0.0 <= simulation.time - since < (1.0 - ROUNDING) * OWN_PERIOD:
+            torques = self._own.controller.torques(
+                simulation.time, simulation.position, simulation.velocity)
+            self._held = simulation.time, torques
+        return torques
 
     def _advance(self, steps):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation = self.simulation
         every = most = max(1, math.ceil(
             self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
-        if any(drive.mode != TORQUE for drive in self.drives.values()):
-            most = min(most, max(1, round(DRIVE_PERIOD / simulation.step_size)))
+        modes = {drive.mode for drive in self.drives.values()} - {TORQUE}
+        if modes:
+            most = min(most, max(1, round((
+                OWN_PERIOD if modes == {OWN} else DRIVE_PERIOD) / simulation.step_size)))
+        wanted = steps
         while steps > 0:
+            if self._part < 1.0:
+                return wanted - steps + self._advance_a_part()
             portion = min(steps, most)
             # Slow motion shows states between the last two.
             if self._slow and portion == steps:
@@ -211,12 +262,31 @@ class Runner:
                     portion = 1
                     steps = 1
                 self._before = simulation.time, self.rows.row()
-            simulation.advance(self._torques(), portion)
+            self._measured(lambda: simulation.advance(self._torques(), portion), portion)
             steps -= portion
             self._unsampled += portion
             if self._unsampled >= every and not self._slow:
                 self._unsampled = 0
                 self.feed.sample(simulation.time, self.rows.sample())
+        return None
+
+    def _advance_a_part(self):
+        """Advance by a part of a step, where one takes long; return which part."""
+        part, simulation = self._part, self.simulation
+        self._measured(lambda: simulation.step(
+            self._torques()[simulation.actuated], part * simulation.step_size), part)
+        self.feed.sample(simulation.time, self.rows.sample())
+        return part
+
+    def _measured(self, advance, steps):
+        """Advance by steps, or a part of one; find which part can be made in a short time."""
+        begin = self._clock()
+        advance()
+        took = self._clock() - begin
+        if took / steps > LONGEST_STEP:
+            self._part = min(0.5, max(LEAST_PART, PART_TIME * steps / took))
+        elif self._part < 1.0:
+            self._part = min(1.0, 2.0 * self._part)
 
     @property
     def _slow(self):
@@ -236,14 +306,24 @@ class Runner:
     def tick(self):
         """Follow what was asked for, advance to the present, show it."""
         self._follow()
-        if self.playing:
+        if self.playing or self._single > 0.0:
             self._guarded(self._take)
             self._changed = True
         if self._changed:
             self._show()
 
     def _take(self):
-        self._pacer.tick(self._advance, COMPUTING_SHARE / RATE)
+        budget = COMPUTING_SHARE / RATE
+        if self.playing:
+            self._pacer.tick(self._advance, budget)
+            return
+        end = self._clock() + budget
+        while self._single > ROUNDING and self._clock() < end:
+            count = max(1, min(TOGETHER, round(self._single)))
+            done = self._advance(count)
+            self._single -= count if done is None else done
+        if not self._single > ROUNDING:
+            self._single = 0.0
 
     def _show(self):
         now = self._clock()
@@ -284,7 +364,7 @@ class Runner:
     def _stop(self):
         if self.playing:
             self._pacer.stop()
-        self.playing, self._changed = False, True
+        self.playing, self._changed, self._single = False, True, 0.0
 
     def _tell(self):
         simulation = self.simulation
@@ -295,8 +375,8 @@ class Runner:
             grabbed=self._grabbed, position=(
                 simulation.coordinates.told('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
-            drives=drives_told({name: (drive.mode, drive.value)
-                                for name, drive in self.drives.items()}),
+            motion=self._motion(), drives=drives_told({
+                name: (drive.mode, drive.value) for name, drive in self.drives.items()}),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
             effects=effects_told(
@@ -336,19 +416,17 @@ class Runner:
 
     def _do_step(self, page, count):
         self._stop()
-        self._failure = None
-        self._guarded(lambda: self._advance(count))
+        self._failure, self._single = None, float(count)
 
     def _do_reset(self, page):
         self._stop()
         self._failure = None
-        for drive in self.drives.values():
-            drive.set(TORQUE, 0.0, 0.0, 0.0)
 
         def reset():
             self.simulation.reset()
             if self.start_pose is not None:
                 self.simulation.set_state(self.start_pose)
+            self._start_drives()
 
         self._guarded(reset)
         self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
@@ -361,15 +439,49 @@ class Runner:
 
     def _do_drive(self, page, joint, mode):
         drive = drive_of(self.drives, joint)
-        if drive.mode != mode:
+        if drive.mode == mode:
+            return
+        with at('mode'):
+            one_of(self._modes(joint))(mode)
+        if mode != OWN:
             require_one_number(self.simulation.coordinates, joint, mode)
-            time, position = self._now_at(joint)
-            drive.set(mode, {TORQUE: 0.0, SPEED: 0.0, POSITION: position}.get(
-                mode, f'{position:.9g}'), time, position)
+        elif not any(other.mode == OWN for other in self.drives.values()):
+            self._restart_controller()
+        time, position = self._now_at(joint)
+        drive.set(mode, {
+            TORQUE: 0.0, SPEED: 0.0, POSITION: position, EXPRESSION: f'{position:.9g}'}.get(
+                mode, self._own.start(joint)[1]), time, position)
 
     def _do_command(self, page, joint, value):
         drive = drive_of(self.drives, joint)
+        if drive.mode == OWN:
+            raise FieldError('another mode of the drive', f'a value for {drive.value}', path=(
+                'joint',))
         drive.set(drive.mode, value, *self._now_at(joint))
+
+    def _do_motion(self, page, which):
+        if which == OWN:
+            self._start_drives()
+            return
+        turning = self.simulation.coordinates
+        for name, drive in self.drives.items():
+            time, position = self._now_at(name)
+            one_number = turning.place[turning.index[name]] >= 0
+            if which == HELD and one_number:
+                drive.set(POSITION, position, time, position)
+            else:
+                drive.set(TORQUE, 0.0, time, position)
+
+    def _motion(self):
+        """Return how the machine is driven, as ``_do_motion`` takes it; None: otherwise."""
+        drives = self.drives.values()
+        if drives and all(drive.mode == POSITION for drive in drives):
+            return HELD
+        if all((drive.mode, drive.value) == (TORQUE, 0.0) for drive in drives):
+            return FREE
+        return OWN if all(
+            self._own.start(drive.joint) in ((drive.mode, drive.value), (drive.mode, None))
+            for drive in drives) else None
 
     def _now_at(self, joint):
         """Return the time [s] and the number of a driven freedom."""
@@ -380,6 +492,8 @@ class Runner:
             raise FieldError('an effect of the scene', shown(name), path=('name',))
         self._busily('changing the effects', lambda: self.simulation.set_effect(
             name, enabled, **(values or {})))
+        if self._own.controller is not None:
+            self._own.controller.know(name, enabled, values or {})
 
     def _do_method(self, page, values):
         unknown = [key for key in values if key not in METHOD_KEYS]

@@ -8,6 +8,7 @@ import json
 import re
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.view.columns import motion_rows
@@ -72,6 +73,11 @@ def test_what_cannot_be_shown_is_said(capsys, tmp_path):
             ([], 'expected a scene or a recording'),
             (['no_such_scene'], 'no_such_scene'),
             (['run.csv'], 'add --scene'),
-            (['three_rrr', '--torque', 'theta_1=1'], '--torque: expected it with --save')):
+            (['run.csv', '--torque', 'theta_1=1'], '--torque: expected a scene'),
+            (['four_bar', '--speed', 'crank=1'], 'crank_joint'),
+            (['four_bar', '--motion', 'crank_joint=2*'], 'expected an expression'),
+            (['four_bar', '--torque', 'crank_joint=1', '--motion', 'crank_joint=t'], 'one way'),
+            (['four_bar', '--controller', str(shipped_path('scenes', 'four_bar'))],
+             'closedloop_torque_source')):
         assert main(['view', *arguments]) == 2
         assert problem in capsys.readouterr().err

@@ -8,7 +8,8 @@ import struct
 
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.runner import SAMPLES
+from closedloop_dynamics.view.own_motion import own_motion
+from closedloop_dynamics.view.runner import RATE, Runner, SAMPLES
 from closedloop_dynamics.visual.trajectory import poses_in_space
 import numpy as np
 import pytest
@@ -372,3 +373,80 @@ def test_a_machine_that_is_too_slow_says_how_fast_it_is(shown, monkeypatch):
     assert controls(shown)['playing'] and 0.02 < controls(shown)['achieved'] < 0.06
     shown.ask('pause')
     assert controls(shown)['achieved'] is None
+
+
+def test_a_step_that_takes_long_is_made_in_parts():
+    # A clock that says so: a hundredth of a second for each evaluation, as next to parallel rods.
+    now = [0.0]
+    runner = Runner(load_scene('four_bar'), lambda: now[0])
+    simulation, step, advance = runner.simulation, runner.simulation.step, None
+    sizes = []
+
+    def slow_step(torque, duration):
+        step(torque, duration)
+        sizes.append(duration)
+        now[0] += duration * 1000.0
+
+    def slow_advance(tau, steps):
+        advance(tau, steps)
+        sizes.append(steps * simulation.step_size)
+        now[0] += steps * simulation.step_size * 1000.0
+
+    advance, simulation.advance, simulation.step = simulation.advance, slow_advance, slow_step
+    runner.feed.take('page', json.dumps({'do': 'play'}))
+    for _ in range(40):
+        before = now[0]
+        now[0] += 1.0 / RATE
+        runner.tick()
+        # The first one could not be known to take long.
+        assert now[0] - before < 0.06 or len(sizes) < 3
+    assert min(sizes) < 0.05 * simulation.step_size
+    assert simulation.time == pytest.approx(sum(sizes))
+    told = json.loads(runner.feed.controls)
+    assert told['achieved'] < 0.05 and told['failure'] is None
+    runner.feed.take('page', json.dumps({'do': 'pause'}))
+    runner.tick()
+    assert not runner.playing
+
+
+@pytest.mark.parametrize('name', [
+    'stewart_platform', 'double_wishbone', 'excavator_arm', 'four_bar', 'bricard'])
+def test_shipped_machines_do_not_fall(name):
+    now = [0.0]
+    scene = load_scene(name)
+    runner = Runner(scene, lambda: now[0], own_motion)
+    assert json.loads(runner.feed.controls)['motion'] == 'own'
+    size = np.ptp(runner.simulation.points, axis=0).max()
+    away, start = 0.0, runner.simulation.points.copy()
+    runner.feed.take('page', json.dumps({'do': 'play'}))
+    for _ in range(240):
+        now[0] += 1.0 / RATE
+        runner.tick()
+        away = max(away, np.abs(runner.simulation.points - start).max())
+    assert 0.02 * size < away < 2.0 * size
+    assert json.loads(runner.feed.controls)['failure'] is None
+
+
+def test_own_motion_held_and_free():
+    now = [0.0]
+    runner = Runner(load_scene('stewart_platform'), lambda: now[0], own_motion)
+    simulation, legs = runner.simulation, runner.simulation.actuated_in_tree
+
+    def ask(what, frames=0, **more):
+        runner.feed.take('page', json.dumps({'do': what, **more}))
+        for _ in range(max(frames, 1)):
+            now[0] += 1.0 / RATE
+            runner.tick()
+        return json.loads(runner.feed.controls)
+
+    assert ask('play', frames=90)['motion'] == 'own'
+    assert ask('motion', which='held')['motion'] == 'held'
+    before = simulation.coordinates.by_freedom(simulation.position)[legs]
+    ask('seen', frame=0, frames=60)
+    after = simulation.coordinates.by_freedom(simulation.position)[legs]
+    np.testing.assert_allclose(after, before, rtol=0.0, atol=2e-2)
+    assert ask('motion', which='free', frames=12)['motion'] == 'free'
+    assert np.abs(simulation.effort[legs]).max() == 0.0
+    assert ask('reset')['motion'] == 'own' and simulation.time == 0.0
+    refused = ask('command', joint='leg_1', value=1.0)['notes'][-1]['text']
+    assert 'another mode' in refused

@@ -93,31 +93,35 @@ class Drives {
       const input = law.querySelector('input');
       input.onchange = () => ask('command', {joint: drive.joint, value: input.value});
       input.onkeydown = (event) => { if (event.key === 'Enter') input.blur(); };
-      row.append(slider.element, law);
+      const own = make('<span class="hint own" hidden></span>');
+      row.append(slider.element, law, own);
       place.append(row);
-      this.rows[drive.joint] = {select, slider, law, input, drive, mode: 'torque'};
+      this.rows[drive.joint] = {select, slider, law, input, own, drive, mode: 'torque'};
     }
     place.classList.toggle('long', described.drives.some(({joint}) => joint.length > 9));
-    const turning = described.drives.filter((drive) => !drive.turns);
-    if (turning.length > 1) {
-      const all = make(`<div class="all"><button>all free</button>
-        <button>hold all where they are</button></div>`);
-      ['torque', 'position'].forEach((mode, k) => {
-        all.children[k].onclick = () => {
-          for (const {joint} of turning) {
-            ask('drive', {joint, mode});
-            if (mode === 'torque') ask('command', {joint, value: 0});
-          }
-        };
-      });
-      place.append(all);
+    if (described.drives.length) {
+      const all = make(`<div class="all group" role="group" aria-label="how it is driven">${
+        [['own', 'own motion', 'as the machine is made to move: by its controller, or its drives'],
+         ['held', 'held', 'all drives hold the joints where they are'],
+         ['free', 'free', 'no drive exerts anything']].map(([which, text, title]) => (
+          `<button data-motion="${which}" title="${title}">${text}</button>`)).join('')}</div>`);
+      all.firstChild.hidden = !described.own;
+      for (const button of all.children) {
+        button.onclick = () => ask('motion', {which: button.dataset.motion});
+      }
+      place.prepend(all);
       this.all = all;
     }
   }
 
-  follow({drives, kinematic}, position) {
+  follow({drives, kinematic, motion}, position) {
     this.kinematic = kinematic;
-    if (this.all) this.all.hidden = kinematic;
+    if (this.all) {
+      this.all.hidden = kinematic;
+      for (const button of this.all.children) {
+        button.setAttribute('aria-pressed', button.dataset.motion === motion);
+      }
+    }
     for (const [joint, {mode, value}] of Object.entries(drives)) {
       const row = this.rows[joint], now = kinematic ? 'position' : mode;
       row.select.disabled = kinematic;
@@ -128,12 +132,14 @@ class Drives {
         if (now === 'torque') row.slider.limits(-torque, torque, slides ? 'N' : 'N m');
         else if (now === 'speed') row.slider.limits(-speed, speed, slides ? 'm/s' : 'rad/s');
         else row.slider.limits(...range, slides ? 'm' : 'rad');
-        row.slider.element.hidden = now === 'expression';
+        row.slider.element.hidden = now === 'expression' || now === 'own';
         row.law.hidden = now !== 'expression';
+        row.own.hidden = now !== 'own';
       }
       if (now === 'expression') {
         if (document.activeElement !== row.input) row.input.value = value;
-      } else row.slider.follow(kinematic ? position(joint) : value);
+      } else if (now === 'own') row.own.textContent = value.replaceAll('_', ' ');
+      else row.slider.follow(kinematic ? position(joint) : value);
     }
   }
 }
