@@ -130,6 +130,7 @@ def test_tables_of_the_peers_are_those_of_their_files(benchmark, group, passage)
     assert benchmark('make_accuracy_doc').filled(text, parts) == text
 
 
+@pytest.mark.slow
 def test_every_machine_is_measured_at_three_accuracies(benchmark, monkeypatch, tmp_path):
     machines, report = benchmark('all_machines'), benchmark('all_machines_report')
     monkeypatch.setattr(machines, 'commit', lambda: 'abc1234')
@@ -352,6 +353,7 @@ def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
         assert f'(pictures/performance_{picture}.png)' in text
 
 
+@pytest.mark.slow
 def test_quick_results_make_sense(quick_results):
     sizes = json.loads((quick_results / 'size.json').read_text())['rows']
     assert {row['family'] for row in sizes} == {'ladder', 'star of four', 'star of eight', 'chain'}
@@ -432,7 +434,8 @@ def test_comparison_runs_two_commits(benchmark, tmp_path):
 
 
 @pytest.mark.parametrize('engine', [
-    pytest.param('peer_pinocchio', marks=pytest.mark.slow), 'peer_mujoco', 'peer_exudyn'])
+    'peer_exudyn', *(pytest.param(engine, marks=pytest.mark.slow) for engine in (
+        'peer_pinocchio', 'peer_mujoco'))])
 def test_peers_agree(benchmark, engine):
     pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
                          'peer_exudyn': 'exudyn'}[engine])

@@ -165,6 +165,7 @@ def test_duration_is_the_time_that_the_motion_takes(capsys, tmp_path):
     assert code == 2 and 'not allowed with argument' in errors
 
 
+@pytest.mark.slow
 def test_pictures_show_no_other_machine_than_the_recorded_one(capsys, tmp_path):
     rows, longer = tmp_path / 'rows.csv', 'mechanism.cut_joints.cut_1.point_b.0=0.26'
     code, _, errors = call(capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11',

@@ -83,7 +83,7 @@ def test_random_mechanisms_move_as_in_maximal_coordinates(seed):
     assert_agree(forces, lam, 1e-9)
 
 
-@pytest.mark.parametrize('seed', cases.first(2, range(4)))
+@pytest.mark.parametrize('seed', cases.first(1, range(4)))
 @pytest.mark.parametrize('kind', SPATIAL_CUT_JOINT_EQUATIONS)
 def test_rates_and_biases_are_derivatives_where_loops_are_open(kind, seed):
     rng = np.random.default_rng(seed)

@@ -272,7 +272,8 @@ def test_readings_of_an_effect_that_is_not_listed_are_refused():
         simulation.effect_readings('pull')
 
 
-@pytest.mark.parametrize('scene', ['three_rrr', 'double_wishbone'])
+@pytest.mark.parametrize('scene', [
+    'three_rrr', pytest.param('double_wishbone', marks=pytest.mark.slow)])
 def test_effects_switched_off_in_the_scene_act_once_they_are_switched_on(scene):
     scene = load_scene(scene)
     names = tuple(name for name, record in scene.effects.items() if record.motion(name) is None)

@@ -46,6 +46,7 @@ def test_rotors_add_to_the_diagonal_of_the_inertia(case):
     assert np.abs(left).max() < 1e-11 * scale
 
 
+@pytest.mark.slow
 def test_rotors_in_every_freedom_add_to_the_diagonal_of_the_inertia():
     """Where the turning of their carriers does not count, in balls and universal joints, too."""
     bodies = tuple(Body(f'b{k}', 1.0 + k, (0.1, 0.2, 0.3), (0.1, 0.2, 0.25, 0.01, 0.02, 0.0))

@@ -21,6 +21,8 @@ from closedloop_dynamics.visual.trajectory import closure
 import numpy as np
 import pytest
 
+from ..reference import cases
+
 LENGTH = 'mechanism.joints.rocker_joint.position.0'
 
 
@@ -81,7 +83,7 @@ def test_a_scene_that_is_not_of_these_rows_is_refused(rows, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('name', scene_names())
+@pytest.mark.parametrize('name', cases.only(cases.CLASSES, scene_names()))
 def test_rows_of_shipped_scenes_are_of_their_machine(tmp_path, name):
     path = tmp_path / 'run.csv'
     assert main(['simulate', name, '--duration', '0.02', '--no-error-estimate', '--forces', 'all',

@@ -199,6 +199,7 @@ def test_stewart_platform_legs():
         assert condition[node] == pytest.approx(np.linalg.cond(rows), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_orientations_that_are_reached_are_counted(three_rrr):
     turns = {'z': (0.1, 0.5, 3)}
     axes = {'x': (0.1, 0.9, 9), 'y': (-0.1, 0.7, 9)}
@@ -287,6 +288,7 @@ def test_file_that_is_no_map(three_rrr, tmp_path):
         read(file)
 
 
+@pytest.mark.slow
 def test_limits_of_joints(three_rrr):
     low, high = 0.2, 1.2
     found = compute(three_rrr, Request(CENTER, SMALL, (0.3,), limits={'theta_1': (low, high)}))

@@ -217,7 +217,8 @@ def test_a_point_that_does_not_exist_is_named(simulator):
         simulator(scene='three_rrr', marker_point='nose')
 
 
-@pytest.mark.parametrize('scene', ['three_rrr', 'delta_robot'])
+@pytest.mark.parametrize('scene', [
+    'three_rrr', pytest.param('delta_robot', marks=pytest.mark.slow)])
 def test_accuracy_is_written_below_the_machine(simulator, scene):
     node = simulator(scene=scene)
     assert 'accuracy' not in by_name(node.markers.array(Time()))

@@ -97,6 +97,7 @@ def moving(states):
 
 
 # How well they track in real time depends on the host: benchmark/tracking.py measures it.
+@pytest.mark.slow
 def test_nodes_lead_the_platform_round(processes, listener):
     center, mechanism = center_of('three_rrr_circle')
     _, position, _ = run_processes(processes, listener, 'three_rrr_circle', 'lockstep', 450)

@@ -52,7 +52,7 @@ def interrupted(arguments, directory, delay, times):
         process.kill()
 
 
-@pytest.mark.parametrize('times', [1, 2])
+@pytest.mark.parametrize('times', [2, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('program', PROGRAMS)
 def test_interrupt_ends_a_starting_program_in_order(program, times, domain, tmp_path):
     arguments, code = PROGRAMS[program]

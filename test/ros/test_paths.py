@@ -42,7 +42,8 @@ def placed(mechanism, start, joints, values):
 
 
 @pytest.mark.parametrize('name, freedoms', [
-    ('stewart_platform', 6), ('delta_robot', 3), ('bennett', 1), ('four_bar', 1)])
+    ('bennett', 1), ('four_bar', 1), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('stewart_platform', 6), ('delta_robot', 3)))])
 def test_freedoms_are_counted_where_the_mechanism_is(name, freedoms):
     mechanism, start, _ = started(name)
     assert freedoms_of(mechanism, start) == freedoms

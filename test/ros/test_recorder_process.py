@@ -148,6 +148,7 @@ def test_bag_is_whole_after_signals(processes, listener, tmp_path, number):
         tmp_path / 'bag')['/t']]) == list(range(100))
 
 
+@pytest.mark.slow
 def test_namespace_of_the_recorder_is_that_of_the_topics(processes, listener, tmp_path):
     recorder = processes.start(RECORDER, namespace='/left', output='bag').wait_until_ready()
     # A publisher waits for a subscriber; the recorder is none.

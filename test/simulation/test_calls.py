@@ -47,6 +47,7 @@ def ends(scene, cuts=CUTS, duration=DURATION, kept=None):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_left_out_equations_are_looked_at_however_calls_are_cut():
     # Two of five equations, chosen well and ill: each pair comes to depend on the other somewhere.
     pairs = itertools.combinations(range(5), 2)

@@ -13,6 +13,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
+from ..reference import cases
+
 
 def moving(name):
     """Return a simulation of a scene on its way, and torques of its drives."""
@@ -30,7 +32,7 @@ def close(found, expected, share=1e-10):
         assert np.abs(one - other).max(initial=0.0) <= share * np.abs(other).max(initial=1.0)
 
 
-@pytest.mark.parametrize('name', shipped_names('scenes'))
+@pytest.mark.parametrize('name', cases.only(cases.CLASSES, shipped_names('scenes')))
 def test_arrays_lists_and_evaluators_give_the_same(name):
     simulation, torque = moving(name)
     q, qd = simulation.position, simulation.velocity

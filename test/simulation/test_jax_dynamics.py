@@ -55,6 +55,7 @@ def test_values_and_derivatives_are_those_of_differences(name):
             np.concatenate(along), slope, rtol=0, atol=1e-7 * max(1.0, np.abs(slope).max()))
 
 
+@pytest.mark.slow
 def test_reverse_is_forward_compiled_and_batched():
     _, dynamics, state = moving('three_rrr')
 

@@ -15,6 +15,8 @@ from closedloop_dynamics.mechanism.config import shipped_names
 import numpy as np
 import pytest
 
+from ..reference import cases
+
 READINGS = ('acceleration', 'multipliers', 'effort', 'joint_forces', 'constraint_forces',
             'coupling_forces', 'points', 'body_poses', 'energy', 'closure')
 
@@ -32,7 +34,7 @@ def close(found, expected, share=1e-10):
     assert np.nan_to_num(np.abs(found - expected)).max(initial=0.0) <= share * scale
 
 
-@pytest.mark.parametrize('name', shipped_names('scenes'))
+@pytest.mark.parametrize('name', cases.only(cases.CLASSES, shipped_names('scenes')))
 def test_an_evaluation_tells_what_a_run_tells(name):
     simulation = cld.Simulation.from_scene(name)
     torque = np.linspace(0.1, 0.3, len(simulation.actuated_joints))

@@ -398,6 +398,7 @@ def test_a_number_that_may_not_change_to_both_sides_is_refused():
         cld.Sensitivity(scene.model(), 'rk4', ['effects.damper.coefficient'])
 
 
+@pytest.mark.slow
 def test_positions_at_which_frames_jump_are_refused():
     with pytest.raises(ValueError, match='frames of bodies jump'):
         cld.Sensitivity(cld.load_scene('stewart_platform').model(), 'rk4',

@@ -145,6 +145,7 @@ def test_counterweights_balance_a_four_bar():
     assert optimum.best.aims[0] < 1e-6 * optimum.problem.before[0]
 
 
+@pytest.mark.slow
 def test_four_bar_leads_a_point_through_eight_places():
     # Of the curve of another four-bar, rounded to millimetres.
     places = np.array([[0.098, 0.166], [0.150, 0.260], [0.116, 0.287], [0.044, 0.249],
