@@ -129,20 +129,7 @@ def measure(scene, rate, duration, record, parameters):
 
 
 def main(argv=None):
-    """
-    Print the table.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program's name; ``sys.argv[1:]`` when not given.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--scene', default='carpet_scraper', help='default: %(default)s')
     parser.add_argument('--rates', type=float, nargs='+', default=[1000.0], help='[Hz]')

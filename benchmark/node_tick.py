@@ -93,20 +93,7 @@ def measure(scene, rate, count):
 
 
 def main(argv=None):
-    """
-    Print the table.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program's name; ``sys.argv[1:]`` when not given.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('scenes', nargs='*', default=['three_rrr', 'carpet_scraper'],
                         help='default: %(default)s')

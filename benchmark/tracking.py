@@ -86,20 +86,7 @@ def circle(position, settled):
 
 
 def main(argv=None):
-    """
-    Print the table.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program's name; ``sys.argv[1:]`` when not given.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--rates', type=float, nargs='+', default=[100.0, 500.0], help='[Hz]')
     parser.add_argument('--modes', nargs='+', default=['lockstep', 'realtime'])

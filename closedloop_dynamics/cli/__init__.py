@@ -13,15 +13,7 @@ from ..simulation.signals import program_watch
 
 
 def main(argv=None):
-    """
-    Run ``closedloop``.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program's name; ``sys.argv[1:]`` when not given.
-
-    """
+    """Run ``closedloop``."""
     from .commands import run
     return run(argv)
 
