@@ -53,7 +53,7 @@ def parser(names=tuple(COMMANDS)):
         command.add_arguments(one)
         if command.reads_scenes:
             add_code(one)
-        one.set_defaults(run=command.run, prog=one.prog)
+        one.set_defaults(run=command.run, prog=one.prog, refuse=one.error)
     return whole
 
 
@@ -78,7 +78,9 @@ def run(argv):
         # A shell asks for words that may follow; what it needs is in doc/install.md.
         import argcomplete
         argcomplete.autocomplete(whole)
-    arguments = whole.parse_args(argv)
+    arguments, unknown = whole.parse_known_args(argv)
+    if unknown:
+        arguments.refuse(f'unrecognized arguments: {" ".join(unknown)}')
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
         with program_watch.interrupting():

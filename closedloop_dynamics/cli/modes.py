@@ -75,7 +75,7 @@ def _run(arguments):
             for number, mode in enumerate(modes, 1)]
     print(text_table(('mode', 'frequency [Hz]', 'damping', 'growth [1/s]', 'shape'), rows))
     if arguments.output is not None:
-        number = arguments.mode or 1
+        number = 1 if arguments.mode is None else arguments.mode
         if not 1 <= number <= len(modes):
             raise UsageError(f'--mode: expected a number from 1 to {len(modes)}, got {number}')
         motion = mode_motion(linearisation, modes[number - 1], position,

@@ -174,7 +174,9 @@ def _problem(arguments, scene):
             drives, poses=poses, speed=speed, branch=arguments.branch, seed=arguments.seed,
             paths=paths)
     except FieldError as error:
-        raise UsageError(f'--{str(error).replace("subject_to", "subject-to")}') from None
+        option = str(error).partition(':')[0]
+        raise UsageError(f'--{str(error).replace("subject_to", "subject-to")}' if option in (
+            'minimise', 'subject_to', 'distance') else f'--vary: {error}') from None
     except ValueError as error:
         raise UsageError(f'--drive: {error}') from None
 

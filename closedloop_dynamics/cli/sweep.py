@@ -88,7 +88,11 @@ def _run(arguments):
                 overwrite=arguments.overwrite, workers=arguments.workers,
                 scheduler=arguments.scheduler, on_progress=show,
                 keep_going=lambda: not received)
-        except (FieldError, StorageError) as error:
+        except FieldError as error:
+            option = str(error).partition(':')[0]
+            raise UsageError(
+                f'--{error}' if option in vars(arguments) else f'--vary: {error}') from None
+        except StorageError as error:
             raise UsageError(str(error)) from None
     if not outcome.finished:
         print(f'{arguments.prog}: interrupted; what is written is kept, and the same command with '
