@@ -6,10 +6,10 @@
 import numpy as np
 
 from .codegen import pieces
+from .codegen.workspace import allocate
 from .manifold import manifold_of
 from .types import (
     CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
-from .workspace import allocate
 from ..engine import native
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..core.codegen import pieces
 from ..core.equations import Equations, with_all_equations
 from ..core.types import Model, Workspace
-from ..core.workspace import unconnected
+from ..core.codegen.workspace import unconnected
 
 # Columns of ``AllEquations.numbers``: the pivot below which other equations are looked for; the
 # most kinetic energy so far [J]; whether there are none better, so that all but open loops is

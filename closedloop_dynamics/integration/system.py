@@ -15,7 +15,7 @@ from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
 from ..core.types import Model, RANK_REVEALING_COUNT, Workspace
-from ..core.workspace import unconnected
+from ..core.codegen.workspace import unconnected
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 

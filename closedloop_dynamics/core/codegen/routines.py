@@ -16,9 +16,9 @@ from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, matrix, six
 from .spatial import Recursion, rigid
 from .vectors import add, scale, subtract, times, ZERO
+from .workspace import unconnected
 from ..types import (
     BODY_A, BODY_B, CUT_ROW, DOF, number_of_coordinates, PARENT, RHS, TYPE, Workspace)
-from ..workspace import unconnected
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Allocate what one evaluation writes, and let it know the code of its mechanism."""
+"""Allocate what one evaluation writes, and bind the code of its mechanism to it."""
 
 import numpy as np
 
-from .codegen import pieces, space
-from .types import (
+from . import pieces, space
+from ..types import (
     BODY_STAGES, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, READ, ROWS,
     WORK_COLUMNS, Workspace)
 
