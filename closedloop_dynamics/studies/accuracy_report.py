@@ -85,7 +85,7 @@ def work_precision(study, title):
     for axes, (heading, lines) in zip(panels, groups):
         _panel(axes, heading, lines, study)
     panels[0].set_ylabel('largest error of positions [rad or m]')
-    panels[0].set_xlabel('CPU time for one simulated second (lower left: more for less)')
+    panels[0].set_xlabel('CPU time for one simulated second (lower left is better)')
     for axes in panels[1:]:
         axes.set_xlabel('CPU time for one simulated second')
     return figure

@@ -47,6 +47,8 @@ GROUND_LAYER = 24.0
 # In space the ground is no body: behind all of them.
 GROUND_BEHIND = 5.0
 PALEST = 0.18
+# Cut joints that are nearer than this share of the extent have their names side by side.
+APART = 1e-3
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,6 @@ class MechanismArtist:
         self.outlines = {body.name: of_body(mechanism, body.name) for body in mechanism.bodies}
         self.color = body_colors(mechanism)
         self.sliders = sliders(mechanism)
-        # How far names are apart at least, as a share of the extent: in space many cuts are seen
-        # close to each other.
-        self._apart = 1e-3 if mechanism.planar else 0.08
         self.massless = {body.name: body.massless for body in mechanism.bodies}
         everything = all_places(mechanism, poses)
         self.extent = float(np.ptp(everything, axis=0).max()) or 1.0
@@ -216,23 +215,39 @@ class MechanismArtist:
                 for start, wrench in zip(starts, forces)]
 
     def cut_names(self, index, forces):
-        """Write the names of the cut joints beside them, where the force arrows do not go."""
+        """
+        Write the names of the cut joints.
+
+        In the plane beside them, where the force arrows do not go; in space, where there is no
+        room between the bodies, in a column at the right, with lines to the joints.
+
+        """
+        cuts = self.mechanism.cut_joints
+        places = [self._cut_place(cut, self.poses[index]) for cut in cuts]
+        seen = [self.view.project(place) for place in places]
+        style = {'va': 'center', 'zorder': 34, 'color': CUT_COLOR, 'fontsize': 9,
+                 'fontweight': 'bold', 'path_effects': _halo()}
+        if not self.mechanism.planar:
+            line = {'arrowstyle': '-', 'color': CUT_COLOR, 'linewidth': 0.7, 'shrinkB': 5}
+            step = min(0.09, 1.0 / len(cuts)) if cuts else 0.0
+            for rank, k in enumerate(sorted(range(len(cuts)), key=lambda k: -seen[k][1])):
+                self.axes.annotate(
+                    cuts[k].name, seen[k], textcoords='axes fraction', ha='left', arrowprops=line,
+                    xytext=(1.02, 0.5 + step * (0.5 * (len(cuts) - 1) - rank)), **style)
+            return
         written = {}
-        for cut, wrench in zip(self.mechanism.cut_joints, forces):
-            place, force = self._cut_place(cut, self.poses[index]), force_of(wrench)
+        for cut, place, start, force in zip(cuts, places, seen, map(force_of, forces)):
             ahead = place + 0.01 * self.extent * force / (np.linalg.norm(force) or 1.0)
-            seen = self.view.project(place)
-            key = tuple(np.round(seen / self.extent / self._apart) * self._apart)
+            key = tuple(np.round(start / self.extent / APART) * APART)
             names, arrows = written.setdefault(key, ([], []))
             names.append(cut.name)
-            arrows.append(self.view.project(ahead) - seen)
+            arrows.append(self.view.project(ahead) - start)
         for place, (names, arrows) in written.items():
             right, up = -np.sum(arrows, axis=0)
             self.axes.annotate(
-                ', '.join(names), np.array(place) * self.extent, zorder=34,
+                ', '.join(names), np.array(place) * self.extent,
                 xytext=(11 if right >= 0.0 else -11, 9 if up >= 0.0 else -9),
-                textcoords='offset points', ha='left' if right >= 0.0 else 'right', va='center',
-                color=CUT_COLOR, fontsize=9, fontweight='bold', path_effects=_halo())
+                textcoords='offset points', ha='left' if right >= 0.0 else 'right', **style)
 
     def legend_handles(self, path=None, force=None):
         """Return what a legend needs to explain the drawing; ``force`` says what arrows are."""
