@@ -28,7 +28,7 @@ from ..visual.progress import announced, progress_to
 STANDARD_OUTPUT = '-'
 # Simulated time up to which the error is estimated unless set otherwise [s].
 LONGEST_ESTIMATED = 10.0
-LOADING = 'Loading ...'
+LOADING = 'Loading; code is generated for a mechanism that is new ...'
 
 
 def _add_arguments(parser):

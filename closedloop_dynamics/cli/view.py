@@ -38,7 +38,7 @@ DRIVING = 'torque', 'speed', 'position', 'motion', 'controller'
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
 # Only ros/ knows ROS: the node is a process of its own.
 VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
-LOADING = 'Loading ...'
+LOADING = 'Loading; code is generated for a mechanism that is new ...'
 
 
 def _add_arguments(parser):

@@ -14,15 +14,20 @@ from ..core.equations import with_all_equations
 from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
-from ..core.types import Model, RANK_REVEALING_COUNT, Workspace
+from ..core.types import (
+    KEPT, Model, PATH_A, PATH_END, POSSIBLE, RANK_REVEALING_COUNT, ROWS, Workspace)
 from ..core.codegen.workspace import unconnected
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
-# compile and falls out of the fastest memory; in space, where the loops do more in vain, beyond
-# this number of freedoms.
-MOST_UNROLLED_BODIES, MOST_UNROLLED_FREEDOMS = 24, 40
+# compile and falls out of the fastest memory. In space, where the loops do more in vain, it pays
+# up to so many operations of an evaluation, by a rule of thumb: they take some twenty seconds to
+# compile, once. Of more freedoms than these there is one set of routines: equations that are left
+# out are exchanged in a run, which must not wait for others, and those for light links are larger.
+MOST_UNROLLED_BODIES, MOST_UNROLLED_OPERATIONS, MOST_IN_VARIANTS = 24, 50_000, 40
+# Operations of a body; of a multiplier that passes a joint.
+_OF_BODY, _OF_PASSAGE = 350, 25
 # Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
 # error [m, rad] that projection leaves and the one at which it gives up, how far beside a state
 # the rank-revealing path asks the branch [rad], the size of the mechanism [m], and the closure
@@ -177,9 +182,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
-        unrolled = (formulation == SUBSYSTEM
-                    and nv <= (MOST_UNROLLED_FREEDOMS if space.is_spatial(model)
-                               else MOST_UNROLLED_BODIES))
+        unrolled = formulation == SUBSYSTEM and _can_be_unrolled(model)
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE, extent,
@@ -200,6 +203,20 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
     return _linked(system, (*codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ())))
+
+
+def _can_be_unrolled(model):
+    """Tell whether routines of a mechanism are of bearable size."""
+    freedoms, cut = len(model.tree) - 1, model.cut
+    if not space.is_spatial(model):
+        return freedoms <= MOST_UNROLLED_BODIES
+    if freedoms > MOST_IN_VARIANTS and (cut[:, KEPT] != cut[:, POSSIBLE]).any():
+        return False
+    passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
+    # Of each column the square of what is below it.
+    elimination = (np.diff(model.column) ** 2).sum()
+    return (_OF_BODY * freedoms + _OF_PASSAGE * passages + elimination
+            <= MOST_UNROLLED_OPERATIONS)
 
 
 def _linked(system, routines):
@@ -247,7 +264,7 @@ def refine(system, state):
         Closing the loops.
 
     """
-    if not system.is_unrolled:
+    if not system.is_unrolled or len(system.qdd) > MOST_IN_VARIANTS:
         return
     health, (q, qd, *_) = system.work.health, parts_of_state(system)
     before, system.table[list(codegen.REFINED)] = health.copy(), 0

@@ -167,7 +167,7 @@ def largest_difference(directory):
 def by_loops(monkeypatch):
     """Unroll nothing."""
     monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', 0)
-    monkeypatch.setattr(system, 'MOST_UNROLLED_FREEDOMS', 0)
+    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
 
 
 def test_loops_over_bodies_know_cut_joints_too(tmp_path, by_loops):

@@ -217,8 +217,8 @@ def test_generated_code_finds_the_forces_that_drive_effects_as_the_loops_do(name
             joint.name, friction_coefficient=0.1, **sizes[joint.type])
         for joint in shipped.mechanism.joints if joint.type in sizes}
     readings = []
-    for most in (system.MOST_UNROLLED_FREEDOMS, 0):
-        monkeypatch.setattr(system, 'MOST_UNROLLED_FREEDOMS', most)
+    for most in (system.MOST_UNROLLED_OPERATIONS, 0):
+        monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
         one = Simulation(replace(shipped, effects={**shipped.effects, **effects}))
         assert one.system.is_unrolled == (most > 0)
         one.step(None, 0.02)

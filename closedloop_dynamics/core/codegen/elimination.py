@@ -63,10 +63,7 @@ def assemble(model, work):
                     total += response[p, k] * scaled[p, c]
                 factor[place + k - c] = total
             scale[cut[a, ROW] + c] = factor[place]
-        if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, LENGTHS] > 1:
-            first = cut[a, ROW]
-            most = larger(scale[first], scale[first + 1])
-            scale[first] = scale[first + 1] = most
+        share_scale(cut[a], scale)
     for n in range(block.shape[0]):
         later, earlier = block[n, 0], block[n, 1]
         for c in range(cut[earlier, ROWS]):
@@ -76,6 +73,23 @@ def assemble(model, work):
                 for m in range(block[n, 2], block[n, 3]):
                     total += response[pair[m, 0], k] * scaled[pair[m, 1], c]
                 factor[place + k] = total
+
+
+def share_scale(cut, scale):
+    """
+    Give the first two equations of a cut joint the larger scale of both.
+
+    Parameters
+    ----------
+    cut : ndarray of int, shape (CUT_COLUMNS,)
+        Row of ``Model.cut``.
+    scale : ndarray, shape (nc,)
+        In elimination order; written in place.
+
+    """
+    if cut[CUT_TYPE] != CUT_PRISMATIC and cut[LENGTHS] > 1:
+        first = cut[ROW]
+        scale[first] = scale[first + 1] = larger(scale[first], scale[first + 1])
 
 
 def factorize(model, work):
@@ -156,7 +170,28 @@ def factorize_well(model, work):
         Whether every pivot is good; if not, ``refinement`` must be asked.
 
     """
-    smallest = factorize(model, work)
+    return note_well(model, work, factorize(model, work))
+
+
+def note_well(model, work, smallest):
+    """
+    Note a smallest pivot in ``health`` where it is good.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        ``health`` is written.
+    smallest : float
+        As ``factorize`` returns it.
+
+    Returns
+    -------
+    bool
+        Whether every pivot is good; if not, ``refinement`` must be asked.
+
+    """
     fine = good(model, smallest, SMALL_PIVOT)
     # A small one may be that of the masses alone: the one reported comes from ``refinement``.
     note(model, work, chosen(fine, smallest, 1.0))

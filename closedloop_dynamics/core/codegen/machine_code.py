@@ -8,6 +8,7 @@ LLVM is loaded when it is needed, not with the package: that takes longer than t
 
 """
 
+from concurrent.futures import ThreadPoolExecutor
 import hashlib
 from importlib import import_module
 
@@ -23,7 +24,7 @@ OPTIMISATION = 1
 _engines = []
 
 
-def machine_code(key, routines, form):
+def machine_code(key, routines, form, parts=1):
     """
     Return the addresses of routines, compiled now or by an earlier process.
 
@@ -35,6 +36,8 @@ def machine_code(key, routines, form):
         Returns the list of Routine; called only where nothing is stored.
     form : tuple
         ``SCALAR``, ``PIECE``, ``LAW``, ``LANES`` or ``PACKED``.
+    parts : int
+        Of how many objects the code is, at most as many as there are routines.
 
     Returns
     -------
@@ -45,24 +48,46 @@ def machine_code(key, routines, form):
     from llvmlite import binding
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    target = binding.Target.from_default_triple()
     cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    machine = target.create_target_machine(cpu=cpu, features=features, opt=OPTIMISATION)
     digest = hashlib.sha256(repr((key, form, cpu, features)).encode()).hexdigest()[:32]
-    name = f'codegen.{digest}.o'
-    # An engine needs a module to start from; the code itself is added as an object.
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
-    code = cache.read(name)
-    if code is None:
-        place, writer = form
-        emit = import_module('.emit', __package__)
-        parsed = binding.parse_assembly(emit.intermediate_code(
-            routines(), getattr(import_module(place, __package__), writer)))
-        parsed.triple = target.triple
-        parsed.verify()
-        code = machine.emit_object(parsed)
-        cache.write(name, code)
-    engine.add_object_file(binding.ObjectFileRef.from_data(code))
+    # An engine needs a module to start from; the code itself is added as objects.
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), _machine(binding))
+    names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
+    objects = [cache.read(name) for name in names]
+    if None in objects:
+        objects = _compiled(routines(), form, parts)
+        for name, code in zip(names, objects):
+            cache.write(name, code)
+    for code in objects:
+        engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
     return engine.get_function_address
+
+
+def _machine(binding):
+    """Return what makes code for this computer."""
+    return binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(),
+        opt=OPTIMISATION)
+
+
+def _compiled(routines, form, parts):
+    """Return the objects of routines; while LLVM compiles one, the next one is written."""
+    place, writer = form
+    emit = import_module('.emit', __package__)
+    writer = getattr(import_module(place, __package__), writer)
+    with ThreadPoolExecutor(1) as others:
+        waiting = [others.submit(_object, emit.intermediate_code(routines[part::parts], writer))
+                   for part in range(parts)]
+        return [one.result() for one in waiting]
+
+
+def _object(code):
+    """Compile a module of its own."""
+    from llvmlite import binding
+    machine = _machine(binding)
+    parsed = binding.parse_assembly(code, binding.create_context())
+    parsed.triple = machine.triple
+    parsed.verify()
+    return machine.emit_object(parsed)

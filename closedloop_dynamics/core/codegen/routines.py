@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from . import elimination, forward_dynamics, plane, refinement, space
+from . import elimination, embedding, forward_dynamics, plane, refinement, space
 from .expression_graph import (
     ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Q, QD, Routine, SUBTRACT)
 from .function_table import (
@@ -18,7 +18,8 @@ from .spatial import Recursion, rigid
 from .vectors import add, scale, subtract, times, ZERO
 from .workspace import unconnected
 from ..types import (
-    BODY_A, BODY_B, CUT_ROW, DOF, number_of_coordinates, PARENT, RHS, TYPE, Workspace)
+    BODY_A, BODY_B, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PARENT, RHS, TYPE,
+    Workspace)
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -73,7 +74,7 @@ def addresses(model, which, form=SCALAR):
     key = topology(model), which, form
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [MechanismTrace(model).routine(one) for one in which], form)
+            key, lambda: [MechanismTrace(model).routine(one) for one in which], form, len(which))
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
@@ -153,7 +154,7 @@ class MechanismTrace:
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
-        self.accelerate(forward_dynamics)
+        self.accelerate()
 
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
@@ -193,7 +194,7 @@ class MechanismTrace:
             one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
         one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
 
-    def acceleration(self, by=forward_dynamics):
+    def acceleration(self, by=None):
         """Accelerations and multipliers after ``outward`` and the effects."""
         self.read()
         self.accelerate(by)
@@ -205,8 +206,14 @@ class MechanismTrace:
         self.recursion.hinges = ()
         self.acceleration(refinement)
 
-    def accelerate(self, by):
-        """Unroll the forward dynamics of one of the modules."""
+    def embeds(self):
+        """Tell whether loops close on bodies: they are eliminated there."""
+        return any(embedding.closing_bodies(self.recursion, self.constant))
+
+    def accelerate(self, by=None):
+        """Unroll the forward dynamics of one of the modules, by what takes less where not said."""
+        if by is None:
+            by = embedding if self.embeds() else forward_dynamics
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         tau, qdd, lam = self.symbols(TAU, (self.nv,)), zeros(self.nv), zeros(self.nc)
         bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
@@ -245,17 +252,25 @@ class MechanismTrace:
         self.recursion.hinges = ()
         self.correction(refinement)
 
-    def correction(self, by=forward_dynamics):
+    def correction(self, by=None):
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work = self.model, self.work
         self.recursion.outward(model, self.q, self.qd, work)
-        bool(by.prepare(self.recursion, model, zeros(self.nv), work))
+        embeds = by is None and self.embeds()
+        if embeds:
+            self.recursion.update(model, work, NO_RESPONSES)
+        else:
+            bool((by or forward_dynamics).prepare(self.recursion, model, zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
-            right, out = -error, zeros(self.nv)
-            elimination.solve(model, work, right)
-            work.body[:, RHS] = 0.0
-            forward_dynamics.apply(model, work, right)
-            self.recursion.outward_acceleration(model, work, out)
+            out = zeros(self.nv)
+            if embeds:
+                bool(embedding.correct(self.recursion, model, work, error, out))
+            else:
+                right = -error
+                elimination.solve(model, work, right)
+                work.body[:, RHS] = 0.0
+                forward_dynamics.apply(model, work, right)
+                self.recursion.outward_acceleration(model, work, out)
             self.store(CORRECTIONS, out, n * self.nv)
         self.store(CLOSURE, work.closure)
         self.store(CLOSURE_RATE, work.closure_rate)

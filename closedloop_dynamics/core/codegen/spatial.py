@@ -356,13 +356,16 @@ class Recursion:
             base=frame, frame=frame, spin=add(parent.spin, spinning),
             spin_rate=add(parent.spin_rate, cross(parent.spin, spinning)))
 
-    def inward(self, model, tau, work, massless=False):
-        """Do as ``articulated_inertia.inward`` does."""
+    def inward(self, model, tau, work, massless=False, before=None):
+        """Do as the engine's function does; ``before`` is called with each row, and with 0."""
         self.inertia, self.force = list(self.inertia), list(self.force)
         tau = self._about_world(model, self._between(model, tau))
-        for i in range(len(self.bodies) - 1, 0, -1):
-            work.body[i, DINV], work.body[i, RHS] = self.eliminate(
-                i, model.tree[i, PARENT], tau[model.tree[i, DOF]], massless)
+        for i in range(len(self.bodies) - 1, -1, -1):
+            if before is not None:
+                before(i)
+            if i > 0:
+                work.body[i, DINV], work.body[i, RHS] = self.eliminate(
+                    i, model.tree[i, PARENT], tau[model.tree[i, DOF]], massless)
 
     def eliminate(self, i, parent, torque, massless=False):
         """
@@ -454,9 +457,11 @@ class Recursion:
         before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
         return add(before, scale(motion.axis, qdd))
 
-    def outward_acceleration(self, model, work, qdd):
-        """Do as ``articulated_inertia.outward_acceleration`` does."""
+    def outward_acceleration(self, model, work, qdd, after=None):
+        """Do as the engine's function does; ``after`` is called with each row, and with 0."""
         self.acceleration = {0: 2 * ZERO}
+        if after is not None:
+            after(0)
         for i in range(1, len(self.bodies)):
             dof = model.tree[i, DOF]
             qdd[dof] = work.body[i, DZ] = self.accelerate(
@@ -465,6 +470,8 @@ class Recursion:
                 motion = self.motion[i]
                 since, turn = self.acceleration[motion.carrier], motion.axis[:3]
                 work.body[i, DZ] = dot(turn, self.acceleration[i][:3]) - dot(turn, since[:3])
+            if after is not None:
+                after(i)
         self._about_own(model, qdd)
 
     def accelerate(self, i, parent, inverse, right):
