@@ -121,19 +121,21 @@ def _is_recording(what):
 def _live(arguments):
     """Run a simulation until Ctrl-C."""
     # The server's library takes a while, which no other command should.
+    from ..view.library import Library
     from ..view.runner import Runner
     scene = with_numbers(read_scene(arguments.what, arguments), arguments)
     with announced(LOADING):
         try:
             runner = Runner(scene, own=chosen(
-                _drives(arguments), arguments.drives, arguments.controller))
+                _drives(arguments), arguments.drives, arguments.controller),
+                            library=Library(Path.cwd()))
         except (AssemblyError, StartError) as error:
             raise UsageError(f'{arguments.what}: {error}') from None
         except FieldError as error:
             raise UsageError(f'drives: {error}') from None
     _told(runner.described)
     with program_watch.noting() as received:
-        server = _served(arguments, [live_page(scene.name)], [runner.feed])
+        server = _served(arguments, [live_page(scene.name)], [runner.feed], runner.resource)
         try:
             runner.run(lambda: not received)
         finally:
@@ -174,17 +176,17 @@ def _told(described):
     return described
 
 
-def _served(arguments, pages, feeds):
+def _served(arguments, pages, feeds, resource=lambda path: None):
     """Return a server of pages, and print their addresses."""
     from ..view.server import Server
     try:
         server = Server(pages, feeds, arguments.host,
-                        USUAL_PORT if arguments.port is None else arguments.port)
+                        USUAL_PORT if arguments.port is None else arguments.port, resource)
     except OSError as error:
         if arguments.port is not None:
             raise UsageError(f'--port {arguments.port}: {error.strerror or error}') from None
         try:
-            server = Server(pages, feeds, arguments.host)
+            server = Server(pages, feeds, arguments.host, resource=resource)
         except OSError:
             raise UsageError(f'--host {arguments.host}: {error.strerror or error}') from None
     print(f'{server.url}\nCtrl-C ends it.', flush=True)

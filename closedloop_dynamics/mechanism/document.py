@@ -13,6 +13,7 @@ Size and nesting are limited while the file is read, not afterwards.
 
 from collections.abc import Mapping
 from contextlib import contextmanager
+import json
 import math
 from pathlib import Path
 import re
@@ -49,6 +50,7 @@ _SCALARS = tuple((re.compile(pattern), convert) for pattern, convert in (
     (r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?', float),
     (r'[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)', lambda word: float(word.replace('.', ''))),
 ))
+_WORD = re.compile(r'[A-Za-z_][A-Za-z0-9_. -]*(?<! )')
 
 
 class Document:
@@ -63,7 +65,7 @@ class Document:
 
     """
 
-    def __init__(self, path, error_type):
+    def __init__(self, path, error_type, text=None):
         """
         Load ``path``; where it cannot be loaded, raise ``error_type``.
 
@@ -73,6 +75,8 @@ class Document:
             Of the file.
         error_type : type
             The exception that :meth:`errors` turns a FieldError into.
+        text : str, optional
+            What is in the file, which need not exist then.
 
         """
         self.path = Path(path)
@@ -80,7 +84,7 @@ class Document:
         self._lines = {(): 1}
         with self.errors():
             try:
-                self.data = self._root(self._text())
+                self.data = self._root(self._text() if text is None else _bounded(text))
             except yaml.YAMLError as error:
                 mark = getattr(error, 'problem_mark', None)
                 self._lines[()] = mark.line + 1 if mark else 1
@@ -217,14 +221,20 @@ def plain(value):
     return value
 
 
-def with_scalars(path, values):
+def _bounded(text):
+    if len(text.encode('utf-8', 'replace')) > MOST_BYTES:
+        raise FieldError(f'a file of at most {MOST_BYTES} bytes', 'a larger one')
+    return text
+
+
+def with_scalars(text, values):
     """
-    Return the text of a YAML file with other scalars, all else as it stands, comments too.
+    Return YAML with other scalars, all else as it stands, comments too.
 
     Parameters
     ----------
-    path : str or pathlib.Path
-        Of a file that ``Document`` reads.
+    text : str
+        That ``Document`` reads.
     values : dict of tuple of str to str
         By keys, with places in lists as numbers in text: what is written in the place of a
         scalar.
@@ -232,30 +242,152 @@ def with_scalars(path, values):
     Returns
     -------
     str or None
-        None where one of them stands nowhere in the file, or within something with an anchor.
+        None where one of them stands nowhere in the text, or within something with an anchor.
 
     """
-    text = Path(path).read_text(encoding='utf-8-sig')
-    root, places = yaml.compose(text, Loader=yaml.SafeLoader), []
-    if any(isinstance(token, (yaml.AnchorToken, yaml.AliasToken)) for token in yaml.scan(
-            text, Loader=yaml.SafeLoader)):
-        return None
+    root, places = _composed(text), []
     for keys, value in values.items():
-        node = root
-        for key in keys:
-            if isinstance(node, yaml.MappingNode):
-                node = next((below for one, below in node.value if one.value == key), None)
-            elif isinstance(node, yaml.SequenceNode) and key.isdecimal() and (
-                    int(key) < len(node.value)):
-                node = node.value[int(key)]
-            else:
-                node = None
+        node = _node(root, keys)
         if not isinstance(node, yaml.ScalarNode):
             return None
         places.append((node.start_mark.index, node.end_mark.index, value))
     for start, end, value in sorted(places, reverse=True):
         text = text[:start] + value + text[end:]
     return text
+
+
+def _composed(text):
+    """Return the nodes of YAML; None where some stand in several places."""
+    if any(isinstance(token, (yaml.AnchorToken, yaml.AliasToken)) for token in yaml.scan(
+            text, Loader=yaml.SafeLoader)):
+        return None
+    return yaml.compose(text, Loader=yaml.SafeLoader)
+
+
+def _node(node, keys):
+    """Return the node of a key path; None where there is none."""
+    for key in keys:
+        if isinstance(node, yaml.MappingNode):
+            node = next((below for one, below in node.value if one.value == key), None)
+        elif isinstance(node, yaml.SequenceNode) and key.isdecimal() and (
+                int(key) < len(node.value)):
+            node = node.value[int(key)]
+        else:
+            return None
+    return node
+
+
+def with_entry(text, keys, name, value):
+    """
+    Return YAML with one more entry in a mapping, all else as it stands, comments too.
+
+    Parameters
+    ----------
+    text : str
+        That ``Document`` reads.
+    keys : tuple of str
+        Of the mapping; the last one need not be there yet.
+    name : str
+        Key of the entry, which is not there yet.
+    value : object
+        Plain data; written in one line.
+
+    Returns
+    -------
+    str or None
+        None where there is no place for it.
+
+    """
+    root = _composed(text)
+    node = _node(root, keys)
+    if node is None and keys and isinstance(_node(root, keys[:-1]), yaml.MappingNode):
+        return with_entry(text, keys[:-1], keys[-1], {name: value})
+    entry = f'{name}: {in_one_line(value)}'
+    if isinstance(node, yaml.ScalarNode) and not node.value:
+        # A key with nothing below it.
+        at_end = node.end_mark.index
+        return f'{text[:at_end]} {{{entry}}}{text[at_end:]}'
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    if node.flow_style:
+        at_end = node.end_mark.index - 1
+        return (text[:at_end].rstrip() + (', ' if node.value else '') + entry + text[at_end:])
+    indent = ' ' * node.value[0][0].start_mark.column
+    at_end = text.find('\n', _last_mark(node))
+    if at_end < 0:
+        return f'{text}\n{indent}{entry}\n'
+    return f'{text[:at_end]}\n{indent}{entry}{text[at_end:]}'
+
+
+def _last_mark(node):
+    """Return where the text of a node ends: those of mappings count what follows, too."""
+    if isinstance(node, yaml.MappingNode) and node.value and not node.flow_style:
+        return _last_mark(node.value[-1][1])
+    if isinstance(node, yaml.SequenceNode) and node.value and not node.flow_style:
+        return _last_mark(node.value[-1])
+    end = node.end_mark.index
+    # A block of text ends where the next line begins.
+    return end - 1 if getattr(node, 'style', None) in ('|', '>') else end
+
+
+def with_value(text, keys, value):
+    """Return YAML with other data in a place, in one line; None where it spans a block."""
+    node = _node(_composed(text), keys)
+    if node is None or not (isinstance(node, yaml.ScalarNode) or node.flow_style):
+        return None
+    return text[:node.start_mark.index] + in_one_line(value) + text[node.end_mark.index:]
+
+
+def in_one_line(value):
+    """Return plain data as YAML in one line, words without quotes where these are not needed."""
+    if isinstance(value, Mapping):
+        return '{' + ', '.join(
+            f'{in_one_line(key)}: {in_one_line(one)}' for key, one in value.items()) + '}'
+    if isinstance(value, (list, tuple)):
+        return '[' + ', '.join(map(in_one_line, value)) + ']'
+    if isinstance(value, str) and _WORD.fullmatch(value) and isinstance(_plain(value), str):
+        return value
+    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+
+
+def with_mapping(text, keys, below):
+    """
+    Return YAML in which a mapping, given as YAML, stands in the place of a scalar.
+
+    Parameters
+    ----------
+    text : str
+        That ``Document`` reads.
+    keys : tuple of str
+        Of the scalar, which is the value of a key of a block.
+    below : str
+        YAML of a mapping in block style.
+
+    Returns
+    -------
+    str or None
+        None where it has no place.
+
+    """
+    node = _node(_composed(text), keys)
+    if not isinstance(node, yaml.ScalarNode):
+        return None
+    start, end = node.start_mark.index, node.end_mark.index
+    line = text[text.rfind('\n', 0, start) + 1:start]
+    margin = ' ' * (len(line) - len(line.lstrip()) + 2)
+    body = '\n'.join(margin + one if one.strip() else '' for one in below.strip('\n').split('\n'))
+    return f'{text[:start].rstrip()}{_comment(text, end)}\n{body}{_rest_of_line(text, end)}'
+
+
+def _comment(text, end):
+    """Return what stands in a line behind a value, a comment or nothing."""
+    line_end = text.find('\n', end)
+    return text[end:len(text) if line_end < 0 else line_end].rstrip()
+
+
+def _rest_of_line(text, end):
+    line_end = text.find('\n', end)
+    return '\n' if line_end < 0 else text[line_end:]
 
 
 def _require_plain(event):

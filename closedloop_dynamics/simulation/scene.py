@@ -146,6 +146,25 @@ def _shipped(kind: str, value: Any) -> Path:
     return shipped_path(kind, value)
 
 
+def scene_of_yaml(text: str, path: Union[str, Path]) -> Scene:
+    """
+    Read a scene from what its file has, or would have.
+
+    Parameters
+    ----------
+    text : str
+        YAML.
+    path : str or pathlib.Path
+        Of the file, which need not exist: other files that the scene names are beside it.
+
+    Raises
+    ------
+    SceneError
+
+    """
+    return _scene_of(Document(path, SceneError, text))
+
+
 def _scene_of(document: Document) -> Scene:
     with document.errors():
         return _read(document.data, document.path)

@@ -90,18 +90,22 @@ def _edited(scene, values, path):
     files = [path]
     if of_mechanism:
         beside = path.with_name(MECHANISM.format(path.stem))
-        text = with_scalars(mechanism, of_mechanism)
+        text = with_scalars(_text(mechanism), of_mechanism)
         own[('mechanism',)] = f'./{beside.name}'
         files.append(beside)
         if text is None:
             return None
-    scene_text = with_scalars(source, own)
+    scene_text = with_scalars(_text(source), own)
     if scene_text is None:
         return None
     path.write_text(scene_text, encoding='utf-8')
     if of_mechanism:
         beside.write_text(text, encoding='utf-8')
     return files
+
+
+def _text(path):
+    return path.read_text(encoding='utf-8-sig')
 
 
 def _is_same(path, scene):

@@ -115,10 +115,15 @@ def write_scene(scene: Scene, path: Union[str, Path]) -> None:
         Where it cannot be written.
 
     """
+    Path(path).write_text(scene_yaml(scene), encoding='utf-8')
+
+
+def scene_yaml(scene: Scene) -> str:
+    """Return what ``write_scene`` writes."""
     lines: List[str] = []
     for key, value in scene_data(scene).items():
         _write(lines, '', key, value)
-    Path(path).write_text('\n'.join(lines) + '\n', encoding='utf-8')
+    return '\n'.join(lines) + '\n'
 
 
 def _write(lines: List[str], indent: str, key: str, value: Any) -> None:

@@ -39,7 +39,9 @@ class Feed:
     Attributes
     ----------
     description, controls : str
-        JSON; ``controls`` changes.
+        JSON; both change.
+    described : int
+        How often there was another description.
     number : int
         Of the newest frame.
     version : int
@@ -53,7 +55,8 @@ class Feed:
 
     def __init__(self, description):
         """Begin without a frame."""
-        self.description = json.dumps({'type': 'scene', **description}, allow_nan=False)
+        self.description, self.described = '', 0
+        self._describe(description)
         self.controls, self._frame = '', (0.0, b'')
         # Number of each sample since the last reset, its time and its bytes.
         self._samples, self._sampled = deque(maxlen=MOST_SAMPLES), 0
@@ -62,7 +65,20 @@ class Feed:
         self._inbox, self._lock = Queue(MOST_WAITING), threading.Lock()
         self.on_change = []
 
+    def _describe(self, description):
+        self.description = json.dumps({'type': 'scene', **description}, allow_nan=False)
+        self.described += 1
+
     # The computing side.
+
+    def describe(self, description, time, row):
+        """Let the pages show something else, from a frame of it on."""
+        with self._lock:
+            self._describe(description)
+            self._samples.clear()
+            self.number = (self.number + 1) % 2 ** 32
+            self._frame = time, row.tobytes()
+        self._changed()
 
     def show(self, time, row):
         """Let the pages show a row, float32, as described, of a time of the motion [s]."""

@@ -10,6 +10,9 @@ from ..effects.registry import effect_type
 from ..mechanism.checks import boolean, list_of, name, number, one_of
 from ..mechanism.fields import at, FieldError, mapping, shown
 
+# What can be added while a machine is edited; where machines come from.
+ADDITIONS = ('point', 'link', 'pin', 'rod', 'spring', 'damper', 'force', 'drive')
+SHIPPED, YOURS = 'shipped', 'yours'
 # Seconds of motion per second.
 SLOWEST, FASTEST = 0.01, 10.0
 MOST_STEPS = 1000
@@ -50,6 +53,12 @@ def _index(value):
     return value
 
 
+def _text(value):
+    if not isinstance(value, str):
+        raise FieldError('text', shown(value))
+    return value
+
+
 def _place(value):
     found = list_of(number)(value)
     if len(found) != 3:
@@ -84,10 +93,21 @@ ASKED = {
     'pull': {'at': _place},
     'kinematic': {'on': boolean},
     'pose': {'joint': _word, 'value': number},
+    # What is edited.
+    'edit': {'on': boolean},
+    'set': {'key': _text, 'value': number},
+    'move': {'kind': _word, 'name': _word, 'at': _place},
+    'add': {'what': one_of(ADDITIONS), 'joint': _word, 'body_a': _word, 'a': _place,
+            'body_b': _word, 'b': _place},
+    'undo': {}, 'redo': {},
+    # Files.
+    'open': {'name': name, 'kind': one_of((SHIPPED, YOURS))},
+    'load': {'name': name, 'text': _text},
+    'save': {'name': name},
     # How far the page has got with the frames it was sent.
     'seen': {'frame': _index},
 }
-OPTIONAL = {'effect': ('enabled', 'values')}
+OPTIONAL = {'effect': ('enabled', 'values'), 'add': ('joint', 'body_a', 'a', 'body_b', 'b')}
 
 
 def effects_told(effects, enabled):

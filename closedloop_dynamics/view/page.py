@@ -9,7 +9,8 @@ import json
 
 import numpy as np
 
-PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'page.js')
+PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'edit.js', 'page.js')
+STYLES = ('page.css', 'edit.css')
 
 
 def live_page(title, others=()):
@@ -44,10 +45,11 @@ def _packed(values, kind):
 def _page(title, given):
     folder = files(__package__) / 'page'
     script = '\n'.join((folder / part).read_text(encoding='utf-8') for part in PARTS)
+    style = '\n'.join((folder / part).read_text(encoding='utf-8') for part in STYLES)
     # In a script, '</' would end it.
     data = json.dumps(given, allow_nan=False).replace('<', '\\u003c')
     text = (folder / 'page.html').read_text(encoding='utf-8')
-    for mark, part in (('/*STYLE*/', (folder / 'page.css').read_text(encoding='utf-8')),
+    for mark, part in (('/*STYLE*/', style),
                        ('TITLE', _escaped(title)), ('/*DATA*/', data), ('/*SCRIPT*/', script)):
         text = text.replace(mark, part, 1)
     return text

@@ -5,20 +5,25 @@
 
 from dataclasses import replace
 import math
+from threading import Lock
 import time
 import warnings
 
 import numpy as np
 
 from .columns import SimulationRows
+from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive, EARTH, grabs
 from .drives import Drive
+from .editing import Editor
 from .feed import Feed
+from .library import Library
 from .messages import (
     drive_of, drives_told, effects_told, EXPRESSION, FREE, HELD, OWN, POSITION,
     require_kinematic, require_one_number, SPEED, TORQUE)
-from .own_motion import MODES, OwnMotion
+from .own_motion import MODES, own_motion, OwnMotion
 from .posing import felt_inertia, joint_to, point_to
+from ..control.errors import StartError
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
 from ..effects.point_spring import PointSpring
@@ -51,6 +56,10 @@ REACH = {False: 60.0, True: 20.0}
 GIVE, DAMPING = 0.05, 0.5
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
+# Of what comes faster than frames, the newest counts.
+NEWEST = 'pull', 'pose', 'command', 'move', 'set'
+# How long after a change a controller is made for the machine as it is now [s].
+SETTLED = 0.3
 METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
 
 
@@ -133,6 +142,8 @@ class Runner:
     own : callable, optional
         Returns what drives a scene from the start, given also what a controller is to know of it:
         ``own_motion.own_motion``; by default nothing.
+    library : library.Library, optional
+        Of machines that pages can open, and where they can save.
 
     Attributes
     ----------
@@ -140,45 +151,75 @@ class Runner:
     feed : feed.Feed
     described : dict
         By ``description.describe``.
+    editor : editing.Editor
+        Of the scene.
     playing : bool
 
     """
 
-    def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion()):
+    def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion(),
+                 library=None):
         """Build the simulation, standing still at its start."""
-        self._hand = Hand(scene, extent(scene.mechanism))
-        self.simulation = simulation = Simulation(self._hand.scene)
-        self._clock, self.playing, self._kinematic = clock, False, False
-        self._own = own(scene, self._hand.scene)
-        # Share of a step that is made at once, and steps that were asked for one by one.
-        self._part, self._single = 1.0, 0.0
-        self._pacer = Pacer(simulation.step_size, 1.0, clock)
+        self._clock, self.playing, self._kinematic, self._editing = clock, False, False, False
+        self._choose_own, self._lock = own, Lock()
         self._failure, self.holder, self._grabbed = None, None, None
-        self.start_pose, self._unsampled = None, 0
-        self._achieved, self._paced = None, (0.0, 0.0)
+        self._achieved, self._speed = None, 1.0
+        self._library = Library() if library is None else library
+        self.feed = None
+        self._begin(scene, own)
+
+    def _begin(self, scene, own):
+        """Show a scene from its start; nothing changes where that fails."""
+        hand = Hand(scene, extent(scene.mechanism))
+        simulation = Simulation(hand.scene)
+        motion = own(scene, hand.scene)
+        self.editor, self._choose_own = Editor(scene), own
+        self._failure, self.start_pose, self._own = None, None, motion
+        self._own_due = math.inf
+        self._put(hand, simulation)
+        self._pacer = Pacer(simulation.step_size, self._speed, self._clock)
+        self._start_drives()
+        self._describe()
+        self._looked = self._clock()
+        self._tell()
+
+    def _put(self, hand, simulation):
+        """Go on with a simulation, with a hand in its scene."""
+        self._hand, self.simulation = hand, simulation
+        # Share of a step that is made at once, and steps that were asked for one by one.
+        self._part, self._single, self._unsampled = 1.0, 0.0, 0
+        self._paced, self._findings, self._changed = (0.0, 0.0), (), True
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
                         for place in simulation.actuated_in_tree.tolist()}
         lengths = simulation.coordinates.lengths
         self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
-                        for name, inertia in self._inertias().items()}
-        self._start_drives()
+                       for name, inertia in self._inertias().items()}
         self.rows = SimulationRows(
-            simulation, [self._hand.spring], len(scene.mechanism.points))
+            simulation, [hand.spring], len(self.editor.scene.mechanism.points))
+        self._before = simulation.time, self.rows.row()
+
+    def _describe(self):
+        """Let the pages have what is shown, as it is now."""
+        scene, simulation = self.editor.scene, self.simulation
+        position = np.array(scene.initial.position)
         self.described = describe(
             scene.mechanism, self.rows.columns, scene.effects, mode='live',
             title=scene.name,
-            drives=[described_drive(scene.mechanism, name, simulation.position,
+            drives=[described_drive(scene.mechanism, name, position,
                                     self._reach(name, place), self._modes(name))
                     for name, place in self._places.items()],
             hand=True, poses=True, gravity=self._hand.gravity, own=any(
                 value is not None for _, value in self._own.starts.values()),
-            **CHOICES)
-        self.feed = Feed(self.described)
-        self._before = self._now = (0.0, self.rows.row())
-        self._looked, self._findings, self._changed = clock(), (), True
-        self._tell()
-        self.feed.show(*self._now)
+            handles=self.editor.handles(), sliders=self.editor.sliders(),
+            curves=(curves(simulation.mechanism, simulation.position, scene.mechanism.points)
+                    if self._editing else []), **CHOICES)
+        time_and_row = simulation.time, self.rows.row()
+        if self.feed is None:
+            self.feed = Feed(self.described)
+            self.feed.show(*time_and_row)
+        else:
+            self.feed.describe(self.described, *time_and_row)
 
     # What drives are given.
 
@@ -306,6 +347,8 @@ class Runner:
     def tick(self):
         """Follow what was asked for, advance to the present, show it."""
         self._follow()
+        if self._clock() >= self._own_due:
+            self._renew_controller()
         if self.playing or self._single > 0.0:
             self._guarded(self._take)
             self._changed = True
@@ -371,7 +414,8 @@ class Runner:
         self.feed.tell(
             playing=self.playing, achieved=self._achieved,
             speed=self._pacer.real_time_factor, failure=self._failure,
-            kinematic=self._kinematic, findings=list(self._findings), busy=None,
+            kinematic=self._kinematic, editing=self._editing,
+            undoable=self.editor.undoable, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
                 simulation.coordinates.told('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
@@ -390,11 +434,10 @@ class Runner:
         wanted = list(self.feed.messages())
         latest = {}
         for number, (page, message) in enumerate(wanted):
-            if message['do'] in ('pull', 'pose', 'command'):
-                latest[message['do'], message.get('joint'), id(page)] = number
+            if message['do'] in NEWEST:
+                latest[self._key(page, message)] = number
         for number, (page, message) in enumerate(wanted):
-            key = message['do'], message.get('joint'), id(page)
-            if latest.get(key, number) != number:
+            if latest.get(self._key(page, message), number) != number:
                 continue
             try:
                 getattr(self, f'_do_{message.pop("do")}')(page, **message)
@@ -402,9 +445,15 @@ class Runner:
                 self.feed.refuse(error)
             self._changed = True
 
+    @staticmethod
+    def _key(page, message):
+        return message['do'], message.get('joint') or message.get('key'), id(page)
+
     def _do_play(self, page):
         if self._kinematic:
             self._do_kinematic(page, False)
+        if self._editing:
+            self._do_edit(page, False)
         if not self.playing:
             self._failure = None
             self.playing = True
@@ -433,7 +482,7 @@ class Runner:
         self._paced = 0.0, 0.0
 
     def _do_speed(self, page, factor):
-        self._pacer.real_time_factor = self.simulation.pace = factor
+        self._speed = self._pacer.real_time_factor = self.simulation.pace = factor
         # In slow motion frames lie between these two.
         self._before = self.simulation.time, self.rows.row()
 
@@ -494,6 +543,7 @@ class Runner:
             name, enabled, **(values or {})))
         if self._own.controller is not None:
             self._own.controller.know(name, enabled, values or {})
+        self.editor.effect(name, values or {})
 
     def _do_method(self, page, values):
         unknown = [key for key in values if key not in METHOD_KEYS]
@@ -549,6 +599,131 @@ class Runner:
             if self._hand.spring in self.simulation.enabled_effects:
                 self.simulation.set_effect(self._hand.spring, False)
 
+    # Editing.
+
+    def _do_edit(self, page, on):
+        """Begin to edit the machine where it starts, or end it."""
+        if on == self._editing:
+            return
+        if self._kinematic:
+            self._do_kinematic(page, False)
+        if self.holder is not None:
+            self._do_release(self.holder)
+        if on and self.start_pose is not None:
+            # What was posed is the start.
+            self.editor.pose(self.start_pose)
+            self.start_pose = None
+        self._editing = on
+        self._do_reset(page)
+        self._describe()
+
+    def _do_set(self, page, key, value):
+        self._edit(lambda: self.editor.set(key, value))
+
+    def _do_move(self, page, kind, name, at):
+        if not self._editing:
+            raise FieldError('a machine that is edited', 'a pin to move while it runs')
+        self._hand.require_near(at)
+        self._edit(lambda: self.editor.move(kind, name, at, self.simulation.position))
+
+    def _do_add(self, page, what, **more):
+        if not self._editing:
+            raise FieldError('a machine that is edited', 'a part to add while it runs')
+        self._edit(lambda: self.editor.add(what, self.simulation.position, **more))
+
+    def _do_undo(self, page):
+        self._edit(self.editor.undo)
+
+    def _do_redo(self, page):
+        self._edit(self.editor.redo)
+
+    def _edit(self, change):
+        """Change the scene, and go on with the machine as it is then; or change nothing."""
+        with self._lock:
+            before = self.editor.state
+            try:
+                change()
+                self._renew()
+            except (ValueError, SimulationError):
+                self.editor.withdraw(before)
+                raise
+
+    def _renew(self):
+        """Go on with the scene as it is edited, near the present state if it runs."""
+        old, scene = self.simulation, self.editor.scene
+        hand = Hand(scene, extent(scene.mechanism))
+        new = Simulation(replace(hand.scene, method=old.scene.method))
+        # What was switched while it ran stays so.
+        for name in set(old.effects) & set(new.effects) - {self._hand.spring}:
+            acts = name in old.enabled_effects
+            if acts != (name in new.enabled_effects):
+                new.set_effect(name, acts)
+        if not self._editing and old.time > 0.0 and (
+                old.coordinates.names == new.coordinates.names):
+            new.set_state(old.position, old.velocity)
+            new.restore(new.state, old.time)
+        drives = {name: (drive.mode, drive.value) for name, drive in self.drives.items()}
+        self._failure = None
+        self._put(hand, new)
+        for name, drive in self.drives.items():
+            mode, value = drives.get(name, (TORQUE, 0.0))
+            drive.set(mode, value, *self._now_at(name))
+        self._own_due = self._clock() + SETTLED
+        self._describe()
+
+    def _renew_controller(self):
+        """Let a controller have the machine as it is now."""
+        self._own_due = math.inf
+        if self._own.controller is None:
+            return
+        try:
+            self._own = OwnMotion(self._own.controller.on(self._hand.scene), {
+                joint: start for joint, start in self._own.starts.items() if start[0] != OWN})
+        except (StartError, SimulationError, ValueError) as error:
+            self._own = OwnMotion()
+            for name, drive in self.drives.items():
+                if drive.mode == OWN:
+                    time, position = self._now_at(name)
+                    drive.set(POSITION, position, time, position)
+            self.feed.note(f'The controller does not follow this machine, whose joints are held '
+                           f'instead: {error}')
+            self._describe()
+            return
+        self._restart_controller()
+
+    # Files.
+
+    def resource(self, path):
+        """Return kind and bytes of what a page can ask for by a path, or None."""
+        if path == '/scene.yaml':
+            with self._lock:
+                return 'application/yaml; charset=utf-8', self.editor.text()[0].encode()
+        return self._library.resource(path)
+
+    def _do_open(self, page, name, kind):
+        self._open(lambda: self._library.scene(name, kind))
+
+    def _do_load(self, page, name, text):
+        self._open(lambda: self._library.read(name, text))
+
+    def _open(self, read):
+        self._stop()
+        self.feed.tell(busy='reading the machine')
+        try:
+            with self._lock:
+                self._begin(read(), own_motion)
+                self._kinematic = self._editing = False
+                self.holder = self._grabbed = None
+        except StartError as error:
+            raise FieldError('a machine that can be shown', str(error)) from None
+
+    def _do_save(self, page, name):
+        with self._lock:
+            text, kept = self.editor.text()
+        path = self._library.save(name, text)
+        self.feed.note(f'saved as {path}' + ('' if kept else (
+            '; the words of its author could not be kept, all of it is written anew')))
+
     # Kinematic mode.
 
     def _do_kinematic(self, page, on):
@@ -556,7 +731,7 @@ class Runner:
         if self.holder is not None:
             self._do_release(self.holder)
         if on:
-            self._failure = None
+            self._editing, self._failure = False, None
             self.simulation.set_state(self.simulation.position)
         elif self._kinematic:
             # What was posed is the start from now on.

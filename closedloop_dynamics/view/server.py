@@ -26,14 +26,15 @@ from websockets.http11 import Response
 # Frames on the way to a page that it has not shown yet.
 WINDOW = 3
 # Bytes of a message that a page may send.
-LARGEST_MESSAGE = 8192
+LARGEST_MESSAGE = 2 ** 20
 # How long to wait for pages at the end [s].
 PATIENCE = 1.0
 LOCAL = '127.0.0.1'
 LOCAL_NAMES = ('localhost', '127.0.0.1', '[::1]')
 # A page may load nothing from elsewhere, and talk to this server only.
 POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-          "img-src data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'")
+          "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; "
+          "base-uri 'none'")
 
 
 class Server:
@@ -50,6 +51,9 @@ class Server:
         Address to listen on; with any but those of this host a token is needed.
     port : int
         0: any that is free.
+    resource : callable, optional
+        Returns the kind and the bytes of what else can be asked for, by its path; None where
+        there is nothing.
 
     Attributes
     ----------
@@ -66,10 +70,10 @@ class Server:
 
     """
 
-    def __init__(self, pages, feeds, host=LOCAL, port=0):
+    def __init__(self, pages, feeds, host=LOCAL, port=0, resource=lambda path: None):
         """Listen, in a thread."""
         self._pages, self._feeds = [page.encode() for page in pages], feeds
-        self._host = host
+        self._host, self._resource = host, resource
         self.token = None if is_local(host) else secrets.token_urlsafe(16)
         self._started, self._error = threading.Event(), None
         self._loop, self._over = None, None
@@ -124,6 +128,9 @@ class Server:
         if not self._may(request, address):
             return _response(HTTPStatus.FORBIDDEN, 'text/plain', (
                 b'Open the address that `closedloop view` has printed, as a whole.\n'))
+        found = self._resource(address.path)
+        if found is not None:
+            return _response(HTTPStatus.OK, *found)
         name = address.path.strip('/').removesuffix('live').strip('/')
         if name and not (name.isdecimal() and int(name) < len(self._pages)):
             return _response(HTTPStatus.NOT_FOUND, 'text/plain', b'There is no such page.\n')
@@ -196,11 +203,13 @@ class _Page:
     async def send(self):
         """Send what is new, as long as the page keeps up."""
         with suppress(ConnectionClosed):
-            await self._connection.send(self._feed.description)
-            version, number, sampled = 0, 0, None
+            described, version, number, sampled = 0, 0, 0, None
             while True:
                 await self._changed.wait()
                 self._changed.clear()
+                if self._feed.described != described:
+                    described = self._feed.described
+                    await self._connection.send(self._feed.description)
                 if self._feed.version != version:
                     version = self._feed.version
                     await self._connection.send(self._feed.controls)

@@ -11,7 +11,7 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 from closedloop_dynamics.view.feed import Feed
-from closedloop_dynamics.view.server import Server, WINDOW
+from closedloop_dynamics.view.server import LARGEST_MESSAGE, Server, WINDOW
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -42,7 +42,7 @@ def test_nonsense_is_refused_counted_and_changes_nothing(live, text):
 
 def test_a_message_that_is_too_long_ends_that_page_alone(live):
     with Client(live.url) as other, Client(live.url) as client:
-        client.socket.send('x' * 100_000)
+        client.socket.send('x' * (LARGEST_MESSAGE + 1))
         with pytest.raises(ConnectionClosed):
             while True:
                 client.socket.recv(timeout=PATIENCE)

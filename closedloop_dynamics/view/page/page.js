@@ -259,9 +259,11 @@ class Page {
       if (told.type === 'scene') {
         this.lost = false;
         byId('message').hidden = true;
-        // The same again after a break: nothing is built anew.
-        if (this.known !== data) {
-          if (this.known) { location.reload(); return; }
+        // The same again after a break: nothing is built again.
+        if (this.known && this.known !== data) {
+          this.renew(told);
+          this.known = data;
+        } else if (!this.known) {
           this.known = data;
           this.describe(told);
           this.history = new History(this.width, told.columns.plots);
@@ -284,6 +286,16 @@ class Page {
     }
   }
 
+  // Other numbers of the same machine; another machine is shown by another page.
+  renew(told) {
+    if (structure(told) !== structure(this.scene)) { location.reload(); return; }
+    this.scene = told;
+    this.picture.reshape(told);
+    this.drives.describe(told);
+    if (this.told) this.drives.follow(this.told, (joint) => this.position(joint));
+    this.edit?.describe(told);
+  }
+
   panels() {
     const told = this.scene, ask = (what, more) => this.ask(what, more);
     for (const panel of document.querySelectorAll('.live')) panel.hidden = false;
@@ -294,7 +306,12 @@ class Page {
     if (told.integrators) this.method = new Method(told, byId('method'), ask);
     else byId('method-panel').hidden = true;
     byId('handle').hidden = !told.poses;
-    byId('dynamic').onclick = () => this.ask('kinematic', {on: false});
+    if (told.handles) this.edit = this.picture.above = new Editing(this);
+    byId('edit-panel').hidden = byId('editing').hidden = !told.handles;
+    byId('dynamic').onclick = () => {
+      this.ask('kinematic', {on: false});
+      if (this.told?.editing) this.ask('edit', {on: false});
+    };
     byId('kinematic').onclick = () => this.ask('kinematic', {on: true});
   }
 
@@ -316,11 +333,13 @@ class Page {
       this.picture.effects = told.effects;
     }
     if (this.method) this.method.follow(told);
-    byId('dynamic').setAttribute('aria-pressed', !told.kinematic);
+    this.edit?.follow(told);
+    byId('dynamic').setAttribute('aria-pressed', !told.kinematic && !told.editing);
     byId('kinematic').setAttribute('aria-pressed', told.kinematic);
     byId('hint').textContent = told.kinematic
       ? `Drag points, or the sliders of the drives: the loops stay closed. ${
         this.scene.mode === 'node' ? 'The simulator takes this state over.' : 'This becomes the start.'}`
+      : told.editing ? 'Drag pins and points to other places.'
       : this.scene.hand ? 'Drag a point: a spring pulls it to the pointer.' : '';
     byId('worth').textContent = (told.findings ?? []).join(' ');
     if (told.busy) this.complain(`${told.busy} …`, true);
@@ -406,7 +425,7 @@ class Page {
       const box = solid.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
     };
-    const may = () => this.live && (this.scene.hand || this.told?.kinematic);
+    const may = () => this.live && !this.edit?.on && (this.scene.hand || this.told?.kinematic);
     solid.onpointerdown = (event) => {
       solid.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, local(event));
@@ -414,6 +433,11 @@ class Page {
       const touch = event.pointerType === 'mouse' ? 22 : 34;
       if (picture.measured && event.button === 0 && picture.pick(picture.nearest(x, y, touch, true))) {
         moving = null;
+        return;
+      }
+      if (event.button === 0 && !event.shiftKey && pointers.size === 1
+          && this.edit?.down(x, y, event.pointerType !== 'mouse')) {
+        moving = 'edit';
         return;
       }
       const found = event.button === 0 && !event.shiftKey && pointers.size === 1 && may()
@@ -431,6 +455,7 @@ class Page {
     };
     solid.onpointermove = (event) => {
       const place = local(event), picture = this.picture, before = pointers.get(event.pointerId);
+      this.edit?.move(...place);
       if (!before) {
         picture.hover = picture.measured ? picture.nearest(...place, 22, true)
           : may() ? picture.nearest(...place, 22) : null;
@@ -439,6 +464,7 @@ class Page {
       }
       pointers.set(event.pointerId, place);
       const dx = place[0] - before[0], dy = place[1] - before[1];
+      if (moving === 'edit') return;
       if (moving !== 'hand') picture.touched = true;
       if (moving === 'hand') {
         picture.handAt = picture.unproject(...place, this.through);
@@ -456,6 +482,7 @@ class Page {
     };
     solid.onpointerup = solid.onpointercancel = (event) => {
       pointers.delete(event.pointerId);
+      if (moving === 'edit') this.edit.up();
       if (moving === 'hand') {
         this.ask('release');
         this.picture.held = this.picture.handAt = null;
@@ -502,6 +529,7 @@ class Page {
       this.pulled = false;
       this.ask('pull', {at: this.picture.handAt});
     }
+    this.edit?.tick();
     this.picture.draw(this.theme);
     const now = performance.now();
     if (this.playing && now - (this.readAt ?? 0) < READING) return;

@@ -114,6 +114,11 @@ class Drives {
     }
   }
 
+  // Other ends of sliders.
+  describe({drives}) {
+    for (const drive of drives) Object.assign(this.rows[drive.joint], {drive, mode: null});
+  }
+
   follow({drives, kinematic, motion}, position) {
     this.kinematic = kinematic;
     if (this.all) {

@@ -306,6 +306,8 @@ class Scene {
     // Places that are measured, each a body and the number of a place of it; null: none is.
     this.measured = null;
     this.followed = -1;
+    // What is drawn above everything else.
+    this.above = null;
     this.shown = {forces: true, names: false, path: true, paths: false};
     // Where the processor draws, smooth edges would cost half of the frames; pictures may ask.
     const smooth = location.search.includes('smooth') || !drawnByProcessor();
@@ -380,15 +382,16 @@ class Scene {
   stored(places, normals, paints, closed, open) {
     const gl = this.gl, array = gl.createVertexArray();
     gl.bindVertexArray(array);
+    const buffers = [0, 1, 2, 3].map(() => gl.createBuffer());
     [places, normals, paints].forEach((values, number) => {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffers[number]);
       gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(values), gl.STATIC_DRAW);
       gl.enableVertexAttribArray(number);
       gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 0, 0);
     });
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers[3]);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array([...closed, ...open]), gl.STATIC_DRAW);
-    return {array, closed: closed.length, count: closed.length + open.length};
+    return {array, buffers, closed: closed.length, count: closed.length + open.length};
   }
 
   // What is drawn: a mesh with a place on a body, -1 for the ground; the same again is not.
@@ -403,6 +406,8 @@ class Scene {
     this.baked = theme;
     this.solids = [-1, ...this.described.bodies.keys()].map((body) => [
       body, this.load(this.items.filter((item) => item.body === body), theme)]);
+    if (this.arrowTheme === theme) return;
+    this.arrowTheme = theme;
     // Of arrows; as long as the unit, to be stretched.
     for (const name of ['cylinder', 'cone', 'spring']) {
       for (const [key, color] of Object.entries({force: theme.force,
@@ -412,6 +417,19 @@ class Scene {
           [{mesh: this.meshes[name], local: IDENTITY, color: rgb(color)}], theme);
       }
     }
+  }
+
+  // The same parts with other numbers.
+  reshape(described) {
+    const gl = this.gl;
+    for (const [, {array, buffers}] of this.solids ?? []) {
+      gl.deleteVertexArray(array);
+      for (const buffer of buffers) gl.deleteBuffer(buffer);
+    }
+    [this.described, this.size, this.items, this.baked] = [described, described.size, [], null];
+    this.compose();
+    this.forget();
+    if (this.row) this.show(this.row);
   }
 
   bar(body, start, end, radius, color, flat) {
@@ -947,7 +965,7 @@ class Scene {
   overlay(theme) {
     this.scale();
     const touched = this.held ?? this.hover;
-    this.lines.hidden = !touched && !this.shown.names && !this.measured?.length;
+    this.lines.hidden = !touched && !this.shown.names && !this.measured?.length && !this.above?.on;
     if (this.lines.hidden) return;
     const pen = this.pen, ratio = this.lines.width / this.canvas.clientWidth;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -968,6 +986,7 @@ class Scene {
     if (touched) this.ring(this.project(this.grabbed(touched)), 9, theme.accent);
     if (this.measured) this.drawMeasured(theme);
     if (this.shown.names) this.drawNames(theme);
+    this.above?.draw(theme);
   }
 
   // Distances between neighbours of the measured places, and the angle at the middle one.

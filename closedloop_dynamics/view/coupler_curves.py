@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Curves of points while a machine is driven round: exact at every place of them."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from ..mechanism.mechanism import DrivingConstraint
+from ..simulation.driven import DrivenKinematics
+from ..simulation.errors import SimulationError
+from ..simulation.modeling import extent
+from ..visual.trajectory import body_poses, named_point
+
+# Poses in a turn, points with curves at most, digits of places [m].
+POSES, MOST_CURVES, DIGITS = 240, 8, 7
+
+
+def curves(mechanism, position, points):
+    """
+    Return the curves of points while the first driven joint goes as far as it can.
+
+    The other driven joints stay. Where the joints that are driven do not decide the motion, there
+    are no curves.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Without motions.
+    position : ndarray, shape (nq,)
+        That closes the loops [rad or m].
+    points : sequence of mechanism.mechanism.Point
+        Of the mechanism.
+
+    Returns
+    -------
+    list of dict
+        Name, and places [m], one after the other, in space.
+
+    """
+    names = mechanism.coordinates
+    driven = [names.names[k] for k in names.actuated if names.place[k] >= 0]
+    if not driven or not points or mechanism.motions:
+        return []
+    try:
+        moved = DrivenKinematics(replace(mechanism, motions=tuple(
+            DrivingConstraint(joint, freedom=joint) for joint in driven)), position)
+        slides = bool(names.lengths[names.index[driven[0]]])
+        reach = extent(mechanism) if slides else 2.0 * math.pi
+        start, origin = moved.values.copy(), np.array(position)
+        way = np.linspace(0.0, reach, POSES + 1)[1:]
+        forth, end = _follow(moved, start, way)
+        parts = [origin[np.newaxis], forth]
+        if end is not None:
+            moved.start_at(origin)
+            parts.insert(0, _follow(moved, start, -way)[0][::-1])
+    except (ValueError, SimulationError):
+        return []
+    poses = body_poses(mechanism, np.vstack(parts))
+    found = []
+    for point in points[:MOST_CURVES]:
+        places = named_point(mechanism, poses, point.name)
+        places = np.hstack([places, np.zeros((len(places), 3 - places.shape[1]))])
+        found.append({'name': point.name, 'places': np.round(places, DIGITS).ravel().tolist()})
+    return found
+
+
+def _follow(moved, start, way):
+    values = np.tile(start, (len(way), 1))
+    values[:, 0] += way
+    motion = moved.follow(values)
+    return motion.position, motion.end

@@ -1,0 +1,502 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+A scene that is edited by hand: numbers, places of pins and points, parts that are added; undone.
+
+A pin is moved in the position that the machine stands in: all other pins, and how bodies are
+turned, stay as they are there, so that the loops remain closed. In the frame of a body whose own
+joint moves, all else moves the other way.
+
+"""
+
+from dataclasses import replace
+from itertools import count
+import math
+from pathlib import Path
+import time
+
+import numpy as np
+
+from ..mechanism.checks import number
+from ..mechanism.document import with_value
+from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.mechanism import DISTANCE, GROUND
+from ..mechanism.rotations import of_quaternion
+from ..simulation.key_paths import changed, numbers, resolve
+from ..simulation.scene import scene_of_yaml
+from ..simulation.scene_source import source_of, with_entries, with_numbers
+from ..simulation.scene_text import scene_yaml
+from ..visual.trajectory import body_poses, poses_in_space
+
+# Changes of the same number within so long are undone at once [s]; how many steps are kept.
+GESTURE, MOST_STEPS = 1.0, 200
+# Cut joints whose two points coincide: pins that can be moved.
+PINS = ('revolute', 'spherical', 'universal', 'cylindrical', 'fixed')
+LENGTH = 'length'
+# Of what is added: mass of a bar [kg/m], and others by what they are.
+BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0
+SHORTEST = 1e-3
+JOINT, CUT, POINT = 'joint', 'cut', 'point'
+# Those that change the number of degrees of freedom.
+CONSTRAINING = 'link', 'pin', 'rod'
+
+
+class Editor:
+    """
+    A scene, and how it came to be.
+
+    Parameters
+    ----------
+    scene : simulation.scene_records.Scene
+        As it was read.
+
+    Attributes
+    ----------
+    scene : simulation.scene_records.Scene
+        As it is now.
+    words_kept : bool
+        Whether what is saved is in the words of the author of the file.
+
+    """
+
+    def __init__(self, scene):
+        """Begin with nothing changed."""
+        self.scene, self.words_kept = scene, True
+        # What was read last, its text, which is made when needed.
+        self._base, self._text = scene, None
+        self._done, self._undone, self._tag = [], [], (None, 0.0)
+
+    @property
+    def undoable(self):
+        """Return whether there is something to undo, and to do again."""
+        return bool(self._done), bool(self._undone)
+
+    def undo(self):
+        """Go back before the last change; raise FieldError where there is none."""
+        self._step(self._done, self._undone, 'undo')
+
+    def redo(self):
+        """Take back what was undone; raise FieldError where there is nothing."""
+        self._step(self._undone, self._done, 'redo')
+
+    def _step(self, back, forth, what):
+        if not back:
+            raise FieldError('a change before this', 'none', path=(what,))
+        forth.append(self._present())
+        (self.scene, self._base, self._text, self.words_kept), self._tag = back.pop(), (None, 0.0)
+
+    def _present(self):
+        return self.scene, self._base, self._text, self.words_kept
+
+    def _keep(self, tag):
+        """Let what is now be what undoing leads back to, unless the same gesture goes on."""
+        now = time.monotonic()
+        if tag is None or tag != self._tag[0] or now - self._tag[1] > GESTURE:
+            self._done.append(self._present())
+            del self._done[:-MOST_STEPS]
+        self._tag = tag, now
+        self._undone.clear()
+
+    def withdraw(self, before):
+        """Forget a change that led to no machine; ``before`` is what ``state`` returned."""
+        (self.scene, self._base, self._text, self.words_kept), done, undone = before
+        self._done, self._undone, self._tag = list(done), list(undone), (None, 0.0)
+
+    @property
+    def state(self):
+        """Return all that ``withdraw`` needs."""
+        return self._present(), list(self._done), list(self._undone)
+
+    # Numbers.
+
+    def sliders(self):
+        """
+        Return the numbers that a hand may change, as JSON can.
+
+        They are parameters, lengths between the joints of each body, and masses.
+
+        """
+        mechanism, found = self.scene.mechanism, []
+        known = numbers(self.scene)
+
+        def add(group, key, label, value, unit):
+            reach = abs(value) or 1.0
+            positive = unit != '' and value > 0.0
+            found.append({'group': group, 'key': key, 'label': label, 'value': value,
+                          'unit': unit, 'low': 0.1 * reach if positive else value - 2.0 * reach,
+                          'high': value + 2.0 * reach})
+
+        for key, value in known.items():
+            if key.startswith('parameters.'):
+                add('parameters', key, key.partition('.')[2], value, '')
+        for body in (GROUND, *(body.name for body in mechanism.bodies)):
+            (first, _, origin), *others = self._pins(body)
+            for name, key, place in others:
+                if key is not None and math.dist(place, origin) > SHORTEST:
+                    add('lengths', f'{LENGTH}.{body}.{name}', f'{body}: {first} to {name}',
+                        math.dist(place, origin), 'm')
+        for body in mechanism.bodies:
+            if not body.massless:
+                add('masses', f'mechanism.bodies.{body.name}.mass', body.name, body.mass, 'kg')
+        return found
+
+    def set(self, key, value):  # noqa: A003
+        """
+        Give a number another value.
+
+        Raises
+        ------
+        FieldError, MechanismError
+            Where there is no such number, or the value is impossible.
+
+        """
+        value = number(value)
+        with at(key):
+            if key.startswith(f'{LENGTH}.'):
+                values = self._with_length(key, value)
+            else:
+                values = {key: value}
+            scene = self._with(values)
+        self._keep(('set', key))
+        self.scene = scene
+
+    def effect(self, name, values):
+        """Take note of values of an effect, numbers or lists of them, that were changed."""
+        if name not in self.scene.effects:
+            return
+        known, flat = numbers(self.scene), {}
+        for key, value in values.items():
+            parts = {f'.{k}': one for k, one in enumerate(value)} if isinstance(
+                value, (list, tuple)) else {'': value}
+            flat.update({f'effects.{name}.{key}{part}': one for part, one in parts.items()})
+        if flat and all(key in known and value is not None for key, value in flat.items()):
+            scene = self._with(flat)
+            self._keep(('set', f'effects.{name}'))
+            self.scene = scene
+
+    def pose(self, position):
+        """Let the machine start in a position, shape (nq,) [rad or m]."""
+        self._keep(None)
+        self.scene = replace(self.scene, initial=replace(
+            self.scene.initial, position=tuple(np.array(position).tolist())))
+
+    def _with(self, values):
+        return changed(self.scene, {resolve(self.scene, key): value
+                                    for key, value in values.items()})
+
+    def _pins(self, body):
+        """Return names, key paths and places of the joints of a body, its own one first."""
+        mechanism = self.scene.mechanism
+        found = [(joint.name, None, np.zeros(len(joint.position)))
+                 for joint in mechanism.joints if joint.child == body]
+        found += [(joint.name, f'mechanism.joints.{joint.name}.position', joint.position)
+                  for joint in mechanism.joints if joint.parent == body]
+        for cut in mechanism.cut_joints:
+            found += [(cut.name, f'mechanism.cut_joints.{cut.name}.point_{side}', place)
+                      for side, of, place in (('a', cut.body_a, cut.point_a),
+                                              ('b', cut.body_b, cut.point_b)) if of == body]
+        return found or [('', None, np.zeros(2 if mechanism.planar else 3))]
+
+    def _with_length(self, key, value):
+        """Return the numbers that move a pin of a body along the line from its first one."""
+        body, _, name = key[len(LENGTH) + 1:].rpartition('.')
+        (_, _, origin), *others = self._pins(body)
+        for each, keys, place in others:
+            if each == name and keys is not None:
+                if not value > SHORTEST:
+                    raise FieldError(f'a length above {SHORTEST:g} m', shown(value))
+                away = np.subtract(place, origin)
+                place = origin + away * (value / np.linalg.norm(away))
+                return {f'{keys}.{k}': float(one) for k, one in enumerate(place)}
+        raise FieldError('a body and a joint of it', shown(key))
+
+    # Places.
+
+    def handles(self):
+        """
+        Return what can be moved, as JSON can: kind, name, body and place in its frame.
+
+        The body is by its number, -1 the ground.
+
+        """
+        mechanism = self.scene.mechanism
+        rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
+
+        def handle(kind, name, body, place):
+            return {'kind': kind, 'name': name, 'body': rows[body], 'place': [*place, 0.0][:3]}
+
+        found = [handle(JOINT, joint.name, joint.parent, joint.position)
+                 for joint in mechanism.joints]
+        for cut in mechanism.cut_joints:
+            if cut.type in PINS:
+                found.append(handle(CUT, cut.name, cut.body_a, cut.point_a))
+            elif cut.type == DISTANCE:
+                found += [handle(f'{CUT}_{side}', cut.name, body, place)
+                          for side, body, place in (('a', cut.body_a, cut.point_a),
+                                                    ('b', cut.body_b, cut.point_b))]
+        return found + [handle(POINT, point.name, point.body, point.position)
+                        for point in mechanism.points]
+
+    def move(self, kind, name, place, position):
+        """
+        Move a pin or a point to a place.
+
+        Parameters
+        ----------
+        kind, name : str
+            As a handle has them.
+        place : sequence of 3 floats
+            In the world [m]; in the plane the third one does not count.
+        position : ndarray, shape (nq,)
+            Where the machine stands [rad or m].
+
+        Raises
+        ------
+        FieldError, MechanismError
+            Where it cannot be there.
+
+        """
+        if not any((kind, name) == (handle['kind'], handle['name']) for handle in self.handles()):
+            raise FieldError('a pin or a point that can be moved', f'{kind} {name}')
+        frames = _Frames(self.scene.mechanism, position)
+        scene = self._with(self._moved(kind, name, np.array(place, dtype=float), frames))
+        self._keep(('move', kind, name))
+        self.scene = scene
+
+    def _moved(self, kind, name, place, frames):
+        """Return the numbers that change with a pin or a point."""
+        mechanism = self.scene.mechanism
+        if kind == POINT:
+            point = mechanism.point(name)
+            return _keyed(f'mechanism.points.{name}.position', frames.local(point.body, place))
+        if kind.startswith(CUT):
+            cut, values = mechanism.cut_joint(name), {}
+            for side, body in (('a', cut.body_a), ('b', cut.body_b)):
+                if kind in (CUT, f'{CUT}_{side}'):
+                    values.update(_keyed(f'mechanism.cut_joints.{name}.point_{side}',
+                                         frames.local(body, place)))
+            if cut.type == DISTANCE:
+                other = (frames.world(cut.body_b, cut.point_b) if kind.endswith('a')
+                         else frames.world(cut.body_a, cut.point_a))
+                size = len(cut.point_a)
+                values[f'mechanism.cut_joints.{name}.length'] = math.dist(
+                    other[:size], place[:size])
+            return values
+        joint = next(joint for joint in mechanism.joints if joint.name == name)
+        before = frames.world(joint.parent, joint.position)
+        place = np.array([*place[:len(joint.position)], 0.0][:3])
+        values = _keyed(f'mechanism.joints.{name}.position', frames.local(joint.parent, place))
+        back = frames.turned_back(joint.child, before - place)
+        for key, old in self._fixed_to(joint.child):
+            values.update(_keyed(key, np.add(old, back[:len(old)])))
+        return values
+
+    def _fixed_to(self, body):
+        """Return key paths and places of all that is given in the frame of a body."""
+        mechanism = self.scene.mechanism
+        mass = next(one for one in mechanism.bodies if one.name == body)
+        return [(f'mechanism.bodies.{body}.center_of_mass', mass.center_of_mass),
+                *((key, place) for _, key, place in self._pins(body) if key is not None),
+                *((f'mechanism.points.{point.name}.position', point.position)
+                  for point in mechanism.points if point.body == body)]
+
+    # Parts.
+
+    def add(self, what, position, joint=None, **places):
+        """
+        Add a part.
+
+        Parameters
+        ----------
+        what : str
+            One of ``messages.ADDITIONS``.
+        position : ndarray, shape (nq,)
+            Where the machine stands [rad or m].
+        joint : str, optional
+            Of a damper or a drive.
+        **places
+            ``body_a``, ``a``, ``body_b``, ``b``: names of bodies, None for none, and places in
+            the world [m].
+
+        Raises
+        ------
+        FieldError, MechanismError, SceneError
+            Where it cannot be added.
+
+        """
+        if not self.scene.mechanism.planar and what in ('link', 'pin'):
+            raise FieldError('a mechanism in the plane', 'one in space', path=(what,))
+        frames = _Frames(self.scene.mechanism, position)
+        entries, values = getattr(self, f'_{what}')(frames, position, joint, **places)
+        self._write(entries, values, what)
+
+    def _write(self, entries, values, what):
+        """Put entries and numbers into the text; read it again."""
+        text, kept = self.text()
+        more = with_entries(text, entries)
+        if more is None:
+            text, kept = scene_yaml(self.scene), False
+            more = with_entries(text, entries)
+        if what in CONSTRAINING and self.scene.initial.hold and more is not None:
+            # As many would be held as there were degrees of freedom: it is closed as it stands.
+            more = with_value(more, ('initial', 'hold'), [])
+        if more is None:
+            raise FieldError('a place for it in the file', 'none', path=(what,))
+        scene = self._read(more)
+        if values:
+            scene = changed(scene, {resolve(scene, key): value for key, value in values.items()})
+        self._keep(None)
+        self._base, self._text, self.words_kept = self._read(more), more, kept
+        self.scene = scene
+
+    def _read(self, text):
+        path = self.scene.path or Path('scene.yaml')
+        return replace(scene_of_yaml(text, path), name=self.scene.name)
+
+    def text(self):
+        """Return the scene as one YAML text, and whether in the words of its author."""
+        if self._text is None:
+            self._text, self.words_kept = source_of(self._base)
+        text = self._text if self.scene is self._base else with_numbers(
+            self._text, self._base, self.scene)
+        if text is None:
+            return scene_yaml(self.scene), False
+        return text, self.words_kept
+
+    def _name(self, stem, *taken):
+        mechanism = self.scene.mechanism
+        taken = {*taken, *self.scene.effects, *(one.name for part in (
+            mechanism.bodies, mechanism.joints, mechanism.cut_joints, mechanism.points,
+            mechanism.couplings) for one in part)}
+        return next(name for name in (f'{stem}_{k}' for k in count(1)) if name not in taken)
+
+    def _places(self, frames, names, **places):
+        """Return entries of new points at places."""
+        entries = {}
+        for name, (body, place) in zip(names, places.values()):
+            entries['mechanism', 'points', name] = {
+                'body': body, 'position': frames.rounded(body, place)}
+        return entries
+
+    def _point(self, frames, position, joint, body_a, a, **_):
+        return self._places(frames, [self._name('point')], a=(body_a, a)), {}
+
+    def _link(self, frames, position, joint, body_a, a, b, body_b=None):
+        a, b = np.array(a), np.array(b)
+        length = math.dist(a[:2], b[:2])
+        if not length > SHORTEST:
+            raise FieldError('two places apart from each other', 'one place', path=('link',))
+        link, pin, mass = self._name('link'), self._name('pin'), _rounded(BAR_MASS * length)
+        angle = math.atan2(b[1] - a[1], b[0] - a[0]) - frames.angle(body_a)
+        mechanism = self.scene.mechanism
+        entries = {
+            ('mechanism', 'bodies', link): {
+                'mass': mass, 'center_of_mass': [_rounded(length / 2.0), 0.0],
+                'inertia': _rounded(mass * length ** 2 / 12.0)},
+            ('mechanism', 'joints', pin): {
+                'type': 'revolute', 'parent': body_a, 'child': link,
+                'position': frames.rounded(body_a, a), 'angle': round(angle, 9),
+                **({'actuated': True} if body_a == GROUND and not (
+                    mechanism.actuated_joints) else {})},
+            ('initial', 'position', pin): 0.0}
+        if body_b is None:
+            entries['mechanism', 'points', self._name('end')] = {
+                'body': link, 'position': [round(length, 9), 0.0]}
+        else:
+            entries['mechanism', 'cut_joints', self._name('cut')] = {
+                'type': 'revolute', 'body_a': link, 'point_a': [round(length, 9), 0.0],
+                'body_b': body_b, 'point_b': frames.rounded(body_b, b)}
+        return entries, {}
+
+    def _pin(self, frames, position, joint, body_a, a, body_b, b=None):
+        if body_b is None or body_a == body_b:
+            raise FieldError('two bodies', 'one', path=('pin',))
+        return {('mechanism', 'cut_joints', self._name('cut')): {
+            'type': 'revolute', 'body_a': body_a, 'point_a': frames.rounded(body_a, a),
+            'body_b': body_b, 'point_b': frames.rounded(body_b, a)}}, {}
+
+    def _rod(self, frames, position, joint, body_a, a, body_b, b):
+        return {('mechanism', 'cut_joints', self._name('rod')): {
+            'type': 'distance', 'body_a': body_a, 'point_a': frames.rounded(body_a, a),
+            'body_b': body_b or GROUND, 'point_b': frames.rounded(body_b or GROUND, b),
+            'length': round(frames.apart(a, b), 9)}}, {}
+
+    def _spring(self, frames, position, joint, body_a, a, body_b, b):
+        spring, end = self._name('spring'), self._name('spring_end')
+        other = self._name('spring_end', end)
+        entries = self._places(frames, [end], a=(body_a, a))
+        law = {'type': 'point_spring', 'point_a': end, 'stiffness': STIFFNESS,
+               'free_length': _rounded(frames.apart(a, b))}
+        if body_b in (None, GROUND):
+            law['anchor'] = frames.rounded(GROUND, b)
+        else:
+            entries.update(self._places(frames, [other], b=(body_b, b)))
+            law['point_b'] = other
+        return {**entries, ('effects', spring): law}, {}
+
+    def _damper(self, frames, position, joint, **_):
+        return {('effects', self._name('damper')): {
+            'type': 'joint_damping', 'joint': joint, 'coefficient': DAMPING}}, {}
+
+    def _force(self, frames, position, joint, body_a, a, b, **_):
+        point = self._name('force_at')
+        size = 2 if self.scene.mechanism.planar else 3
+        way = np.subtract(b, a)[:size]
+        way = FORCE * way / (np.linalg.norm(way) or 1.0)
+        return {**self._places(frames, [point], a=(body_a, a)),
+                ('effects', self._name('force')): {
+                    'type': 'external_force', 'point': point,
+                    'force': [_rounded(one) for one in way]}}, {}
+
+    def _drive(self, frames, position, joint, **_):
+        known = {one.name: one for one in self.scene.mechanism.joints}
+        if joint not in known or known[joint].actuated:
+            raise FieldError('a joint of the tree that is not driven yet', shown(joint),
+                             path=('joint',))
+        return {('mechanism', 'joints', joint, 'actuated'): True}, {}
+
+
+class _Frames:
+    """Where bodies are in one position."""
+
+    def __init__(self, mechanism, position):
+        poses = poses_in_space(body_poses(mechanism, np.array(position)))
+        self._poses = {GROUND: (np.zeros(3), np.eye(3))}
+        self._size = 2 if mechanism.planar else 3
+        for body, pose in zip(mechanism.bodies, poses):
+            self._poses[body.name] = pose[:3], of_quaternion(pose[3:])
+
+    def _of(self, body):
+        if body not in self._poses:
+            raise FieldError('a body', shown(body), path=('body',))
+        return self._poses[body]
+
+    def world(self, body, place):
+        origin, turn = self._of(body)
+        return origin + turn @ [*place, 0.0][:3]
+
+    def local(self, body, place):
+        origin, turn = self._of(body)
+        return (turn.T @ (np.array(place, dtype=float) - origin))[:self._size]
+
+    def rounded(self, body, place):
+        return [round(one, 9) + 0.0 for one in self.local(body, place).tolist()]
+
+    def turned_back(self, body, vector):
+        return self._of(body)[1].T @ vector
+
+    def angle(self, body):
+        turn = self._of(body)[1]
+        return math.atan2(turn[1, 0], turn[0, 0])
+
+    def apart(self, a, b):
+        return math.dist(a[:self._size], b[:self._size])
+
+
+def _keyed(key, values):
+    return {f'{key}.{k}': float(value) for k, value in enumerate(values)}
+
+
+def _rounded(value):
+    return float(f'{value:.6g}')

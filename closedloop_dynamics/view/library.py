@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Machines that a page can open, small pictures of them, and where it can save."""
+
+import json
+from pathlib import Path
+import re
+
+import numpy as np
+
+from .messages import SHIPPED, YOURS
+from ..mechanism.checks import NAME_PATTERN
+from ..mechanism.config import shipped_path
+from ..mechanism.document import Document
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import GROUND, MechanismError
+from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
+from ..visual.appearance import body_colors, marked_points, solid
+from ..visual.trajectory import body_poses, pose_of, world_points
+
+# Files of the user's own that are looked at.
+MOST_FILES, LARGEST_FILE = 200, 200_000
+# Of a picture, and the margin in it [pixels]; how a machine in space is looked at [rad].
+WIDTH, HEIGHT, MARGIN = 150, 100, 10
+YAW, PITCH = 0.6, 0.35
+PICTURE = re.compile(r'/picture/(shipped|yours)/([A-Za-z0-9][A-Za-z0-9_-]{0,60})\.svg')
+
+
+class Library:
+    """
+    Shipped scenes, and those in one folder.
+
+    Parameters
+    ----------
+    folder : path-like, optional
+        Where files are opened and saved, and nowhere else; by default nothing is.
+
+    """
+
+    def __init__(self, folder=None):
+        """Look nowhere yet."""
+        self._folder = None if folder is None else Path(folder).resolve()
+        self._pictures, self._saved = {}, set()
+
+    def machines(self):
+        """Return what can be opened: kind, name and description, as JSON can."""
+        every = [(SHIPPED, shipped_path('scenes', name)) for name in scene_names()]
+        every += [(YOURS, path) for path in self._files()]
+        return [{'kind': kind, 'name': path.stem, 'text': _description(path)}
+                for kind, path in every]
+
+    def _files(self):
+        if self._folder is None:
+            return []
+        found = sorted(self._folder.glob('*.yaml'))[:MOST_FILES]
+        return [path for path in found if NAME_PATTERN.fullmatch(path.stem) and path.is_file()
+                and _description(path) is not None]
+
+    def scene(self, name, kind):
+        """Return a scene by its name; raise FieldError, SceneError or MechanismError."""
+        if kind == SHIPPED:
+            return load_scene(shipped_path('scenes', self._known(name, scene_names())))
+        return load_scene(self._path(self._known(name, [path.stem for path in self._files()])))
+
+    def read(self, name, text):
+        """Return the scene of a text, as a file of that name in the folder would be."""
+        return scene_of_yaml(text, self._path(name))
+
+    def save(self, name, text):
+        """
+        Write a scene; return the path.
+
+        Raises
+        ------
+        FieldError
+            Where there is no folder, or a file of that name that was not saved here before.
+
+        """
+        if self._folder is None:
+            raise FieldError('a folder to save in', 'none', path=('save',))
+        path = self._path(name)
+        try:
+            with path.open('w' if path in self._saved else 'x', encoding='utf-8') as file:
+                file.write(text)
+        except FileExistsError:
+            raise FieldError('a name that no file has yet', shown(path.name),
+                             path=('save',)) from None
+        except OSError as error:
+            raise FieldError(f'a file that can be written, {path}', error.strerror,
+                             path=('save',)) from None
+        self._saved.add(path)
+        return path
+
+    def _path(self, name):
+        return (self._folder or Path()) / f'{name}.yaml'
+
+    @staticmethod
+    def _known(name, names):
+        if name not in names:
+            raise FieldError('one of the machines', shown(name), path=('open',))
+        return name
+
+    def resource(self, path):
+        """Return kind and bytes of the list of machines, or of a picture; None of what is not."""
+        if path == '/machines.json':
+            return 'application/json', json.dumps(self.machines()).encode()
+        match = PICTURE.fullmatch(path)
+        if match is None:
+            return None
+        kind, name = match.groups()
+        if (kind, name) not in self._pictures or kind == YOURS:
+            try:
+                text = picture(self.scene(name, kind))
+            except (SceneError, MechanismError, FieldError):
+                return None
+            self._pictures[kind, name] = text.encode()
+        return 'image/svg+xml', self._pictures[kind, name]
+
+
+def _description(path):
+    """Return the description of a scene's file; None where it is none."""
+    if path.stat().st_size > LARGEST_FILE:
+        return None
+    try:
+        data = Document(path, SceneError).data
+    except SceneError:
+        return None
+    if not isinstance(data, dict) or 'mechanism' not in data:
+        return None
+    return str(data.get('description', ''))
+
+
+def picture(scene):
+    """Return a small picture of a scene where it starts, SVG."""
+    mechanism = scene.mechanism
+    poses = body_poses(mechanism, np.array(scene.initial.position))
+    colors, lines, places = body_colors(mechanism), [], []
+    for body in mechanism.bodies:
+        points = marked_points(mechanism, body.name)
+        pose = pose_of(mechanism, poses, body.name)
+        world = _seen(np.array([world_points(pose, point) for point in points]))
+        edges = solid(points)[0] if len(points) > 1 else []
+        lines += [(world[a], world[b], colors[body.name]) for a, b in edges]
+        places += list(world)
+    ground = [_seen(np.array([joint.position]))[0] for joint in mechanism.joints
+              if joint.parent == GROUND]
+    every = np.array([*places, *ground])
+    low, high = every.min(axis=0), every.max(axis=0)
+    span = np.maximum(high - low, 1e-9)
+    scale = min((WIDTH - 2 * MARGIN) / span[0], (HEIGHT - 2 * MARGIN) / span[1])
+    middle = 0.5 * (low + high)
+
+    def at(place):
+        x, y = (place - middle) * scale * (1.0, -1.0) + (WIDTH / 2, HEIGHT / 2)
+        return f'{x:.1f}', f'{y:.1f}'
+
+    drawn = [f'<line x1="{a[0]}" y1="{a[1]}" x2="{b[0]}" y2="{b[1]}" stroke="{color}" '
+             'stroke-width="4" stroke-linecap="round"/>'
+             for a, b, color in ((at(start), at(end), color) for start, end, color in lines)]
+    drawn += [f'<path d="M{x} {y}l-6 9h12z" fill="#8b929c"/>' for x, y in map(at, ground)]
+    drawn += [f'<circle cx="{x}" cy="{y}" r="2.2" fill="#fff" stroke="#555"/>'
+              for x, y in sorted(set(map(at, places)))]
+    return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">'
+            + ''.join(drawn) + '</svg>')
+
+
+def _seen(places):
+    """Return places, shape (n, 2 or 3), as they are seen, shape (n, 2)."""
+    if places.shape[1] == 2:
+        return places
+    x, y, z = places.T
+    across, depth = np.cos(YAW) * x - np.sin(YAW) * y, np.sin(YAW) * x + np.cos(YAW) * y
+    return np.column_stack([across, np.cos(PITCH) * z + np.sin(PITCH) * depth])

@@ -1,0 +1,311 @@
+// What is edited: pins and points are dragged, parts added, numbers changed; machines opened, saved.
+
+// How near the pointer must be [CSS pixels]: a pin, with a finger, a link.
+const NEAR = 18, FINGER = 34, ON_LINK = 12;
+// What can be added, in words: what is clicked on.
+const ADDED = {
+  link: ['link', 'Click where it begins, on a body or the ground, then where it ends: on a pin or a '
+    + 'link it is joined there.'],
+  pin: ['pin joint', 'Click the place on one body, then the other body: they are joined there.'],
+  rod: ['massless rod', 'Click its two ends.'],
+  point: ['point', 'Click the place: on a link, or on the ground.'],
+  spring: ['spring', 'Click its two ends.'],
+  damper: ['damper in a joint', 'Click the joint.'],
+  force: ['force', 'Click where it acts, then where it points to.'],
+  drive: ['drive of a joint', 'Click the joint.']};
+const IN_PLANE = ['link', 'pin'], OF_JOINT = ['damper', 'drive'];
+
+// The address of what the server of this page has.
+const served = (path) => escaped(`/${path}${location.search}`);
+
+// Of what a page is made of: where it differs, the page is built again.
+function structure(scene) {
+  const names = (items) => items.map(({name, type, actuated}) => [name, type, actuated]);
+  return JSON.stringify([scene.title, scene.planar, scene.columns, scene.plots, scene.loads,
+    names(scene.bodies), names(scene.joints), names(scene.cuts), names(scene.points),
+    scene.drives?.map(({joint, modes}) => [joint, modes]), scene.own]);
+}
+
+class Editing {
+  constructor(page) {
+    this.page = page;
+    this.on = false;
+    this.adding = null;
+    this.first = null;
+    this.pointer = null;
+    this.held = null;
+    this.build();
+    this.describe(page.scene);
+  }
+
+  ask(what, more) { this.page.ask(what, more); }
+
+  build() {
+    const {planar} = this.page.scene;
+    const panel = make(`<div><div class="row">
+      <button data-do="undo" title="undo (Ctrl+Z)">undo</button>
+      <button data-do="redo" title="redo (Ctrl+Y)">redo</button>
+      <select aria-label="add a part"><option value="">add …</option>${
+  Object.keys(ADDED).filter((what) => planar || !IN_PLANE.includes(what)).map((what) => (
+    `<option value="${what}">${ADDED[what][0]}</option>`)).join('')}</select></div>
+      <p class="hint"></p>
+      <div class="row"><input type="text" class="name" aria-label="name of the file">
+      <button data-do="save" title="in the folder where closedloop view was started">save</button>
+      <a class="button" href="${served('scene.yaml')}" download>download</a></div></div>`);
+    byId('edit').replaceChildren(...panel.children);
+    const edit = byId('edit');
+    this.hint = edit.querySelector('.hint');
+    this.name = edit.querySelector('.name');
+    this.menu = edit.querySelector('select');
+    this.link = edit.querySelector('a');
+    this.name.value = `${this.page.scene.title}_edited`;
+    this.name.oninput = () => { this.link.download = `${this.name.value}.yaml`; };
+    this.name.oninput();
+    for (const button of edit.querySelectorAll('button')) {
+      button.onclick = () => this.ask(button.dataset.do, button.dataset.do === 'save'
+        ? {name: this.name.value} : {});
+    }
+    [this.undo, this.redo] = edit.querySelectorAll('button');
+    this.menu.onchange = () => this.begin(this.menu.value || null);
+    byId('editing').onclick = () => this.ask('edit', {on: true});
+    addEventListener('keydown', (event) => {
+      if (event.key === 'Escape') this.begin(null);
+      if (!(event.ctrlKey || event.metaKey) || event.target.type === 'text') return;
+      const what = {z: event.shiftKey ? 'redo' : 'undo', y: 'redo'}[event.key.toLowerCase()];
+      if (what) {
+        this.ask(what);
+        event.preventDefault();
+      }
+    });
+    this.library();
+  }
+
+  // Machines to open.
+
+  library() {
+    const dialog = byId('library'), list = byId('machines');
+    byId('open').hidden = false;
+    byId('open').onclick = async () => {
+      dialog.showModal();
+      const answer = await fetch(served('machines.json'));
+      this.machines = await answer.json();
+      this.list(list);
+    };
+    dialog.querySelector('[type="search"]').oninput = () => this.list(list);
+    dialog.querySelector('button').onclick = () => dialog.close();
+    dialog.querySelector('[type="file"]').onchange = async ({target}) => {
+      const [file] = target.files;
+      if (!file) return;
+      const name = file.name.replace(/\.ya?ml$/i, '').replace(/[^A-Za-z0-9_]/g, '_');
+      this.ask('load', {name: /^[A-Za-z]/.test(name) ? name : `m_${name}`,
+                        text: await file.text()});
+      target.value = '';
+      dialog.close();
+    };
+  }
+
+  list(place) {
+    const wanted = byId('library').querySelector('[type="search"]').value.toLowerCase();
+    const card = ({kind, name, text}) => {
+      const button = make(`<button><img loading="lazy" alt="" src="${
+        served(`picture/${kind}/${name}.svg`)}"><b>${escaped(name)}</b><small>${escaped(text)}</small></button>`);
+      button.onclick = () => {
+        this.ask('open', {name, kind});
+        byId('library').close();
+      };
+      return button;
+    };
+    const found = this.machines.filter(({name, text}) => (
+      `${name} ${text}`.toLowerCase().includes(wanted)));
+    place.replaceChildren(...[['yours', 'Files in this folder'], ['shipped', 'Shipped machines']]
+      .flatMap(([kind, title]) => {
+        const some = found.filter((one) => one.kind === kind);
+        return some.length ? [make(`<h3>${title}</h3>`), ...some.map(card)] : [];
+      }));
+  }
+
+  // What the server tells.
+
+  describe(scene) {
+    // Pins are seen at their upper ends.
+    const pins = [...scene.joints, ...scene.cuts];
+    this.handles = (scene.handles ?? []).map((handle) => {
+      const pin = handle.kind === 'point' || !scene.planar ? null
+        : pins.find(({name}) => name === handle.name);
+      const [x, y, z] = handle.place;
+      return {...handle, place: [x, y, z + (pin ? pin.heights[1] + 0.016 * scene.size : 0)]};
+    });
+    this.curves = (scene.curves ?? []).map(({places}) => (
+      Array.from({length: places.length / 3}, (_, k) => places.slice(3 * k, 3 * k + 3))));
+    const sliders = scene.sliders ?? [], keys = sliders.map(({key}) => key).join();
+    byId('numbers-panel').hidden = !sliders.length;
+    if (keys === this.keys) {
+      sliders.forEach(({key, value}) => this.numbers[key].follow(value));
+      return;
+    }
+    this.keys = keys;
+    this.numbers = {};
+    const groups = [...new Set(sliders.map(({group}) => group))];
+    byId('numbers').replaceChildren(...groups.map((group, k) => {
+      const box = make(`<details${k ? '' : ' open'}><summary>${escaped(group)}</summary></details>`);
+      for (const one of sliders.filter((each) => each.group === group)) {
+        const slider = new Slider({
+          label: one.label, unit: one.unit, low: one.low, high: one.high, value: one.value,
+          reset: one.value, onchange: (value) => this.ask('set', {key: one.key, value})});
+        this.numbers[one.key] = slider;
+        box.append(slider.element);
+      }
+      return box;
+    }));
+  }
+
+  follow({editing, undoable}) {
+    [this.undo.disabled, this.redo.disabled] = undoable.map((can) => !can);
+    byId('editing').setAttribute('aria-pressed', editing);
+    if (this.on !== editing) this.begin(null);
+    this.on = editing;
+    this.menu.hidden = !editing;
+    this.say();
+  }
+
+  say() {
+    this.hint.textContent = this.adding ? ADDED[this.adding][1]
+      : this.on ? 'Drag a pin or a point: the others stay. The machine stands where it starts.'
+        : 'Numbers may be changed while it moves; “edit it” moves pins and adds parts.';
+  }
+
+  begin(what) {
+    [this.adding, this.first] = [what, null];
+    this.menu.value = what ?? '';
+    this.say();
+  }
+
+  // The pointer.
+
+  place(handle) { return moved(this.page.picture.frameOf(handle.body), handle.place); }
+
+  nearest(x, y, reach, only = () => true) {
+    let best = null, least = reach;
+    for (const handle of this.handles.filter(only)) {
+      const [u, v] = this.page.picture.project(this.place(handle));
+      const away = Math.hypot(u - x, v - y);
+      // Points win over the pins that they lie on only where they are nearer.
+      if (away < least) [best, least] = [handle, away];
+    }
+    return best;
+  }
+
+  bodyName(number) { return number < 0 ? 'ground' : this.page.scene.bodies[number].name; }
+
+  // What is under the pointer: a body and a place in the world; the ground where nothing is.
+  target(x, y, reach) {
+    const {picture, scene} = this.page, found = picture.nearest(x, y, reach);
+    if (found) return {body: found[0], at: picture.grabbed(found), on: true};
+    const ground = scene.planar ? this.nearest(x, y, reach, ({body}) => body < 0) : null;
+    if (ground) return {body: -1, at: this.place(ground), on: true};
+    const at = picture.unproject(x, y, scene.planar ? [0, 0, 0] : picture.target);
+    let body = -1, least = ON_LINK;
+    scene.bodies.forEach(({grabs}, number) => {
+      const ends = grabs.map((place) => picture.project(moved(picture.frames[number], place)));
+      ends.forEach((a, k) => ends.slice(k + 1).forEach((b) => {
+        const away = toLine([x, y], a, b);
+        if (away < least) [body, least] = [number, away];
+      }));
+    });
+    return {body, at, on: body >= 0};
+  }
+
+  down(x, y, finger) {
+    const reach = finger ? FINGER : NEAR;
+    if (!this.on) return false;
+    if (this.adding) {
+      this.click(x, y, reach);
+      return true;
+    }
+    this.held = this.nearest(x, y, reach);
+    if (this.held) this.through = this.place(this.held);
+    return Boolean(this.held);
+  }
+
+  click(x, y, reach) {
+    const what = this.adding;
+    if (OF_JOINT.includes(what)) {
+      const joint = this.nearest(x, y, reach, ({kind}) => kind === 'joint');
+      if (!joint) return;
+      this.ask('add', {what, joint: joint.name});
+    } else {
+      const found = this.target(x, y, reach);
+      if (what !== 'point' && !this.first) {
+        this.first = found;
+        return;
+      }
+      const a = this.first ?? found;
+      this.ask('add', {what, body_a: this.bodyName(a.body), a: a.at, ...(this.first ? {
+        b: found.at, ...(found.on || what !== 'link' ? {body_b: this.bodyName(found.body)} : {})}
+        : {})});
+    }
+    this.begin(null);
+  }
+
+  move(x, y) {
+    this.pointer = [x, y];
+    if (this.held) this.wanted = this.page.picture.unproject(x, y, this.through);
+  }
+
+  up() {
+    this.tick();
+    this.held = null;
+  }
+
+  // A frame of the screen: what was dragged is told, handles and curves are drawn.
+
+  tick() {
+    if (!this.held || !this.wanted) return;
+    this.ask('move', {kind: this.held.kind, name: this.held.name, at: this.wanted});
+    this.wanted = null;
+  }
+
+  draw(theme) {
+    if (!this.on) return;
+    const {picture} = this.page, {pen} = picture;
+    const trace = (places) => {
+      pen.beginPath();
+      places.forEach((place, k) => {
+        const [x, y] = picture.project(place);
+        if (k) pen.lineTo(x, y); else pen.moveTo(x, y);
+      });
+      pen.stroke();
+    };
+    pen.save();
+    pen.lineWidth = 1.8;
+    pen.strokeStyle = theme.path;
+    for (const curve of this.curves) trace(curve);
+    for (const handle of this.handles) {
+      const [x, y] = picture.project(this.place(handle));
+      const point = handle.kind === 'point';
+      const held = this.held && handle.name === this.held.name && handle.kind === this.held.kind;
+      pen.beginPath();
+      if (point) pen.rect(x - 5, y - 5, 10, 10); else pen.arc(x, y, 7, 0, 7);
+      pen.fillStyle = held ? theme.accent : theme.halo;
+      pen.strokeStyle = theme.accent;
+      pen.lineWidth = 2;
+      pen.fill();
+      pen.stroke();
+    }
+    if (this.first && this.pointer) {
+      pen.setLineDash([5, 4]);
+      pen.beginPath();
+      pen.moveTo(...picture.project(this.first.at));
+      pen.lineTo(...this.pointer);
+      pen.stroke();
+    }
+    pen.restore();
+  }
+}
+
+// How far a place on the screen is from the line between two others.
+function toLine([x, y], [a, b], [c, d]) {
+  const [u, v] = [c - a, d - b], length = u * u + v * v || 1;
+  const share = Math.max(0, Math.min(1, ((x - a) * u + (y - b) * v) / length));
+  return Math.hypot(a + share * u - x, b + share * v - y);
+}

@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Scenes that are edited by hand: loops stay closed, words stay, what cannot be is refused."""
+
+import json
+
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.coupler_curves import curves
+from closedloop_dynamics.view.editing import Editor
+from closedloop_dynamics.view.library import Library
+from closedloop_dynamics.view.own_motion import own_motion
+from closedloop_dynamics.view.runner import RATE, Runner
+from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
+import numpy as np
+import pytest
+
+
+class Edited:
+    """A runner whose clock moves when told, and what its pages know."""
+
+    def __init__(self, scene='four_bar', folder=None):
+        self.now = 50.0
+        self.runner = Runner(load_scene(scene), lambda: self.now, own_motion, Library(folder))
+
+    def ask(self, do, frames=0, **more):
+        self.runner.feed.take('page', json.dumps({'do': do, **more}))
+        self.runner.tick()
+        self.run(frames)
+        return json.loads(self.runner.feed.controls)
+
+    def run(self, frames):
+        for _ in range(frames):
+            self.now += 1.0 / RATE
+            self.runner.tick()
+
+    @property
+    def scene(self):
+        return json.loads(self.runner.feed.description)
+
+
+@pytest.mark.parametrize('name, kind, pin, to', [
+    ('four_bar', 'joint', 'coupler_joint', (0.02, 0.15, 0.0)),
+    ('four_bar', 'joint', 'crank_joint', (-0.05, 0.02, 0.0)),
+    ('four_bar', 'cut', 'cut_1', (0.42, 0.27, 0.0)),
+    ('hoeken_pantograph_leg', 'joint', 'theta_4', None),
+    ('three_rrr', 'joint', 'theta_2', None),
+    ('rssr_four_bar', 'joint', None, None)])
+def test_a_pin_moves_and_all_others_stay(name, kind, pin, to):
+    editor, simulation = Editor(load_scene(name)), Simulation(load_scene(name))
+    position = simulation.position.copy()
+    mechanism = simulation.mechanism
+    pin = pin or mechanism.joints[1].name
+
+    def places(scene):
+        poses = body_poses(scene.mechanism, position)
+        return {point.name: named_point(scene.mechanism, poses, point.name)
+                for point in scene.mechanism.points}
+
+    before = places(editor.scene)
+    if to is None:
+        joint = mechanism.joints[mechanism.joint_names.index(pin)]
+        body = pose_of(mechanism, body_poses(mechanism, position), joint.child)
+        size = len(joint.position)
+        to = [*(body[:size] + 0.02), 0.0][:3]
+    editor.move(kind, pin, to, position)
+    after = Simulation(editor.scene)
+    # The loops are closed in the same position, not in one next to it.
+    assert np.abs(after.position - position).max() < 1e-9
+    assert after.closure < 1e-9
+    for point, place in places(editor.scene).items():
+        np.testing.assert_allclose(place, before[point], rtol=0.0, atol=1e-12)
+    editor.undo()
+    assert editor.scene.mechanism == load_scene(name).mechanism
+
+
+def test_a_length_is_that_between_two_pins():
+    editor = Editor(load_scene('four_bar'))
+    known = {slider['key']: slider['value'] for slider in editor.sliders()}
+    assert known['length.coupler.cut_1'] == pytest.approx(0.35)
+    editor.set('length.coupler.cut_1', 0.38)
+    assert editor.scene.mechanism.cut_joints[0].point_a == pytest.approx((0.38, 0.0))
+    for value in (0.0, -1.0, float('nan')):
+        with pytest.raises(FieldError):
+            editor.set('length.coupler.cut_1', value)
+    assert editor.scene.mechanism.cut_joints[0].point_a == pytest.approx((0.38, 0.0))
+
+
+def test_a_curve_is_exact_and_closed():
+    scene = load_scene('four_bar')
+    simulation = Simulation(scene)
+    found, = curves(scene.mechanism, simulation.position, scene.mechanism.points)
+    places = np.array(found['places']).reshape(-1, 3)
+    np.testing.assert_allclose(places[0], places[-1], atol=1e-6)
+    # The coupler's left end is on the circle of the crank where its right end is on the rocker's.
+    angles = np.linspace(-np.pi, np.pi, 400001)
+    away, lean = np.hypot(0.175, 0.1), np.arctan2(0.1, 0.175)
+    for x, y, _ in places[::17]:
+        left = (x, y) - away * np.column_stack([np.cos(angles + lean), np.sin(angles + lean)])
+        right = left + 0.35 * np.column_stack([np.cos(angles), np.sin(angles)])
+        missed = (np.abs(np.linalg.norm(left, axis=1) - 0.1)
+                  + np.abs(np.linalg.norm(right - (0.4, 0.0), axis=1) - 0.25))
+        # Less than the angles are apart.
+        assert missed.min() < 2e-5
+
+
+def test_the_words_of_the_author_stay(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    path.write_text(Editor(load_scene('four_bar')).text()[0])
+    editor = Editor(load_scene(path))
+    position = Simulation(editor.scene).position
+    editor.move('joint', 'coupler_joint', (0.03, 0.12, 0.0), position)
+    editor.add('point', position, body_a='rocker', a=(0.4, 0.1, 0.0))
+    editor.add('spring', position, body_a='rocker', a=(0.4, 0.1, 0.0), body_b='ground',
+               b=(0.6, 0.1, 0.0))
+    editor.add('link', position, body_a='ground', a=(0.7, 0.0, 0.0), body_b='coupler',
+               b=(0.2, 0.2, 0.0))
+    text, kept = editor.text()
+    assert kept
+    for words in ('# The joints make a tree that stands on the ground', '# m/s^2', 'pin A o---'):
+        assert words in path.read_text() and words in text
+    again = scene_of_yaml(text, path)
+    assert again.mechanism == editor.scene.mechanism
+    assert dict(again.effects) == dict(editor.scene.effects)
+    assert Simulation(again).closure < 1e-9
+    for _ in range(4):
+        editor.undo()
+    assert editor.text()[0] == path.read_text()
+    editor.redo()
+    assert editor.scene.mechanism != load_scene(path).mechanism
+
+
+def test_edits_while_it_moves_go_on_from_there():
+    edited = Edited()
+    edited.ask('play', frames=60)
+    time = edited.runner.simulation.time
+    position = edited.runner.simulation.position.copy()
+    told = edited.ask('set', key='length.rocker.cut_1', value=0.27)
+    assert told['playing'] and told['undoable'] == [True, False]
+    simulation = edited.runner.simulation
+    assert time <= simulation.time < time + 0.05
+    assert np.abs(simulation.position - position).max() < 0.3
+    edited.run(60)
+    assert simulation.time > time + 0.9 and simulation.closure < 1e-9
+    assert json.loads(edited.runner.feed.controls)['failure'] is None
+    # The crank keeps its speed.
+    assert simulation.velocity[0] == pytest.approx(2.0 * np.pi, rel=0.05)
+    edited.ask('undo')
+    assert edited.runner.editor.scene.mechanism == load_scene('four_bar').mechanism
+
+
+def test_what_cannot_be_assembled_goes_back():
+    edited = Edited()
+    edited.ask('edit', on=True)
+    before = edited.scene
+    assert edited.scene['curves'] and edited.scene['handles']
+    told = edited.ask('set', key='length.coupler.cut_1', value=2.0)
+    assert 'closed' in told['notes'][-1]['text']
+    assert edited.scene == before and told['undoable'] == [False, False]
+    for wrong in ({'kind': 'joint', 'name': 'no_such', 'at': [0.0, 0.0, 0.0]},
+                  {'kind': 'point', 'name': 'coupler_point', 'at': [1e9, 0.0, 0.0]}):
+        edited.ask('move', **wrong)
+        assert edited.scene == before
+    edited.ask('add', what='pin', body_a='crank', a=[0.0, 0.0, 0.0], body_b='crank')
+    assert edited.scene == before
+    # While it runs nothing is dragged.
+    edited.ask('edit', on=False)
+    told = edited.ask('move', kind='point', name='coupler_point', at=[0.2, 0.2, 0.0])
+    assert 'edited' in told['notes'][-1]['text']
+
+
+def test_a_machine_is_built_by_hand(tmp_path):
+    edited = Edited('slider_crank', tmp_path)
+    edited.ask('edit', on=True)
+    edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
+    told = edited.ask('add', what='rod', body_a='link_1', a=[1.0, 0.2, 0.0], body_b='rod',
+                      b=[0.3, 0.05, 0.0])
+    edited.ask('add', what='damper', joint='pin_1')
+    told = edited.ask('save', name='built')
+    assert 'saved as' in told['notes'][-1]['text']
+    scene = load_scene(tmp_path / 'built.yaml')
+    assert [body.name for body in scene.mechanism.bodies][-1] == 'link_1'
+    assert Simulation(scene).closure < 1e-9
+    edited.ask('play', frames=30)
+    assert json.loads(edited.runner.feed.controls)['failure'] is None
+    # Another file is not replaced.
+    (tmp_path / 'other.yaml').write_text('mine')
+    told = edited.ask('save', name='other')
+    assert 'no file has yet' in told['notes'][-1]['text']
+    assert (tmp_path / 'other.yaml').read_text() == 'mine'
+
+
+def test_machines_are_opened_by_name_and_from_text(tmp_path):
+    edited = Edited('four_bar', tmp_path)
+    (tmp_path / 'mine.yaml').write_text(Editor(load_scene('slider_crank')).text()[0])
+    (tmp_path / 'no_scene.yaml').write_text('a: 1')
+    kind, listed = edited.runner.resource('/machines.json')
+    names = {(one['kind'], one['name']) for one in json.loads(listed)}
+    assert ('yours', 'mine') in names and ('shipped', 'three_rrr') in names
+    assert ('yours', 'no_scene') not in names
+    assert edited.ask('open', name='mine', kind='yours')['failure'] is None
+    assert edited.scene['title'] == 'mine'
+    assert edited.ask('open', name='three_rrr', kind='shipped')['motion'] == 'own'
+    assert edited.runner.resource('/picture/yours/mine.svg')[1].startswith(b'<svg')
+    text = edited.runner.resource('/scene.yaml')[1].decode()
+    edited.ask('load', name='shared', text=text)
+    assert edited.scene['title'] == 'shared' and edited.scene['name'] == 'three_rrr'
+    before = edited.scene
+    for wrong in ('mechanism: four_bar', 'x: [', 'mechanism: {bodies: 1}\ninitial: {position: {}}',
+                  'effects: {a: {type: !!python/object/apply:os.system [ls]}}'):
+        told = edited.ask('load', name='wrong', text=wrong)
+        assert told['notes'][-1]['text'] and edited.scene == before
+    for path in ('/picture/yours/../mine.svg', '/picture/shipped/none.svg', '/etc/passwd'):
+        assert edited.runner.resource(path) is None
+    told = edited.ask('open', name='no_such', kind='shipped')
+    assert 'one of the machines' in told['notes'][-1]['text']
