@@ -34,7 +34,7 @@ sys.path.insert(0, str(ROOT))
 from closedloop_dynamics.formats.registry import is_model, read_model  # noqa: E402,I100
 from closedloop_dynamics.mechanism.mechanism import MechanismError  # noqa: E402
 from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
-from closedloop_dynamics.simulation.global_assembly import find_closed, Loops  # noqa: E402
+from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed  # noqa: E402
 from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model  # noqa: E402
 from closedloop_dynamics.simulation.modeling import extent  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
@@ -72,7 +72,7 @@ def _unique(name, taken):
 def states_of(mechanism, start, count):
     """Return closed states around a start: coordinates, rates and torques of the drives."""
     rng, size = np.random.default_rng(1), extent(mechanism)
-    loops, driven = Loops(mechanism, size), list(mechanism.coordinates.actuated)
+    loops, driven = ClosureProblem(mechanism, size), list(mechanism.coordinates.actuated)
     found = []
     for _ in range(100 * count):
         if len(found) == count:
@@ -157,11 +157,11 @@ def measure_model(path, quick, largest=LARGEST):
     # Anchors of loops may have moved.
     mechanism = imported.mechanism
     size = extent(mechanism)
-    loops = Loops(mechanism, size)
+    loops = ClosureProblem(mechanism, size)
     start = loops.start(imported.position)
     row.update({
         'moved': float(np.abs(mechanism.coordinates.apart(found.q, start)).max(initial=0.0)),
-        'gap': max(found.gaps.values()), 'rank': loops.rank(found.q),
+        'gap': max(found.closure_errors.values()), 'rank': loops.rank(found.q),
         'equations': mechanism.number_of_equations})
     if loops.nv > largest:
         return {**row, 'why': [f'more than {largest} freedoms of joints']}

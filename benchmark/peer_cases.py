@@ -201,9 +201,9 @@ def load_scene(name, tree=SHIPPED):
     return replace(scene, mechanism=ordered, initial=replace(
         start,
         position=tuple(after.filled(
-            'position', before.told('position', start.position), after.start())),
+            'position', before.by_name('position', start.position), after.start())),
         velocity=tuple(after.filled(
-            'velocity', before.told('velocity', start.velocity), np.zeros(after.nv)))))
+            'velocity', before.by_name('velocity', start.velocity), np.zeros(after.nv)))))
 
 
 def _forward(scene):

@@ -92,7 +92,7 @@ class TrajectoryError(ValueError):
 
 
 @dataclass(frozen=True)
-class Points:
+class Waypoints:
     """
     The points of a trajectory.
 

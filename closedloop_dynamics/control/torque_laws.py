@@ -134,7 +134,7 @@ class ComputedTorque:
 
     def follow(self, points, time, position, velocity):
         """
-        Follow ``references.Points`` from the present state, in place of the reference there was.
+        Follow ``references.Waypoints`` from the present state, in place of the last reference.
 
         Time [s], position, shape (nq,), and velocity, shape (nv,), are those of the state. Raises
         TrajectoryError if the trajectory is over.

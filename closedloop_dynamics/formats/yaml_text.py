@@ -7,7 +7,7 @@ from dataclasses import fields, MISSING
 import json
 
 from ..mechanism.mechanism import MESH, UNTURNED
-from ..mechanism.shapes import told
+from ..mechanism.shapes import as_data
 from ..mechanism.validation import SECTIONS
 
 LONGEST_LINE = 110
@@ -25,7 +25,7 @@ def mechanism_text(mechanism, notes=()):
         parts.append(f'description: {json.dumps(mechanism.description, ensure_ascii=False)}')
     if mechanism.ground_visual:
         parts += ['', 'ground_visual:', *(
-            f'  - {_value(_quoted(told(visual, not mechanism.planar)))}'
+            f'  - {_value(_quoted(as_data(visual, not mechanism.planar)))}'
             for visual in mechanism.ground_visual)]
     for section in SECTIONS:
         records = getattr(mechanism, section)
@@ -45,7 +45,7 @@ def scene_text(imported, q, mechanism_path):
 
     """
     mechanism = imported.mechanism
-    position = mechanism.coordinates.told('position', q)
+    position = mechanism.coordinates.by_name('position', q)
     parts = [f'mechanism: {mechanism_path}',
              f'description: {json.dumps(mechanism.description)}', '', 'initial:',
              '  position:', *(f'    {name}: {_value(value)}' for name, value in position.items())]
@@ -63,7 +63,7 @@ def _values(record, spatial):
     if values.get('massless'):
         values = {key: values[key] for key in ('massless', 'visual') if key in values}
     if 'visual' in values:
-        values['visual'] = [_quoted(told(visual, spatial)) for visual in values['visual']]
+        values['visual'] = [_quoted(as_data(visual, spatial)) for visual in values['visual']]
     if values.get('orientation', UNTURNED) != UNTURNED:
         values['orientation'] = {'quaternion': values['orientation']}
     return values

@@ -297,7 +297,7 @@ class Coordinates:
                             here[3 * len(own):] = _CHECKS[quantity](given)
         return found
 
-    def told(self, quantity, values):
+    def by_name(self, quantity, values):
         """
         Return values by name, as ``filled`` takes them.
 

@@ -121,7 +121,7 @@ def visuals(shapes, spatial):
     return tuple(found)
 
 
-def told(visual, spatial):
+def as_data(visual, spatial):
     """Return a Visual as ``visuals`` reads it."""
     size, center = visual.size, list(visual.center[:3 if spatial else 2])
     color = {} if visual.color is None else {'color': list(visual.color)}

@@ -3,7 +3,7 @@
 
 """Messages of trajectories, checked on arrival."""
 
-from closedloop_dynamics.control.references import Points, TrajectoryError
+from closedloop_dynamics.control.references import TrajectoryError, Waypoints
 import numpy as np
 
 # Of what a point of a trajectory gives, in the order of the derivatives.
@@ -50,7 +50,7 @@ def points_of(message, joints, held=True):
             f'time_from_start: expected increasing times from 0 s on, got {times.tolist()}')
     if held and len(derivatives) > 1 and np.any(derivatives[1][-1]):
         raise TrajectoryError('velocities: expected 0 in the last point, which is held')
-    return Points(_seconds(message.header.stamp), times, derivatives)
+    return Waypoints(_seconds(message.header.stamp), times, derivatives)
 
 
 def _seconds(time):

@@ -44,7 +44,7 @@ FROM_THE_START = 'from the start'
 _UNIT = np.eye(3)
 
 
-class Found(NamedTuple):
+class ClosureResult(NamedTuple):
     """
     Where the search ended.
 
@@ -52,7 +52,7 @@ class Found(NamedTuple):
     ----------
     q : ndarray, shape (nq,)
         Coordinates; orientations as unit quaternions x, y, z, w.
-    gaps : dict of str to float
+    closure_errors : dict of str to float
         By joint that closes a loop, and coupling: how far it is open [m, and sines of angles].
     closed : bool
     how : str
@@ -61,12 +61,12 @@ class Found(NamedTuple):
     """
 
     q: np.ndarray
-    gaps: dict
+    closure_errors: dict
     closed: bool
     how: str
 
 
-class Loops:
+class ClosureProblem:
     """
     The loops of a mechanism in space as points and directions that are to coincide.
 
@@ -326,7 +326,7 @@ class Loops:
         scaled = scaled / largest + LEAST_INERTIA * np.eye(self.nv)
         return scaled / np.outer(self.scale, self.scale)
 
-    def gaps(self, q):
+    def closure_errors(self, q):
         """Return how far each joint that closes a loop is open [m, sines of angles], by name."""
         values, _, counts = self.residual(q, wanted=False, size=1.0)
         found, first = {}, 0
@@ -385,7 +385,7 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
         the least open.
 
     """
-    loops, places = Loops(mechanism, size, limits), mechanism.coordinates
+    loops, places = ClosureProblem(mechanism, size, limits), mechanism.coordinates
     held = [k for name in hold for k in (
         [places.index[name]] if name in places.index else range(loops.nv)[places.rates[name]])]
     if not starts:
@@ -395,8 +395,8 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
         best, ways = np.array(start, dtype=float), {FROM_THE_START: 0.0}
         for part, own in _parts(mechanism, limits or {}):
             names = part.joint_names
-            some = Loops(part, size, {name: limit for name, limit in (limits or {}).items()
-                                      if name in names})
+            some = ClosureProblem(part, size, {
+                name: limit for name, limit in (limits or {}).items() if name in names})
             q, rates = (np.concatenate([np.arange(loops.nq)[where[name]] for name in names])
                         for where in (places.coordinates, places.rates))
             free = [k for k, rate in enumerate(rates) if rate not in held
@@ -405,7 +405,7 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
             ways[way] = amplitude
         how = max(ways, key=ways.get)
     best = loops.unwound(best, start)
-    return Found(best, loops.gaps(best), loops.is_closed(best), how)
+    return ClosureResult(best, loops.closure_errors(best), loops.is_closed(best), how)
 
 
 def _search(loops, start, free, starts):
@@ -458,7 +458,7 @@ def never_closed(mechanism, size, q):
     for cut in mechanism.cut_joints:
         own = _around(mechanism, cut)
         part = _with_joints(mechanism, own, (cut,))
-        loops = Loops(part, size)
+        loops = ClosureProblem(part, size)
         start = np.concatenate([q[mechanism.coordinates.coordinates[name]] for name in own])
         trials, free = [], np.arange(loops.nv)
         for number in range(STARTS_ALONE):
@@ -467,7 +467,7 @@ def never_closed(mechanism, size, q):
             if loops.is_closed(trials[-1]):
                 break
         else:
-            found[cut.name] = min(loops.gaps(trial)[cut.name] for trial in trials)
+            found[cut.name] = min(loops.closure_errors(trial)[cut.name] for trial in trials)
     return found
 
 

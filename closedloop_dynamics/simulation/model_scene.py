@@ -15,7 +15,7 @@ import warnings
 import numpy as np
 
 from .errors import AssemblyError
-from .global_assembly import CLOSED, find_closed, Loops, never_closed, STARTS_EACH
+from .global_assembly import CLOSED, ClosureProblem, find_closed, never_closed, STARTS_EACH
 from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
@@ -128,13 +128,13 @@ def assembled(imported):
     -------
     imported : formats.building.Imported
         With the anchors of loops moved, where the last digits of a file keep them open.
-    found : global_assembly.Found
+    found : global_assembly.ClosureResult
     notes : list of str
         Notes about it; none where nothing moved.
 
     """
     mechanism, size = imported.mechanism, extent(imported.mechanism)
-    start = Loops(mechanism, size).start(imported.position)
+    start = ClosureProblem(mechanism, size).start(imported.position)
     if not (mechanism.cut_joints or mechanism.couplings):
         return imported, find_closed(mechanism, size, start), []
     cuts = {cut.name for cut in mechanism.cut_joints}
@@ -151,7 +151,7 @@ def assembled(imported):
         found = find_closed(mechanism, size, start, hold, limits, starts)
         if found.closed:
             break
-        mended, anchors = _with_anchors_moved(mechanism, found.q, found.gaps, size)
+        mended, anchors = _with_anchors_moved(mechanism, found.q, found.closure_errors, size)
         if anchors:
             again = find_closed(mended, size, found.q, (), limits, 0)
             if again.closed:
@@ -161,10 +161,10 @@ def assembled(imported):
                 return imported, again, [*notes, *anchors]
         tried.append(found)
     else:
-        found = min(tried, key=lambda one: sum(one.gaps.values()))
+        found = min(tried, key=lambda one: sum(one.closure_errors.values()))
         never = never_closed(mechanism, size, start)
         return imported, found, [f'{mechanism.name} cannot be assembled: ' + '; '.join(
-            f'{name} stays open by {gap:.3g}' for name, gap in found.gaps.items()
+            f'{name} stays open by {gap:.3g}' for name, gap in found.closure_errors.items()
             if gap > CLOSED * size) + ' (m, sines of angles), at the nearest place found. ' + (
                 'Whatever all others do, these stay open by themselves, each moved by its own '
                 'joints alone: ' + '; '.join(
@@ -175,7 +175,7 @@ def assembled(imported):
         mechanism, start, found, told, bool(imported.limits and not limits))
 
 
-def _with_anchors_moved(mechanism, q, gaps, size):
+def _with_anchors_moved(mechanism, q, closure_errors, size):
     """
     Return a mechanism whose loops are closed at a position but for digits, exactly closed.
 
@@ -185,7 +185,7 @@ def _with_anchors_moved(mechanism, q, gaps, size):
         As it was read.
     q : ndarray, shape (nq,)
         The position.
-    gaps : dict of str to float
+    closure_errors : dict of str to float
         How far its loops are open there [m, sines of angles].
     size : float
         Of the mechanism [m].
@@ -197,10 +197,10 @@ def _with_anchors_moved(mechanism, q, gaps, size):
         Which anchors were moved; none where a loop is open by more, or cannot be closed so.
 
     """
-    open_by = {name: gap for name, gap in gaps.items() if gap > CLOSED * size}
+    open_by = {name: gap for name, gap in closure_errors.items() if gap > CLOSED * size}
     if not open_by or max(open_by.values()) > DIGITS * size:
         return mechanism, []
-    frames, origins = Loops(mechanism, size).frames(q)
+    frames, origins = ClosureProblem(mechanism, size).frames(q)
     cuts, notes = [], []
     for cut in mechanism.cut_joints:
         if cut.name in open_by and cut.type in ANCHORED:

@@ -15,8 +15,8 @@ import numpy as np
 from .errors import SimulationError
 from .key_paths import changed, resolve
 from .rollout_run import (
-    checked_quantities, FEWEST, fits_simd, MOST, nothing, record, record_all, Schedule, SimdRuns,
-    Start, starts_as_given, STATE)
+    checked_quantities, FEWEST, fits_simd, InitialState, MOST, nothing, record, record_all,
+    SimdRuns, starts_as_given, STATE, TimeGrid)
 from .scene_records import require_no_budget
 from ..engine import native
 
@@ -88,7 +88,7 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     given = RolloutArguments(simulation, torques, initial_position, initial_velocity, parameters)
     schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
     quantities = checked_quantities(quantities)
-    runs = _Runs(simulation, given, schedule, quantities, hold)
+    runs = _BatchRunner(simulation, given, schedule, quantities, hold)
     results = {name: np.empty((given.samples, *values.shape))
                for name, values in runs.nothing().items()}
     failures = {}
@@ -162,7 +162,7 @@ class _Twins:
 _TWINS = WeakKeyDictionary()
 
 
-class _Runs:
+class _BatchRunner:
     """Some runs after the others; a thread keeps its simulation where no parameter changes."""
 
     def __init__(self, simulation, given, schedule, quantities, hold):
@@ -270,7 +270,7 @@ class _Runs:
         else:
             states = [simulation.integrated.copy()] * len(samples)
             fine = [True] * len(samples)
-        return {sample: Start(simulation, state, given.torques_of(sample))
+        return {sample: InitialState(simulation, state, given.torques_of(sample))
                 for sample, state, good in zip(samples, states, fine) if good}
 
     def _result(self, record):
@@ -296,7 +296,7 @@ class _Runs:
             if position is None:
                 position, hold = initial.position, hold or initial.hold
             simulation.set_state(position, velocity, hold)
-        return Start(simulation, simulation.integrated.copy(), given.torques_of(sample))
+        return InitialState(simulation, simulation.integrated.copy(), given.torques_of(sample))
 
     def _twin(self):
         """Return this thread's simulation, and what makes runs of it side by side."""
@@ -456,7 +456,7 @@ def scheduled(step_size, rows, duration, steps, every):
     if steps % rows or steps % every:
         name, count = ('rows of torques', rows) if steps % rows else ('every', every)
         raise ValueError(f'steps: expected a multiple of {name} ({count}), got {steps}')
-    return Schedule(step_size, int(steps), int(steps) // rows, int(every))
+    return TimeGrid(step_size, int(steps), int(steps) // rows, int(every))
 
 
 def _numbers(name, values):

@@ -40,7 +40,7 @@ TIME_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Schedule:
+class TimeGrid:
     """When torques change and when instants are kept, all in multiples of one interval."""
 
     interval: float  # [s]
@@ -70,7 +70,7 @@ class Schedule:
 
 
 @dataclass
-class Record:
+class RunResult:
     """Results of one run; NaN from a failure on."""
 
     # Dict of str to ndarray: by the names of ``QUANTITIES``, those that were asked for:
@@ -155,7 +155,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
         At time zero. What it is left as is not to be used but after ``reset``.
     torques : ndarray, shape (rows, number of actuated joints)
         [N m or N]; at least one row.
-    schedule : Schedule
+    schedule : TimeGrid
         No longer than the rows last.
     quantities : sequence of str
         What to keep, of ``QUANTITIES``.
@@ -228,7 +228,7 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
 
     Returns
     -------
-    list of Record, or None
+    list of RunResult, or None
         None for runs that are to be made step by step: these alone can say how they end.
 
     """
@@ -242,7 +242,7 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
         simulation.system, simulation.run, starts, tau, schedule.in_steps(steps))
     simulation.touch()
     for k in np.flatnonzero(status == DONE):
-        records[bearable[k]] = Record(
+        records[bearable[k]] = RunResult(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
             _finding(simulation, found[k]))
     return records
@@ -351,7 +351,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
         failure = simulation.energy_guard.finding or None
     except SimulationError as error:
         failure = str(error)
-    return Record(values, failure)
+    return RunResult(values, failure)
 
 
 def _note(simulation, values, instant):
@@ -361,7 +361,7 @@ def _note(simulation, values, instant):
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialState:
     """Start of a run."""
 
     simulation: object  # Simulation: whose mechanism moves; several runs may share it
@@ -381,7 +381,7 @@ class SimdRuns:
 
     Attributes
     ----------
-    schedule : Schedule
+    schedule : TimeGrid
     quantities : sequence of str
         What to keep, of ``QUANTITIES``.
 
@@ -398,14 +398,14 @@ class SimdRuns:
 
         Parameters
         ----------
-        starts : sequence of Start
+        starts : sequence of InitialState
             Of simulations that may go together, up to MOST of them.
         room : tuple of 2 ndarrays, shapes (MOST, instants, nq), (MOST, instants, nv), optional
             Where positions and velocities go, so that they need not be copied.
 
         Returns
         -------
-        list of Record, or None
+        list of RunResult, or None
             None where they must be made one by one: they differ in their methods, or one of
             them fails or comes to a singular configuration. None in the list for a run that a
             guard may end.
@@ -441,7 +441,7 @@ class SimdRuns:
             raise KeyboardInterrupt
         if status != DONE:
             return None
-        return [None if how != DONE else Record(
+        return [None if how != DONE else RunResult(
             _values_of_motion(start.simulation, tau, schedule, steps, self.quantities, *motion),
             _finding(start.simulation, energy))
             for start, tau, how, energy, *motion in zip(starts, torques, ended, found, *room)]

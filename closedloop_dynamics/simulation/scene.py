@@ -190,7 +190,7 @@ def _read(data: Any, path: Optional[Path]) -> Scene:
             model, start = closed_start(model)
             mechanism = model.mechanism
             data = {**data, 'initial': {
-                'position': mechanism.coordinates.told('position', start.position)}}
+                'position': mechanism.coordinates.by_name('position', start.position)}}
     return _scene(data, {}, path, mechanism)
 
 

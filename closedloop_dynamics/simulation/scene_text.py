@@ -20,7 +20,7 @@ from .scene import load_scene, SceneError
 from .scene_records import Scene
 from ..effects.registry import effect_type
 from ..mechanism.mechanism import Mechanism
-from ..mechanism.shapes import told
+from ..mechanism.shapes import as_data
 from ..mechanism.validation import SECTIONS
 
 FORMAT = 1
@@ -83,11 +83,11 @@ def scene_data(
         'description': scene.description,
         'initial': {
             'position': {
-                **coordinates.told('position', initial.position), **initial.turned},
+                **coordinates.by_name('position', initial.position), **initial.turned},
             'hold': list(initial.hold),
             'velocity': {
                 name: value for name, value
-                in coordinates.told('velocity', initial.velocity).items()
+                in coordinates.by_name('velocity', initial.velocity).items()
                 if not initial.hold
                 or {name, coordinates.joint_of(name)} & set(initial.hold)}},
         'effects': {name: {
@@ -172,7 +172,7 @@ def read_scene_text(text: str) -> Tuple[Scene, Dict[str, Any]]:
 
 def _mechanism(mechanism: Mechanism) -> Dict[str, Any]:
     """Return a mechanism as its file has it."""
-    drawn = {'ground_visual': [told(visual, not mechanism.planar) for visual in (
+    drawn = {'ground_visual': [as_data(visual, not mechanism.planar) for visual in (
         mechanism.ground_visual)]} if mechanism.ground_visual else {}
     return {'name': mechanism.name, 'description': mechanism.description, **drawn, **{
         key: {record.name: _record(record, not mechanism.planar)
@@ -186,7 +186,7 @@ def _record(record: Any, spatial: bool) -> Dict[str, Any]:
     if 'orientation' in values:
         values['orientation'] = {'quaternion': values['orientation']}
     if 'visual' in values:
-        values['visual'] = [told(visual, spatial) for visual in values['visual']]
+        values['visual'] = [as_data(visual, spatial) for visual in values['visual']]
     return values
 
 

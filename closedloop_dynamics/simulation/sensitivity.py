@@ -17,7 +17,7 @@ from .model import Model
 from .named_array import frozen, sealed
 from .parameters import parameter_arrays
 from .rollout import RolloutArguments, scheduled
-from .rollout_run import all_torques, Schedule
+from .rollout_run import all_torques, TimeGrid
 from .scene_records import Method, require_no_budget
 from .simulation import Simulation
 from .state import State
@@ -227,7 +227,7 @@ class Sensitivity:
                 self._take()
             return self._made(schedule, all_torques(simulation, given.torques))
 
-    def _made(self, schedule: Schedule, torque: np.ndarray) -> 'Trajectory':
+    def _made(self, schedule: TimeGrid, torque: np.ndarray) -> 'Trajectory':
         simulation, system = self._simulation, self._system
         stabilisation = STABILISATIONS[simulation.scene.method.stabilisation]
         run = SteppedRun(self._tableau, stabilisation, simulation.step_size,

@@ -14,7 +14,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
 from ..simulation.assembly import find_degrees_of_freedom, MOST_EQUATIONS
-from ..simulation.global_assembly import find_closed, Loops
+from ..simulation.global_assembly import ClosureProblem, find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.redundancy import find_redundancy
@@ -52,12 +52,13 @@ def describe_model(imported):
 def _loops(imported, found):
     """Return how far the loops are open as drawn and closed, and where the joints are then."""
     mechanism = imported.mechanism
-    loops = Loops(mechanism, extent(mechanism))
+    loops = ClosureProblem(mechanism, extent(mechanism))
     drawn = loops.start(imported.position)
-    before = loops.gaps(drawn)
+    before = loops.closure_errors(drawn)
     return [
         _table('Loops', ('name', 'open as drawn [m, rad]', 'open when closed'), [
-            (name, _value(before[name]), f'{gap:.2g}') for name, gap in found.gaps.items()]),
+            (name, _value(before[name]), f'{error:.2g}')
+            for name, error in found.closure_errors.items()]),
         _table('Joints when closed', ('name', 'type', 'position [rad, m; x, y, z, w]'), [
             (joint.name, joint.type, ', '.join(map(_value, found.q[
                 mechanism.coordinates.coordinates[joint.name]].tolist())))
@@ -223,7 +224,7 @@ def _degrees_of_freedom(mechanism, simulation, found):
     else:
         found = found or _closed(mechanism)
         freedoms = None if not found.closed else (
-            joints - Loops(mechanism, extent(mechanism)).rank(found.q))
+            joints - ClosureProblem(mechanism, extent(mechanism)).rank(found.q))
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found to tell)')
@@ -240,7 +241,7 @@ def _degrees_of_freedom(mechanism, simulation, found):
 def _closed(mechanism):
     """Search a position of a mechanism in space that closes the loops."""
     size = extent(mechanism)
-    return find_closed(mechanism, size, Loops(mechanism, size).start())
+    return find_closed(mechanism, size, ClosureProblem(mechanism, size).start())
 
 
 def _initial(mechanism, initial, simulation):
@@ -256,7 +257,7 @@ def _initial(mechanism, initial, simulation):
         row = [key]
         for position, velocity, write in states:
             for quantity, values in (('position', position), ('velocity', velocity)):
-                row.append(_told(names.told(quantity, values)[key], write))
+                row.append(_told(names.by_name(quantity, values)[key], write))
         row.insert(3, 'held' if {key, joint} & set(initial.hold) else 'free')
         rows.append(tuple(row))
     if simulation is None:

@@ -118,7 +118,7 @@ class Ratio:
 
 
 @dataclass(frozen=True)
-class Record:
+class RecordedRun:
     """One run."""
 
     time: np.ndarray  # Shape (n,) [s]
@@ -154,7 +154,7 @@ class Finding:
     # Names of the joint and of the point that this moves furthest; empty where there is none.
     joint: str
     point: str
-    run: Optional[Record]  # Without them
+    run: Optional[RecordedRun]  # Without them
 
     @property
     def moved(self):
@@ -172,7 +172,7 @@ class Study:
     """The findings on one scene."""
 
     simulation: Simulation  # Of the scene
-    run: Record  # Of the scene as it is
+    run: RecordedRun  # Of the scene as it is
     findings: Tuple[Finding, ...]  # One for each type of effect, in the scene's order
     bare: float  # Time of an evaluation without any effect [s]
     # Times of an evaluation, over that: without any effect once more, which only noise keeps from
@@ -291,7 +291,7 @@ def record(simulation, duration, rows, torque=None, rates=None):
         kept.append(_row(simulation))
     columns = list(zip(*kept))
     arrays = [np.array(column) for column in columns[:6]]
-    return Record(
+    return RecordedRun(
         *arrays,
         readings={name: {key: np.array([values[name][key] for values in columns[6]])
                          for key in columns[6][0][name]} for name in columns[6][0]},

@@ -99,7 +99,7 @@ class Problem:
         return np.array([one.high - one.low for one in self.variables])
 
 
-class Found(NamedTuple):
+class Candidate(NamedTuple):
     """
     A machine that was found.
 
@@ -147,19 +147,19 @@ class Optimum:
     problem : Problem
     starts : dict of str to Found
         By aim and start, ``'aim 1 start 0'``.
-    front : list of Found
+    front : list of Candidate
         Of two aims, none of which is worse than another in both, by the first aim.
     finished : bool
 
     """
 
     problem: Problem
-    starts: Dict[str, Found] = field(default_factory=dict)
-    front: List[Found] = field(default_factory=list)
+    starts: Dict[str, Candidate] = field(default_factory=dict)
+    front: List[Candidate] = field(default_factory=list)
     finished: bool = False
 
     @property
-    def best(self) -> Optional[Found]:
+    def best(self) -> Optional[Candidate]:
         """Return the best machine for the first aim; None where none meets the requirements."""
         return min((one for one in self.starts.values() if one.feasible),
                    key=lambda one: one.aims[0], default=None)
@@ -169,7 +169,7 @@ class Optimum:
         """Return how many machines could not be assembled or driven, by reason."""
         return sum((Counter(one.refused) for one in self.starts.values()), Counter())
 
-    def scene(self, found: Found) -> Scene:
+    def scene(self, found: Candidate) -> Scene:
         """Return the scene of a machine that was found."""
         scene = with_values(self.problem.scene, self.problem.variables, found.values)
         return replace(scene, initial=replace(scene.initial, position=tuple(found.position)))
@@ -367,7 +367,7 @@ def aims_of(problem: Problem, scene: Scene) -> Tuple[float, ...]:
 
 def undominated(machines):
     """Return the machines that meet all requirements and of which no other is as good in both."""
-    found: List[Found] = []
+    found: List[Candidate] = []
     for one in sorted((each for each in machines if each.feasible), key=lambda each: each.aims):
         if found and one.aims[1] >= found[-1].aims[1] - SAME * abs(found[-1].aims[1]):
             continue
@@ -377,7 +377,7 @@ def undominated(machines):
     return found
 
 
-def from_start(problem: Problem, aim: int, number: int) -> Found:
+def from_start(problem: Problem, aim: int, number: int) -> Candidate:
     """Minimise one aim from one of the starts."""
     search = _Search(problem, problem.aims[aim], problem.requirements)
     start = search.drawn(number)
@@ -386,7 +386,7 @@ def from_start(problem: Problem, aim: int, number: int) -> Found:
     return search.minimised(start)
 
 
-def within_bound(problem: Problem, most: float, start: Found) -> Found:
+def within_bound(problem: Problem, most: float, start: Candidate) -> Candidate:
     """Minimise the first aim with the second one bounded, from a machine that was found."""
     search = _Search(problem, problem.aims[0],
                      (*problem.requirements, Bound(problem.aims[1], most)))
@@ -503,13 +503,13 @@ class _Search:
     def result(self, message):
         """Return the best machine so far."""
         if self._best is None:
-            return Found((), (), math.inf, (), message, self._evaluations, self._gradients,
+            return Candidate((), (), math.inf, (), message, self._evaluations, self._gradients,
                          dict(self._refused))
         _, z, aims, missed = self._best
         values = self._values(z)
         position = start_position(self._problem.driven.start(
             with_values(self._scene, self._problem.variables, values)))
-        return Found(tuple(values.tolist()), tuple(aims), float(missed),
+        return Candidate(tuple(values.tolist()), tuple(aims), float(missed),
                      tuple(position.tolist()), message, self._evaluations, self._gradients,
                      dict(self._refused))
 
@@ -651,7 +651,7 @@ class _Log:
 
 
 def _found(values):
-    return Found(**{key: tuple(value) if isinstance(value, list) else value
+    return Candidate(**{key: tuple(value) if isinstance(value, list) else value
                     for key, value in values.items()})
 
 
@@ -678,7 +678,7 @@ def _run(tasks, log, workers, show, keep_going):
 
     def given_up(places, reason):
         place, = places.tolist()
-        return names[place], Found((), (), math.inf, (), reason, 0, 0, {})
+        return names[place], Candidate((), (), math.inf, (), reason, 0, 0, {})
 
     with engine_for(len(names), workers) as engine:
         for name, one in dispatched(

@@ -12,7 +12,7 @@ from .plan import TORQUE
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed
 from ..simulation.rollout_run import (
-    FEWEST, fits_simd, MOST, nothing, Record, record, Schedule, SimdRuns, Start, STATE)
+    FEWEST, fits_simd, InitialState, MOST, nothing, record, RunResult, SimdRuns, STATE, TimeGrid)
 from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
@@ -27,7 +27,7 @@ class Job:
 
     scene: Scene
     paths: Tuple[Tuple[str, ...], ...]  # What varies
-    schedule: Schedule
+    schedule: TimeGrid
     keep: Tuple[str, ...]  # Quantities kept at every instant
 
 
@@ -117,7 +117,7 @@ def _alone(job, source, row, torques, wanted):
     except Exception as error:
         # Whatever it is, the other samples of the sweep shall not be lost by it.
         failure = f'{type(error).__name__}: {error}'
-    return Record(nothing(wanted, job.scene.mechanism, job.schedule.instants), failure)
+    return RunResult(nothing(wanted, job.scene.mechanism, job.schedule.instants), failure)
 
 
 def summary(job, values):
@@ -164,7 +164,7 @@ class _Source:
             torques = torques.copy()
             for joint, value in varied.items():
                 torques[:, simulation.actuated_joints.index(joint)] = value
-        return Start(simulation, simulation.integrated.copy(), torques)
+        return InitialState(simulation, simulation.integrated.copy(), torques)
 
     def _at_start(self, row):
         """Return a simulation at its start, and torques by joint that are varied."""

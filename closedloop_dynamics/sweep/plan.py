@@ -21,7 +21,7 @@ import numpy as np
 
 from ..mechanism.fields import among, at, FieldError, nearest
 from ..simulation.key_paths import resolve
-from ..simulation.rollout_run import checked_quantities, Schedule, STATE
+from ..simulation.rollout_run import checked_quantities, STATE, TimeGrid
 from ..simulation.scene_records import Scene
 
 RANGE = 'FROM:TO:COUNT'
@@ -219,7 +219,7 @@ class Plan:
 
     @cached_property
     def schedule(self):
-        """Return when torques change and instants are kept: a ``recording.Schedule``."""
+        """Return when torques change and instants are kept: a ``rollout_run.TimeGrid``."""
         for name in ('duration', 'rate'):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -235,7 +235,7 @@ class Plan:
                 f'as many rows as there are instants ({instants}), or a multiple or a whole part '
                 'of that', str(rows), path=('torques',))
         interval = 1.0 / self.rate if instants >= rows else self.duration / rows
-        return Schedule(interval, finest, finest // rows, finest // instants)
+        return TimeGrid(interval, finest, finest // rows, finest // instants)
 
     @property
     def times(self):

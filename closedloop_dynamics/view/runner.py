@@ -417,7 +417,7 @@ class Runner:
             kinematic=self._kinematic, editing=self._editing,
             undoable=self.editor.undoable, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
-                simulation.coordinates.told('position', np.round(simulation.position, 6))
+                simulation.coordinates.by_name('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
             motion=self._motion(), drives=drives_told({
                 name: (drive.mode, drive.value) for name, drive in self.drives.items()}),

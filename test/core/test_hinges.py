@@ -7,7 +7,7 @@ from closedloop_dynamics.core import types as t
 from closedloop_dynamics.core.codegen import function_table as calls, routines, space
 from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.global_assembly import find_closed, Loops
+from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed
 from closedloop_dynamics.simulation.tree_choice import count_operations
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def leg(balls=False, cut='fixed', couplings=(), axes=AXES):
 
 def state(mechanism, cut='spherical'):
     """Return a closed position with rates that keep it closed, and torques."""
-    loops, rng = Loops(mechanism, 1.0), np.random.default_rng(2)
+    loops, rng = ClosureProblem(mechanism, 1.0), np.random.default_rng(2)
     found = find_closed(mechanism, 1.0, loops.moved(
         loops.start(), 0.4 * rng.uniform(-1.0, 1.0, loops.nv)))
     assert found.closed

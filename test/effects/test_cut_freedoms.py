@@ -98,7 +98,7 @@ def simulation(mechanism, effects, position=None):
         tuple(start), (0.0,) * known.nv), effects, METHOD))
 
 
-def told(sim):
+def readings(sim):
     """Return position (of rotations zero), rate, acceleration and effort by freedom."""
     found = {}
     for known, position, *rates in (
@@ -122,9 +122,9 @@ def orientation(sim):
 def test_what_acts_at_any_cut_joint_acts_as_in_the_tree(tmp_path, cut):
     tree, sim = (simulation(machine(tmp_path, each), EFFECTS) for each in (IN_TREE, cut))
     assert tree.cut_joint_names == ('rod_1.1', 'rod_1.2', 'rod_2.1', 'rod_2.2')
-    assert set(told(tree)) == set(told(sim)) == {*FREEDOMS, *RATES}
+    assert set(readings(tree)) == set(readings(sim)) == {*FREEDOMS, *RATES}
     for _ in range(4):
-        one, other = (told(each) for each in (tree, sim))
+        one, other = (readings(each) for each in (tree, sim))
         for name in other:
             np.testing.assert_allclose(other[name][:2], one[name][:2], rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(other[name][2:], one[name][2:], rtol=1e-8, atol=1e-7)
@@ -153,15 +153,15 @@ def same_state(sim, other):
     """Return the state of a simulation as another one, with other joints cut, takes it."""
     state = []
     for quantity, place in (('position', 0), ('velocity', 1)):
-        values = {**sim.coordinates.told(quantity, getattr(sim, quantity)),
-                  **{name: each[place] for name, each in told(sim).items()}}
+        values = {**sim.coordinates.by_name(quantity, getattr(sim, quantity)),
+                  **{name: each[place] for name, each in readings(sim).items()}}
         state.append({name: values[name] for name in other.coordinates.keys})
     return state
 
 
 def accelerations(sim):
     """Return the accelerations of all joints that have a number."""
-    found = told(sim)
+    found = readings(sim)
     return [found[name][2] for name in (*FREEDOMS, *RATES)]
 
 
@@ -211,7 +211,7 @@ def both_slots(directory, moved=None):
     """Return it with the slot cut, and with the crank's joint cut."""
     tree = pin_in_slot(
         directory, {'rocker_joint': 1.2, 'slide': 0.25, 'turn': -0.8}, False, moved)
-    start = {name: told(tree)[name][0] for name in ('crank_joint', 'rocker_joint')}
+    start = {name: readings(tree)[name][0] for name in ('crank_joint', 'rocker_joint')}
     return pin_in_slot(directory, start, True, moved), tree
 
 
@@ -219,7 +219,7 @@ def test_a_pin_in_a_slot_slides_and_turns_as_a_block_does(tmp_path):
     cut, tree = both_slots(tmp_path)
     assert cut.cut_joint_names == cut.actuated_joints == ('slot.x', 'slot.angle')
     for _ in range(6):
-        one, other = told(tree), told(cut)
+        one, other = readings(tree), readings(cut)
         for name, same in SLOT.items():
             np.testing.assert_allclose(other[same][:2], one[name][:2], rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(other[same][2:], one[name][2:], rtol=1e-8, atol=1e-7)
@@ -236,7 +236,7 @@ def test_a_pin_in_a_slot_slides_and_turns_as_a_block_does(tmp_path):
 def test_a_pin_in_a_slot_is_moved_as_a_block_is(tmp_path, moved):
     cut, tree = both_slots(tmp_path, moved)
     for _ in range(3):
-        one, other = told(tree), told(cut)
+        one, other = readings(tree), readings(cut)
         for name, same in SLOT.items():
             np.testing.assert_allclose(other[same][:2], one[name][:2], rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(other[same][2], one[name][2], rtol=1e-8, atol=1e-7)
@@ -254,7 +254,7 @@ def test_freedoms_in_space_are_moved_as_in_the_tree(tmp_path, moved):
         for name, joint, size in zip(('one', 'other'), moved, (0.1, 0.05))}}
     tree, cut = (simulation(machine(tmp_path, each), effects) for each in (IN_TREE, CUTS[0]))
     for _ in range(3):
-        one, other = told(tree), told(cut)
+        one, other = readings(tree), readings(cut)
         for name in FREEDOMS:
             np.testing.assert_allclose(other[name][:2], one[name][:2], rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(other[name][2:], one[name][2:], rtol=1e-8, atol=1e-7)

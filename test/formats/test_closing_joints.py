@@ -68,7 +68,7 @@ def test_rounded_digits_of_a_file_are_closed_by_moving_the_anchor(tmp_path, way)
     text = machines.four_bar(way).replace('0.4 0 0"', '0.4 8.9e-9 0"')
     imported = read_model(written(tmp_path, text, 'digits.urdf'))
     moved, found, notes = assembled(imported)
-    assert found.closed and max(found.gaps.values()) < 1e-15
+    assert found.closed and max(found.closure_errors.values()) < 1e-15
     assert notes[-1].endswith('was moved by 8.9e-09 m, as rounded digits of the file keep its '
                               'loop open')
     cut, = moved.mechanism.cut_joints

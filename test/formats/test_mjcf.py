@@ -9,7 +9,7 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.global_assembly import Loops
+from closedloop_dynamics.simulation.global_assembly import ClosureProblem
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def state(compiled, imported, rng):
     """Return MuJoCo's data in a state, and our coordinates and rates in the same."""
     coordinates = imported.mechanism.coordinates
     data = mujoco.MjData(compiled)
-    q = Loops(imported.mechanism, 1.0).start(imported.position)
+    q = ClosureProblem(imported.mechanism, 1.0).start(imported.position)
     qd = rng.normal(size=coordinates.nv)
     q = coordinates.moved(q, 0.5 * rng.normal(size=coordinates.nv))
     for number in range(compiled.njnt):
@@ -128,7 +128,7 @@ def accelerations(imported, q, qd):
     numbers = Numbers(build_spatial_model(imported.mechanism, gravity).model)
     numbers.move(q, qd)
     inertia, force = numbers.inertia(), -numbers.bias_force()
-    loops = Loops(imported.mechanism, 1.0)
+    loops = ClosureProblem(imported.mechanism, 1.0)
     for effect in effects.values():
         place = coordinates.index.get(effect.get('joint'))
         if effect['type'] == 'rotor':
@@ -351,7 +351,7 @@ def test_actuators_of_several_outputs(tmp_path):
 def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
     text = LOOPS.replace('EQUALITY', EQUALITIES[kind])
     compiled, imported = mujoco.MjModel.from_xml_string(text), read_model(written(tmp_path, text))
-    loops, rng = Loops(imported.mechanism, 1.0), np.random.default_rng(1)
+    loops, rng = ClosureProblem(imported.mechanism, 1.0), np.random.default_rng(1)
     if kind == 'connect':
         # As it is drawn, MuJoCo finds the second anchor where the first is.
         cut = imported.mechanism.cut_joints[0]
@@ -375,7 +375,7 @@ def test_a_weld_whose_torques_count_nothing_is_a_ball(tmp_path, kind):
     text = LOOPS.replace('EQUALITY', EQUALITIES[kind].replace('/>', ' torquescale="0"/>'))
     compiled, imported = mujoco.MjModel.from_xml_string(text), read_model(written(tmp_path, text))
     assert [cut.type for cut in imported.mechanism.cut_joints] == ['spherical']
-    loops, rng = Loops(imported.mechanism, 1.0), np.random.default_rng(1)
+    loops, rng = ClosureProblem(imported.mechanism, 1.0), np.random.default_rng(1)
     data, q, _ = state(compiled, imported, rng)
     assert not data.efc_pos[3:6].any()
     assert np.linalg.norm(loops.residual(q, wanted=False)[0]) == pytest.approx(

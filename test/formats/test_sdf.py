@@ -8,7 +8,7 @@ from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.rotations import of_quaternion
-from closedloop_dynamics.simulation.global_assembly import Loops
+from closedloop_dynamics.simulation.global_assembly import ClosureProblem
 import numpy as np
 import pytest
 
@@ -79,7 +79,7 @@ def test_the_same_machine_in_frames_of_its_own(tmp_path):
         'stiffness_crank_joint': {
             'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 3.0, 'rest': 0.2}}
     # Everything is drawn where the file says: all loops are closed there.
-    assert max(Loops(mechanism, 1.0).gaps(np.zeros(3)).values()) < 1e-12
+    assert max(ClosureProblem(mechanism, 1.0).closure_errors(np.zeros(3)).values()) < 1e-12
 
 
 @pytest.mark.parametrize('version, given, expected', [

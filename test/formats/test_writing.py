@@ -20,7 +20,7 @@ from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.global_assembly import find_closed, Loops
+from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def by_joint(mechanism, q, qd):
 
 def closed_state(mechanism):
     """Return coordinates and rates of a mechanism with its loops closed."""
-    loops, rng = Loops(mechanism, 1.0), np.random.default_rng(3)
+    loops, rng = ClosureProblem(mechanism, 1.0), np.random.default_rng(3)
     q = loops.moved(loops.start(), 0.3 * rng.normal(size=loops.nv))
     found = find_closed(mechanism, 1.0, q)
     assert found.closed
@@ -136,7 +136,7 @@ def test_urdf_that_is_drawn_with_its_loops_closed(tmp_path, kinds, kind):
     again = read_again(
         tmp_path, urdf_with_loops(mechanism, start=found.q, loops='gazebo'), '.urdf')
     drawn = again.coordinates.start()
-    assert max(Loops(again, 1.0).gaps(drawn).values()) < 1e-12
+    assert max(ClosureProblem(again, 1.0).closure_errors(drawn).values()) < 1e-12
     assert [(cut.name, cut.type) for cut in again.cut_joints] == [('cut', kind)]
     if 'helical' in kinds:
         # A screw turns, and slides with that.
@@ -183,11 +183,11 @@ def test_sdf_with_every_loop_and_joint(tmp_path, kinds, loop):
     assert [cut.name for cut in again.cut_joints] == ['cut']
     # Drawn with its loops closed, and there are its zeros.
     drawn = again.coordinates.start()
-    assert max(Loops(again, 1.0).gaps(drawn).values()) < 1e-12
+    assert max(ClosureProblem(again, 1.0).closure_errors(drawn).values()) < 1e-12
     np.testing.assert_allclose(accelerations(again, drawn, qd),
                                accelerations(mechanism, found.q, qd), rtol=1e-10, atol=1e-10)
     # And from there both move alike.
-    loops = Loops(mechanism, 1.0)
+    loops = ClosureProblem(mechanism, 1.0)
     moved = find_closed(mechanism, 1.0, loops.moved(found.q, 0.1 * qd))
     coordinates = moved.q - found.q
     if any(kind == 'spherical' for kind in kinds):
@@ -416,9 +416,9 @@ def test_mjcf_comes_back_where_it_started(tmp_path):
     found, _ = closed_state(mechanism)
     (tmp_path / 'm.xml').write_text(mjcf(mechanism, GRAVITY, found.q))
     imported = read_model(tmp_path / 'm.xml')
-    loops = Loops(imported.mechanism, 1.0)
+    loops = ClosureProblem(imported.mechanism, 1.0)
     start = loops.start(imported.position)
-    assert max(loops.gaps(start).values()) < 1e-9
+    assert max(loops.closure_errors(start).values()) < 1e-9
     np.testing.assert_allclose(start[:7], found.q[:7], atol=1e-12)
 
 
@@ -430,7 +430,7 @@ def test_mujoco_has_the_accelerations_of_machines_that_are_exported(name):
     mujoco = pytest.importorskip('mujoco')
     mechanism = in_space(read_mechanism(shipped_path('mechanisms', name)))
     found, qd = closed_state(mechanism)
-    loops, q = Loops(mechanism, 1.0), found.q
+    loops, q = ClosureProblem(mechanism, 1.0), found.q
     for _ in range(3):
         # As exactly as equations that repeat others need it.
         values, jac, _ = loops.residual(q)
@@ -521,7 +521,8 @@ def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, cap
     assert 'expected a name that ends with one of .mjcf, .xml, .urdf' in capsys.readouterr().err
     assert main(['export', 'three_rrr', '--output', 'l.urdf', '--loops', 'gazebo']) == 0
     assert 'drawn where the loops are closed; coordinates count' in capsys.readouterr().out
-    assert max(Loops(read_model('l.urdf').mechanism, 1.0).gaps(np.zeros(7)).values()) < 1e-10
+    problem = ClosureProblem(read_model('l.urdf').mechanism, 1.0)
+    assert max(problem.closure_errors(np.zeros(7)).values()) < 1e-10
     assert main(['export', 'rssr_four_bar', '--output', 'r.sdf']) == 0
     # Links whose joints have their names are called otherwise.
     assert [body.name for body in read_model('r.sdf').mechanism.bodies] == [
@@ -529,7 +530,7 @@ def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, cap
     assert main(['export', 'geared_five_bar', '--output', 'g.sdf']) == 0
     assert 'coordinates count from there: crank_1_joint 0, ' in capsys.readouterr().out
     again = read_model('g.sdf').mechanism
-    assert max(Loops(again, 1.0).gaps(np.zeros(4)).values()) < 1e-10
+    assert max(ClosureProblem(again, 1.0).closure_errors(np.zeros(4)).values()) < 1e-10
     effects = {**GRAVITY, 'a': {'type': 'joint_damping', 'joint': 'j0', 'coefficient': 0.5},
                'b': {'type': 'joint_spring', 'joint': 'j1', 'stiffness': 3.0, 'rest': 0.2}}
     (tmp_path / 'm.xml').write_text(mjcf(tree('revolute', 'prismatic'), effects))

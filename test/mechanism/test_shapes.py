@@ -7,7 +7,7 @@ import math
 
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.mechanism.shapes import told, visuals, with_shape
+from closedloop_dynamics.mechanism.shapes import as_data, visuals, with_shape
 import numpy as np
 import pytest
 
@@ -131,7 +131,7 @@ def test_what_is_drawn_is_read_again_as_it_was(spatial):
         {'cylinder': {'radius': 1, 'length': 2, 'axis': [0, 0, -1]}},
         {'sphere': {'radius': 1, 'center': place, 'color': [0.1, 0, 1]}}, {'rod': {'to': place}},
         {'mesh': {'file': 'a/b.stl', 'scale': [1e-3, 1e-3, 1e-3], 'center': place}}], spatial)
-    again = visuals([told(shape, spatial) for shape in shapes], spatial)
+    again = visuals([as_data(shape, spatial) for shape in shapes], spatial)
     for one, other in zip(shapes, again, strict=True):
         assert (one.kind, one.file, one.color) == (other.kind, other.file, other.color)
         assert one.size == pytest.approx(other.size) and one.center == pytest.approx(other.center)

@@ -6,7 +6,8 @@
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism)
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.global_assembly import CLOSED, find_closed, Loops, never_closed
+from closedloop_dynamics.simulation.global_assembly import (
+    CLOSED, ClosureProblem, find_closed, never_closed)
 import numpy as np
 import pytest
 
@@ -47,8 +48,8 @@ def every_joint():
     return mechanism(joints, cuts, [Coupling('gear', {'j0': 1.0, 'j1': -3.0, 'j2': 0.5}, 0.1)])
 
 
-def test_jacobian_is_the_derivative_of_the_gaps():
-    loops, rng = Loops(every_joint(), 0.7, {'j0': (-0.1, 0.1)}), np.random.default_rng(0)
+def test_jacobian_is_the_derivative_of_the_closure_errors():
+    loops, rng = ClosureProblem(every_joint(), 0.7, {'j0': (-0.1, 0.1)}), np.random.default_rng(0)
     for _ in range(5):
         q = loops.moved(loops.start(), rng.normal(size=loops.nv))
         _, jac, _ = loops.residual(q)
@@ -59,7 +60,7 @@ def test_jacobian_is_the_derivative_of_the_gaps():
 
 
 def test_metric_is_the_kinetic_energy():
-    loops, rng = Loops(every_joint(), 1.0), np.random.default_rng(1)
+    loops, rng = ClosureProblem(every_joint(), 1.0), np.random.default_rng(1)
     q, rates = loops.moved(loops.start(), rng.normal(size=loops.nv)), rng.normal(size=loops.nv)
 
     def energy():
@@ -133,12 +134,12 @@ def test_a_loop_that_cannot_close_is_told_with_its_gap():
     # A bar of 2.5 and one of 1 on pins 1 apart: half a metre too long.
     found = find_closed(triangle(2.5), 1.0, np.array([0.3, -0.2]), starts=1)
     assert not found.closed
-    assert found.gaps == {'pin': pytest.approx(0.5, abs=1e-4)}
+    assert found.closure_errors == {'pin': pytest.approx(0.5, abs=1e-4)}
 
 
 def test_gaps_are_in_metres_whatever_the_size():
     found = find_closed(triangle(2.5), 4.0, np.array([0.3, -0.2]), starts=1)
-    assert found.gaps == {'pin': pytest.approx(0.5, abs=1e-4)}
+    assert found.closure_errors == {'pin': pytest.approx(0.5, abs=1e-4)}
 
 
 def test_loops_that_no_motion_closes_are_told_apart_from_others():
@@ -152,7 +153,8 @@ def test_loops_that_no_motion_closes_are_told_apart_from_others():
     found = find_closed(machine, 1.0, start)
     assert not found.closed
     # What can be closed is closed.
-    assert found.gaps == {'pin': pytest.approx(0.0, abs=1e-9), 'aside': pytest.approx(0.04)}
+    assert found.closure_errors == {
+        'pin': pytest.approx(0.0, abs=1e-9), 'aside': pytest.approx(0.04)}
     assert never_closed(machine, 1.0, start) == {'aside': pytest.approx(0.04)}
 
 
@@ -197,7 +199,7 @@ def test_rank_in_a_parallelogram_and_beside_it():
               Joint('c', 'revolute', 'ground', 'c', (1.0, 0.0, 0.0), axis=Z)]
     cut = CutJoint('pin', 'revolute', 'b', 'c', (1.0, 0.0, 0.0), (0.3, 0.0, 0.0), axis_a=Z,
                    axis_b=Z)
-    loops = Loops(mechanism(joints, [cut]), 1.0)
+    loops = ClosureProblem(mechanism(joints, [cut]), 1.0)
     flat = np.zeros(3)
     assert np.abs(loops.residual(flat)[0]).max() < CLOSED
     assert np.linalg.matrix_rank(loops.residual(flat)[1], tol=1e-9) == 1

@@ -7,7 +7,7 @@ from dataclasses import replace
 from test.sweep.files import need, read
 
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.simulation.rollout_run import fits_simd, QUANTITIES, Schedule
+from closedloop_dynamics.simulation.rollout_run import fits_simd, QUANTITIES, TimeGrid
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.sweep import sweep
 import numpy as np
@@ -60,7 +60,7 @@ def one_by_one(made, torques, steps, every, starts=None):
 def test_results_in_space_are_those_of_single_simulations(build, method):
     made = build(**method)
     simulation = Simulation(made)
-    schedule = Schedule(simulation.step_size, 12, 6, 3)
+    schedule = TimeGrid(simulation.step_size, 12, 6, 3)
     # Side by side in a vector, and one that is left over.
     assert fits_simd(simulation, schedule) == bool(method)
     random = np.random.default_rng(4)
