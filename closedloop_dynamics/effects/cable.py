@@ -122,7 +122,7 @@ class Cable(Effect):
             self.points, self.radii or ())) if radius}
 
     def start_notes(self, name, readings, weight):
-        """Tell of a stretch that few cables bear, by forces that no weight explains."""
+        """Return a note of a stretch beyond what ropes bear, under forces beyond all weight."""
         found = readings()
         stretch = found['length'] - self.free_length
         if not (stretch > LARGE_STRETCH * self.free_length

@@ -305,7 +305,7 @@ class Effect:
 
     def start_notes(self, name, readings, weight):
         """
-        Tell of a start that may not be the one that was meant.
+        Return notes of a start that may not be the one that was meant.
 
         Parameters
         ----------

@@ -39,7 +39,7 @@ _REASONS = {
 
 def refused(effects):
     """
-    Tell which effects have no law here, and why.
+    Return which effects have no law here, and why.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ def _name_bodies(root):
 
 
 def _asks(element, key, value):
-    """Tell whether an element, or one in it, has an attribute of a value."""
+    """Return whether an element, or one in it, has an attribute of a value."""
     return element.attributes.get(key) == value or any(
         _asks(child, key, value) for child in element.children)
 
@@ -381,7 +381,7 @@ class _Reader:
                 joint.start = float(own[0])
 
     def disabled(self, what):
-        """Tell whether the flags of the file disable something."""
+        """Return whether the flags of the file disable something."""
         return disabled(self.mujoco, self.compiled, what)
 
     def _find_drives(self):
@@ -516,7 +516,7 @@ class _Reader:
             yield f'{kind}_{key}poly', row
 
     def _passive(self):
-        """Tell whether MuJoCo has any forces that no drive and no constraint makes."""
+        """Return whether MuJoCo has any forces that no drive and no constraint makes."""
         return not (self.disabled('SPRING') and self.disabled('DAMPER'))
 
     def _unlimited(self):

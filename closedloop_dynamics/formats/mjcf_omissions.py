@@ -40,7 +40,7 @@ LEAST = 1e-15
 
 def disabled(mujoco, compiled, what):
     """
-    Tell whether the flags of a file disable something.
+    Return whether the flags of a file disable something.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _drag(compiled):
 
 
 def _turns(mujoco, compiled, kind, number):
-    """Tell whether a joint, a tendon or an actuator is measured by an angle."""
+    """Return whether a joint, a tendon or an actuator is measured by an angle."""
     if kind == 'TENDON':
         first = int(compiled.tendon_adr[number])
         if compiled.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT:

@@ -39,7 +39,7 @@ def writer(suffix):
 
 
 def is_model(path):
-    """Tell from its name whether a file is a model in another format."""
+    """Return whether a file is, by its name, a model in another format."""
     return Path(path).suffix.lower() in READERS
 
 

@@ -511,7 +511,7 @@ def _color(visual):
 
 
 def _must_close(element):
-    """Tell whether a joint is to be cut where there is a choice."""
+    """Return whether a joint is to be cut where there is a choice."""
     for tag in ('physics', 'simbody', 'must_be_loop_joint'):
         element = element and element.child(tag)
     return bool(element) and element.text in TRUE

@@ -114,7 +114,7 @@ def places_of_packages(folder):
 
 
 def _is_file(path):
-    """Tell whether there is a file; a name that is too long is none."""
+    """Return whether there is a file; a name that is too long is none."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -49,7 +49,7 @@ class Lane(NamedTuple):
 
 def fits(system, stabilisation):
     """
-    Tell whether a system may take a lane.
+    Return whether a system may take a lane.
 
     Returns
     -------

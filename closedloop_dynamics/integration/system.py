@@ -206,7 +206,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
 
 
 def _can_be_unrolled(model):
-    """Tell whether routines of a mechanism are of bearable size."""
+    """Return whether routines of a mechanism are of bearable size."""
     freedoms, cut = len(model.tree) - 1, model.cut
     if not space.is_spatial(model):
         return freedoms <= MOST_UNROLLED_BODIES

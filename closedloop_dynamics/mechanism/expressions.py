@@ -269,7 +269,7 @@ def put_changes(value, before, after):
 
 
 def _of_numbers(kind):
-    """Tell whether a field of this type is made of numbers."""
+    """Return whether a field of this type is made of numbers."""
     parts = get_args(kind)
     if get_origin(kind) is dict:
         return _of_numbers(parts[1])

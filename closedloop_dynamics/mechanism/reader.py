@@ -233,7 +233,7 @@ def _checked_record(record: Any, checks: Mapping[str, Any]) -> Any:
 
 
 def _is_spatial(data: Mapping[str, Any]) -> bool:
-    """Tell whether data describe a mechanism in space, as their first joint does."""
+    """Return whether data describe a mechanism in space, as their first joint does."""
     joints = data.get('joints')
     first = next(iter(joints.values()), None) if isinstance(joints, Mapping) else None
     place = first.get('position') if isinstance(first, Mapping) else None

@@ -72,7 +72,7 @@ def _factors(value):
 
 
 def possible(moments):
-    """Tell whether a body can have principal moments of inertia, the largest one last."""
+    """Return whether a body can have principal moments of inertia, the largest one last."""
     slack = ROUNDED_INERTIA * abs(moments).sum()
     # The sum of two is the third and twice the mass's extent along its axis.
     return moments[0] >= -slack and moments[0] + moments[1] >= moments[2] - slack
@@ -253,7 +253,7 @@ def with_bodies(mechanism, bodies):
 
 def is_spatial(mechanism):
     """
-    Tell whether a mechanism is meant to be one in space, as its first joint is.
+    Return whether a mechanism is meant to be one in space, as its first joint is.
 
     Parameters
     ----------

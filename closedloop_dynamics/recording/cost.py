@@ -57,7 +57,7 @@ class Cost:
 
 def probe(simulation, duration, rate, torque=None, estimated=False, longest=None):
     """
-    Tell what a run will cost, and what a finer one would.
+    Predict what a run will cost, and what a finer one would.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ class Bag:
                     max(0, expected - found[topic])))
 
     def _settle(self, name, damages, count):
-        """Tell how many messages a damaged file has lost, where the metadata counts them."""
+        """Return how many messages a damaged file has lost, where the metadata counts them."""
         expected = (self._files_expected or {}).get(name)
         open_ends = [damage for damage in damages if damage.lost is None]
         if open_ends and expected is not None:

@@ -44,7 +44,7 @@ class Descriptions:
         self.follow()
 
     def follow(self, stamp=None):
-        """Tell the scene if it has changed since the state before."""
+        """Publish the scene if it has changed since the state before."""
         simulation = self._simulation
         told = simulation.scene, simulation.effects, simulation.enabled_effects
         # Records that were not replaced are found equal without being compared. What changed did

@@ -141,7 +141,7 @@ class Stamps:
         return Time(sec=sec, nanosec=nanosec)
 
     def publish(self):
-        """Tell everybody the simulated time, if that was asked for."""
+        """Publish the simulated time, if that was asked for."""
         if self._publisher is not None:
             self._publisher.publish(
                 self._clock.filled(*divmod(self.simulated_nanoseconds, NANOSECONDS)))

@@ -289,7 +289,7 @@ def marked_places(mechanism, geometry, position):
 
 
 def is_stewart(mechanism):
-    """Tell whether six legs, of lengths that are all driven, join one platform to the ground."""
+    """Return whether six legs, of lengths that are all driven, join one platform to the ground."""
     driven = {motion.freedom for motion in mechanism.motions}
     slides = [joint for joint in mechanism.joints if joint.type == PRISMATIC]
     balls = [cut for cut in mechanism.cut_joints if cut.type == SPHERICAL]

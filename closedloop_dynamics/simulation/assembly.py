@@ -292,7 +292,7 @@ class Assembler:
 
     def implies_all(self, q, opening):
         """
-        Tell whether near a position all loops close where the equations that are kept do.
+        Return whether near a position all loops close where the equations that are kept do.
 
         Parameters
         ----------
@@ -384,7 +384,7 @@ class Assembler:
 
     def notes(self, position, velocity, q, qd, hold):
         """
-        Tell of what an assembly made of its guess, where that may surprise.
+        Return notes of changes that an assembly made to its guess.
 
         Parameters
         ----------
@@ -440,7 +440,7 @@ class Assembler:
                 f'or none can be followed. {self._beside(hold)}']
 
     def _notes_on_lock(self, q):
-        """Tell that couplings lock the mechanism, which makes no other error."""
+        """Return a note where couplings lock the mechanism, which makes no other error."""
         if not self.mechanism.couplings or self.nc > MOST_EQUATIONS:
             return []
         rank, _ = self._largest_rank(q)
@@ -627,7 +627,7 @@ def find_degrees_of_freedom(mechanism):
 
 def angle_notes(mechanism, position):
     """
-    Tell of angles beyond a whole turn, which may have been meant as degrees.
+    Return a note of angles beyond a whole turn, which may be degrees.
 
     ``position``: sequence, shape (nq,); joint coordinates.
 

@@ -89,7 +89,7 @@ class Evaluation:
         return Evaluation, tuple(getattr(self, field.name) for field in fields(self))
 
     def __repr__(self) -> str:
-        """Tell what was evaluated, and the largest acceleration."""
+        """Show the number of states and the largest acceleration."""
         count = f'{len(self.state)} states' if self.state.is_batch else (
             f'a state at t = {self.state.time:.9g} s')
         largest = np.abs(self.acceleration).max(initial=0.0)

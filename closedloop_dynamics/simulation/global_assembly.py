@@ -355,7 +355,7 @@ class ClosureProblem:
         return max(ranks)
 
     def is_closed(self, q):
-        """Tell whether every loop is closed and every limit respected."""
+        """Return whether every loop is closed and every limit respected."""
         return np.abs(self.residual(q, wanted=False)[0]).max(initial=0.0) <= CLOSED
 
 

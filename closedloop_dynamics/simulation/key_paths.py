@@ -92,7 +92,7 @@ def changed(scene, values):
 
 
 def _is_numbers_alone(changes):
-    """Tell whether changes are such as nothing else in a scene is checked against."""
+    """Return whether changes are such as nothing else in a scene is checked against."""
     return set(changes) <= {'mechanism', 'effects'} and (
         set(changes.get('mechanism', {})) <= {'bodies'})
 

@@ -477,7 +477,7 @@ def _rate(found):
 
 
 def _undamped(model, rate):
-    """Tell whether nothing depends on the rates."""
+    """Return whether nothing depends on the rates."""
     n = len(model.A) // 2
     return np.abs(model.A[n:, n:]).max(initial=0.0) <= 1e-9 * rate
 

@@ -149,7 +149,7 @@ class LoopModel:
             self._first = self._kept()
 
     def _plainly_independent(self, assembler, q):
-        """Tell whether equations are so independent that closing the loops cannot change it."""
+        """Return whether equations are so independent that closing the loops cannot change it."""
         if self.equations.nc > self.equations.nv:
             return False
         error = np.abs(assembler.closure(q)).max(initial=0.0) / assembler.extent
@@ -197,7 +197,7 @@ class LoopModel:
 
     def serves(self, q):
         """
-        Tell whether the equations that are left out repeat others at or near a position.
+        Return whether the equations that are left out repeat others at or near a position.
 
         Parameters
         ----------

@@ -460,7 +460,7 @@ class Model(Names):
         return Model, (self.scene,)
 
     def __repr__(self) -> str:
-        """Tell what it is a model of."""
+        """Show the mechanism's name, sizes and effects."""
         effects = f'; effects: {", ".join(self.scene.effects)}' if self.scene.effects else ''
         return (f'<Model of {self.mechanism.name}: {self.coordinates.nv} joint rates, '
                 f'{len(self.cut_joints)} cut joints, actuated: '

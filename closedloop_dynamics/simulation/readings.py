@@ -484,7 +484,7 @@ class Readings(Data):
 
     def assembly_notes(self) -> List[str]:
         """
-        Tell what the last assembly, of the start or of a state set, made of what was given.
+        Return notes of changes that the last assembly made to a start or a state.
 
         Returns
         -------
@@ -498,7 +498,7 @@ class Readings(Data):
 
     def load_notes(self) -> List[str]:
         """
-        Tell which effects depend on forces that are not unique in the present position.
+        Return which effects depend on forces that are not unique in the present position.
 
         Returns
         -------

@@ -109,7 +109,7 @@ def checked_quantities(names):
 
 def is_plain(simulation):
     """
-    Tell whether a run needs nothing but fixed steps, so that several can share a vector.
+    Return whether a run needs nothing but fixed steps, so that several can share a vector.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def is_plain(simulation):
 
 def runs_whole(simulation):
     """
-    Tell whether the engine can make runs of a simulation as a whole.
+    Return whether the engine can make runs of a simulation as a whole.
 
     Returns
     -------
@@ -370,7 +370,7 @@ class InitialState:
 
 
 def fits_simd(simulation, schedule):
-    """Tell whether runs of a simulation can share the lanes of a vector at all."""
+    """Return whether runs of a simulation can share the lanes of a vector at all."""
     return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and fits(
         simulation.system, simulation.monitor.driver.stabilisation))
 

@@ -266,7 +266,7 @@ class Simulation(Readings):
 
     def start_notes(self) -> List[str]:
         """
-        Tell of the start of a new simulation: its ``assembly_notes``, angles beyond 2 pi, effects.
+        Return notes of the start: its ``assembly_notes``, angles beyond 2 pi, effects.
 
         Returns
         -------
@@ -1076,7 +1076,7 @@ class Simulation(Readings):
 
     def report(self) -> RunReport:
         """
-        Tell what the run has cost since the start or the last reset, and how far off it may be.
+        Return what the run has cost since the start or the last reset, and how far off it may be.
 
         Returns
         -------

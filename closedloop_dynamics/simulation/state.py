@@ -139,7 +139,7 @@ class State:
         return State, (self.time, self.q, self.qd, self.own, self.coordinates)
 
     def __repr__(self) -> str:
-        """Tell a state by its joints, a batch by its shapes."""
+        """Show a state by its joints, a batch by its shapes."""
         if self.is_batch:
             return (f'<{len(self)} States: q {self.q.shape}, qd {self.qd.shape}, '
                     f'own {self.own.shape}>')

@@ -14,7 +14,7 @@ from ..effects.traced_laws import act, entries_of, refused
 
 def refusals(simulation):
     """
-    Tell what of a simulation has no derivatives, and why.
+    Return what of a simulation has no derivatives, and why.
 
     Parameters
     ----------

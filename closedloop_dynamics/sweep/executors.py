@@ -144,7 +144,7 @@ class AdaptiveExecutor:
         return future
 
     def _worth_it(self):
-        """Tell whether what is left takes much longer than workers take to start."""
+        """Return whether what is left takes much longer than workers take to start."""
         if not self._times:
             return False
         # The first batch may have waited for the compiler.

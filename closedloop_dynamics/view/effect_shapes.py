@@ -142,7 +142,7 @@ def _ball(radius):
 
 
 def normal_in_space(contact, place):
-    """Do as ``normal_of`` for contacts in space; vectors have three numbers."""
+    """Return ``normal_of`` for contacts in space, of three numbers."""
     if contact.shape == 'plane':
         return np.array(contact.normal)
     out = -place if contact.hollow else place

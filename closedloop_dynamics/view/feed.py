@@ -101,7 +101,7 @@ class Feed:
             self._samples.clear()
 
     def tell(self, **controls):
-        """Tell the pages how the controls stand, if that has changed."""
+        """Send the state of the controls to the pages, if it has changed."""
         with self._lock:
             if {**self._told, **controls} == self._told and self.version:
                 return
@@ -110,7 +110,7 @@ class Feed:
         self._changed()
 
     def note(self, text):
-        """Tell the pages of something that happened."""
+        """Send a note to the pages."""
         with self._lock:
             self._note += 1
             self._notes.append({'number': self._note, 'text': text})

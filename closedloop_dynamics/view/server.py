@@ -160,7 +160,7 @@ class Server:
     # Websockets.
 
     async def _attend(self, connection):
-        """Tell a page what there is, and take what it asks for, until it goes."""
+        """Send a page its scene and rows, and take its requests, until it goes."""
         feed, changed = connection.feed, asyncio.Event()
         page = _Page(connection, feed, changed)
 

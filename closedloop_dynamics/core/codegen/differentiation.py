@@ -91,7 +91,7 @@ def _last(values):
 
 
 def _is_among(operand, places):
-    """Tell whether an operand, a place or a number, is one of some places."""
+    """Return whether an operand, a place or a number, is one of some places."""
     return isinstance(operand, int) and operand in places
 
 

@@ -134,7 +134,7 @@ def factorize(model, work):
 
 def good(model, smallest, limit):
     """
-    Tell whether a smallest pivot is good enough.
+    Return whether a smallest pivot is good enough.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def good(model, smallest, limit):
 
 def factorize_well(model, work):
     """
-    Do as ``factorize`` does; note a good smallest pivot in ``health``.
+    Factorise as ``factorize``; note a good smallest pivot in ``health``.
 
     Parameters
     ----------

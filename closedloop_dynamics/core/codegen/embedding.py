@@ -54,7 +54,7 @@ def closing_bodies(recursion, model):
         found.append(body)
 
     def meet(a, b):
-        """Tell whether two loops share a joint beyond the bodies that they close on."""
+        """Return whether two loops share a joint beyond the bodies that they close on."""
         return not {i for i in paths[a] if i > found[a] and found[a] in above(i)}.isdisjoint(
             i for i in paths[b] if i > found[b] and found[b] in above(i))
 

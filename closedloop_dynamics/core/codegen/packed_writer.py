@@ -172,7 +172,7 @@ class Packing:
         return user if self.operations[user][0] in (ADD, SUBTRACT, NEGATE) else None
 
     def _fuses_otherwise(self, number):
-        """Tell whether a product and an addition that are one instruction would be torn apart."""
+        """Return whether a fused product and addition would be torn apart."""
         members = self.bundles[number]
         users = [self._alone(place) for place in members]
         if users.count(None) < len(users) and not self._in_lanes(users):
@@ -186,7 +186,7 @@ class Packing:
         return False
 
     def _in_lanes(self, places):
-        """Tell whether operations are all those of a bundle, each in its lane."""
+        """Return whether operations are all those of a bundle, each in its lane."""
         return self.bundles.get(self.number(places[0])) == tuple(places)
 
 

@@ -321,7 +321,7 @@ class _Body:
         sketch.store(OTHER, by_column(total, self._packed))
 
     def torque(self, sketch, one):
-        """Tell a wrench's share in the joint, with what rotors take there after ``newton``."""
+        """Project a wrench on the joint's axes and add the rotors' torque, after ``newton``."""
         torque = dot(one.motion[_BODY].axis, self._wrench(sketch, FIRST))
         sketch.store(SECOND, {0: torque + sketch.own[RHS]})
 

@@ -58,7 +58,7 @@ def possible(kind):
 
 def group_of(kind, number):
     """
-    Tell which equations of a cut joint are of one kind: of places 0, others 1.
+    Return which equations of a cut joint are of one kind: of places 0, others 1.
 
     Parameters
     ----------

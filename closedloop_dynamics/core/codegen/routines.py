@@ -202,12 +202,12 @@ class MechanismTrace:
         self.store(CLOSURE_RATE, self.work.closure_rate)
 
     def refined_acceleration(self):
-        """Do as ``acceleration`` does, with refinement, which looks at each joint."""
+        """Accelerations with iterative refinement, joint by joint."""
         self.recursion.hinges = ()
         self.acceleration(refinement)
 
     def embeds(self):
-        """Tell whether loops close on bodies: they are eliminated there."""
+        """Return whether loops close on bodies: they are eliminated there."""
         return any(embedding.closing_bodies(self.recursion, self.constant))
 
     def accelerate(self, by=None):
@@ -248,7 +248,7 @@ class MechanismTrace:
                         REACTION, i * width + place, forces[i][component - 3]))
 
     def refined_correction(self):
-        """Do as ``correction`` does, for links much lighter than others."""
+        """Corrections with iterative refinement, for links much lighter than others."""
         self.recursion.hinges = ()
         self.correction(refinement)
 

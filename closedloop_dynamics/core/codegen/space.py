@@ -164,7 +164,7 @@ def equation_names(kind, held):
 
 def group_of(kind, number):
     """
-    Tell which equations of a cut joint are of one kind: of places, of angles, another one.
+    Return which equations of a cut joint are of one kind: of places, of angles, another one.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def group_of(kind, number):
 
 def is_spatial(model):
     """
-    Tell whether a model is one in space.
+    Return whether a model is one in space.
 
     Parameters
     ----------

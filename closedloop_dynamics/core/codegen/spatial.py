@@ -279,7 +279,7 @@ class Recursion:
             self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
 
     def outward(self, model, q, qd, work):
-        """Do as ``kinematics.outward`` does."""
+        """Outward kinematics, traced."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
         self.take(model, q, qd)
         for i in range(1, len(self.bodies)):
@@ -357,7 +357,7 @@ class Recursion:
             spin_rate=add(parent.spin_rate, cross(parent.spin, spinning)))
 
     def inward(self, model, tau, work, massless=False, before=None):
-        """Do as the engine's function does; ``before`` is called with each row, and with 0."""
+        """As the engine's function; ``before`` is called with each row, and with 0."""
         self.inertia, self.force = list(self.inertia), list(self.force)
         tau = self._about_world(model, self._between(model, tau))
         for i in range(len(self.bodies) - 1, -1, -1):
@@ -458,7 +458,7 @@ class Recursion:
         return add(before, scale(motion.axis, qdd))
 
     def outward_acceleration(self, model, work, qdd, after=None):
-        """Do as the engine's function does; ``after`` is called with each row, and with 0."""
+        """As the engine's function of this name; ``after`` is called with each row, and with 0."""
         self.acceleration = {0: 2 * ZERO}
         if after is not None:
             after(0)
@@ -549,17 +549,17 @@ class Recursion:
                 qdd[place] = value
 
     def _counts_angles(self, i):
-        """Tell whether levers and accelerations are those of a body's angle, not its joint's."""
+        """Return whether levers and accelerations are those of a body's angle, not its joint's."""
         body = self.bodies[i]
         return bool(body.turns) and not body.ball and is_zero((body.slides,))
 
     def _joined_before(self, model, i):
-        """Tell whether the angle of a body is counted from before its own joint."""
+        """Return whether the angle of a body is counted from before its own joint."""
         parent = self.motion[model.tree[i, PARENT]]
         return self.bodies[i].turned is None and parent.joined
 
     def update(self, model, work, responses):
-        """Do as ``loop_closure.update`` does."""
+        """Closure errors and Jacobians, traced."""
         for a, cut in enumerate(model.cut):
             equations = self.closures(model, a)
             assert len(equations) == cut[ROWS]
@@ -608,7 +608,7 @@ class Recursion:
         self._reduced(model, work, responses, common, end, row, add(one, other))
 
     def _respond_in_joints(self, model, work, responses, cut, row, equation):
-        """Do as ``_respond`` does for forces in joints, too; a body comes before its parent."""
+        """Responses to forces in joints, too; a body comes before its parent."""
         forces, arrived = dict(equation.in_joints), {}
         for body, wrench in ((BODY_A, equation.on_a), (BODY_B, equation.on_b)):
             arrived[cut[body]] = add(arrived.get(cut[body], 2 * ZERO), wrench)

@@ -81,10 +81,10 @@ def skew(a):
 
 
 def is_number(value, number):
-    """Tell whether a value is a given number before any input is known."""
+    """Return whether a value is a given number before any input is known."""
     return isinstance(value, float) and value == number
 
 
 def is_zero(values):
-    """Tell whether all values are zero before any input is known."""
+    """Return whether all values are zero before any input is known."""
     return all(is_number(value, 0.0) for value in values)
