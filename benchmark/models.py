@@ -240,8 +240,9 @@ def closing_table(result, make=markdown_table):
             row['name'], str(row['freedoms of joints']), str(row['loops']),
             f'{row["rank"]} of {row["equations"]}', str(row['freedoms of joints'] - row['rank']),
             f'{row["moved"]:.2g}', f'{row["gap"]:.0e}', f'{row["closed in"]:.1f} s'))
-    return make(('model', 'freedoms of the joints', 'loops', 'independent equations', 'freedoms',
-                 'moved by up to [rad, m]', 'open by [m]', 'closed in'), rows)
+    return make(('model', 'degrees of freedom of the joints', 'loops', 'independent equations',
+                 'degrees of freedom', 'moved by up to [rad, m]', 'open by [m]', 'closed in'),
+                rows)
 
 
 def evaluation_table(result, make=markdown_table):
