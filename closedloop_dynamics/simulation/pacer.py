@@ -123,7 +123,8 @@ class Pacer:
             self._due -= done * self.step_size
             self.simulated += done * self.step_size
             before, now = now, self.clock()
-            self._cost = (now - before) / done
+            if done > 0:
+                self._cost = (now - before) / done
         return self._drop()
 
     def _accrue(self, now):

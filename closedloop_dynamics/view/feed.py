@@ -122,6 +122,10 @@ class Feed:
         self.refused += 1
         self.note(str(error))
 
+    def is_waiting(self):
+        """Return whether a page has asked for something since."""
+        return not self._inbox.empty()
+
     def messages(self):
         """Yield what the pages asked for since the last call: page and message."""
         while True:

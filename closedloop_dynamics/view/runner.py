@@ -23,6 +23,7 @@ from .messages import (
     require_kinematic, require_one_number, SPEED, TORQUE)
 from .own_motion import MODES, own_motion, OwnMotion
 from .posing import felt_inertia, joint_to, point_to
+from .watchdog import Watchdog
 from ..control.errors import StartError
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
@@ -43,7 +44,10 @@ RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
 SAMPLES = 20
 # A step that takes longer than the first, on the clock, is made in parts of about the second [s];
 # no part is shorter than this share of the step.
-LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 1e-3
+LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
+# What takes longer on the clock is stopped [s], and made in parts so much smaller; the smallest
+# ones take their time, unless a page wants something.
+LONGEST_WAIT, SMALLER = 0.15, 0.1
 # Steps that are asked for one by one are made so many at once.
 TOGETHER = 10
 # Simulated time after which drives that track something, and controllers, find their torques again
@@ -164,6 +168,7 @@ class Runner:
         self._choose_own, self._lock = own, Lock()
         self._failure, self.holder, self._grabbed = None, None, None
         self._achieved, self._speed = None, 1.0
+        self._watchdog = None
         self._library = Library() if library is None else library
         self.feed = None
         self._begin(scene, own)
@@ -303,7 +308,11 @@ class Runner:
                     portion = 1
                     steps = 1
                 self._before = simulation.time, self.rows.row()
-            self._measured(lambda: simulation.advance(self._torques(), portion), portion)
+            at = simulation.time
+            if self._measured(lambda: simulation.advance(self._torques(), portion),
+                              portion) is not None:
+                # Those before the one that was stopped are made.
+                return wanted - steps + (simulation.time - at) / simulation.step_size
             steps -= portion
             self._unsampled += portion
             if self._unsampled >= every and not self._slow:
@@ -314,20 +323,31 @@ class Runner:
     def _advance_a_part(self):
         """Advance by a part of a step, where one takes long; return which part."""
         part, simulation = self._part, self.simulation
-        self._measured(lambda: simulation.step(
-            self._torques()[simulation.actuated], part * simulation.step_size), part)
+        if self._measured(lambda: simulation.step(
+                self._torques()[simulation.actuated], part * simulation.step_size), part) == 0.0:
+            return 0.0
         self.feed.sample(simulation.time, self.rows.sample())
         return part
 
     def _measured(self, advance, steps):
-        """Advance by steps, or a part of one; find which part can be made in a short time."""
+        """
+        Advance by steps, or a part of one; find which part can be made in a short time.
+
+        Returns the steps that were made, None for all.
+
+        """
         begin = self._clock()
-        advance()
+        if self._watchdog is None:
+            advance()
+        elif not self._watchdog.does(advance, patient=self._part <= LEAST_PART):
+            self._part = max(LEAST_PART, SMALLER * self._part)
+            return 0.0
         took = self._clock() - begin
         if took / steps > LONGEST_STEP:
             self._part = min(0.5, max(LEAST_PART, PART_TIME * steps / took))
         elif self._part < 1.0:
             self._part = min(1.0, 2.0 * self._part)
+        return None
 
     @property
     def _slow(self):
@@ -339,10 +359,11 @@ class Runner:
     def run(self, keep_going=lambda: True):
         """Run with a frame every sixtieth of a second, as long as ``keep_going()``."""
         due = self._clock()
-        while keep_going():
-            self.tick()
-            due = max(due + 1.0 / RATE, self._clock() - 1.0 / RATE)
-            time.sleep(max(0.0, due - self._clock()))
+        with Watchdog(LONGEST_WAIT, self.feed.is_waiting, self._say_slow) as self._watchdog:
+            while keep_going():
+                self.tick()
+                due = max(due + 1.0 / RATE, self._clock() - 1.0 / RATE)
+                time.sleep(max(0.0, due - self._clock()))
 
     def tick(self):
         """Follow what was asked for, advance to the present, show it."""
@@ -384,6 +405,11 @@ class Runner:
             self.feed.show(time_now, row)
         self._changed = False
         self._tell()
+
+    def _say_slow(self, elapsed):
+        """Tell the pages how slow it is while a part of a step takes so long [s]."""
+        share = self._part * self.simulation.step_size / elapsed
+        self.feed.tell(achieved=float(f'{share:.1g}'))
 
     def _real_time_share(self):
         """Return simulated seconds per second of the clock since the last call; None: unknown."""
@@ -464,6 +490,8 @@ class Runner:
         self._stop()
 
     def _do_step(self, page, count):
+        if self._editing:
+            self._do_edit(page, False)
         self._stop()
         self._failure, self._single = None, float(count)
 
@@ -609,11 +637,10 @@ class Runner:
             self._do_kinematic(page, False)
         if self.holder is not None:
             self._do_release(self.holder)
-        if on and self.start_pose is not None:
-            # What was posed is the start.
-            self.editor.pose(self.start_pose)
-            self.start_pose = None
         self._editing = on
+        if self.start_pose is not None:
+            # Of a simulation that starts there.
+            self._renew()
         self._do_reset(page)
         self._describe()
 
@@ -655,15 +682,17 @@ class Runner:
         new = Simulation(replace(hand.scene, method=old.scene.method))
         # What was switched while it ran stays so.
         for name in set(old.effects) & set(new.effects) - {self._hand.spring}:
-            acts = name in old.enabled_effects
-            if acts != (name in new.enabled_effects):
-                new.set_effect(name, acts)
+            acts, values = name in old.enabled_effects, {}
+            if name == hand.gravity and name not in scene.effects:
+                values = {'acceleration': old.effects[name].acceleration}
+            if values or acts != (name in new.enabled_effects):
+                new.set_effect(name, acts, **values)
         if not self._editing and old.time > 0.0 and (
                 old.coordinates.names == new.coordinates.names):
             new.set_state(old.position, old.velocity)
             new.restore(new.state, old.time)
         drives = {name: (drive.mode, drive.value) for name, drive in self.drives.items()}
-        self._failure = None
+        self._failure = self.start_pose = None
         self._put(hand, new)
         for name, drive in self.drives.items():
             mode, value = drives.get(name, (TORQUE, 0.0))
@@ -676,6 +705,7 @@ class Runner:
         self._own_due = math.inf
         if self._own.controller is None:
             return
+        self.feed.tell(busy='fitting the controller to the machine')
         try:
             self._own = OwnMotion(self._own.controller.on(self._hand.scene), {
                 joint: start for joint, start in self._own.starts.items() if start[0] != OWN})
@@ -736,6 +766,8 @@ class Runner:
         elif self._kinematic:
             # What was posed is the start from now on.
             self.start_pose = self.simulation.position
+            with self._lock:
+                self.editor.pose(self.start_pose)
             self._do_reset(page)
         self._kinematic = on
 

@@ -543,7 +543,7 @@ class Page {
     if (!this.fresh) {
       if (this.playing && this.scene.mode === 'live' && !this.lost && now - this.shownAt > STILL) {
         this.waiting = true;
-        this.complain('The simulation computes, or compiles what it has not needed before …', true);
+        this.complain('Still working …', true);
       }
       return;
     }

@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Stops a computation of the engine that takes longer than a page can wait."""
+
+import threading
+import time
+
+from ..engine import native
+
+# Between two looks at the clock [s].
+PERIOD = 0.03
+
+
+class Watchdog:
+    """
+    Looks at a computation from a thread of its own, as a context.
+
+    Attributes
+    ----------
+    limit : float
+        How long a computation may take [s].
+    wanted : callable
+        Whether somebody waits for something else: then one stops that may take longer, too.
+    waiting : callable
+        Is called, in the thread, with the time that one takes longer than the limit [s].
+
+    """
+
+    def __init__(self, limit, wanted, waiting):
+        """Look at nothing yet."""
+        self.limit, self._wanted, self._waiting = limit, wanted, waiting
+        self._patient = False
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._begun, self._stopped = None, False
+        self._thread = threading.Thread(target=self._look, name='watchdog', daemon=True)
+
+    def __enter__(self):
+        """Start to look."""
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error):
+        """Look no more."""
+        self._over.set()
+        self._thread.join()
+
+    def does(self, action, patient=False):
+        """
+        Do something that may be stopped, its steps then as not made; return whether it was done.
+
+        ``patient``: it may take as long as nobody wants something else.
+
+        """
+        self._patient, self._begun = patient, time.monotonic()
+        try:
+            action()
+        except KeyboardInterrupt:
+            if not self._stopped:
+                raise
+            return False
+        finally:
+            with self._lock:
+                self._begun = None
+                if self._stopped:
+                    native.stop_all(0)
+                self._stopped = False
+        return True
+
+    def _look(self):
+        while not self._over.wait(PERIOD):
+            with self._lock:
+                begun = self._begun
+                late = begun is not None and time.monotonic() - begun > self.limit
+                if late and not self._stopped and (not self._patient or self._wanted()):
+                    self._stopped = True
+                    native.stop_all(1)
+            if late:
+                self._waiting(time.monotonic() - begun)
