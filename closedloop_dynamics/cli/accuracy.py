@@ -76,8 +76,8 @@ Columns of the table: largest errors, over 100 instants, of positions [rad or
 m], of orientations as rotation angles, of velocities [rad/s or m/s] and forces
 at the cut joints [N or N m]; largest closure error [m or rad]; largest change of
 energy less the work done [J]; evaluations of the accelerations, and CPU time,
-for one simulated second (median of repeats, in turn). A method that fails tells
-why in its row. Then the cheapest setting that holds a target, as lines to paste
+for one simulated second (median of repeats, in turn). A method that fails
+has the reason in its row. Then the cheapest setting that holds a target, as lines to paste
 into a scene.
 """,
     epilog="""\

@@ -121,7 +121,7 @@ def add_reading(parser):
     group.add_argument('--mend-inertias', action='store_true',
                        help='change moments of inertia that no body has, one being larger than '
                             'the sum of the other two, by as little as makes them possible, and '
-                            'give what has an inertia alone next to no mass')
+                            'give links with inertia but no mass a negligible one')
     group.add_argument('--model', metavar='NAME',
                        help='which one of several models of a world')
     group.add_argument('--argument', type=_argument, action='append', default=[],
@@ -159,7 +159,7 @@ def add_motion(parser):
     parser.add_argument('--motion', type=law, action='append', default=[],
                         metavar='JOINT=EXPRESSION',
                         help='motion of a joint as an expression in the time t [rad or m], such '
-                             'as theta_1=4.7124*t; what drives it is reported; may be repeated '
+                             'as theta_1=4.7124*t; the effort is reported; may be repeated '
                              '(default: as the scene says)')
 
 
@@ -175,7 +175,7 @@ def add_set(parser):
     """Add the option of other numbers, to be put in place by ``with_numbers``."""
     parser.add_argument('--set', type=assignment, action='append', default=[],
                         metavar='KEY=VALUE',
-                        help='another number of the scene or its mechanism, by its key path: '
+                        help='override a number of the scene or its mechanism, by its key path: '
                              'parameters.l=0.3, mechanism.bodies.crank.mass=2; may be repeated')
 
 

@@ -177,7 +177,7 @@ def _add_arguments(parser):
     parser.add_argument('--picture', metavar='FILE.png', type=Path,
                         help='where to draw it (or .pdf, .svg)')
     parser.add_argument('--over', choices=('drive', 'time'), default='drive',
-                        help='what it is drawn over (default: drive)')
+                        help='the abscissa of the picture (default: drive)')
     add_drawing(parser)
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 

@@ -44,7 +44,7 @@ FINE = 361
 def _add_arguments(parser):
     add_scene(parser)
     add_reading(parser)
-    what = parser.add_argument_group('what is looked for')
+    what = parser.add_argument_group('problem')
     what.add_argument('--vary', type=_range, action='append', required=True,
                       metavar='KEY=LOW:HIGH',
                       help='a number of the scene or its mechanism by its key path, and its '
@@ -69,7 +69,7 @@ def _add_arguments(parser):
                      help='processes on this machine (default: one for each processor, as soon '
                           'as there is enough to do)')
     how.add_argument('--resume', action='store_true',
-                     help='go on with what is in the directory')
+                     help='continue the search in the directory')
     add_directory(parser, f'{SCENE}, {PATHS} (before and after) and {RESULTS}; of two aims '
                           f'{TABLE}, {PICTURE} and a scene of each machine, front_1.yaml, ...')
 

@@ -209,7 +209,7 @@ def _summary(simulation, report, arguments, estimate):
         lines.insert(1, f'  error     at most about {report.error:.2g} rad or m, by a second run '
                         f'with {estimate.method}')
     elif estimate is not None and report.rows:
-        lines.insert(1, '  error     unknown: the second, finer run, that was to tell it, failed')
+        lines.insert(1, '  error     unknown: the second, finer run for its estimate failed')
     if math.isfinite(told.local_error):
         lines.insert(2, f'  steps     local error {told.local_error:.2g} rad or m in the worst '
                         f'step looked at')

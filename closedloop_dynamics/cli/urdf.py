@@ -23,10 +23,10 @@ def _add_arguments(parser):
                         help='how loops are written: as proposed for URDF (the default), as in '
                              'URDF+, or as ball constraints of Drake')
     parser.add_argument('--srdf', metavar='FILE', type=Path,
-                        help='also write what MoveIt is to know (SRDF): the group of the driven '
+                        help='also write the SRDF for MoveIt: the group of the driven '
                              'joints, the start of a scene as its state, all others passive')
     parser.add_argument('--hardware', metavar='MODEL', type=Path,
-                        help='let ros2_control simulate the scene itself, by closedloop_hardware: '
+                        help='have ros2_control simulate the scene, by closedloop_hardware: '
                              'MODEL is the C of `closedloop export`, compiled as a library')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 

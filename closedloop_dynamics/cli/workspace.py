@@ -66,7 +66,7 @@ def _add_arguments(parser):
     parser.add_argument('--picture', type=Path, metavar='FILE.png',
                         help='where to draw it (or .pdf, .svg)')
     parser.add_argument('--show', choices=(*QUANTITIES, STATUS), default='condition',
-                        help='what is drawn (default: condition)')
+                        help='the quantity to draw (default: condition)')
     parser.add_argument('--resume', action='store_true',
                         help='go on with FILE.nc, if there is one')
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')

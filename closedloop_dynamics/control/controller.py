@@ -54,7 +54,7 @@ SETTINGS = (
     Setting(
         'joints', [''],
         'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '
-        'the order the simulator (computed_torque, impedance: the scene) tells, through '
+        'the order the simulator (computed_torque, impedance: the scene) gives, through '
         'torque_command.'),
     Setting(
         'simulator', 'closedloop_simulator',

@@ -275,7 +275,7 @@ class TorqueSourceNode(Node):
         if self._question.answer is None:
             if self._complaint.ready():
                 self.get_logger().info(
-                    f"waiting for node '{self.values['simulator']}' to tell its joints")
+                    f"waiting for node '{self.values['simulator']}' to report its joints")
             return
         self._timer.cancel()
         try:

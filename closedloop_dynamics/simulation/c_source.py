@@ -93,7 +93,7 @@ def _require_good_start(simulation):
         raise SimulationError(
             f'{simulation.scene.name} cannot be written as C: closure equations depend on one '
             'another where it starts, or nearly, or masses differ so much that the elimination '
-            'alone does not tell. Start it in another position.')
+            'alone cannot decide. Start it in another position.')
 
 
 def left_out(simulation):

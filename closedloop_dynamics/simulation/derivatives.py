@@ -166,7 +166,7 @@ class Differentiator:
                 'The accelerations have no derivatives here: closure equations depend on one '
                 'another in this position, or nearly, or points that a spring joins meet. Take a '
                 'position beside it. (So it is everywhere where masses differ so much that the '
-                'elimination alone does not tell.)')
+                'elimination alone cannot decide.)')
         nv = len(self._qdd)
         parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
         by_parameter = np.zeros((len(self._found[0]), 0)), *np.zeros((2, len(self._lam), 0))

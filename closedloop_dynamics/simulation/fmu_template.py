@@ -920,7 +920,7 @@ EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(
 {
   (void)reference;
   (void)count;
-  return failed(instance, ERROR, "this unit tells no dependencies of single elements");
+  return failed(instance, ERROR, "this unit reports no dependencies of single elements");
 }
 
 EXPORT fmi3Status fmi3GetVariableDependencies(
@@ -933,7 +933,7 @@ EXPORT fmi3Status fmi3GetVariableDependencies(
   (void)elements_of_these;
   (void)kinds;
   (void)count;
-  return failed(instance, ERROR, "this unit tells no dependencies of single elements");
+  return failed(instance, ERROR, "this unit reports no dependencies of single elements");
 }
 
 EXPORT fmi3Status fmi3GetFMUState(Instance *instance, void **state)

@@ -86,7 +86,7 @@ def _named(row):
 
 def _why(best, study):
     if best.position_error <= 2.0 * study.reference.error.position:
-        return 'That is all that the reference can tell.'
+        return 'Smaller errors cannot be measured with this reference.'
     return 'Finer ones were not tried, or cost too much; without --quick more are.'
 
 

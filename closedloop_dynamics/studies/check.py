@@ -227,7 +227,7 @@ def _degrees_of_freedom(mechanism, simulation, found):
             joints - ClosureProblem(mechanism, extent(mechanism)).rank(found.q))
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
-                'others (no position that closes the loops was found to tell)')
+                'others (no position that closes the loops was found)')
     # Motions that the loops or one another decide already are refused.
     motions = 0 if simulation is None else len(simulation.mechanism.motions)
     independent = joints - freedoms - motions

@@ -752,7 +752,7 @@ class Runner:
             text, kept = self.editor.text()
         path = self._library.save(name, text)
         self.feed.note(f'saved as {path}' + ('' if kept else (
-            '; the words of its author could not be kept, all of it is written anew')))
+            '; the words of its author could not be kept, all of it is rewritten')))
 
     # Kinematic mode.
 
