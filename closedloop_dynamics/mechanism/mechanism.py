@@ -125,7 +125,7 @@ class Body:
         determine its motion.
     visual : tuple of Visual
         Shapes that it is drawn as, which follow from ``shape`` if that is given; otherwise it is
-        drawn through its joints and points. No part of what two bodies are compared by.
+        drawn through its joints and points. Not compared.
 
     """
 
@@ -148,8 +148,10 @@ class Joint:
     type : str
         ``'revolute'`` or ``'prismatic'``; in space also ``'helical'``, ``'cylindrical'``,
         ``'universal'``, ``'spherical'``, ``'planar'``, ``'free'`` or ``'fixed'``.
-    parent, child : str
-        Names of bodies; the parent may be ``'ground'``.
+    parent : str
+        Name of the parent body, or ``'ground'``.
+    child : str
+        Name of the child body.
     position : tuple of 2 or 3 floats
         Place of the joint in the parent's frame [m].
     angle : float
