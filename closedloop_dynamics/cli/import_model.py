@@ -41,8 +41,8 @@ def _run(arguments):
     notes = lines(imported, extent(imported.mechanism))
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
-            imported, found, told = assembled(imported)
-        notes = [*told, *notes]
+            imported, found, assembly_notes = assembled(imported)
+        notes = [*assembly_notes, *notes]
     arguments.output.write_text(mechanism_text(imported.mechanism, notes), encoding='utf-8')
     if arguments.scene is not None:
         beside = os.path.relpath(arguments.output, arguments.scene.parent)

@@ -192,31 +192,31 @@ def _summary(simulation, report, arguments, estimate):
     change = report.last_energy - report.first_energy
     work = ' (work of the torques included)' if any(simulation.effort) else ''
     share = report.cpu_time / report.time if report.time else 0.0
-    told = simulation.report()
+    cost = simulation.report()
     lines = [
         f'{simulation.scene.name}: simulated {report.time:.9g} s {_resolution(method, arguments)} '
         f'({method.integrator}, {method.stabilisation}, {method.formulation})',
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
         f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
-        f'balance: {energy_in_words(told.energy_error, told.energy_moved)}',
+        f'balance: {energy_in_words(cost.energy_error, cost.energy_moved)}',
         f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time; '
-        f'{1e6 * told.time_per_step:.3g} us per step',
+        f'{1e6 * cost.time_per_step:.3g} us per step',
     ]
-    if math.isfinite(told.budget):
-        lines.insert(1, f'  budget    {told.budget:g} of real time: accuracy {told.accuracy:g} at '
+    if math.isfinite(cost.budget):
+        lines.insert(1, f'  budget    {cost.budget:g} of real time: accuracy {cost.accuracy:g} at '
                         f'the end, the best that it allows')
     if math.isfinite(report.error):
         lines.insert(1, f'  error     at most about {report.error:.2g} rad or m, by a second run '
                         f'with {estimate.method}')
     elif estimate is not None and report.rows:
         lines.insert(1, '  error     unknown: the second, finer run for its estimate failed')
-    if math.isfinite(told.local_error):
-        lines.insert(2, f'  steps     local error {told.local_error:.2g} rad or m in the worst '
+    if math.isfinite(cost.local_error):
+        lines.insert(2, f'  steps     local error {cost.local_error:.2g} rad or m in the worst '
                         f'step looked at')
     if simulation.shared_forces:
         lines.append(f'  forces    of {", ".join(simulation.shared_forces)} are not unique, as '
                      'equations repeat others: the least are written')
-    lines += [f'  WARNING   {finding}' for finding in told.findings]
+    lines += [f'  WARNING   {finding}' for finding in cost.findings]
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} '
                      f'row{"s" if report.rows != 1 else ""} of '

@@ -133,7 +133,7 @@ def _live(arguments):
             raise UsageError(f'{arguments.what}: {error}') from None
         except FieldError as error:
             raise UsageError(f'drives: {error}') from None
-    _told(runner.described)
+    _complained(runner.described)
     with program_watch.noting() as received:
         server = _served(arguments, [live_page(scene.name)], [runner.feed], runner.resource)
         try:
@@ -169,7 +169,7 @@ def _play(arguments):
     return 128 + received[0]
 
 
-def _told(described):
+def _complained(described):
     """Return a description; say on stderr which meshes cannot be shown."""
     for text in described['missing']:
         print(f'closedloop view: {text}; drawn as lines', file=sys.stderr)
@@ -207,7 +207,7 @@ def _recorded_page(arguments):
               file=sys.stderr)
     title = recording.scene.name
     return recorded_page(
-        title, _told(describe(
+        title, _complained(describe(
             motion.mechanism, motion_columns(motion.mechanism), recording.scene.effects,
             mode='recording', title=title)),
         motion.time[::every], motion_rows(motion.part(slice(None, None, every))))
@@ -234,7 +234,7 @@ def _simulated_page(arguments):
             simulation, arguments.duration,
             arguments.rate or min(RATE, MOST_ROWS / arguments.duration), torque, show)
     return recorded_page(
-        scene.name, _told(describe(
+        scene.name, _complained(describe(
             scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),
         np.array(times), np.array(rows))
 

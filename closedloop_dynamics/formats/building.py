@@ -24,7 +24,7 @@ from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.rotations import quaternion_of
-from ..mechanism.validation import checked, moments_told, POSSIBLE, possible
+from ..mechanism.validation import checked, moments_text, POSSIBLE, possible
 
 # Entries of rotations this near to 0, 1 and -1 are what a file meant by them.
 ROUNDING = 1e-14
@@ -140,7 +140,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     try:
         mechanism = checked(mechanism)
     except FieldError as error:
-        raise MechanismError(_told(error, model, named)) from None
+        raise MechanismError(_located(error, model, named)) from None
     if named.changed:
         ignored[f'characters of {named.changed} name(s)'] = (
             'names have letters, digits and underscores, each once')
@@ -337,7 +337,7 @@ def _inertia_of(link, largest, mend, ignored):
     moments, axes = np.linalg.eigh(link.inertia)
     if possible(moments):
         return link.inertia
-    told = moments_told(moments)
+    listed = moments_text(moments)
     rounding = max(DIGITS * largest, link.mass * AGREEMENT ** 2)
     if moments[0] > -rounding:
         moments = np.maximum(moments, 0.0)
@@ -345,10 +345,10 @@ def _inertia_of(link, largest, mend, ignored):
     # The least change in the sum of squares; a negative moment is no matter of rounded digits.
     mended = moments + max(beyond, 0.0) / 3.0 * np.array([1.0, 1.0, -1.0])
     if moments[0] < 0.0 or not (mend or beyond < rounding):
-        hint = '' if moments[0] < 0.0 else MEND.format(moments_told(mended))
+        hint = '' if moments[0] < 0.0 else MEND.format(moments_text(mended))
         raise MechanismError(f'{link.where}: expected {POSSIBLE}, got principal moments '
-                             f'{told}{hint}')
-    ignored[f'moments {told} of {link.name}, {moments_told(mended)} taken'] = (
+                             f'{listed}{hint}')
+    ignored[f'moments {listed} of {link.name}, {moments_text(mended)} taken'] = (
         'no body has them: one is larger than the sum of the other two')
     return axes @ np.diag(mended) @ axes.T
 
@@ -609,7 +609,7 @@ def word(name):
     return found if plain else f'x{found}'
 
 
-def _told(error, model, named):
+def _located(error, model, named):
     """Return an error of the mechanism as one of the file's element."""
     section, *rest = [*error.path, None]
     kind = {'bodies': 'body', 'joints': 'joint', 'cut_joints': 'joint'}.get(section)

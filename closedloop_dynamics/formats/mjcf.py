@@ -85,8 +85,8 @@ def read_mjcf(path, asked=Asked()):
             compiled = mujoco.MjSpec.from_string(
                 _text(root), include=_contents(parts), assets=_contents(assets)).compile()
         except (ValueError, RuntimeError, mujoco.FatalError) as error:
-            told = ' '.join(str(error).split())
-            raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
+            reason = ' '.join(str(error).split())
+            raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {reason}'
                                  ) from None
     ellipsoids = _asks(root, 'fluidshape', 'ellipsoid') or any(
         b'"ellipsoid"' in content for _, content in parts.values())
@@ -104,15 +104,15 @@ def read_mjcf(path, asked=Asked()):
 @contextmanager
 def _heard(mujoco, notes):
     """Note what MuJoCo warns of, which else writes a file where it runs."""
-    before, told = mujoco.get_mju_user_warning(), []
-    mujoco.set_mju_user_warning(told.append)
+    before, warned = mujoco.get_mju_user_warning(), []
+    mujoco.set_mju_user_warning(warned.append)
     try:
         with warnings.catch_warnings(record=True) as found:
             warnings.simplefilter('always')
             yield
     finally:
         mujoco.set_mju_user_warning(before)
-    for text in (*told, *(str(one.message) for one in found)):
+    for text in (*warned, *(str(one.message) for one in found)):
         notes[' '.join(text.split())] = 'a warning of MuJoCo'
 
 
@@ -298,9 +298,9 @@ def _without_plugins(section, left_out):
 
 def _strip_below(element, geoms, needed, wrapped, left_out):
     """Remove elements without mass, and geometry of bodies whose mass is given."""
-    told = geoms == 'false' or geoms == 'auto' and any(
+    unused = geoms == 'false' or geoms == 'auto' and any(
         child.tag == 'inertial' for child in element.children)
-    told = told or element.tag == 'worldbody'
+    unused = unused or element.tag == 'worldbody'
     kept = []
     for child in element.children:
         flat = child.tag == 'geom' and element.tag != 'default' and 'hfield' in (
@@ -309,7 +309,7 @@ def _strip_below(element, geoms, needed, wrapped, left_out):
             child.attributes.pop(key, None)
         # Of a geometry a plugin gives the shape; around some tendons are wrapped.
         if flat or child.tag in PARTS and (child.tag, element.tag) != ('plugin', 'geom') or (
-                told and child.tag == 'geom' and child.attributes.get('name') not in wrapped):
+                unused and child.tag == 'geom' and child.attributes.get('name') not in wrapped):
             left_out[child.tag] += 1
             continue
         if child.tag == 'geom' and 'mesh' in child.attributes:

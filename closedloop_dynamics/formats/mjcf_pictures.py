@@ -56,8 +56,8 @@ def read_pictures(mujoco, text, folder, model, links):
                 geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, '', (1, 0, 0)
         compiled = spec.compile()
     except (ValueError, RuntimeError, AttributeError, TypeError, mujoco.FatalError) as error:
-        told = ' '.join(str(error).split())
-        model.ignored['what bodies are drawn as, and touch'] = f'MuJoCo does not read it: {told}'
+        reason = ' '.join(str(error).split())
+        model.ignored['what bodies are drawn as, and touch'] = f'MuJoCo does not read it: {reason}'
         return 0
     left_out = set()
     for geom, name in zip(geoms, names):

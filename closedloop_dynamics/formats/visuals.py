@@ -46,8 +46,8 @@ def visuals(link, folder, pose_of, values_of, color_of, ignored):
         try:
             found += _shapes(visual, folder.resolve(), pose_of, values_of, color_of)
         except MechanismError as error:
-            told = str(error).rpartition('>: ')[-1]
-            ignored[f'a visual of {link.get("name")} ({told})'] = 'not drawn'
+            reason = str(error).rpartition('>: ')[-1]
+            ignored[f'a visual of {link.get("name")} ({reason})'] = 'not drawn'
     return found
 
 

@@ -78,7 +78,7 @@ def possible(moments):
     return moments[0] >= -slack and moments[0] + moments[1] >= moments[2] - slack
 
 
-def moments_told(moments):
+def moments_text(moments):
     """Return moments of inertia in words."""
     return ', '.join(f'{moment:.4g}' for moment in moments)
 
@@ -92,7 +92,7 @@ def spatial_inertia(value):
     xx, yy, zz, xy, xz, yz = (*found, 0.0, 0.0, 0.0)[:6]
     moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if not possible(moments):
-        raise FieldError(POSSIBLE, f'principal moments {moments_told(moments)}')
+        raise FieldError(POSSIBLE, f'principal moments {moments_text(moments)}')
     return found
 
 

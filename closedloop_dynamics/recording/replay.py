@@ -100,8 +100,8 @@ def replay(recording, progress=lambda time: None):
     if MEMORY in player.notes and INTEGRATORS[method.integrator].kind == ADAPTIVE:
         explained = method.accuracy if method.integrator == AUTO else method.tolerance
     efforts = {topic: {name: recorded - [each.get(topic, {}).get(name, np.nan) for each in forces]
-                       for name, recorded in told.items()}
-               for topic, told in recording.efforts.items()}
+                       for name, recorded in efforts.items()}
+               for topic, efforts in recording.efforts.items()}
     return Replay(motion, simulated, player.starts, player.notes, np.maximum.accumulate(growth),
                   efforts, explained)
 
@@ -317,9 +317,9 @@ def table(result):
     forces = result.deviation('forces')
     for k, cut in enumerate(motion.mechanism.cut_joints):
         rows.append((f'{cut.name} (force)', '', '', _deviations(magnitudes(forces[:, k]))))
-    for topic, told in result.efforts.items():
+    for topic, efforts in result.efforts.items():
         rows += [(f'{name} ({topic[:-len("_forces")]})', '', '', _deviations(values))
-                 for name, values in told.items()]
+                 for name, values in efforts.items()]
     return text_table(
         ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort, force [N m, N]'), rows)
 

@@ -120,8 +120,8 @@ def require_same_mechanism(path, recorded, given):
     RecordingError
 
     """
-    told, other = (json.loads(scene_text(scene))['mechanism'] for scene in (recorded, given))
-    place = _first_difference(told, other)
+    one, other = (json.loads(scene_text(scene))['mechanism'] for scene in (recorded, given))
+    place = _first_difference(one, other)
     if place is not None:
         raise RecordingError(
             f'{path}: expected the mechanism that was simulated, got a --scene with another one: '

@@ -164,15 +164,15 @@ def _chosen(mechanism):
              ('in the tree', ', '.join(joint.name for joint in mechanism.joints))]
     count = count_operations(mechanism)
     if count is not None:
-        told = f'{count} an evaluation'
+        text = f'{count} an evaluation'
         if set(tree.listed) != set(tree.cut):
             try:
                 listed = count_operations(with_cuts(mechanism, tree.listed))
-                told += (f'; {listed} with {", ".join(tree.listed)} cut, as the joints are '
+                text += (f'; {listed} with {", ".join(tree.listed)} cut, as the joints are '
                          f'listed: {1.0 - count / listed:.0%} saved')
             except (FieldError, MechanismError):
-                told += '; the order in which the joints are listed gives no tree'
-        items.append(('operations', told))
+                text += '; the order in which the joints are listed gives no tree'
+        items.append(('operations', text))
     return [_lines('Tree, chosen by the program', items)]
 
 
@@ -185,14 +185,15 @@ def _repeated(mechanism, simulation, found):
         found = found or _closed(mechanism)
         if not found.closed:
             return []
-    told = find_redundancy(mechanism, found.q if simulation is None else simulation.position)
-    if not told.repeated:
+    redundancy = find_redundancy(mechanism, found.q if simulation is None else simulation.position)
+    if not redundancy.repeated:
         return []
     return [_table('Equations that repeat others', ('of', 'equation', 'repeats others'),
-                   told.repeated),
+                   redundancy.repeated),
             _table('Forces that are not unique, of which the least are reported',
                    ('in', 'components, in world axes'),
-                   [(name, ', '.join(told.components.get(name, ()))) for name in told.shared])]
+                   [(name, ', '.join(redundancy.components.get(name, ())))
+                    for name in redundancy.shared])]
 
 
 def _summary(mechanism, decomposition, simulation, found):
@@ -257,7 +258,7 @@ def _initial(mechanism, initial, simulation):
         row = [key]
         for position, velocity, write in states:
             for quantity, values in (('position', position), ('velocity', velocity)):
-                row.append(_told(names.by_name(quantity, values)[key], write))
+                row.append(_written(names.by_name(quantity, values)[key], write))
         row.insert(3, 'held' if {key, joint} & set(initial.hold) else 'free')
         rows.append(tuple(row))
     if simulation is None:
@@ -266,7 +267,7 @@ def _initial(mechanism, initial, simulation):
                   (*header, 'closed position', 'closed velocity'), rows)
 
 
-def _told(value, write):
+def _written(value, write):
     """Return the number of a joint, or its vectors and its quaternion, in words."""
     if not hasattr(value, 'items'):
         return write(value)

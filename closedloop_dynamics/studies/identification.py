@@ -401,7 +401,7 @@ class Identifier:
                     np.concatenate([along.typical, self._scales]))
             found = fit.deviations
             deviations = np.maximum(found, LEAST_DEVIATION * (size or 1.0))
-        return self._told(along, fit, found)
+        return self._identification(along, fit, found)
 
     def _generalized(self, effort):
         """Return the efforts in the independent coordinates, shape (n, independent)."""
@@ -495,8 +495,8 @@ class Identifier:
                 f'{MOST_EVALUATIONS} steps; begin nearer to them')
         return start + result.x * scales
 
-    def _told(self, along, fit, deviations):
-        """Return what the solution tells, by key."""
+    def _identification(self, along, fit, deviations):
+        """Return estimates, standard deviations and sums by key."""
         linear = [one.name for one in along.parameters]
         names = linear + self._nonlinear
         alone, combined = {}, []

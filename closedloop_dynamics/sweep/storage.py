@@ -117,8 +117,8 @@ class Layout:
         for name, other in (('position', COORDINATE), ('final_position', COORDINATE),
                             ('joint_forces', TREE_JOINT)):
             if name in kept and other in names:
-                dimensions, *told = kept[name]
-                kept[name] = tuple(other if each == JOINT else each for each in dimensions), *told
+                dimensions, *rest = kept[name]
+                kept[name] = tuple(other if each == JOINT else each for each in dimensions), *rest
         self._keys, self.results = tuple(each.key for each in plan.variations), tuple(kept)
         self.variables = (
             Variable(TIME, (TIME,), {'units': 's', 'long_name': 'time since the start'},
