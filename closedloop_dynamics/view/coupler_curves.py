@@ -22,7 +22,7 @@ def curves(mechanism, position, points):
     """
     Return the curves of points while the first driven joint goes as far as it can.
 
-    The other driven joints stay. Where the joints that are driven do not decide the motion, there
+    The other driven joints stay, and there is one curve, of the first point. Where the joints that are driven do not decide the motion, there
     are no curves.
 
     Parameters
@@ -60,7 +60,7 @@ def curves(mechanism, position, points):
         return []
     poses = body_poses(mechanism, np.vstack(parts))
     found = []
-    for point in points[:MOST_CURVES]:
+    for point in points[:MOST_CURVES if len(driven) == 1 else 1]:
         places = named_point(mechanism, poses, point.name)
         places = np.hstack([places, np.zeros((len(places), 3 - places.shape[1]))])
         found.append({'name': point.name, 'places': np.round(places, DIGITS).ravel().tolist()})

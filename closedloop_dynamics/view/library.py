@@ -9,6 +9,7 @@ import re
 
 import numpy as np
 
+from .effect_shapes import wires
 from .messages import SHIPPED, YOURS
 from ..mechanism.checks import NAME_PATTERN
 from ..mechanism.config import shipped_path
@@ -17,7 +18,7 @@ from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, MechanismError
 from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
 from ..visual.appearance import body_colors, marked_points, solid
-from ..visual.trajectory import body_poses, pose_of, world_points
+from ..visual.trajectory import body_poses, pose_of, poses_in_space, world_points
 
 # Files of the user's own that are looked at.
 MOST_FILES, LARGEST_FILE = 200, 200_000
@@ -42,12 +43,14 @@ class Library:
         """Look nowhere yet."""
         self._folder = None if folder is None else Path(folder).resolve()
         self._pictures, self._saved = {}, set()
+        # Descriptions by path and time of the last change.
+        self._known_files = {}
 
     def machines(self):
         """Return what can be opened: kind, name and description, as JSON can."""
         every = [(SHIPPED, shipped_path('scenes', name)) for name in scene_names()]
         every += [(YOURS, path) for path in self._files()]
-        return [{'kind': kind, 'name': path.stem, 'text': _description(path)}
+        return [{'kind': kind, 'name': path.stem, 'text': self._description(path)}
                 for kind, path in every]
 
     def _files(self):
@@ -55,7 +58,13 @@ class Library:
             return []
         found = sorted(self._folder.glob('*.yaml'))[:MOST_FILES]
         return [path for path in found if NAME_PATTERN.fullmatch(path.stem) and path.is_file()
-                and _description(path) is not None]
+                and self._description(path) is not None]
+
+    def _description(self, path):
+        key = path, path.stat().st_mtime_ns
+        if key not in self._known_files:
+            self._known_files[key] = _description(path)
+        return self._known_files[key]
 
     def scene(self, name, kind):
         """Return a scene by its name; raise FieldError, SceneError or MechanismError."""
@@ -112,7 +121,7 @@ class Library:
         if (kind, name) not in self._pictures or kind == YOURS:
             try:
                 text = picture(self.scene(name, kind))
-            except (SceneError, MechanismError, FieldError):
+            except (SceneError, MechanismError, FieldError, OSError):
                 return None
             self._pictures[kind, name] = text.encode()
         return 'image/svg+xml', self._pictures[kind, name]
@@ -135,6 +144,8 @@ def picture(scene):
     """Return a small picture of a scene where it starts, SVG."""
     mechanism = scene.mechanism
     poses = body_poses(mechanism, np.array(scene.initial.position))
+    rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
+    heights, names = dict.fromkeys(rows, 0.0), {row: name for name, row in rows.items()}
     colors, lines, places = body_colors(mechanism), [], []
     for body in mechanism.bodies:
         points = marked_points(mechanism, body.name)
@@ -142,6 +153,13 @@ def picture(scene):
         world = _seen(np.array([world_points(pose, point) for point in points]))
         edges = solid(points)[0] if len(points) > 1 else []
         lines += [(world[a], world[b], colors[body.name]) for a, b in edges]
+        places += list(world)
+    outlines, joints = [], list(places)
+    for wire in wires(mechanism, scene.effects, rows, heights, 0.0):
+        pose = poses_in_space(pose_of(mechanism, poses, names[wire['body']]))
+        world = _seen(world_points(pose, wire['places'])[:, :2] if mechanism.planar
+                      else world_points(pose, wire['places']))
+        outlines.append((world, colors.get(names[wire['body']], '#8b929c')))
         places += list(world)
     ground = [_seen(np.array([joint.position]))[0] for joint in mechanism.joints
               if joint.parent == GROUND]
@@ -158,9 +176,11 @@ def picture(scene):
     drawn = [f'<line x1="{a[0]}" y1="{a[1]}" x2="{b[0]}" y2="{b[1]}" stroke="{color}" '
              'stroke-width="4" stroke-linecap="round"/>'
              for a, b, color in ((at(start), at(end), color) for start, end, color in lines)]
+    drawn = [f'<polyline points="{" ".join(",".join(at(place)) for place in world)}" fill="none" '
+             f'stroke="{color}" stroke-width="2"/>' for world, color in outlines] + drawn
     drawn += [f'<path d="M{x} {y}l-6 9h12z" fill="#8b929c"/>' for x, y in map(at, ground)]
     drawn += [f'<circle cx="{x}" cy="{y}" r="2.2" fill="#fff" stroke="#555"/>'
-              for x, y in sorted(set(map(at, places)))]
+              for x, y in sorted(set(map(at, joints)))]
     return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">'
             + ''.join(drawn) + '</svg>')
 

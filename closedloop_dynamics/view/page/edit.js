@@ -108,7 +108,7 @@ class Editing {
     const wanted = byId('library').querySelector('[type="search"]').value.toLowerCase();
     const card = ({kind, name, text}) => {
       const button = make(`<button><img loading="lazy" alt="" src="${
-        served(`picture/${kind}/${name}.svg`)}"><b>${escaped(name)}</b><small>${escaped(text)}</small></button>`);
+        served(`picture/${kind}/${name}.svg`)}"><b>${escaped(name).replaceAll('_', '_<wbr>')}</b><small>${escaped(text)}</small></button>`);
       button.onclick = () => {
         this.ask('open', {name, kind});
         byId('library').close();
@@ -137,6 +137,7 @@ class Editing {
     });
     this.curves = (scene.curves ?? []).map(({places}) => (
       Array.from({length: places.length / 3}, (_, k) => places.slice(3 * k, 3 * k + 3))));
+    this.fit();
     const sliders = scene.sliders ?? [], keys = sliders.map(({key}) => key).join();
     byId('numbers-panel').hidden = !sliders.length;
     if (keys === this.keys) {
@@ -159,10 +160,26 @@ class Editing {
     }));
   }
 
+  // Whole curves are seen, but the view stays while a hand drags.
+  fit() {
+    const {picture} = this.page;
+    if (this.held || !picture.extent || !this.curves.length) return;
+    for (const place of this.curves.flat()) {
+      place.forEach((x, k) => {
+        picture.extent.low[k] = Math.min(picture.extent.low[k], x);
+        picture.extent.high[k] = Math.max(picture.extent.high[k], x);
+      });
+    }
+    if (!picture.touched) picture.fit();
+  }
+
   follow({editing, undoable}) {
     [this.undo.disabled, this.redo.disabled] = undoable.map((can) => !can);
     byId('editing').setAttribute('aria-pressed', editing);
-    if (this.on !== editing) this.begin(null);
+    if (this.on !== editing) {
+      this.begin(null);
+      this.fit();
+    }
     this.on = editing;
     this.menu.hidden = !editing;
     this.say();
