@@ -33,12 +33,12 @@ from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.messages import (
-    drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_kinematic,
-    require_one_number, TORQUE)
+    drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
-from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
+from closedloop_dynamics.view.posing import felt_inertia, felt_mass
 from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
+from closedloop_dynamics.view.shown import Shown
 from closedloop_dynamics.visual.trajectory import (
     body_poses, body_velocities, poses_in_space, Trajectory)
 from geometry_msgs.msg import WrenchStamped
@@ -88,7 +88,7 @@ VIEWER_PARAMETERS = (
 )
 
 
-class RemoteSimulator:
+class RemoteSimulator(Shown):
     """
     One simulator that is shown, by its full name; ``node`` subscribes and asks.
 
@@ -99,15 +99,16 @@ class RemoteSimulator:
     """
 
     def __init__(self, node, name, topics):
-        self.name, self.feed = name, None
+        super().__init__()
+        self.name = name
         self._topics, self._logger = topics, node.get_logger()
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
         self._time, self._fresh, self._start = 0.0, False, None
         self._playing, self._speed = True, 1.0
-        self._kinematic, self._busy = False, None
-        # Who has taken hold of what: a page, the numbers of a body and of its place, where to.
-        self._holder = self._grabbed = self._at = None
+        self._busy = None
+        # Where what is held is pulled to.
+        self._at = None
         self._model, self._passed = None, deque(maxlen=PERIODS)
         self._subscriptions = [
             self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
@@ -143,7 +144,7 @@ class RemoteSimulator:
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
         # By actuated joint: what drives it, its value, and the integral of a position drive.
         # Cut joints are driven by commands: the page shows the joints of the tree.
-        self._drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
+        self.drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
                         if name in names.index}
         self._subscriptions.append(self._subscribe(
             JointState, self._topics['joint_states'], self._on_state, QOS))
@@ -164,7 +165,7 @@ class RemoteSimulator:
                         if isinstance(record, Gravity)), None)
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
-            drives=[self._drive_of(scene, name) for name in self._drives],
+            drives=[self._drive_of(scene, name) for name in self.drives],
             hand=self._wrenches is not None, gravity=gravity, own=False,
             # Orientations have topics of their own.
             poses=not len(names.balls), **CHOICES)
@@ -199,7 +200,7 @@ class RemoteSimulator:
         self._time, self._fresh = stamp - self._start, True
         if passed > 0.0:
             self._passed.append(passed)
-            if any(mode == POSITION for mode, *_ in self._drives.values()):
+            if any(mode == POSITION for mode, *_ in self.drives.values()):
                 self._command(passed)
             if self._pulling:
                 self._tug()
@@ -223,11 +224,7 @@ class RemoteSimulator:
         """Show what is new, follow what the pages ask for."""
         if self.feed is None:
             return
-        for page, message in self.feed.messages():
-            try:
-                self._follow(page, **message)
-            except (ValueError, SimulationError) as error:
-                self.feed.refuse(error)
+        self._follow()
         if self._fresh and self.feed.pages:
             self._fresh = False
             motion = Trajectory(self._mechanism, np.array([self._time]), *(
@@ -242,47 +239,41 @@ class RemoteSimulator:
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
-            motion=None, drives=drives_told(self._drives), unused=list(self._scene.method.unused),
+            motion=None, drives=drives_told(self.drives), unused=list(self._scene.method.unused),
             method={key: getattr(self._scene.method, key) for key in METHOD},
             effects=effects_told(
                 self._scene.effects, lambda name: name not in self._scene.switched_off))
 
-    def _follow(self, page, do, **asked):
-        """Ask the simulator for what a page asks for."""
-        if do in ('grab', 'pull', 'release'):
-            asked['page'] = page
-        getattr(self, f'_do_{do}')(**asked)
-
-    def _do_play(self):
+    def _do_play(self, page):
         self._let_go()
         self._kinematic, self._playing = False, True
         self._call(self._pause, SetBool.Request(data=False))
 
-    def _do_pause(self):
+    def _do_pause(self, page):
         self._playing = False
         self._call(self._pause, SetBool.Request(data=True))
 
-    def _do_step(self, count):
+    def _do_step(self, page, count):
         """Advance while it stands still, so many steps."""
         if self._playing:
-            self._do_pause()
+            self._do_pause(None)
         self._change({'step_count': count}, lambda: self._call(
             self._triggers['step'], Trigger.Request()))
 
-    def _do_reset(self):
-        for drive in self._drives.values():
+    def _do_reset(self, page):
+        for drive in self.drives.values():
             drive[:] = TORQUE, 0.0, 0.0
         self._call(self._triggers['reset'], Trigger.Request())
 
-    def _do_speed(self, factor):
+    def _do_speed(self, page, factor):
         self._change({'real_time_factor': factor})
         self._speed = factor
 
-    def _do_method(self, values):
+    def _do_method(self, page, values):
         # Without a value the scene's own is meant, or none.
         self._change({key: 0.0 if value is None else value for key, value in values.items()})
 
-    def _do_effect(self, name, enabled=None, values=None):
+    def _do_effect(self, page, name, enabled=None, values=None):
         changes = dict(values or {})
         if enabled is not None:
             changes['enabled'] = enabled
@@ -290,8 +281,8 @@ class RemoteSimulator:
 
     # Drives.
 
-    def _do_drive(self, joint, mode):
-        drive = drive_of(self._drives, joint)
+    def _do_drive(self, page, joint, mode):
+        drive = drive_of(self.drives, joint)
         with at('mode'):
             one_of(MODES)(mode)
         require_one_number(self._names, joint, mode)
@@ -302,19 +293,19 @@ class RemoteSimulator:
                 self._position[self._names.place[self._names.index[joint]]]), 0.0
             self._command()
 
-    def _do_motion(self, which):
+    def _do_motion(self, page, which):
         with at('which'):
             one_of((HELD, FREE))(which)
-        for joint, drive in self._drives.items():
+        for joint, drive in self.drives.items():
             if which == HELD and self._names.place[self._names.index[joint]] >= 0:
-                self._do_drive(joint, POSITION)
+                self._do_drive(page, joint, POSITION)
             else:
                 drive[:] = TORQUE, 0.0, 0.0
         self._command()
 
-    def _do_command(self, joint, value):
+    def _do_command(self, page, joint, value):
         with at('value'):
-            drive_of(self._drives, joint)[1] = number(value)
+            drive_of(self.drives, joint)[1] = number(value)
         self._command()
 
     def _update_model(self):
@@ -330,7 +321,7 @@ class RemoteSimulator:
         self._model.set_state(self._position)
         felt = felt_inertia(self._model)[self._model.actuated_in_tree]
         self._felt = {name: float(inertia) if np.isfinite(inertia) else 1.0
-                      for name, inertia in zip(self._drives, felt)}
+                      for name, inertia in zip(self.drives, felt)}
 
     @property
     def _period(self):
@@ -342,7 +333,7 @@ class RemoteSimulator:
         """Publish torques, ``passed`` seconds after the state before; of positions from this."""
         rate = min(DRIVE_RATE, DRIVE_SHARE / self._period)
         efforts = []
-        for name, drive in self._drives.items():
+        for name, drive in self.drives.items():
             mode, value, integral = drive
             if mode == TORQUE:
                 efforts.append(value)
@@ -352,18 +343,18 @@ class RemoteSimulator:
             drive[2] = integral + INTEGRAL * felt * rate ** 3 * error * passed
             efforts.append(drive[2] + felt * rate * (
                 rate * error - 2.0 * self._velocity[place]))
-        self._commands.publish(JointState(name=list(self._drives), effort=efforts))
+        self._commands.publish(JointState(name=list(self.drives), effort=efforts))
 
     # Posing: by a model here, whose state the simulator is given.
 
-    def _do_kinematic(self, on):
+    def _do_kinematic(self, page, on):
         if on and not self._kinematic:
-            self._do_pause()
+            self._do_pause(None)
             self._update_model()
         self._let_go()
         self._kinematic = on
 
-    def _pose_as_model(self):
+    def _on_posed(self):
         """Have the simulator take over the pose of the model."""
         if not self._states.get_subscription_count():
             raise FieldError('a simulator that takes states', 'none yet', path=('pose',))
@@ -372,48 +363,31 @@ class RemoteSimulator:
             name=[name for name, place in zip(self._names.names, places) if place >= 0],
             position=self._model.position[places[places >= 0]].tolist()))
 
-    def _do_pose(self, joint, value):
-        require_kinematic(self._kinematic)
-        drive_of(self._drives, joint)
-        joint_to(self._model, joint, value)
-        self._pose_as_model()
+    @property
+    def _posed(self):
+        return self._model
 
-    # What is taken hold of: posed, or pulled by a wrench.
+    # What is pulled, by a wrench.
 
     @property
     def _pulling(self):
         return self._grabbed is not None and not self._kinematic
 
-    def _do_grab(self, page, body, place, at):
-        if not self._kinematic and self._wrenches is None:
-            raise FieldError('kinematic mode, or a simulator that takes wrenches', 'neither')
-        self._let_go()
+    def _hand_is_there(self):
         if not self._kinematic:
+            if self._wrenches is None:
+                raise FieldError('kinematic mode, or a simulator that takes wrenches', 'neither')
             self._update_model()
-        name = self._hand.point(body, place)
-        self._hand.require_near(at)
-        if not self._kinematic:
-            self._mass, self._felt_at = felt_mass(self._model, name), self._time
-        self._holder, self._grabbed = page, [body, place]
-        self._do_pull(page, at)
 
-    def _do_pull(self, page, at):
-        if page is not self._holder:
-            return
-        self._hand.require_near(at)
-        self._at = at
-        if self._kinematic:
-            point_to(self._model, self._hand.point(*self._grabbed), at)
-            self._pose_as_model()
+    def _take_hold(self, name, place):
+        self._mass, self._felt_at = felt_mass(self._model, name), self._time
+        self._pull(place)
 
-    def _do_release(self, page):
-        if page is self._holder:
-            self._let_go()
+    def _pull(self, place):
+        self._at = place
 
-    def _let_go(self):
-        if self._pulling:
-            self._push(np.zeros(3))
-        self._holder = self._grabbed = None
+    def _release(self):
+        self._push(np.zeros(3))
 
     def _tug(self):
         """Pull like a critically damped spring on the mass that the point feels."""

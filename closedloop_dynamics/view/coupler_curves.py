@@ -22,8 +22,8 @@ def curves(mechanism, position, points):
     """
     Return the curves of points while the first driven joint goes as far as it can.
 
-    The other driven joints stay, and there is one curve, of the first point. Where the joints that are driven do not decide the motion, there
-    are no curves.
+    The other driven joints stay, and there is one curve, of the first point. Where the joints that
+    are driven do not decide the motion, there are no curves.
 
     Parameters
     ----------

@@ -38,6 +38,11 @@ LENGTH = 'length'
 BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0
 SHORTEST = 1e-3
 JOINT, CUT, POINT = 'joint', 'cut', 'point'
+# What each part is added by.
+NEEDED = {
+    'point': ('body_a', 'a'), 'link': ('body_a', 'a', 'b'), 'pin': ('body_a', 'a', 'body_b'),
+    'rod': ('body_a', 'a', 'body_b', 'b'), 'spring': ('body_a', 'a', 'body_b', 'b'),
+    'force': ('body_a', 'a', 'b'), 'damper': ('joint',), 'drive': ('joint',)}
 # Those that change the number of degrees of freedom.
 CONSTRAINING = 'link', 'pin', 'rod'
 
@@ -170,7 +175,8 @@ class Editor:
             parts = {f'.{k}': one for k, one in enumerate(value)} if isinstance(
                 value, (list, tuple)) else {'': value}
             flat.update({f'effects.{name}.{key}{part}': one for part, one in parts.items()})
-        if flat and all(key in known and value is not None for key, value in flat.items()):
+        if flat and all(key in known and isinstance(value, (int, float))
+                        and not isinstance(value, bool) for key, value in flat.items()):
             scene = self._with(flat)
             self._keep(('set', f'effects.{name}'))
             self.scene = scene
@@ -328,6 +334,10 @@ class Editor:
         if not self.scene.mechanism.planar and what in ('link', 'pin'):
             raise FieldError('a mechanism in the plane', 'one in space', path=(what,))
         frames = _Frames(self.scene.mechanism, position)
+        given = {**places, 'joint': joint}
+        for key in NEEDED[what]:
+            if given.get(key) is None:
+                raise FieldError(f'{key} of a {what}', 'none', path=(what,))
         entries, values = getattr(self, f'_{what}')(frames, position, joint, **places)
         self._write(entries, values, what)
 

@@ -20,9 +20,10 @@ from .feed import Feed
 from .library import Library
 from .messages import (
     drive_of, drives_told, effects_told, EXPRESSION, FREE, HELD, OWN, POSITION,
-    require_kinematic, require_one_number, SPEED, TORQUE)
+    require_one_number, SPEED, TORQUE)
 from .own_motion import MODES, own_motion, OwnMotion
-from .posing import felt_inertia, joint_to, point_to
+from .posing import felt_inertia
+from .shown import Shown
 from .watchdog import Watchdog
 from ..control.errors import StartError
 from ..effects.actuator import Actuator
@@ -60,8 +61,6 @@ REACH = {False: 60.0, True: 20.0}
 GIVE, DAMPING = 0.05, 0.5
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
-# Of what comes faster than frames, the newest counts.
-NEWEST = 'pull', 'pose', 'command', 'move', 'set'
 # How long after a change a controller is made for the machine as it is now [s].
 SETTLED = 0.3
 METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
@@ -133,7 +132,7 @@ class Hand:
                              shown(list(at)), path=('at',))
 
 
-class Runner:
+class Runner(Shown):
     """
     Runs a simulation, shows it to a feed and does what its pages ask for.
 
@@ -164,13 +163,13 @@ class Runner:
     def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion(),
                  library=None):
         """Build the simulation, standing still at its start."""
-        self._clock, self.playing, self._kinematic, self._editing = clock, False, False, False
+        super().__init__()
+        self._clock, self.playing, self._editing = clock, False, False
         self._choose_own, self._lock = own, Lock()
-        self._failure, self.holder, self._grabbed = None, None, None
+        self._failure = None
         self._achieved, self._speed = None, 1.0
         self._watchdog = None
         self._library = Library() if library is None else library
-        self.feed = None
         self._begin(scene, own)
 
     def _begin(self, scene, own):
@@ -367,7 +366,8 @@ class Runner:
 
     def tick(self):
         """Follow what was asked for, advance to the present, show it."""
-        self._follow()
+        if self._follow():
+            self._changed = True
         if self._clock() >= self._own_due:
             self._renew_controller()
         if self.playing or self._single > 0.0:
@@ -454,26 +454,6 @@ class Runner:
                  if name != self._hand.spring}, simulation.enabled_effects.__contains__))
 
     # What pages ask for.
-
-    def _follow(self):
-        """Follow what was asked for since the last frame; of pulls and poses the newest."""
-        wanted = list(self.feed.messages())
-        latest = {}
-        for number, (page, message) in enumerate(wanted):
-            if message['do'] in NEWEST:
-                latest[self._key(page, message)] = number
-        for number, (page, message) in enumerate(wanted):
-            if latest.get(self._key(page, message), number) != number:
-                continue
-            try:
-                getattr(self, f'_do_{message.pop("do")}')(page, **message)
-            except (ValueError, SimulationError) as error:
-                self.feed.refuse(error)
-            self._changed = True
-
-    @staticmethod
-    def _key(page, message):
-        return message['do'], message.get('joint') or message.get('key'), id(page)
 
     def _do_play(self, page):
         if self._kinematic:
@@ -599,33 +579,23 @@ class Runner:
             if running:
                 self._pacer.start()
 
-    def _do_grab(self, page, body, place, at):
-        self._hand.require_near(at)
-        name = self._hand.point(body, place)
-        self.holder, self._grabbed = page, [body, place]
-        if self._kinematic:
-            self._pose_to(at)
-        else:
-            self._pull(at, enabled=True, point_a=name)
+    # The hand.
 
-    def _do_pull(self, page, at):
-        if self.holder is not page:
-            return
-        self._hand.require_near(at)
-        if self._kinematic:
-            self._pose_to(at)
-        else:
-            self._pull(at)
+    @property
+    def _posed(self):
+        return self.simulation
 
-    def _pull(self, at, enabled=None, **more):
+    def _take_hold(self, name, place):
         self.simulation.set_effect(
-            self._hand.spring, enabled, anchor=tuple(at[:self._hand.dimensions]), **more)
+            self._hand.spring, True, anchor=tuple(place[:self._hand.dimensions]), point_a=name)
 
-    def _do_release(self, page):
-        if self.holder is page:
-            self.holder = self._grabbed = None
-            if self._hand.spring in self.simulation.enabled_effects:
-                self.simulation.set_effect(self._hand.spring, False)
+    def _pull(self, place):
+        self.simulation.set_effect(
+            self._hand.spring, anchor=tuple(place[:self._hand.dimensions]))
+
+    def _release(self):
+        if self._hand.spring in self.simulation.enabled_effects:
+            self.simulation.set_effect(self._hand.spring, False)
 
     # Editing.
 
@@ -635,8 +605,7 @@ class Runner:
             return
         if self._kinematic:
             self._do_kinematic(page, False)
-        if self.holder is not None:
-            self._do_release(self.holder)
+        self._let_go()
         self._editing = on
         if self.start_pose is not None:
             # Of a simulation that starts there.
@@ -758,8 +727,7 @@ class Runner:
 
     def _do_kinematic(self, page, on):
         self._stop()
-        if self.holder is not None:
-            self._do_release(self.holder)
+        self._let_go()
         if on:
             self._editing, self._failure = False, None
             self.simulation.set_state(self.simulation.position)
@@ -770,15 +738,6 @@ class Runner:
                 self.editor.pose(self.start_pose)
             self._do_reset(page)
         self._kinematic = on
-
-    def _do_pose(self, page, joint, value):
-        require_kinematic(self._kinematic)
-        drive_of(self.drives, joint)
-        joint_to(self.simulation, joint, value)
-
-    def _pose_to(self, at):
-        body, place = self._grabbed
-        point_to(self.simulation, self._hand.point(body, place), at)
 
 
 def round_up(value):

@@ -73,7 +73,10 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
         for what, more in (('effect', {'name': 'gravity', 'values': {'acceleration': [1.0]}}),
                            ('effect', {'name': 'nothing', 'enabled': True}),
                            ('command', {'joint': 'theta_2', 'value': 1.0}),
-                           ('method', {'values': {'integrator': 'guess'}})):
+                           ('method', {'values': {'integrator': 'guess'}}),
+                           # A node is not edited.
+                           ('edit', {'on': True}), ('motion', {'which': 'own'}),
+                           ('load', {'name': 'a', 'text': ''})):
             client.ask(what, **more)
             refused += 1
             client.until(lambda client: client.controls['refused'] == refused)

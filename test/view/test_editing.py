@@ -11,6 +11,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.coupler_curves import curves
 from closedloop_dynamics.view.editing import Editor
 from closedloop_dynamics.view.library import Library
+from closedloop_dynamics.view.messages import ADDITIONS
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE, Runner
 from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
@@ -165,6 +166,12 @@ def test_what_cannot_be_assembled_goes_back():
         assert edited.scene == before
     edited.ask('add', what='pin', body_a='crank', a=[0.0, 0.0, 0.0], body_b='crank')
     assert edited.scene == before
+    for what in ADDITIONS:
+        for given in ({}, {'body_a': 'nobody', 'a': [0.0, 0.0, 0.0], 'b': [0.0, 0.1, 0.0],
+                           'body_b': 'nobody', 'joint': 'no_joint'}):
+            told = edited.ask('add', what=what, **given)
+            assert edited.scene == before and told['undoable'] == [False, False]
+    assert told['refused'] >= 2 * len(ADDITIONS)
     # While it runs nothing is dragged.
     edited.ask('edit', on=False)
     told = edited.ask('move', kind='point', name='coupler_point', at=[0.2, 0.2, 0.0])

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What pages ask of a machine, whether it is simulated here or by a node elsewhere."""
+
+from .messages import drive_of, require_kinematic
+from .posing import joint_to, point_to
+from ..mechanism.fields import FieldError, shown
+from ..simulation.errors import SimulationError
+
+# Of what comes faster than frames, the newest counts.
+NEWEST = 'pull', 'pose', 'command', 'move', 'set'
+
+
+class Shown:
+    """
+    A machine that pages show, drive, take hold of and pose by hand.
+
+    What a page asks for under a name is done by ``_do_NAME(page, ...)``.
+
+    Attributes
+    ----------
+    feed : feed.Feed or None
+    drives : dict
+        By joint.
+    holder : object or None
+        The page that has taken hold of something.
+
+    """
+
+    def __init__(self):
+        """Begin without pages."""
+        self.feed, self.holder, self.drives = None, None, {}
+        # What is held: numbers of a body and of a place of it.
+        self._grabbed, self._kinematic, self._hand = None, False, None
+
+    # For each of both.
+
+    @property
+    def _posed(self):
+        """Return the simulation that is posed by hand."""
+        raise NotImplementedError
+
+    def _on_posed(self):
+        """Let others know the pose."""
+
+    def _take_hold(self, name, place):
+        """Begin to pull a named point to a place."""
+        raise NotImplementedError
+
+    def _pull(self, place):
+        """Pull what is held to another place."""
+        raise NotImplementedError
+
+    def _release(self):
+        """Pull no more."""
+        raise NotImplementedError
+
+    # What pages ask for.
+
+    def _follow(self):
+        """Do what was asked for since the last time; return whether there was something."""
+        asked = list(self.feed.messages())
+        latest = {}
+        for number, (page, message) in enumerate(asked):
+            if message['do'] in NEWEST:
+                latest[_key(page, message)] = number
+        for number, (page, message) in enumerate(asked):
+            if latest.get(_key(page, message), number) != number:
+                continue
+            try:
+                what = message.pop('do')
+                action = getattr(self, f'_do_{what}', None)
+                if action is None:
+                    raise FieldError('what can be asked of this machine', shown(what),
+                                     path=('do',))
+                action(page, **message)
+            except (ValueError, SimulationError) as error:
+                self.feed.refuse(error)
+        return bool(asked)
+
+    # What is taken hold of: posed, or pulled.
+
+    def _do_grab(self, page, body, place, at):
+        self._hand_is_there()
+        self._hand.require_near(at)
+        name = self._hand.point(body, place)
+        self._let_go()
+        self.holder, self._grabbed = page, [body, place]
+        if self._kinematic:
+            self._pose_to(at)
+        else:
+            self._take_hold(name, at)
+
+    def _hand_is_there(self):
+        """Raise FieldError where nothing can be taken hold of."""
+
+    def _do_pull(self, page, at):
+        if page is not self.holder:
+            return
+        self._hand.require_near(at)
+        if self._kinematic:
+            self._pose_to(at)
+        else:
+            self._pull(at)
+
+    def _do_release(self, page):
+        if page is self.holder:
+            self._let_go()
+
+    def _let_go(self):
+        if self._grabbed is not None and not self._kinematic:
+            self._release()
+        self.holder = self._grabbed = None
+
+    def _pose_to(self, at):
+        point_to(self._posed, self._hand.point(*self._grabbed), at)
+        self._on_posed()
+
+    def _do_pose(self, page, joint, value):
+        require_kinematic(self._kinematic)
+        drive_of(self.drives, joint)
+        joint_to(self._posed, joint, value)
+        self._on_posed()
+
+
+def _key(page, message):
+    return message['do'], message.get('joint') or message.get('key'), id(page)
