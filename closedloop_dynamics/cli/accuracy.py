@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop accuracy``: what accuracy costs in time, on a scene of one's own."""
+"""``closedloop accuracy``: error against computing time, on a scene of one's own."""
 
 import warnings
 

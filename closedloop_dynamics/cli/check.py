@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop check``: what a file was understood to be, or what is wrong with it."""
+"""``closedloop check``: the contents of a file as they were read, or its faults."""
 
 import sys
 

@@ -31,7 +31,7 @@ READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
 
 
 class UsageError(ValueError):
-    """A command line that makes no sense; the message says what would."""
+    """A wrong command line; the message says what was expected."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class HelpfulParser(ArgumentParser):
         return action
 
     def error(self, message):
-        """Say what is wrong and where to read on; exit with 2."""
+        """Print the error and where help is; exit with 2."""
         print(f'{self.prog}: {message}\nTry: {self.prog} --help', file=sys.stderr)
         self.exit(2)
 
@@ -131,7 +131,7 @@ def add_reading(parser):
 
 
 def reading(arguments):
-    """Return what the command line asks of the reader of a model, by the names it has there."""
+    """Return the options for the reader of a model, by its parameters' names."""
     found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
              'arguments': mapping(arguments.argument, '--argument'),
              'anywhere': arguments.anywhere}

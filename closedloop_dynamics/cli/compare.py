@@ -84,7 +84,7 @@ def _run(arguments):
 
 
 def _machines(arguments):
-    """Return the scenes to compare, by what they are called."""
+    """Return the scenes to compare, by name."""
     names, sets = arguments.scene, arguments.set
     if len(names) > 1 and sets:
         raise UsageError(f'--set: expected it with one scene, got {len(names)}')

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop effects``: what each effect of a scene costs and changes."""
+"""``closedloop effects``: cost and influence of each effect of a scene."""
 
 from .command import (
     add_directory, add_motion, add_reading, add_scene, add_set, add_torque, assignment,
@@ -47,7 +47,7 @@ def _run(arguments):
 
 
 def _check(arguments, scene, torque, rates):
-    """Refuse at once what would fail only after a while."""
+    """Check arguments that would fail only after a while."""
     if not scene.effects:
         raise UsageError(f'{arguments.scene}: this scene lists no effects, there is nothing to '
                          'compare')

@@ -134,7 +134,7 @@ def _write_fmu(arguments):
 
 
 def _coded(arguments, write):
-    """Return the simulation of a scene, and what is written of it as code."""
+    """Return the simulation of a scene, and its parts that are written as code."""
     from ..simulation.simulation import Simulation
     if reading(arguments):
         raise UsageError('--output: expected a scene to write C of; a model in another format '
@@ -157,7 +157,7 @@ def _tell_left_out(simulation):
 
 
 def _read(name, **asked):
-    """Return a mechanism, its effects, and where it starts, with what is held and the limits."""
+    """Return a mechanism, its effects, its start with the joints held, and its limits."""
     if is_model(name):
         imported = read_model(name, **asked)
         effects = {**imported.effects, **{

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop formulations``: what the subsystem-level method buys as mechanisms grow."""
+"""``closedloop formulations``: time and rounding error of formulations over size."""
 
 from .command import (
     add_directory, add_reading, Command, free_paths, read_scene, UsageError)

@@ -144,13 +144,13 @@ def course(text):
 
 
 def value_of(text):
-    """Return a number with its unit in rad or m, None for what is none."""
+    """Return a number with its unit in rad or m, or None."""
     found = _value(text)
     return None if found is None else found[0] * UNITS[found[1] or 'rad']
 
 
 def _value(text):
-    """Return a number and its unit, None where there is none; None for what is no number."""
+    """Return a number and its unit or None; None where the text is no number."""
     unit = next((unit for unit in UNITS if text.endswith(unit)), None)
     try:
         number = float(text.removesuffix(unit) if unit else text)
@@ -251,7 +251,7 @@ def summary(run, table):
 
 
 def curves(run, table):
-    """Return what is drawn over the drive, by quantity and name, each shape (n,)."""
+    """Return the curves over the drive, by quantity and name, each shape (n,)."""
     column, coordinates = by_name(table), run.mechanism.coordinates
     names = coordinates.names
     found = {}

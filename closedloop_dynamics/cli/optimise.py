@@ -182,7 +182,7 @@ def _problem(arguments, scene):
 
 
 def _summary(optimum):
-    """Return what was found, as text."""
+    """Return the result as text."""
     problem, best = optimum.problem, optimum.best
     all_found = optimum.starts.values()
     lines = [f'{problem.scene.name}: {len(optimum.starts)} searches, '

@@ -46,7 +46,7 @@ def _run(arguments):
 
 
 def _judged(arguments, result):
-    """Say what is too far off; return the exit code."""
+    """Print deviations beyond the tolerance; return the exit code."""
     if arguments.tolerance is not None:
         why = (None if result.largest <= arguments.tolerance
                else f'by up to {result.largest:.3g}, more than {arguments.tolerance:g}')

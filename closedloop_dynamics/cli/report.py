@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop report``: what a designer asks of a mechanism, on one page."""
+"""``closedloop report``: the key figures of a mechanism, on one page."""
 
 from base64 import b64encode
 from html import escape
@@ -210,7 +210,7 @@ def _rms(values, times):
 
 
 def _drive_shown(run):
-    """Return what writes a value of the drive, in degrees where it turns."""
+    """Return the function that writes a drive's value, in degrees where it turns."""
     _, label = drive_axis(run)
     if label.endswith('[deg]'):
         return lambda value: f'{math.degrees(value):.6g} deg'

@@ -183,7 +183,7 @@ def _is_file(output):
 
 
 def _report_path(output):
-    """Return the file beside the rows that says what the run was worth."""
+    """Return the file of the summary, beside that of the rows."""
     return Path(f'{output}.report.txt')
 
 
@@ -226,7 +226,7 @@ def _summary(simulation, report, arguments, estimate):
 
 
 def _resolution(method, arguments):
-    """Return what the steps were; one that ends at a row may be shorter than the others."""
+    """Return the steps in words; one that ends at a row may be shorter."""
     if INTEGRATORS[method.integrator].kind == ADAPTIVE:
         key = 'budget' if method.by_budget else 'accuracy' if method.integrator == AUTO else (
             'tolerance')

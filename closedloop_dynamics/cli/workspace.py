@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""``closedloop workspace``: what a platform reaches, how well, and where it is singular."""
+"""``closedloop workspace``: reach, conditioning and singularities of a platform."""
 
 from argparse import ArgumentTypeError
 from pathlib import Path

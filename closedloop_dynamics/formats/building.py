@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-From a described machine to a mechanism: one body for what is fixed together, a tree, cuts.
+From a described machine to a mechanism: fixed links joined, a tree, cuts.
 
 Joints that are driven stay in the tree; loops are cut, where there is a choice, at the joints
 with the most freedoms, which leave the fewest equations.
@@ -57,7 +57,7 @@ FOR_OTHERS = re.compile('for (pictures|sensors|programs|controllers|another)|nam
 @dataclass(frozen=True)
 class Imported:
     """
-    A mechanism with what its file says beside it.
+    A mechanism with the other contents of its file.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ def _spanning_tree(groups, joints):
 
 
 def _free(group, joints):
-    """Return the free joint that carries what nothing joins to the ground."""
+    """Return the free joint of a machine that nothing joins to the ground."""
     name = free_name(f'{group}_free', [joint.name for joint in joints])
     return Connection(name, FREE, GROUND, group, actuated=False)
 
@@ -455,7 +455,7 @@ def _end(spring, number):
 
 
 def _effects(model, groups, frames, mechanism, tree, named, end_stops, omitted, ignored):
-    """Return what acts on the joints, as a scene has it, and where they start."""
+    """Return the effects on the joints, as in a scene, and their start."""
     effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
     if not any(model.gravity):
         effects = {}
@@ -531,7 +531,7 @@ def _add_along(model, groups, frames, named, end_stops, effects, ignored):
 
 
 def _act(joint, key, mechanism, name, effects, omitted):
-    """Add what acts in the freedoms of a joint, of one kind; note what no effect can carry."""
+    """Add effects in a joint's degrees of freedom, of one kind; note others as left out."""
     value, (kind, number) = getattr(joint, key), JOINT_EFFECTS[key]
     if not np.any(value):
         return
@@ -620,7 +620,7 @@ def _located(error, model, named):
 
 def lines(imported, lever):
     """
-    Return what was left out, a line for each reason: what moves bodies first, the largest of all.
+    Return omissions, a line for each reason: those that move bodies first, by size.
 
     Parameters
     ----------
@@ -649,7 +649,7 @@ def lines(imported, lever):
 
 
 def _together(quantity, kind, unit, omissions):
-    """Return in words what was left out of several elements."""
+    """Return the omissions of several elements in words."""
     names = ', '.join(dict.fromkeys(one.name for one in omissions[:MOST_NAMED]))
     if len(omissions) > MOST_NAMED:
         names += f' and {len(omissions) - MOST_NAMED} more'

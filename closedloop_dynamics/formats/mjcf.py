@@ -103,7 +103,7 @@ def read_mjcf(path, asked=Asked()):
 
 @contextmanager
 def _heard(mujoco, notes):
-    """Note what MuJoCo warns of, which else writes a file where it runs."""
+    """Collect MuJoCo's warnings, which it would write to a file where it runs."""
     before, warned = mujoco.get_mju_user_warning(), []
     mujoco.set_mju_user_warning(warned.append)
     try:
@@ -201,7 +201,7 @@ def _inside(element, path, folder, asked, what):
 
 def _stripped(root, folder, left_out, asked, parts, assets):
     """
-    Take out what only pictures and contacts need.
+    Remove elements of pictures and contacts only.
 
     Models that are attached are put into ``parts``, without the same, meshes that masses need into
     ``assets``: by the name in the file, path and content.
@@ -329,7 +329,7 @@ def _text(element, left_out=()):
 
 
 class _Reader:
-    """Records from what MuJoCo compiled."""
+    """Records from a compiled model of MuJoCo."""
 
     def __init__(self, mujoco, compiled, model, ellipsoids):
         self.compiled, self.model, self.mujoco = compiled, model, mujoco
@@ -385,7 +385,7 @@ class _Reader:
         return disabled(self.mujoco, self.compiled, what)
 
     def _find_drives(self):
-        """Note which joints are driven, and what drives add to joints."""
+        """Note which joints are driven, and the damping and armature of drives in them."""
         compiled, model, kinds = self.compiled, self.model, self.mujoco.mjtTrn
         in_joints = [int(getattr(kinds, f'mjTRN_{kind}')) for kind in (
             'JOINT', 'JOINTINPARENT', 'SO3') if hasattr(kinds, f'mjTRN_{kind}')]
@@ -425,7 +425,7 @@ class _Reader:
                 'commands are torques and forces of joints')
 
     def _omit_gains(self, drive, gear, joint):
-        """Note what an actuator of position or velocity does where it is commanded nothing."""
+        """Note the force of an actuator of position or velocity without a command."""
         compiled = self.compiled
         if self.disabled('ACTUATION') or compiled.actuator_biastype[drive] != int(
                 self.mujoco.mjtBias.mjBIAS_AFFINE):
@@ -439,7 +439,7 @@ class _Reader:
                            'commands are torques and forces of joints', size, unit)
 
     def _along(self, tendon):
-        """Add what acts along a tendon; yield the fields and rows that are read."""
+        """Add effects along a tendon; yield the fields and rows that are read."""
         compiled, first = self.compiled, int(self.compiled.tendon_adr[tendon])
         wraps = range(first, first + int(compiled.tendon_num[tendon]))
         name = self._called(self.objects.mjOBJ_TENDON, tendon)[1]
@@ -488,7 +488,7 @@ class _Reader:
             yield from self._read('tendon', ('stiffness', 'damping'), tendon)
 
     def _beyond(self, joint):
-        """Add higher terms of a joint's spring and damper; yield what is read of them."""
+        """Add higher terms of a joint's spring and damper; yield the fields read."""
         compiled, dof = self.compiled, int(self.compiled.jnt_dofadr[joint])
         if TYPES[compiled.jnt_type[joint]] not in (PRISMATIC, REVOLUTE):
             return
@@ -551,7 +551,7 @@ class _Reader:
         return free_name(name, {*self.model.joints, *self.named_joints})
 
     def _called(self, kind, number):
-        """Return what an element is, and its name."""
+        """Return the kind of an element, and its name."""
         return (kind.name.removeprefix('mjOBJ_').lower(),
                 self._name(kind, number, f'number {number + 1}'))
 
@@ -698,7 +698,7 @@ class _Reader:
         return [(int(compiled.wrap_objid[k]), float(compiled.wrap_prm[k])) for k in wraps]
 
     def _arms(self, joints):
-        """Return arms by names of joints, of what ``_tendon`` returned."""
+        """Return arms by names of joints, from the result of ``_tendon``."""
         arms = Counter()
         for joint, share in joints:
             arms[self.joints[joint]] += share

@@ -61,7 +61,7 @@ def disabled(mujoco, compiled, what):
 
 def omissions(mujoco, compiled, name, carried, no_drag):
     """
-    Return what is left out of a compiled model, a list of Omission.
+    Return the omissions from a compiled model, a list of Omission.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the bodies and the world of an MJCF file are drawn as.
+Visuals of the bodies and the world of an MJCF file.
 
 MuJoCo reads the file a second time, with its defaults and materials, but without meshes, of which
 only the names of the files count, and without textures.
@@ -24,7 +24,7 @@ UNTOLD = (0.5, 0.5, 0.5)
 
 def read_pictures(mujoco, text, folder, model, links):
     """
-    Give the links of a model, and its ground, what they are drawn as.
+    Give the links of a model, and its ground, their visuals.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _touching(compiled, fields):
 
 def _without_files(mujoco, spec, folder):
     """
-    Take out of a file what needs others.
+    Remove elements that need other files.
 
     Returns
     -------

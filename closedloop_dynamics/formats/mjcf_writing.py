@@ -141,7 +141,7 @@ def _fixed(section, arms, acting):
 
 
 def _singles(mechanism, joint):
-    """Return the joints that MJCF has for a joint; what floats is free in the world alone."""
+    """Return the joints of MJCF for a joint; a free one is allowed in the world only."""
     carrier = {one.name for one in mechanism.bodies if not one.massless}
     if joint.type == FREE and joint.parent == GROUND and joint.child in carrier:
         return [Single(joint.name, FREE)]
@@ -254,7 +254,7 @@ def _moments(body):
 
 
 def _acting_on(single, acting):
-    """Return attributes of what acts in a joint."""
+    """Return attributes of the effects in a joint."""
     found = {}
     for kind, attribute in ATTRIBUTES.items():
         values = acting.same(single.name, kind)
@@ -272,7 +272,7 @@ def _acting_on(single, acting):
 
 
 def _equalities(mechanism, cut, bodies, section):
-    """Add what closes a loop."""
+    """Add the constraint that closes a loop."""
     if cut.type not in (SPHERICAL, REVOLUTE, FIXED):
         raise MechanismError(
             f'{mechanism.name}: cut_joints.{cut.name}.type: expected spherical, revolute or fixed '

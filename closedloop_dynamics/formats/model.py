@@ -192,7 +192,7 @@ class Spring:
 @dataclass
 class Rope:
     """
-    What pulls along straight lines from place to place on links where it is stretched.
+    A rope: it pulls along straight lines between places on links when stretched.
 
     Attributes
     ----------
@@ -215,7 +215,7 @@ class Rope:
 @dataclass
 class Belt:
     """
-    What acts along a weighted sum of coordinates of joints of one freedom.
+    A tendon along a weighted sum of coordinates of joints with one degree of freedom.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class Omission:
 @dataclass(frozen=True)
 class Asked:
     """
-    What is asked of the reader of a file.
+    Options of the reader of a file.
 
     Attributes
     ----------
@@ -402,7 +402,7 @@ class Model:
             f' ({nearest(name, known) or "there are " + among(known)})')
 
     def ignore(self, counts, reasons, otherwise='not known to this reader'):
-        """Note how often something was left out, and why: by what it is, or ``otherwise``."""
+        """Count an omission with its reason, by its kind, or ``otherwise``."""
         self.ignored.update({
             f'{count} {what}' if count > 1 else what: reasons.get(what, otherwise)
             for what, count in counts.items()})

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which files are models in other formats, and what reads and writes them."""
+"""Formats of models, with their readers and writers."""
 
 from importlib import import_module
 from pathlib import Path

@@ -122,7 +122,7 @@ def _chosen(where, models, missing, asked):
 
 
 def _join_to_world(element, where, still, model):
-    """Put the joints of a world that carry a model on what stands still into the model."""
+    """Move the joints that fix a model to the world's static parts into the model."""
     prefix = f'{element.get("name")}{SCOPE}'
     fixed = tuple(f'{one.get("name")}{SCOPE}' for one in still)
     for joint in where.all('joint'):
@@ -190,7 +190,7 @@ class _Reader:
                 self.given[name] = part, before
 
     def _link_name(self, frame):
-        """Return what a link, or the world, is called in the model."""
+        """Return the name of a link, or of the world, in the model."""
         if frame == WORLD and frame not in self.model.links:
             return GROUND
         if self.version == JOINTS_ALONE:
@@ -255,13 +255,13 @@ class _Reader:
         self.found[WORLD] = self._in(frame) @ world.inverse
 
     def _visuals(self, link):
-        """Return what a link is drawn as."""
+        """Return the visuals of a link."""
         return visuals(
             link, Path(link.source).parent, lambda visual: self._pose(visual.child('pose')),
             _child, _color, self.model.ignored)
 
     def drawn(self):
-        """Return what the links of a model that stands still are drawn as, in the world."""
+        """Return the visuals of a static model's links, in the world."""
         self._place()
         return [placed(visual, self._in(WORLD).inverse @ self._in(link.word('name')))
                 for link in self.links for visual in self._visuals(link)]
@@ -404,7 +404,7 @@ class _Reader:
         return place.rotation.T @ frame @ axis
 
     def _act(self, joint, element):
-        """Note what acts on a joint, its limits and what it mimics."""
+        """Note the effects on a joint, its limits and the joint it mimics."""
         mimic = element.child('mimic')
         joint.damping, joint.friction, joint.stiffness, joint.rest = _acting(element)
         joint.lower, joint.upper, joint.effort, joint.speed = _limits(element)

@@ -95,10 +95,10 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
 
 
 class _Sdf:
-    """What is written into an element model, link by link and joint by joint."""
+    """Writer of an element model, link by link and joint by joint."""
 
     def __init__(self, mechanism, model, effects, limits):
-        """Name the links, in SDF's one space of names for all, and write what they weigh."""
+        """Name the links, in SDF's one space of names for all, and write their inertias."""
         self.mechanism, self.model, self.mimics, self.drakes = mechanism, model, {}, False
         self.acting = Acting(mechanism, effects, self._singles, limits)
         taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
@@ -173,7 +173,7 @@ class _Sdf:
             parent, place, q = child, IDENTITY, q[count:]
 
     def _add_axes(self, element, single, joint, q):
-        """Add axes and lead, what acts along them, and that a joint is driven."""
+        """Add axes and lead, the effects along them, and whether a joint is driven."""
         if joint.actuated and single.type == SPHERICAL:
             raise self._error('joints', joint, 'actuated', 'false', 'true')
         if joint.type == HELICAL:
@@ -226,7 +226,7 @@ class _Sdf:
         add_loop_joint(self.model, cut, {**self.links, GROUND: 'world'}, self.poses)
 
     def add_ball_constraints(self, cut):
-        """Add what closes a loop in Drake."""
+        """Add Drake's constraint for a loop."""
         if cut.type not in BALLS:
             raise self._error('cut_joints', cut, 'type',
                               'spherical or revolute for Drake', repr(cut.type))

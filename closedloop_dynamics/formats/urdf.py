@@ -236,7 +236,7 @@ def _axis(element, tag, kind):
 
 
 def _mimic(model, joint, element):
-    """Return what a joint that mimics another keeps to."""
+    """Return the coupling of a joint that mimics another."""
     other = element.word('joint')
     if other not in model.joints:
         raise element.error('the name of a joint', repr(other), nearest(other, model.joints))
@@ -250,7 +250,7 @@ def _mimic(model, joint, element):
 
 
 def _coupling(model, element):
-    """Return a coupling of URDF+: what leads to one link turns so many times the other."""
+    """Return a coupling of URDF+, a ratio between the chains to two links."""
     above = {joint.child: joint for joint in model.joints.values() if not joint.closes}
     chains = []
     for tag in ('successor', 'predecessor'):
@@ -322,7 +322,7 @@ def _ball_constraint(element, name):
 
 
 def _stand(model, robot):
-    """Put the root link on the ground; refuse what is no tree."""
+    """Put the root link on the ground; raise where the links are no tree."""
     carried = {}
     for joint in model.joints.values():
         if joint.closes:
@@ -377,7 +377,7 @@ def _rename(element, new):
 
 
 def _extend(model, robot):
-    """Read what Gazebo's extensions say of the motion: joints of SDF, and springs of joints."""
+    """Read Gazebo's extensions: joints of SDF, and springs of joints."""
     poses = _drawn(model)
     for element in robot.all('gazebo'):
         name = element.get('reference')

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mechanisms as URDF with what closes their loops."""
+"""Mechanisms as URDF with their loop closures."""
 
 from xml.etree import ElementTree
 
@@ -97,7 +97,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
 
 
 def _add_dynamics(element, single, joint, acting, mimics, zero):
-    """Add limits, counted from zero, what acts on a joint, and what it mimics."""
+    """Add limits, counted from zero, effects on a joint, and the joint it mimics."""
     if single.type in (REVOLUTE, PRISMATIC):
         torque, speed = acting.drive(single.name, speeds=True)
         limit = ElementTree.SubElement(

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What links of URDF and SDF files are drawn as: boxes, cylinders, spheres and meshes."""
+"""Visuals of links in URDF and SDF files: boxes, cylinders, spheres and meshes."""
 
 from dataclasses import replace
 import os
@@ -18,7 +18,7 @@ SEARCHED = ('AMENT_PREFIX_PATH', 'ROS_PACKAGE_PATH', 'GZ_SIM_RESOURCE_PATH')
 
 def visuals(link, folder, pose_of, values_of, color_of, ignored):
     """
-    Read what a link is drawn as; what cannot be drawn is left out.
+    Read the visuals of a link; those that cannot be drawn are left out.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def visuals(link, folder, pose_of, values_of, color_of, ignored):
 
 
 def _shapes(visual, folder, pose_of, values_of, color_of):
-    """Return what an element visual is drawn as."""
+    """Return the shapes of an element visual."""
     found, geometry = [], visual.child('geometry')
     if geometry is None:
         return found
@@ -122,7 +122,7 @@ def _is_file(path):
 
 
 def placed(visual, pose):
-    """Return what is drawn in one frame in another that has it at a pose."""
+    """Return shapes of one frame in another, in which it has a pose."""
     rotation = pose.rotation @ of_quaternion(visual.orientation)
     return replace(visual, center=tuple(pose.place(np.array(visual.center)).tolist()),
                    orientation=quaternion_of(rotation))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the writers of MJCF, URDF and SDF share.
+Common parts of the writers of MJCF, URDF and SDF.
 
 A joint of several freedoms that a format does not have becomes several of one freedom, with links
 without mass between them; they are called ``JOINT_1``, ``JOINT_2``. What a format cannot say
@@ -75,7 +75,7 @@ def chain(mechanism, joint, balls):
 
 class Acting:
     """
-    What acts in the single joints that stand for the joints of a mechanism.
+    Effects in the single joints that stand for the joints of a mechanism.
 
     A writer takes from it what its format has a word for; the rest is left.
 
@@ -107,7 +107,7 @@ class Acting:
     """
 
     def __init__(self, mechanism, effects, singles, limits=None):
-        """Sort effects by what they act in."""
+        """Sort effects by the joints they act in."""
         _refuse_cuts(mechanism, effects)
         self._limits = limits or {}
         self._at, self.left, self.freedoms = {}, {}, {}

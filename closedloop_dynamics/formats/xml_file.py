@@ -131,7 +131,7 @@ class Element:
 
     def unasked(self, above=()):
         """
-        Yield what nobody asked for.
+        Yield the parts that were not read.
 
         Yields
         ------
@@ -191,7 +191,7 @@ def read_xml(path, root, text=None):
 
 def read_bytes(path):
     """
-    Return what is in a file, one byte more than it may have at the most.
+    Return the contents of a file, up to one byte beyond its limit.
 
     Raises
     ------

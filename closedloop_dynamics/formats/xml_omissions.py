@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What elements of URDF and SDF say that nobody asked for: what moves bodies with its size."""
+"""Elements of URDF and SDF that are not read: those that move bodies, with their size."""
 
 from collections import Counter
 import math
@@ -33,7 +33,7 @@ OWNERS = ('link', 'joint', 'gazebo', 'model')
 
 def leave_out(model, root, reasons):
     """
-    Note what nobody asked for in a file.
+    Note the parts of a file that were not read.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def leave_out(model, root, reasons):
 
 
 def _words(element):
-    """Yield what stands in an element, as text or as attributes ``value``."""
+    """Yield the contents of an element, text or attributes ``value``."""
     yield element.text
     yield element.attributes.get('value', '')
     for child in element.children:

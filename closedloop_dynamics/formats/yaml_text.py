@@ -38,7 +38,7 @@ def mechanism_text(mechanism, notes=()):
 
 def scene_text(imported, q, mechanism_path):
     """
-    Return a scene of an ``Imported`` model as YAML: where it starts, and what acts on it.
+    Return a scene of an ``Imported`` model as YAML: its start and its effects.
 
     ``q``, shape (nq,), are the coordinates at the start; ``mechanism_path`` is the mechanism's
     file as the scene names it.
@@ -56,7 +56,7 @@ def scene_text(imported, q, mechanism_path):
 
 
 def _values(record, spatial):
-    """Return the keys of a record that differ from what they are when left out."""
+    """Return the keys of a record that differ from their defaults."""
     values = {
         field.name: value for field in fields(record) if field.name != 'name'
         and ((value := getattr(record, field.name)) != field.default or field.default is MISSING)}

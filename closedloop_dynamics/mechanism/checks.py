@@ -17,7 +17,7 @@ LONGEST_NAME = 255
 
 
 def number(value, expected='a finite number'):
-    """Return ``value`` as float; refuse what is no finite number."""
+    """Return ``value`` as float; raise unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise FieldError(expected, shown(value))
     try:
@@ -46,14 +46,14 @@ def not_negative(value):
 
 
 def count(value):
-    """Return ``value``; refuse what is no whole number above zero."""
+    """Return ``value``; raise unless it is a positive whole number."""
     if type(value) is not int or value < 1:
         raise FieldError('a whole number, one or more', shown(value))
     return value
 
 
 def listed(value, expected='a list'):
-    """Return ``value`` as a tuple; refuse what is no list, tuple or array."""
+    """Return ``value`` as a tuple; raise unless it is a list, tuple or array."""
     if isinstance(value, (str, bytes, Mapping, Set)):
         raise FieldError(expected, shown(value))
     try:
@@ -96,7 +96,7 @@ def vector3(value):
 
 
 def one_or_several(one, several):
-    """Return the check for what passes ``several`` where it has a length, ``one`` otherwise."""
+    """Return a check: ``several`` for values with a length, ``one`` for others."""
     return lambda value: (several if hasattr(value, '__len__') else one)(value)
 
 
@@ -116,7 +116,7 @@ UNIT_NORM = 1e-15
 
 
 def direction(value):
-    """Return ``value`` as a tuple of three floats; refuse what has no length."""
+    """Return ``value`` as a tuple of three floats; raise where their norm is zero."""
     axis = vector3(value)
     # Squares of less vanish.
     if not max(map(abs, axis)) > 1e-100:

@@ -182,7 +182,7 @@ class Coordinates:
 
     def columns(self, quantity):
         """
-        Return what the numbers of a quantity are called in a table.
+        Return the columns' names of a quantity in a table.
 
         Parameters
         ----------

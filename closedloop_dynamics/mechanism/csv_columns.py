@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Columns of numbers from a CSV file: what a scene names instead of listing them."""
+"""Columns of numbers from a CSV file that a scene names."""
 
 import csv
 from pathlib import Path

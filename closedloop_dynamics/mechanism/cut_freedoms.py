@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The freedoms of joints that close loops: what their coordinates are, and what they count from.
+Degrees of freedom of cut joints: their coordinates and zeros.
 
 Names, signs and zeros are those of the same joint in a tree with body A as the child and body B as
 the parent. Some axes are fixed in the child: the second one of a universal joint, those of the
@@ -91,7 +91,7 @@ def cut_freedoms(mechanism):
 
 
 def _in_plane(cut):
-    """Return what follows name and cut joint of the freedoms of one in the plane."""
+    """Return the fields after name and cut joint, of a cut joint in the plane."""
     slide = True, np.array((np.cos(cut.angle), np.sin(cut.angle), 0.0))
     return {REVOLUTE: [(False, _Z)], PRISMATIC: [slide]}.get(cut.type, [slide, (False, _Z)])
 

@@ -107,7 +107,7 @@ class _Cut(NamedTuple):
 # Many simulations of one mechanism differ in numbers only.
 @lru_cache(maxsize=4)
 def _decompose(joints, cut_joints):
-    """Decompose what is left of a mechanism without its numbers."""
+    """Decompose a mechanism given by its topology alone."""
     trees = _subsystems(joints)
     subsystem_of = {
         joints[j].child: k for k, tree in enumerate(trees) for j in tree}
@@ -147,7 +147,7 @@ def structure_of(touched):
 
 
 def _eliminated(neighbours):
-    """Return the order of elimination, what each column reaches, and the fill."""
+    """Return the order of elimination, the structure of each column, and the fill."""
     order = _elimination_order(neighbours)
     return (order, *_fill(neighbours, order))
 

@@ -107,7 +107,7 @@ class Document:
         return self._lines[path]
 
     def _text(self):
-        """Return what is in the file."""
+        """Return the contents of the file."""
         try:
             content = read_file(self.path, MOST_BYTES)
         except (OSError, ValueError) as error:
@@ -137,7 +137,7 @@ class Document:
         return data
 
     def _next(self):
-        """Return the next event; where an alias stands, the first one of what it stands for."""
+        """Return the next event; of an alias, the first one of its anchor."""
         event = self._again.pop() if self._again else next(self._events)
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in self._anchors:
@@ -320,7 +320,7 @@ def with_entry(text, keys, name, value):
 
 
 def _last_mark(node):
-    """Return where the text of a node ends: those of mappings count what follows, too."""
+    """Return where the text of a node ends; mappings' own marks reach further."""
     if isinstance(node, yaml.MappingNode) and node.value and not node.flow_style:
         return _last_mark(node.value[-1][1])
     if isinstance(node, yaml.SequenceNode) and node.value and not node.flow_style:
@@ -380,7 +380,7 @@ def with_mapping(text, keys, below):
 
 
 def _comment(text, end):
-    """Return what stands in a line behind a value, a comment or nothing."""
+    """Return the rest of a line after a value, a comment or nothing."""
     line_end = text.find('\n', end)
     return text[end:len(text) if line_end < 0 else line_end].rstrip()
 

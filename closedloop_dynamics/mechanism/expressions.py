@@ -155,7 +155,7 @@ class Parameters:
 
 def value_of(text, known, functions, expected, takes=FUNCTIONS):
     """
-    Return the value of an expression, of numbers or of what computes like them.
+    Return the value of an expression, of numbers or number-like objects.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def parsed(text):
 
 def put_changes(value, before, after):
     """
-    Return a record with what differs between two others of its kind put into it.
+    Return a record with the differences of two others of its kind applied.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Errors in values from outside: where they are, what was expected and what was found.
+Errors in values from outside, with place, expected and found value.
 
 A check is a function that takes a value and returns it normalised (``3`` to
 ``3.0``, a list to a tuple) or raises :class:`FieldError`; ``checks.py`` has them.
@@ -23,7 +23,7 @@ MOST_SHOWN = 30
 
 class FieldError(ValueError):
     """
-    A value that is not what its key asks for.
+    A value that does not fit its key.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def shown(value):
 
 
 def among(words):
-    """Write what may be chosen, cut short where it is much."""
+    """Write the choices, cut short where they are many."""
     words = list(words)
     return ', '.join(words[:MOST_SHOWN]) + ', ...' * (len(words) > MOST_SHOWN)
 

@@ -10,7 +10,7 @@ import stat
 
 def read_file(path, most):
     """
-    Return what is in a file, one byte more than it may have at the most.
+    Return the contents of a file, up to one byte beyond its limit.
 
     Parameters
     ----------

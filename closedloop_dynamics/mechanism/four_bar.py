@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Four-bar linkages among the planar mechanisms, and what they are."""
+"""Recognise four-bar linkages among planar mechanisms, and classify them."""
 
 import math
 from typing import Dict, List, NamedTuple, Optional, Tuple
@@ -42,7 +42,7 @@ class FourBar(NamedTuple):
 
 def four_bar(mechanism, drive) -> Optional[FourBar]:
     """
-    Return what a planar mechanism of four revolute joints in one loop is.
+    Return the links and class of a planar loop of four revolute joints.
 
     Parameters
     ----------

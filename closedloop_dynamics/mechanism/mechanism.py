@@ -374,7 +374,7 @@ class Mechanism:
 
     @cached_property
     def closures(self) -> Tuple[Union[CutJoint, Coupling, DrivingConstraint], ...]:
-        """Return what holds the coordinates, in the order of the multipliers."""
+        """Return cut joints and couplings, in the order of the multipliers."""
         return (*self.cut_joints, *self.couplings, *self.motions)
 
     @cached_property

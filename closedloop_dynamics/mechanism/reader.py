@@ -37,7 +37,7 @@ def read_mechanism(
         path: Union[str, Path, Mapping[str, Any]],
         parameters: Optional[Mapping[str, float]] = None) -> Mechanism:
     """
-    Read a mechanism from a YAML file, or from what such a file has.
+    Read a mechanism from a YAML file, or from its data.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def with_kept(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
 def _mechanism(
         data: Any, given: Mapping[str, float],
         orders: Optional[Mapping[str, bool]] = None) -> Mechanism:
-    """Return the mechanism of plain data, or raise FieldError; with orders what to cut."""
+    """Return the mechanism of plain data and of requested cuts, or raise FieldError."""
     mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))
     parameters = Parameters.read(data.get('parameters'), given)
     with at('parameters'):

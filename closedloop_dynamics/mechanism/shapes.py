@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Shapes of bodies: centre of mass and inertia of one material, and what they are drawn as.
+Shapes of bodies: centre of mass and inertia of one material, and visuals.
 
 A shape is one in space, also of a body in the plane, where its inertia is the moment about z.
 
@@ -34,7 +34,7 @@ DERIVED = ('center_of_mass', 'inertia')
 
 def with_shape(values, spatial):
     """
-    Return the keys of a body with what follows from its shape in the place of the shape.
+    Return the keys of a body with its shape replaced by the properties that follow.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def with_shape(values, spatial):
 
 def visuals(shapes, spatial):
     """
-    Return what a body is drawn as.
+    Return the visuals of a body.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def _rod(found, to, spatial):
 
 
 def _finite_properties(kind, found, spatial):
-    """Return what ``_properties`` does; refuse a size whose powers overflow."""
+    """Return ``_properties``; raise for a size whose powers overflow."""
     with np.errstate(over='ignore', invalid='ignore'):
         try:
             volume, center, inertia = _properties(kind, found, spatial)
@@ -204,7 +204,7 @@ def _properties(kind, found, spatial):
 
 
 def _visual(kind, found):
-    """Return what a shape is drawn as."""
+    """Return the Visual of a shape."""
     center = tuple(found['center'].tolist()) + (0.0,) * (3 - len(found['center']))
     turned, color = found.get('orientation', UNTURNED), found.get('color')
     if kind == 'box':
@@ -257,7 +257,7 @@ def _size(value):
 
 
 def _box(found):
-    """Return what ``_properties`` does, of a box."""
+    """Return ``_properties`` of a box."""
     turned = np.eye(3)
     if 'orientation' in found:
         x, y, z, w = found['orientation']
@@ -270,7 +270,7 @@ def _box(found):
 
 
 def _cylinder(radius, length, axis, center):
-    """Return what ``_properties`` does, of a solid cylinder."""
+    """Return ``_properties`` of a solid cylinder."""
     across = (3.0 * radius ** 2 + length ** 2) / 12.0
     along = 0.5 * radius ** 2
     inertia = across * np.eye(3) + (along - across) * np.outer(axis, axis)

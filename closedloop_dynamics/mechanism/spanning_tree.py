@@ -126,7 +126,7 @@ def choose_tree(bodies, edges, closures):
 
 
 class _Graph:
-    """The graph, and what trees in it take."""
+    """The graph of bodies and joints, and the cost of its trees."""
 
     def __init__(self, bodies, edges, closures):
         self.bodies, self.edges, self.closures = bodies, edges, closures

@@ -106,7 +106,7 @@ _OTHER_NAMES = {
 
 
 def _type_of(*choices):
-    """Return the check for the type of a joint; the error says what stands for other types."""
+    """Return the check for the type of a joint; the error suggests replacements."""
     def check(value):
         try:
             return one_of(choices)(value)
@@ -272,7 +272,7 @@ def is_spatial(mechanism):
 
 
 def _zero(value):
-    """Return zero if that is what ``value`` is."""
+    """Return zero; raise unless ``value`` is that."""
     result = number(value, 'zero, or nothing, of a massless body')
     if result != 0.0:
         raise FieldError('zero, or nothing, of a massless body', shown(value))
@@ -368,7 +368,7 @@ def _check_references(mechanism):
 
 
 def _check_couplings(mechanism):
-    """Refuse couplings of what is no joint of one freedom, and the radius of what slides."""
+    """Refuse couplings of joints of several degrees of freedom, and radii of sliding ones."""
     joints = {joint.name: joint for joint in mechanism.joints}
     cuts = {cut.name: cut for cut in mechanism.cut_joints}
     for coupling in mechanism.couplings:
@@ -400,7 +400,7 @@ def _check_couplings(mechanism):
 
 
 def check_tree(mechanism):
-    """Refuse what is no tree on the ground: each body is the child of one joint."""
+    """Raise unless the joints are a tree on the ground: each body the child of one."""
     carrier = {}
     for joint in mechanism.joints:
         first = carrier.setdefault(joint.child, joint)

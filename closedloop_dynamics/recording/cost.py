@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a run will cost, told before it is made: from a probe, its first part."""
+"""The cost of a run, predicted from a probe, its first part."""
 
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ FINER, SHORTER = 1e-3, 0.5
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run is expected to cost."""
+    """Expected cost of a run."""
 
     key: str  # Of a scene's method: ``accuracy``, ``tolerance`` or ``step_size``
     value: float  # Its value
@@ -57,7 +57,7 @@ class Cost:
 
 def probe(simulation, duration, rate, torque=None, estimated=False, longest=None):
     """
-    Predict what a run will cost, and what a finer one would.
+    Predict the cost of a run, and of a finer one.
 
     Parameters
     ----------

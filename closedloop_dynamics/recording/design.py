@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a designer asks of a driven mechanism: the numbers of ``closedloop report``."""
+"""Key figures of a driven mechanism: the numbers of ``closedloop report``."""
 
 import math
 from typing import Dict, NamedTuple, Tuple
@@ -179,7 +179,7 @@ def _vertex(values, drive, pick):
 
 def shaking(run):
     """
-    Return what the inertia of the bodies exerts on the ground.
+    Return the force and moment of the bodies' inertia on the ground.
 
     Returns
     -------

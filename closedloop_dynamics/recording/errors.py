@@ -5,4 +5,4 @@
 
 
 class RecordingError(ValueError):
-    """A recording that does not hold what is needed; the message says what to do."""
+    """A recording without the data needed; the message says what to do."""

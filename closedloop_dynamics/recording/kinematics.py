@@ -27,7 +27,7 @@ UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
 class Drive(NamedTuple):
     """
-    What is driven from where to where.
+    Start and end of a driven joint or point.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class DrivenRun:
 
     def table(self, show=None):
         """
-        Return what ``simulate --forces all`` writes, for every pose.
+        Return the table of ``simulate --forces all``, for every pose.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ def by_name(table) -> Dict[str, np.ndarray]:
 
 
 def torques(run, column):
-    """Return what the drives exert, by joint or driven coordinate, shape (n,) [N m or N]."""
+    """Return the drives' efforts, by joint or driven coordinate, shape (n,) [N m or N]."""
     if run.mechanism.motions:
         return {name: column[f'motion.{motion.name}.force'] for name, motion in zip(
             run.driven, run.mechanism.motions)}
@@ -224,7 +224,7 @@ def _is_freedom(scene, name):
 
 
 def _freedoms(mechanism):
-    """Return the names of what a motion may drive among the joints and cut joints."""
+    """Return the names of coordinates of joints and cut joints that a motion may drive."""
     return [coordinates.names[k] for coordinates in (
         mechanism.coordinates, mechanism.cut_coordinates) for k in coordinates.single]
 

@@ -87,7 +87,7 @@ class McapFile:
 
     @property
     def size(self):
-        """Return the size of the file, with what waits to be written [bytes]."""
+        """Return the size of the file with the buffer [bytes]."""
         return self._stream.tell() + self._size
 
     def add_channel(self, channel, topic):
@@ -119,7 +119,7 @@ class McapFile:
             raise self._stream.failure
 
     def finish(self, metadata):
-        """Write what waits, then the index; ``metadata()`` returns the text that goes with it."""
+        """Write the buffer, then the index; ``metadata()`` returns the text that goes with it."""
         try:
             if self._stream.broken:
                 raise self._stream.failure

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Motion and efforts of measured joints, from a recording: what identification takes.
+Motion and efforts of measured joints, from a recording, for identification.
 
 A CSV file of ``closedloop simulate`` has accelerations. A bag has none: between two states they
 are, on average, the change of rates over the time between, and belong to the state half way, which
@@ -27,7 +27,7 @@ QUANTITIES = ('position', 'velocity', 'acceleration')
 
 class Measurements(NamedTuple):
     """
-    What was measured of a mechanism.
+    Measured motion and efforts of a mechanism.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def _rows(path, coordinates, joints, driven, deviation):
 
 def between_states(path, recording, scene, driven):
     """
-    Return what was measured half way between the states of a bag.
+    Return measurements half way between the states of a bag.
 
     Parameters
     ----------

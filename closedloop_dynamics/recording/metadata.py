@@ -22,7 +22,7 @@ def distribution():
 
 def metadata(storage, compression, topics, files):
     """
-    Return what is to be known of a bag.
+    Return the metadata of a bag.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def normalised(profiles):
 
 
 def load(text):
-    """Return what a YAML text says."""
+    """Return the data of a YAML text."""
     return YAML(typ='safe', pure=True).load(text)
 
 

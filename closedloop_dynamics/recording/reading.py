@@ -73,7 +73,7 @@ class Bag:
         self._known = {}
 
     def _read_metadata(self):
-        """Find out what should be in the bag."""
+        """Read which topics and messages should be in the bag."""
         file = self.path / METADATA_FILE
         if not file.is_file():
             return
@@ -228,6 +228,6 @@ def _unpacked(file, damages):
 
 
 def _number(path):
-    """Return what sorts the files of a bag: NAME_10 comes after NAME_9."""
+    """Return the sort key of a bag's files: NAME_10 comes after NAME_9."""
     stem, _, number = path.name.split('.')[0].rpartition('_')
     return (stem, int(number)) if number.isdigit() else (path.name, -1)

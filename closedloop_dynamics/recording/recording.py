@@ -154,7 +154,7 @@ def _of_interest(topic):
 
 
 def _prefix(path, messages, namespace):
-    """Return what stands before the names of the simulator's topics."""
+    """Return the prefix of the simulator's topics."""
     found = sorted(topic.removesuffix(STATES) for topic in messages
                    if topic.endswith(f'/{STATES}'))
     if not found:

@@ -69,7 +69,7 @@ class Replay:
 
 def replay(recording, progress=lambda time: None):
     """
-    Simulate a recording with its scene again, twice: to compare, and to see what grows.
+    Simulate a recording again, twice: to compare, and to see how differences grow.
 
     ``progress`` is called with how many states are done. Raises SimulationError where that fails.
 

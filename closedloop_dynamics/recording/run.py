@@ -238,7 +238,7 @@ def _spent(simulation, report):
 
 
 def _estimated(estimate, simulation, torque, report):
-    """Let the second run follow; return it unless it fails."""
+    """Advance the second run; return it unless it fails."""
     try:
         _reached(simulation.time, estimate.simulation, torque, Report(), lambda: True)
     except SimulationError:
@@ -250,7 +250,7 @@ def _estimated(estimate, simulation, torque, report):
 
 
 def _noted(values, report):
-    """Put what a row says into the report; return the row."""
+    """Enter a row into the report; return the row."""
     report.rows += 1
     *_, closure, report.last_energy = values
     report.largest_closure = max(report.largest_closure, closure)

@@ -103,7 +103,7 @@ class SqliteFile:
         self._committed = self.counts.copy(), self.span
 
     def finish(self, metadata):
-        """Commit and close; ``metadata()`` returns the text of what is in the file by then."""
+        """Commit and close; ``metadata()`` returns the text of the file's metadata."""
         try:
             self.flush()
             self._do(self._database.execute,
@@ -190,7 +190,7 @@ def _rows(database, checksum):
 
 
 def _message(topics, channel, nanoseconds, data, checksum):
-    """Return a row as a message; None where it is not what was written."""
+    """Return a row as a message; None where it is damaged."""
     if not (channel in topics and isinstance(nanoseconds, int) and isinstance(data, bytes)):
         return None
     if checksum is not None and checksum != _checksum(channel, nanoseconds, data):
@@ -199,7 +199,7 @@ def _message(topics, channel, nanoseconds, data, checksum):
 
 
 def _problem(database):
-    """Return what sqlite3 finds wrong with the structure of the file, or None."""
+    """Return the fault in the file's structure that sqlite3 finds, or None."""
     try:
         (found,), *_ = database.execute('PRAGMA quick_check(1)')
     except sqlite3.DatabaseError as error:

@@ -58,7 +58,7 @@ def transmission_angle(mechanism, position, drive):
 
 def transmission_parts(mechanism, position, drive):
     """
-    Return what the tangent of the transmission angle of each coupler is the ratio of.
+    Return numerator and denominator of the tangent of each transmission angle.
 
     Smooth in the position, but for where a part is zero.
 

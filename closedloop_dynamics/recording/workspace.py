@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Maps of what a platform reaches: where, how well, and along which curves it is singular."""
+"""Maps of a platform's workspace: reach, conditioning and singular curves."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ class WorkspaceFileError(ValueError):
 @dataclass(frozen=True)
 class Request:
     """
-    What is to be mapped.
+    What to map.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ def compute(scene, request: Request, workers: Optional[int] = None,
             show: Callable[[int, int], None] = lambda done, total: None,
             keep_going: Callable[[], bool] = lambda: True) -> Workspace:
     """
-    Map what a platform reaches from a scene's start.
+    Map the workspace of a platform from a scene's start.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def compute(scene, request: Request, workers: Optional[int] = None,
 
 
 class _State:
-    """What is done of a map: enough to go on."""
+    """State of a map in progress: enough to continue."""
 
     def __init__(self, axes, angles):
         self.axes, self.angles = axes, angles
@@ -316,7 +316,7 @@ def _variable(out, name, values, dimensions, sizes, grid):
 
 
 def _check(scene, platform, request):
-    """Refuse what the platform does not have."""
+    """Refuse names that the platform does not have."""
     names = 'xyz'[:platform.axes]
     for axis, (first, last, count) in request.axes.items():
         if axis not in names:
@@ -550,7 +550,7 @@ def _between(one, other):
 
 
 def _result(scene, platform, state, request, finished):
-    """Return a map of what was reached."""
+    """Return the map of the nodes reached."""
     notes = []
     missed = tuple(np.flatnonzero(state.done == 2).tolist())
     shape = state.shape

@@ -61,7 +61,7 @@ class BagFiles:
         return {topic.name: counts[channel] for channel, topic in enumerate(self._topics, 1)}
 
     def add_topic(self, topic):
-        """Make a topic known; return what ``write`` wants to know of it, a whole number."""
+        """Register a topic; return its number for ``write``."""
         self._topics.append(topic)
         self._file.add_channel(len(self._topics), topic)
         return len(self._topics)
@@ -97,7 +97,7 @@ class BagFiles:
             self._file.add_channel(channel, topic)
 
     def _finish(self):
-        """Finish the present file, and note what is in it."""
+        """Finish the present file, and note its contents."""
         file, self._file = self._file, None
         if file is not None:
             self._ended.append(file)
@@ -119,6 +119,6 @@ class BagFiles:
         draft.replace(self.path / METADATA_FILE)
 
     def _make_room(self):
-        """Give back what was kept free."""
+        """Release the space kept free."""
         with suppress(OSError):
             (self.path / RESERVE_FILE).unlink()

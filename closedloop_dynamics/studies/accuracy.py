@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The work-precision study: what error each method buys, and what it costs in time."""
+"""The work-precision study: error and computing time of each method."""
 
 from dataclasses import dataclass, replace
 import math
@@ -46,13 +46,13 @@ class Line:
         return 'tolerance' if self.adaptive else 'step_size'
 
     def __str__(self):
-        """Return the names of what the line is made of."""
+        """Return the names of the line's integrator, stabilisation and formulation."""
         return f'{self.integrator}, {self.stabilisation}, {self.formulation}'
 
 
 def default_lines():
     """
-    Return what there is to choose from, one thing varied at a time.
+    Return the choices of methods, one thing varied at a time.
 
     That is every integrator with full projection, and RK4 with every stabilisation and
     formulation.

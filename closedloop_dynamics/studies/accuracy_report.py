@@ -29,7 +29,7 @@ _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'))
 
 
 def title(study):
-    """Return what was studied, on one line."""
+    """Return the subject of the study, on one line."""
     driven = ', '.join(f'{joint} = {value:g}' for joint, value in study.torque.items() if value)
     return f'{study.scene.name}, {study.duration:g} s, ' + (
         f'driven by {driven} N m or N' if driven else 'without torques')

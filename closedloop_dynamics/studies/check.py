@@ -28,7 +28,7 @@ MOST_LISTED = 12
 
 def describe(scene_or_mechanism, simulation=None):
     """
-    Describe a Scene or a Mechanism in paragraphs: what ``closedloop check`` prints.
+    Describe a Scene or a Mechanism in paragraphs, as ``closedloop check`` prints them.
 
     With a simulation of the scene, at its start, that is shown beside what the scene says.
 
@@ -156,7 +156,7 @@ def _cut_joints(mechanism, decomposition):
 
 
 def _chosen(mechanism):
-    """Return what was chosen where a description leaves the tree open."""
+    """Return the choice of cut joints where a description leaves the tree open."""
     tree = mechanism.tree
     if tree is None:
         return []
@@ -177,7 +177,7 @@ def _chosen(mechanism):
 
 
 def _repeated(mechanism, simulation, found):
-    """Return the equations that repeat others, where there are any, and what they share."""
+    """Return equations that repeat others, if any, and the forces they share."""
     if not mechanism.closures or mechanism.planar and (
             simulation is None or mechanism.number_of_equations > MOST_EQUATIONS):
         return []
@@ -306,7 +306,7 @@ def _method(method):
 
 
 def _setting(method):
-    """Return what the integrator goes by: an accuracy, a tolerance or a step size."""
+    """Return the integrator's setting: an accuracy, a tolerance or a step size."""
     step = ('step size', f'{_value(method.step_size)} s')
     if method.integrator == AUTO:
         kept = [('accuracy', f'{_value(method.accuracy)} rad or m within a second'), step]

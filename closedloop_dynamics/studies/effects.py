@@ -187,7 +187,7 @@ class Study:
 def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400, matters=0.0,
                   progress=lambda done, total: None):
     """
-    Measure what each type of effect costs and changes.
+    Measure cost and influence of each type of effect.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400, matter
 
 
 def _finding(scene, kind, names, whole, times, run_of):
-    """Return what effects of one type cost and change."""
+    """Return cost and influence of the effects of one type."""
     ratios = (_ratio_of(times, ('alone', kind), 'bare'), _ratio_of(
         times, ('without', kind), 'whole'))
     try:
@@ -272,7 +272,7 @@ def changes_of_position(coordinates, run, whole):
 
 
 def record(simulation, duration, rows, torque=None, rates=None):
-    """Run a simulation from its start and keep what happens."""
+    """Run a simulation from its start and record it."""
     control = RateControl(simulation.scene, rates) if rates else None
     kept, step, evaluations = [], 0, 0.0
     steps = max(1, round(duration / simulation.step_size))
@@ -350,7 +350,7 @@ def _times(scene, types, whole):
 
 
 def _evaluation(simulation, off, whole):
-    """Return what measures one evaluation of a simulation in states of a motion [s]."""
+    """Return the function that times an evaluation in states of a motion [s]."""
     if off:
         for name in simulation.effects:
             simulation.set_effect(name, enabled=False)

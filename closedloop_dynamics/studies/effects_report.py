@@ -46,7 +46,7 @@ def table(study, style=text_table):
 
 def advice(study, matters):
     """
-    Say which effects matter, and what leaving out the others saves.
+    Say which effects matter, and how much leaving out the others saves.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def advice(study, matters):
 
 
 def _time(finding):
-    """Return what an effect takes of the computing time, in words."""
+    """Return an effect's share of the computing time, in words."""
     saved = 1.0 - finding.time
     if np.isnan(saved):
         return 'takes a time that could not be measured'
@@ -95,13 +95,13 @@ def _time(finding):
 
 
 def _part(left, noise):
-    """Return what of something is saved where a share of it is left, in words."""
+    """Return the saving that a remaining share means, in words."""
     saved = 1.0 - left
     return 'nothing of' if abs(saved) < max(NEGLIGIBLE, noise) else f'{100.0 * saved:.0f} % of'
 
 
 def summary(study):
-    """Return what is to be said of the whole scene, a few lines."""
+    """Return the summary of the whole scene, a few lines."""
     balance = study.run.balance[-1]
     return '\n'.join([
         f'one evaluation: {seconds(study.bare)} without any effect, {ratio(study.off)} times that '
@@ -251,7 +251,7 @@ def _moved(study, run):
 
 
 def work(study, contact):
-    """Draw what a designer asks of a machine that works on a contact."""
+    """Draw force, path and work of a machine that works on a contact."""
     run, simulation = study.run, study.simulation
     effect = simulation.scene.effects[contact]
     joint = simulation.joint_names.index((simulation.actuated_joints or ['-'])[0])

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Mechanisms of the hard cases, each with a state that closes, and what makes any of them hard."""
+"""Mechanisms of the hard cases, each with a closed state, and modifications that make one hard."""
 
 from dataclasses import replace
 import math

@@ -75,7 +75,7 @@ VARIED = ('mechanism', 'effects', 'parameters')
 
 
 class IdentificationError(ValueError):
-    """Parameters that cannot be identified from what was given; the message says why."""
+    """Parameters that cannot be identified from the data; the message says why."""
 
 
 class Estimate(NamedTuple):
@@ -145,7 +145,7 @@ class Combination(NamedTuple):
 @dataclass(frozen=True)
 class Identification:
     """
-    What follows from a motion for the parameters.
+    Estimates of parameters from a motion.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class Identifier:
     """
 
     def __init__(self, scene, keys, motion, others=None):
-        """Complete the motion, and find what the linear parameters take along it."""
+        """Complete the motion, and find the regressor of the linear parameters along it."""
         self._scene, self.driven = _without_motions(scene)
         self._keys = _expanded(self._scene, keys)
         joints, motion = _arrays(motion, 3, 'motion')
@@ -342,7 +342,7 @@ class Identifier:
 
     def influence(self):
         """
-        Return what parameters of usual sizes take along the motion, around the scene.
+        Return the torques of usual parameters along the motion, around the scene.
 
         Returns
         -------
@@ -420,11 +420,11 @@ class Identifier:
         return found[self._samples]
 
     def _wanted(self, along, torque):
-        """Return what the linear parameters are to take."""
+        """Return the torques to explain by the linear parameters."""
         return torque - along.known[self._samples]
 
     def _at(self, values):
-        """Return what the scene of other numbers takes along the motion."""
+        """Return the torques of the scene with other numbers along the motion."""
         if not np.array_equal(self._latest[0], values):
             self._latest = values.copy(), self._along.of(self._scene_of(values), self._nonlinear)
         return self._latest[1]
@@ -545,7 +545,7 @@ class Identifier:
 
 class _Along:
     """
-    What a scene takes along a motion: linear parameters, and the rest.
+    Torques of a scene along a motion, by linear parameters and the rest.
 
     Attributes
     ----------
@@ -681,7 +681,7 @@ class _Along:
         self.size = np.einsum('nvd,nv->nd', self._tangents, need)
 
     def _find_torques(self):
-        """Find what the linear parameters take, and what is left of all torques."""
+        """Find the linear parameters' torques, and the remainder."""
         self.regressor = np.stack(
             [self._units[one.body] @ one.numbers for one in self.parameters], axis=2) if (
                 self.parameters) else np.zeros((*self.size.shape, 0))
@@ -723,7 +723,7 @@ class _Along:
 
 class _Linear:
     """
-    A linear problem solved by weighted least squares, with what cannot be known left out.
+    Weighted least squares without the unidentifiable columns.
 
     Attributes
     ----------

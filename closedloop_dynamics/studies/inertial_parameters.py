@@ -27,7 +27,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 class Parameter(NamedTuple):
     """
-    A number that the equations of motion are linear in: what a unit of it adds to a body.
+    A number that the equations of motion are linear in, as a unit added to a body.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ def pseudo_inertia(body) -> np.ndarray:
 
 def unit_rows(placement):
     """
-    Return what units of a body's numbers add to its row of ``Model.body``.
+    Return the change of a body's row of ``Model.body`` by units of its numbers.
 
     Parameters
     ----------

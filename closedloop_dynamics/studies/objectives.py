@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What is minimised and what is required, as expressions of quantities.
+Objectives and requirements as expressions of quantities.
 
 ``max(force.pin)``, ``rms(torque.crank) + 0.1*max(shaking_force)``,
 ``min(transmission_angle) >= 40deg``: the arithmetic of ``mechanism.expressions``, with quantities
@@ -88,7 +88,7 @@ class Expression:
         self._sign, self._call, self._inner = _root(root, written.strip())
 
     def _name(self, word, quantities, known):
-        """Note what a word of the text stands for."""
+        """Note the quantity of a word of the text."""
         name = word.replace(DOT, '.')
         if word in self._paths or word in CONSTANTS or word in TAKES:
             return
@@ -153,7 +153,7 @@ class Expression:
         return self._checked(lambda: value_of(text, known, functions, EXPECTED, TAKES))
 
     def _checked(self, function, *operands):
-        """Return what a function returns, with errors in the words of the text."""
+        """Return a function's result, with errors in the words of the text."""
         try:
             with np.errstate(divide='raise', invalid='raise', over='raise'):
                 return function(*operands)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The best numbers of a machine: what is minimised over a driven motion, under requirements.
+Optimal numbers of a machine over a driven motion, under requirements.
 
 From several starts, each one by SciPy: least squares (``least_squares``) where the root of a mean
 square alone is minimised, sequential quadratic programming (``SLSQP``) otherwise. Of two aims the
@@ -57,7 +57,7 @@ class OptimumFileError(ValueError):
 @dataclass(frozen=True)
 class Problem:
     """
-    What is varied, minimised and required.
+    Variables, objectives and requirements.
 
     Attributes
     ----------
@@ -444,7 +444,7 @@ class _Search:
         return self._sloped
 
     def _look_at(self, z):
-        """Keep the machine if it is the best one so far: nearer to what is required, or better."""
+        """Keep the machine if it is the best one so far: fewer violations, or a better value."""
         missed = max((one.missed(self._plain) for one in self._requirements), default=0.0)
         rank = (missed if missed > TOLERANCE else 0.0,
                 float(self._aim.value(self._plain).value))
@@ -656,7 +656,7 @@ def _found(values):
 
 
 def _identity(problem, starts, front):
-    """Return what two searches for the same have in common, as a short text."""
+    """Return a short text that identifies the search."""
     return hashlib.sha256(json.dumps([
         scene_text(problem.scene), repr(problem.variables), repr(problem.driven),
         [one.text for one in problem.aims], [one.text for one in problem.requirements],
@@ -692,7 +692,7 @@ def _run(tasks, log, workers, show, keep_going):
 
 
 def _named(name, task):
-    """Return the result of a task, or what is wrong with the problem, with its name."""
+    """Return the result of a task, or the error of its problem, with its name."""
     try:
         return name, task()
     except FieldError as error:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What is asked of a driven machine, by name, with derivatives by numbers of its scene.
+Quantities of a driven machine, by name, with derivatives by numbers of its scene.
 
 Positions, points and the transmission angle have exact derivatives: closure equations give the
 change of all joints (``recording.design.sensitivity``). Velocities, torques and forces have
@@ -127,7 +127,7 @@ def with_values(scene, variables, values):
 
 
 def names_of(scene, drives):
-    """Return the names of all quantities of a scene, and of its numbers, by what they are."""
+    """Return the names of all quantities of a scene, and of its numbers, by kind."""
     mechanism = scene.mechanism
     joints = [*mechanism.coordinates.names, *mechanism.cut_coordinates.names]
     axes = 'xyz'[:2 if mechanism.planar else 3]
@@ -144,7 +144,7 @@ def names_of(scene, drives):
 
 
 def _exerting(scene, drives):
-    """Return the names of what exerts torques."""
+    """Return the names of coordinates with torques."""
     freedoms = {*scene.mechanism.coordinates.names, *scene.mechanism.cut_coordinates.names}
     return list(drives) if freedoms.issuperset(drives) else scene.mechanism.actuated_joints
 
@@ -271,7 +271,7 @@ class Quantities:
         return reduce(ON_SLOPES['min'], map(ON_SLOPES['atan2'], parts[::2], parts[1::2]))
 
     def _positions(self):
-        """Return names, values and derivatives of what the positions decide."""
+        """Return names, values and derivatives of quantities of positions."""
         run, keys = self.run, [one.key for one in self._variables]
         names, values = _numbers(run.mechanism, run.position, run.driven)
         slopes = np.zeros((*values.shape, len(keys)))
@@ -347,7 +347,7 @@ def _weights(offsets):
 
 
 def _numbers(mechanism, position, driven):
-    """Return names and values of what the positions decide, smooth in them."""
+    """Return names and values of quantities of positions, smooth in them."""
     names, values = design.output_numbers(mechanism, position, driven)
     drive = next(name for name, each in driven.items() if np.ptp(each) > 0.0)
     parts = [part for pair in transmission_parts(mechanism, position, drive) for part in pair]

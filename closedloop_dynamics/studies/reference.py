@@ -297,14 +297,14 @@ def compute_reference(scene, torque, interval, outputs):
 
 
 def _nothing(duration, failures):
-    """Return what to say where there is no reference."""
+    """Return the message where there is no reference."""
     return ('There is nothing to measure errors against: fewer than two methods get through '
             f'{duration:g} s of this scene at tight tolerance and agree. Take a shorter duration '
             'or smaller torques.\n' + '\n'.join(failures))
 
 
 def _named(candidate, interval):
-    """Return what a motion was computed with, in words."""
+    """Return the method of a motion, in words."""
     integrator, value, formulation = candidate
     how = (f'at tolerance {value:g}' if INTEGRATORS[integrator].kind == ADAPTIVE
            else f'in steps of {value * interval:g} s')

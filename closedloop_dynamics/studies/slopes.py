@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Numbers with their derivatives by what is varied, and the functions of expressions on them.
+Numbers with derivatives by the variables, and the functions of expressions on them.
 
 Forward mode: every operation carries the derivatives of its operands along, by the chain rule.
 With no derivatives (k = 0) the same operations return the values alone.
@@ -201,7 +201,7 @@ _OF_TWO = {
 
 
 def _several(x, function):
-    """Return numbers at poses, or refuse what is none."""
+    """Return numbers at poses; raise for anything else."""
     if not isinstance(x, Slope) or x.value.ndim != 1:
         raise FieldError(f'{function} of a quantity over the motion', 'one of a single number or '
                          'a point')

@@ -53,7 +53,7 @@ def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda d
 
 
 def cell(outcome):
-    """Return what a table says of an outcome."""
+    """Return the cell of a table for an outcome."""
     if outcome.status in (REFUSED, SKIPPED):
         return MARKS[outcome.status]
     return f'{MARKS[outcome.status]} {outcome.figure:.1e}'

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many simulations of one mechanism: what is varied, run anywhere, written as it comes."""
+"""Many simulations of one mechanism: a plan of variations, executors, storage."""
 
 from .runner import sweep
 

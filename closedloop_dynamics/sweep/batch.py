@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run some samples of a sweep: what every worker does, wherever it is."""
+"""Run some samples of a sweep, in a worker anywhere."""
 
 from dataclasses import dataclass
 from typing import Tuple
@@ -87,7 +87,7 @@ def failed(job, samples, reason):
 
 
 def _records(job, source, rows, torques):
-    """Return what some samples did: together where that is possible, else one by one."""
+    """Return the results of samples, run together where possible, else one by one."""
     wanted = tuple(dict.fromkeys((*SUMMARISED, *job.keep)))
     starts = {}
     if len(rows) >= FEWEST and source.together:
@@ -108,7 +108,7 @@ def _records(job, source, rows, torques):
 
 
 def _alone(job, source, row, torques, wanted):
-    """Return what a sample did, run alone."""
+    """Return the result of a sample run alone."""
     try:
         start = source.start(row, torques)
         return record(start.simulation, start.torques, job.schedule, wanted)
@@ -122,7 +122,7 @@ def _alone(job, source, row, torques, wanted):
 
 def summary(job, values):
     """
-    Return the variables of one sample, arrays by name: what is kept, how it ends, its peaks.
+    Return the variables of a sample, arrays by name: quantities kept, end state, peaks.
 
     ``values``: arrays of shape (instants, ...) by name; all that is summarised.
 
@@ -156,7 +156,7 @@ class _Source:
         self.together = True
 
     def start(self, row, torques):
-        """Return what a sample begins with, its simulation standing there."""
+        """Return the initial state of a sample, with its simulation there."""
         simulation, varied = self._at_start(row)
         if torques is None:
             torques = np.zeros((1, len(simulation.actuated_joints)))

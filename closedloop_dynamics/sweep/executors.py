@@ -115,7 +115,7 @@ class ProcessExecutor:
                 'take one worker, which is this process.') from None
 
     def close(self):
-        """End the workers, what they compute being given up."""
+        """End the workers, and drop their work."""
         # Not by signals: a worker that is killed while it sends leaves the pool waiting for ever
         # for the rest of what it sent. A byte for each worker: the end of the pipe means that this
         # process is gone.
@@ -144,7 +144,7 @@ class AdaptiveExecutor:
         return future
 
     def _worth_it(self):
-        """Return whether what is left takes much longer than workers take to start."""
+        """Return whether the remaining work takes much longer than workers take to start."""
         if not self._times:
             return False
         # The first batch may have waited for the compiler.
@@ -152,7 +152,7 @@ class AdaptiveExecutor:
         return self._times[-1] * self._left > worth
 
     def limit(self):
-        """Return how many batches keep busy what computes now."""
+        """Return how many batches keep the present workers busy."""
         return self._engine.limit()
 
     def renew(self):
@@ -165,7 +165,7 @@ class AdaptiveExecutor:
 
 
 class _Worker:
-    """What a worker process knows of itself."""
+    """State of a worker process."""
 
     computes = False
     ends = False
@@ -229,7 +229,7 @@ class ExternalExecutor:
         return 2 * workers + 2
 
     def renew(self):
-        """Refuse: what is broken is not ours to mend."""
+        """Raise: an external executor cannot be restarted."""
         raise EngineError('The executor has lost its workers and takes no more work. What is '
                           'written is kept: go on with resume, and another executor.')
 
@@ -286,14 +286,14 @@ class Cluster(ExternalExecutor):
                           'is written is kept: go on with resume when it is back.')
 
     def close(self):
-        """Disconnect; what is on its way there is given up."""
+        """Disconnect; work on its way there is dropped."""
         self._client.close()
 
 
 @contextmanager
 def engine_for(batches, workers=None, scheduler=None, executor=None):
     """
-    Yield what computes a sweep, and close it.
+    Yield the executor of a sweep, and close it.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ class Task:
 
     @property
     def suspect(self):
-        """Return whether these samples may be what kills workers."""
+        """Return whether these samples may kill workers."""
         return self.lost > 1
 
 
@@ -383,7 +383,7 @@ def dispatched(engine, call, given_up, tasks, keep_going):
         running[future] = task
 
     def hand_out():
-        """Keep the workers busy; what may kill a worker runs alone."""
+        """Keep the workers busy; samples that may kill a worker run alone."""
         if any(task.suspect for task in running.values()):
             return
         limit = engine.limit()

@@ -75,7 +75,7 @@ def parse(text):
 
 
 def variation(key, what):
-    """Return what varies one key; raise FieldError where that makes no sense."""
+    """Return the variation of one key; raise FieldError for a wrong text."""
     with at(key):
         if not isinstance(what, str):
             values = np.atleast_1d(np.asarray(what, dtype=float))
@@ -105,7 +105,7 @@ def _spaced(what):
 
 
 def _random(key, name, rest):
-    """Return what draws from a distribution."""
+    """Return a function that draws from a distribution."""
     form = f'{name}:{DISTRIBUTIONS[name][0]}'
     parts = rest.split(':')
     if len(parts) != 2:
@@ -256,7 +256,7 @@ class Plan:
             raise FieldError('finite numbers', 'others among them', path=('torques',))
 
     def identity(self):
-        """Return what two sweeps of the same results have in common, as plain data."""
+        """Return plain data that identifies a sweep's results."""
         torques = b'' if self.torques is None else np.ascontiguousarray(self.torques).tobytes()
         return {
             'scene': self.scene.name,

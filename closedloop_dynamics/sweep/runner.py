@@ -60,7 +60,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
           torques=None, keep=STATE, resume=False, overwrite=False, workers=None, scheduler=None,
           executor=None, on_progress=None, keep_going=lambda: True):
     """
-    Run many simulations of one scene with different numbers, and write what they do to a file.
+    Run many simulations of one scene with different numbers, and write results to a file.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_
 
 
 def calls(job, plan):
-    """Return what returns the function, with its arguments, that computes samples."""
+    """Return a factory of the function, with arguments, that computes samples."""
     def call(samples):
         return run_batch, job, samples, plan.values(samples), plan.torques_of(samples)
     return call

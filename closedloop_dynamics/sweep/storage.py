@@ -135,7 +135,7 @@ class Layout:
                 'long_name': '1 done, 2 failed, all else: not run'}, int))
 
     def columns(self, batch):
-        """Return what a batch brings beside its status, by the names of variables."""
+        """Return the arrays of a batch but its status, by the names of variables."""
         columns = dict(zip(self._keys, self.plan.values(batch.samples).T))
         columns.update((name, batch.values[name]) for name in self.results)
         if any(batch.reasons):
@@ -143,7 +143,7 @@ class Layout:
         return columns
 
     def attributes(self):
-        """Return what a file says of itself as a whole."""
+        """Return the global attributes of a file."""
         scene = self.plan.scene
         return {
             'title': f'sweep of {scene.name}: {scene.description}'.strip(': '),
@@ -221,7 +221,7 @@ class NetCDF:
         variable[where] = values
 
     def flush(self):
-        """Hand over to the system what is written."""
+        """Flush the file to the system."""
         self._file.sync()
 
     def close(self):
@@ -372,7 +372,7 @@ def opened(path, layout, resume=False, overwrite=False):
 
 
 def _require_same(path, there, wanted):
-    """Refuse to continue what another sweep has begun."""
+    """Refuse to continue another sweep's file."""
     for key, value in wanted.items():
         if there.get(key) != value:
             raise FieldError(

@@ -29,7 +29,7 @@ TRAIL = 0.003
 
 
 class AnimationError(OSError):
-    """An animation that cannot be written; the message says what to do."""
+    """An animation that cannot be written; the message has the remedy."""
 
 
 def frame_times(motion, rate, speed):
@@ -293,7 +293,7 @@ def _write_gif(animation, path, rate, progress):
 
 
 class _Frames(Figure):
-    """What matplotlib takes for a figure: its picture is one that was drawn already."""
+    """A stand-in for a matplotlib figure whose picture is already drawn."""
 
     def __init__(self, picture):
         height, width, _ = picture.shape

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Draw any mechanism from its description; ``appearance`` says what it looks like.
+Draw any mechanism from its description; shapes are in ``appearance``.
 
 A mechanism in space is drawn as it is seen in a view: lines and outlines of projected points.
 
@@ -125,7 +125,7 @@ class MechanismArtist:
         axes.autoscale_view()
 
     def ground(self):
-        """Draw what stands still."""
+        """Draw the ground."""
         if self.mechanism.planar:
             draw_ground(self.axes, self.mechanism, self.poses, self.extent)
         else:
@@ -250,7 +250,7 @@ class MechanismArtist:
                 textcoords='offset points', ha='left' if right >= 0.0 else 'right', **style)
 
     def legend_handles(self, path=None, force=None):
-        """Return what a legend needs to explain the drawing; ``force`` says what arrows are."""
+        """Return the legend's handles; ``force`` is the label of the arrows."""
         colors = dict.fromkeys(self.color.values())
         handles = [
             Line2D([], [], color=mixed(color, 0.75), linewidth=LINK_WIDTH,
@@ -357,7 +357,7 @@ def mixed(color, strength):
 
 def draw_ground(axes, mechanism, poses, extent):
     """
-    Draw what stands still: pivots as hatched triangles, slides as hatched lines.
+    Draw the ground: pivots as hatched triangles, slides as hatched lines.
 
     ``poses``, shape (n, nb, 3), are all that are drawn: a rail is as long as its slider needs it.
     ``extent`` is that of the picture [m].
@@ -375,7 +375,7 @@ def draw_ground(axes, mechanism, poses, extent):
 
 def draw_spatial_ground(artist):
     """
-    Draw what stands still in space: what joints stand on, and a floor where lengths go astray.
+    Draw the ground in space: pivots, and a floor for scale.
 
     ``artist`` is the MechanismArtist that draws the rest.
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A GIF written frame by frame, each as what has changed since the one before.
+A GIF written frame by frame, each as the change since the one before.
 
 Pillow's own writer of several frames keeps all of them in memory until the last one is known.
 

@@ -117,7 +117,7 @@ def line_drawing(motion, title, row=0):
 
 
 def _strokes(mechanism, body):
-    """Return what a body is drawn as, in its frame: its outline, in space rods from its joint."""
+    """Return a body's strokes in its frame: its outline, in space rods from its joint."""
     if mechanism.planar:
         points = outline(mechanism, body)
         return [points] if len(points) > 1 else []

@@ -248,7 +248,7 @@ def deviations(result, title):
 
 def over_drive(curves, label, title, common=()):
     """
-    Draw curves over what is driven, a panel a quantity.
+    Draw curves over the drive, a panel a quantity.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def over_drive(curves, label, title, common=()):
 
 def pareto_front(front, others, before, labels, title):
     """
-    Draw what machines reach of two aims.
+    Draw the machines' values of two objectives.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Say how far a long computation is, on a terminal, and what takes so long before it."""
+"""Show the progress of a long computation on a terminal, and of its preparation."""
 
 from contextlib import contextmanager
 import sys

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What MoveIt is to know of a mechanism beside its URDF: a semantic robot description (SRDF).
+The semantic robot description (SRDF) of a mechanism for MoveIt.
 
 MoveIt plans on the tree. A group of the driven joints alone is what may be planned for where they
 are as many as the degrees of freedom; all others are passive: MoveIt commands none of them, takes

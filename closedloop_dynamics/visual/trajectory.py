@@ -152,7 +152,7 @@ def body_velocities(mechanism, position, rates, names):
 
 def wrench_in_joints(mechanism, position, body, place, wrench):
     """
-    Return the joint torques that do what a wrench on a body does.
+    Return the joint torques equivalent to a wrench on a body.
 
     Parameters
     ----------

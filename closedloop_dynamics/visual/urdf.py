@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The spanning tree of a mechanism as a URDF robot description, and what closes its loops.
+The spanning tree of a mechanism as a URDF robot description, with its loops.
 
 URDF has no loops: the cut joints are elements beside the tree that some programs read and all
 others pass over (``formats.urdf_loops``). Joint positions that close them come from the
@@ -137,7 +137,7 @@ def joint_names(mechanism):
 
 
 def _add_loops(robot, mechanism, form):
-    """Add what closes the loops, and a comment for each cut joint that has no form."""
+    """Add loop closures, and a comment for each cut joint that has no element."""
     cuts = cuts_in_space(mechanism)
     for cut in cuts:
         if cut.type not in FORMS[form]:
@@ -148,7 +148,7 @@ def _add_loops(robot, mechanism, form):
 
 
 def _require_names(mechanism):
-    """Refuse what the tree of links cannot be named or written for."""
+    """Raise where links or joints cannot be named or written."""
     bodies = {body.name for body in mechanism.bodies}
     if WORLD in bodies:
         raise ValueError(
@@ -177,7 +177,7 @@ def _add_joint(robot, joint, size):
 
 def _chain(joint):
     """
-    Return what stands for a joint of two or three numbers, outward.
+    Return the single joints of a joint of two or three coordinates, outward.
 
     Returns
     -------
@@ -242,7 +242,7 @@ def _add_moving(robot, name, slides, parent, child):
 
 
 def _add_axis(element, axis, size):
-    """Add an axis, and limits to what slides on a mechanism of a size [m]."""
+    """Add an axis, and limits of sliding joints by the mechanism's size [m]."""
     ElementTree.SubElement(element, 'axis', xyz=numbers(*axis))
     if size is not None:
         ElementTree.SubElement(
@@ -256,7 +256,7 @@ def _angles(quaternion):
 
 
 def _add_hardware(robot, mechanism, command_topic, state_topic):
-    """Add what ros2_control needs to take a simulator for hardware: efforts in, states out."""
+    """Add the ros2_control element of a simulator as hardware: efforts in, states out."""
     # Compares commanded with measured positions, and there are no commanded ones: always.
     control = _add_control(robot, mechanism, HARDWARE_PLUGIN, {
         'joint_commands_topic': command_topic, 'joint_states_topic': state_topic,
@@ -271,7 +271,7 @@ def _add_hardware(robot, mechanism, command_topic, state_topic):
 
 
 def _add_mechanism(robot, mechanism, model, step_size):
-    """Add what ros2_control needs to take exported C for hardware: all joints of one freedom."""
+    """Add the ros2_control element of exported C as hardware: all single joints."""
     control = _add_control(robot, mechanism, MECHANISM_PLUGIN, {
         'model': str(model), 'step_size': numbers(step_size),
         'bandwidth': numbers(PROMPTNESS / step_size)})
@@ -296,7 +296,7 @@ def _add_control(robot, mechanism, plugin, parameters):
 
 
 def _driven(mechanism):
-    """Return names of what is actuated; rotations have no number that interfaces could have."""
+    """Return names of actuated coordinates; orientations have none."""
     single = set(mechanism.coordinates.single)
     return [mechanism.coordinates.names[place] for place in mechanism.coordinates.actuated
             if place in single]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of what a platform reaches: maps of the plane, slices of space."""
+"""Pictures of a workspace: maps of the plane, slices of space."""
 
 import matplotlib.colors
 import matplotlib.figure
@@ -87,7 +87,7 @@ def workspace_picture(axes, status, values, label, title, meanings, curves=(), i
 
 
 def _panel(panel, axes, status, values, norm):
-    """Draw a line, or an area, into a panel; return it and what has colours."""
+    """Draw a line, or an area, into a panel; return it and its coloured artist."""
     names = [name for name, _ in axes]
     panel.set_xlabel(f'{names[0]} [m]')
     if len(axes) == 1:
