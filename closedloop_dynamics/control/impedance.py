@@ -14,7 +14,7 @@ driven ones (principle of virtual power).
 import numpy as np
 
 from .errors import StartError
-from ..mechanism.rotations import composed, CONJUGATE, rotated
+from ..mechanism.rotations import composed, CONJUGATE, rotated, rotation_vector
 from ..simulation.redundancy import geometry_of
 from ..visual.trajectory import (
     body_poses, body_velocities, poses_in_space, wrench_in_joints)
@@ -79,7 +79,7 @@ class Impedance:
         moving = body_velocities(
             self._mechanism, position, velocity[np.newaxis], (self._body,))[0, 0]
         moving[:3] += np.cross(moving[3:], arm)
-        away = np.concatenate([self.target[0] - place, _rotation_vector(
+        away = np.concatenate([self.target[0] - place, rotation_vector(
             composed(self.target[1], turn * CONJUGATE))])
         wrench = self.stiffness * away - self.damping * moving
         # Along the axes of the body.
@@ -105,10 +105,3 @@ class Impedance:
         chosen = np.eye(jac.shape[1])[self._actuated]
         return np.linalg.lstsq(np.vstack([jac, chosen]), np.vstack([
             np.zeros((len(jac), count)), np.eye(count)]), rcond=None)[0]
-
-
-def _rotation_vector(quaternion):
-    """Return axis times angle of a unit quaternion x, y, z, w, by less than half a turn [rad]."""
-    *axis, w = quaternion if quaternion[3] >= 0.0 else -quaternion
-    sine = np.linalg.norm(axis)
-    return np.array(axis) * (2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0)

@@ -80,6 +80,13 @@ def rotated(quaternion, vectors):
     return vectors + 2.0 * np.cross(vector, np.cross(vector, vectors) + scalar * vectors)
 
 
+def rotation_vector(quaternion):
+    """Return axis times angle of a unit quaternion x, y, z, w, by less than half a turn [rad]."""
+    *axis, w = quaternion if quaternion[3] >= 0.0 else -quaternion
+    sine = np.linalg.norm(axis)
+    return np.array(axis) * (2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0)
+
+
 def perpendicular(axis):
     """Return a unit vector, shape (3,), perpendicular to a vector."""
     found = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)

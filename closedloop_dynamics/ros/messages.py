@@ -231,11 +231,11 @@ class StatePublisher:
             message.transforms.append(pose)
         for numbers in twists.reshape(-1, 6).tolist():
             twist = Twist()
-            _fill(twist.linear, twist.angular, numbers)
+            fill(twist.linear, twist.angular, numbers)
             message.twist.append(twist)
         for numbers in wrenches.reshape(-1, 6).tolist():
             wrench = Wrench()
-            _fill(wrench.force, wrench.torque, numbers)
+            fill(wrench.force, wrench.torque, numbers)
             message.wrench.append(wrench)
         return message
 
@@ -340,10 +340,10 @@ def wrench_stamped(frame, sec, nanosec, values):
     message = WrenchStamped()
     message.header.frame_id = frame
     message.header.stamp = Time(sec=sec, nanosec=nanosec)
-    _fill(message.wrench.force, message.wrench.torque, values.tolist())
+    fill(message.wrench.force, message.wrench.torque, values.tolist())
     return message
 
 
-def _fill(first, second, numbers):
+def fill(first, second, numbers):
     """Fill two vectors of a message with six numbers."""
     first.x, first.y, first.z, second.x, second.y, second.z = numbers

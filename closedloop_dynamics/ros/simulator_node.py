@@ -12,7 +12,9 @@ node.
 
 from collections import deque
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 import math
 import time
 
@@ -43,6 +45,7 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
@@ -113,6 +116,7 @@ class SimulatorNode(Node):
         self._create_simulation()
         self._create_observers()
         self._create_inputs(lockstep)
+        self._standard = self._create_standard_interfaces()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         self.idle_states = IdleStateInhibitor()
@@ -204,6 +208,30 @@ class SimulatorNode(Node):
                 (Trigger, '~/reset', self.on_reset), (SetBool, '~/pause', self.on_pause),
                 (Trigger, '~/step', self.on_step)):
             self.create_service(kind, service, answer, qos_profile=SERVICE_QOS)
+
+    def _create_standard_interfaces(self):
+        """Offer the services of ``simulation_interfaces`` where these messages are installed."""
+        if find_spec('simulation_interfaces') is None:
+            return None
+        try:
+            from closedloop_dynamics.ros.standard_interfaces import RunControl, StandardInterfaces
+            return StandardInterfaces(self, self.live, RunControl(
+                lambda: self.paused, lambda: self.standing, self._problem, self.pause,
+                self.restart, self.restart_time, self.make_steps, self.move_to, self._end,
+                lambda: self.executor.create_task(lambda: None)))
+        except (ImportError, RuntimeError, UnsupportedTypeSupport) as error:
+            self.get_logger().warning(
+                'the package simulation_interfaces is installed, but does not work: '
+                + ' '.join(str(error).split()))
+            return None
+
+    def _problem(self):
+        """Return why requests cannot be answered now, or ''."""
+        return self.busy or ('' if self.exit_code is None else 'the simulation has stopped')
+
+    def _end(self):
+        self.get_logger().info('ended by set_simulation_state')
+        self.exit_code = 0
 
     def _take_priority(self, priority):
         try:
@@ -388,13 +416,22 @@ class SimulatorNode(Node):
         response.message = self.busy
         if response.message:
             return response
-        self._guarded(self.reset)
+        self.restart()
         response.success = self.exit_code is None
         response.message = (
             f"back at the start of '{self.simulation.scene.name}', time 0{self._but()}"
             if response.success else 'the simulation has stopped')
         self.get_logger().info(f'reset: {response.message}')
         return response
+
+    def restart(self):
+        """Go back to the start, without torques; a pause stays."""
+        self._guarded(self.reset)
+
+    def restart_time(self):
+        """Let simulated time be zero in the present state, which may raise SimulationError."""
+        self.simulation.begin_at(replace(self.simulation.snapshot(), time=0.0))
+        self._guarded(self.jump)
 
     def reset(self):
         self.mode.stop()
@@ -416,10 +453,7 @@ class SimulatorNode(Node):
         response.message = self.busy
         if response.message:
             return response
-        if request.data != self.paused:
-            self.paused = request.data
-            self._guarded(self.mode.start if self.running else self.mode.stop)
-            self._renew_timer()
+        self.pause(request.data)
         response.success = True
         response.message = (
             f'{"paused" if self.paused else "not paused"} at {self.simulation.time:.9g} s'
@@ -427,20 +461,30 @@ class SimulatorNode(Node):
         self.get_logger().info(response.message)
         return response
 
+    def pause(self, paused):
+        """Let time stand still, or go on."""
+        if paused != self.paused:
+            self.paused = paused
+            self._guarded(self.mode.start if self.running else self.mode.stop)
+            self._renew_timer()
+
     def on_step(self, request, response):
         """Advance by ``step_count`` steps while paused."""
         busy = self.busy
         if busy or not self.paused:
             response.message = busy or 'refused: time runs; call ~/pause with data: true first'
             return response
-        self._guarded(self._step)
+        self.make_steps(self._values['step_count'])
         response.success = self.exit_code is None
         response.message = f'at {self.simulation.time:.9g} s' if response.success else (
             'the simulation has stopped')
         return response
 
-    def _step(self):
-        left = self._values['step_count']
+    def make_steps(self, count):
+        """Advance by steps of the time integration, and publish."""
+        self._guarded(partial(self._make_steps, count))
+
+    def _make_steps(self, left):
         while left > 0 and not stop_requested():
             portion = min(left, PORTION)
             self.live.advance(portion)
@@ -461,11 +505,15 @@ class SimulatorNode(Node):
     def _set_state(self, read, message):
         simulation = self.simulation
         try:
-            simulation.set_state(*read(message, simulation.coordinates, simulation.position))
+            self.move_to(*read(message, simulation.coordinates, simulation.position))
         except (SimulationError, ValueError) as error:
             self.counts['states refused'] += 1
             self.warn('refused', f'set_state refused: {error}')
-            return
+
+    def move_to(self, position, velocity, hold=None):
+        """Go to a state, as ``Simulation.set_state`` does, which may refuse; and publish it."""
+        simulation = self.simulation
+        simulation.set_state(position, velocity, hold)
         for note in simulation.assembly_notes():
             self.warn('refused', f'set_state: {note}')
         self.counts['states set'] += 1
