@@ -252,7 +252,9 @@ class EnergyGuard:
         what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
                 f'{simulation.time:.9g} s, where {moving:.3g} J moved')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
-            what = f'The energy balance misses {worst:.0%} of all energy that moved'
+            what = (f'The energy balance misses {self.worst_lost:.3g} J of the '
+                    f'{self.worst_moved:.3g} J that moved until t = {self.worst_time:.6g} s, '
+                    f'{worst:.0%}')
         if rate * size > self._limit:
             return StiffnessError(
                 f'{what}: the scene is stiff (fastest rate about {rate:.3g} 1/s, for which '

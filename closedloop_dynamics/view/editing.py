@@ -34,6 +34,8 @@ GESTURE, MOST_STEPS = 1.0, 200
 # Cut joints whose two points coincide: pins that can be moved.
 PINS = ('revolute', 'spherical', 'universal', 'cylindrical', 'fixed')
 LENGTH = 'length'
+# A hand finds nothing among the numbers of more.
+MOST_BODIES = 100
 # Of what is added: mass of a bar [kg/m], and others by what they are.
 BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0
 SHORTEST = 1e-3
@@ -119,7 +121,8 @@ class Editor:
         """
         Return the numbers that a hand may change, as JSON can.
 
-        They are parameters, lengths between the joints of each body, and masses.
+        They are parameters; of up to MOST_BODIES bodies lengths between the joints of each, and
+        masses, too.
 
         """
         mechanism, found = self.scene.mechanism, []
@@ -135,6 +138,8 @@ class Editor:
         for key, value in known.items():
             if key.startswith('parameters.'):
                 add('parameters', key, key.partition('.')[2], value, '')
+        if len(mechanism.bodies) > MOST_BODIES:
+            return found
         for body in (GROUND, *(body.name for body in mechanism.bodies)):
             (first, _, origin), *others = self._pins(body)
             for name, key, place in others:

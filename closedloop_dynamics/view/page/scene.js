@@ -428,8 +428,9 @@ class Scene {
     }
     [this.described, this.size, this.items, this.baked] = [described, described.size, [], null];
     this.compose();
-    this.forget();
     if (this.row) this.show(this.row);
+    // Paths begin where the next frame has the points.
+    this.forget();
   }
 
   bar(body, start, end, radius, color, flat) {
