@@ -137,7 +137,6 @@ class Editing {
     });
     this.curves = (scene.curves ?? []).map(({places}) => (
       Array.from({length: places.length / 3}, (_, k) => places.slice(3 * k, 3 * k + 3))));
-    this.fit();
     const sliders = scene.sliders ?? [], keys = sliders.map(({key}) => key).join();
     byId('numbers-panel').hidden = !sliders.length;
     if (keys === this.keys) {
@@ -160,10 +159,10 @@ class Editing {
     }));
   }
 
-  // Whole curves are seen, but the view stays while a hand drags.
+  // Whole curves are seen at first; the view stays while it is edited.
   fit() {
     const {picture} = this.page;
-    if (this.held || !picture.extent || !this.curves.length) return;
+    if (!picture.extent || !this.curves.length) return;
     for (const place of this.curves.flat()) {
       place.forEach((x, k) => {
         picture.extent.low[k] = Math.min(picture.extent.low[k], x);
@@ -178,7 +177,7 @@ class Editing {
     byId('editing').setAttribute('aria-pressed', editing);
     if (this.on !== editing) {
       this.begin(null);
-      this.fit();
+      if (editing) this.fit();
     }
     this.on = editing;
     this.menu.hidden = !editing;
