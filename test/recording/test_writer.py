@@ -130,8 +130,9 @@ sys.stdin.read()
 
 
 @pytest.mark.parametrize('storage, compression, max_size', [
-    ('mcap', 'none', 0), ('mcap', 'lz4', 60_000), ('sqlite3', 'none', 0),
-    ('sqlite3', 'zstd', 20_000)])
+    ('mcap', 'lz4', 60_000), ('sqlite3', 'none', 0),
+    pytest.param('mcap', 'none', 0, marks=pytest.mark.slow),
+    pytest.param('sqlite3', 'zstd', 20_000, marks=pytest.mark.slow)])
 def test_what_was_flushed_survives_a_kill(tmp_path, storage, compression, max_size, capsys):
     bag = tmp_path / 'bag'
     process = subprocess.Popen(

@@ -95,6 +95,7 @@ def rogue(domain):
     rclpy.try_shutdown(context=context)
 
 
+@pytest.mark.slow
 def test_rogue_publishers_change_nothing(processes, listener, rogue):
     simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
     states = listener.listen('joint_states', JointState)
@@ -164,6 +165,7 @@ def test_simulator_is_killed_and_started_again_under_traffic(processes, listener
     ends_well(source)
 
 
+@pytest.mark.slow
 def test_clock_that_jumps_and_stops_does_not_disturb_the_simulation(processes, listener):
     clock = listener.node.create_publisher(Clock, '/clock', 10)
     simulator = processes.start(SIMULATOR, scene='four_bar', use_sim_time='true')
@@ -186,6 +188,7 @@ def test_clock_that_jumps_and_stops_does_not_disturb_the_simulation(processes, l
     ends_well(simulator)
 
 
+@pytest.mark.slow
 def test_flood_of_parameters_is_answered(processes, listener):
     simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
     states = listener.listen('joint_states', JointState)
@@ -222,6 +225,7 @@ def test_flood_of_calls_is_answered(processes, listener, name, request_):
     ends_well(simulator)
 
 
+@pytest.mark.slow
 def test_subscribers_that_come_and_go_cost_the_others_nothing(processes, listener):
     simulator = processes.start(SIMULATOR, scene='four_bar', publish_rate='200.0')
     simulator.wait_until_ready()

@@ -49,7 +49,8 @@ def driven(scene, drives=None, points=None):
 @pytest.mark.parametrize('scene, drives, points', [
     ('four_bar', ['crank_joint'], []), ('four_bar', ['cut_1'], []),
     ('scissor_lift', None, []), ('bennett', None, []), ('rssr_four_bar', None, []),
-    ('delta_robot', None, []), ('stewart_platform', None, []), ('geared_five_bar', None, []),
+    pytest.param('delta_robot', None, [], marks=pytest.mark.slow),
+    ('stewart_platform', None, []), ('geared_five_bar', None, []),
     ('geneva_drive', ['driver_joint', 'wheel_joint'], []),
     ('three_rrr_horizontal', ['theta_6'], ['platform_center'])])
 def test_rates_and_accelerations_are_differences_of_positions(scene, drives, points):
