@@ -170,6 +170,7 @@ class Editing {
       });
     }
     if (!picture.touched) picture.fit();
+    picture.touched = true;
   }
 
   follow({editing, undoable}) {
