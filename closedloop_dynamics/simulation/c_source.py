@@ -117,6 +117,10 @@ class _Text:
         effects = ', '.join(simulation.effect_set.by_name)
         # Of the joints whose wrenches are unique: rows of their children, origins and axes there.
         self.joints, self.carried = simulation.force_places()
+        # Behind them the cut joints: their rows, and axes of bodies A.
+        self.cuts = [], np.zeros((0, 3, 3))
+        if self.joints:
+            self._add_cuts()
         # By the input of a routine: the member of the model, its numbers, and what they are.
         self.members = {
             BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
@@ -126,6 +130,15 @@ class _Text:
             VALUES: ('effect', values, f'of each effect ({effects}) its parameters'),
             POINT: ('point', places, 'of each named point its place in its row of the tree')}
         self.members = {source: one for source, one in self.members.items() if one[1].size}
+
+    def _add_cuts(self):
+        """Add the cut joints to those that have wrenches."""
+        mechanism, (_, _, axes) = self.simulation.mechanism, self.simulation.carried
+        turned = {joint.child: own for joint, own in zip(mechanism.joints, axes)}
+        rows = {number: row for row, number in enumerate(self.model.cut[:, CUT_NUMBER].tolist())}
+        self.cuts = ([rows[number] for number in range(len(mechanism.cut_joints))], np.array(
+            [turned.get(cut.body_a, np.eye(3)) for cut in mechanism.cut_joints]).reshape(-1, 3, 3))
+        self.joints += [cut.name for cut in mechanism.cut_joints]
 
     def both(self):
         """Return the source and the header."""
@@ -210,7 +223,7 @@ class _Text:
         if self.joints:
             yield self._function(
                 'int joint_forces_of', unrolled(
-                    lambda one: one.joint_forces(*self.carried), DerivativeTrace),
+                    lambda one: one.joint_forces(*self.carried, *self.cuts), DerivativeTrace),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
                  LAM: 'const double *lam', JOINT_FORCE: 'double *forces'})
         if self.derivatives:

@@ -376,7 +376,7 @@ int main(int count, char **text)
 FORCES = """
 /* Wrenches in joints, of accelerations and multipliers as _evaluate finds them: what the parent
  * exerts on the child, at the child's origin and in its axes, moment x, y, z [N m] and force x, y,
- * z [N] of each:
+ * z [N] of each; then in cut joints, by body B on body A, at the cut point of A in its axes:
 @JOINTS@ */
 void @NAME@_joint_forces(
   const @NAME@_model *model, const double *q, const double *qd, const double *qdd,

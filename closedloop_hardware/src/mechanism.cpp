@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <sstream>
 #include <stdexcept>
 
@@ -114,7 +115,8 @@ Model::Model(const std::string & file_)
 Mechanism::Mechanism(const std::string & model_file, double step_size, double bandwidth)
 : model_(model_file), step_size_(step_size), bandwidth_(bandwidth),
   start_(model_.start, model_.start + model_.nq + model_.nv), state_(start_),
-  commands_(model_.nv, Command::NONE), target_(model_.nv), tau_(model_.nv), qdd_(model_.nv),
+  commands_(model_.nv, Command::NONE), acting_(commands_),
+  limit_(model_.nv, std::numeric_limits<double>::infinity()), target_(model_.nv), tau_(model_.nv), qdd_(model_.nv),
   lam_(std::max(model_.nc, 1)), forces_(6 * model_.joints.size()), probe_(model_.nv),
   mobility_(model_.nv, model_.nv), missing_(model_.nv), factor_(model_.nv)
 {
@@ -166,6 +168,14 @@ std::size_t Mechanism::wrench_place(const std::string & joint) const
             "'");
   }
   return found - model_.joints.begin();
+}
+
+void Mechanism::limit_effort(std::size_t joint, double limit)
+{
+  if (!(limit > 0.0)) {
+    throw error("effort_limit: expected more than 0 [N m, N], got ", limit);
+  }
+  limit_[joint] = limit;
 }
 
 /// Close the loops, some coordinates as they are; return the largest error left [m, rad].
@@ -311,17 +321,38 @@ void Mechanism::set_commands(const std::vector<Command> & commands)
 
 /// Find the efforts of a step: those commanded, and those by which servos, without error in the
 /// model, follow positions as a critically damped oscillator and velocities as a first-order lag.
+/// Servos that would need more than their limits exert these, and the others allow for that.
 bool Mechanism::find_efforts()
 {
-  bool any = false;
+  acting_ = commands_;
   for (int k = 0; k < model_.nv; ++k) {
-    any = any || is_servo(commands_[k]);
     tau_[k] = commands_[k] == Command::EFFORT ? target_[k] : 0.0;
   }
-  if (!any) {
-    return true;
+  while (std::any_of(acting_.begin(), acting_.end(), is_servo)) {
+    if (!solve_servos()) {
+      return false;
+    }
+    int worst = -1;
+    double excess = 1.0;
+    for (int k = 0; k < model_.nv; ++k) {
+      if (is_servo(acting_[k]) && std::abs(tau_[k]) / limit_[k] > excess) {
+        worst = k;
+        excess = std::abs(tau_[k]) / limit_[k];
+      }
+    }
+    if (worst < 0) {
+      break;
+    }
+    tau_[worst] = std::copysign(limit_[worst], tau_[worst]);
+    acting_[worst] = Command::EFFORT;
   }
-  if (!factor_mobility(commands_)) {
+  return true;
+}
+
+/// Find the efforts of the servos that act, beside those of the other joints.
+bool Mechanism::solve_servos()
+{
+  if (!factor_mobility(acting_)) {
     if (!*fault_) {
       fault_ = "joints whose positions or velocities are commanded have come to depend on one "
         "another: a singular position, or more of them than degrees of freedom";
@@ -331,16 +362,16 @@ bool Mechanism::find_efforts()
   // The scale of each joint, before its place is taken by what is missing.
   for (int k = 0; k < model_.nv; ++k) {
     probe_[k] = std::sqrt(missing_[k]);
-    const double rate = is_servo(commands_[k]) ? velocity(k) : 0.0;
+    const double rate = is_servo(acting_[k]) ? velocity(k) : 0.0;
     const double asked =
-      commands_[k] == Command::POSITION ?
+      acting_[k] == Command::POSITION ?
       bandwidth_ * (bandwidth_ * (target_[k] - position(k)) - 2.0 * rate) :
       bandwidth_ * (target_[k] - rate);
-    missing_[k] = is_servo(commands_[k]) ? (asked - qdd_[k]) / probe_[k] : 0.0;
+    missing_[k] = is_servo(acting_[k]) ? (asked - qdd_[k]) / probe_[k] : 0.0;
   }
   factor_.solveInPlace(missing_);
   for (int k = 0; k < model_.nv; ++k) {
-    if (is_servo(commands_[k])) {
+    if (is_servo(acting_[k])) {
       tau_[k] = missing_[k] / probe_[k];
     }
   }

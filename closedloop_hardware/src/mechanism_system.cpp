@@ -150,21 +150,26 @@ void MechanismSystem::add_joint(const ComponentInfo & joint)
   const std::map<std::string, Quantity> quantities{
     {"position", Quantity::POSITION}, {"velocity", Quantity::VELOCITY},
     {"acceleration", Quantity::ACCELERATION}, {"effort", Quantity::EFFORT}};
-  require_known("joint " + joint.name, joint.parameters, {});
-  const std::size_t number = mechanism_->joint(joint.name);
+  const std::string place = "joint " + joint.name;
+  require_known(place, joint.parameters, {"effort_limit"});
+  const std::size_t index = mechanism_->joint(joint.name);
+  if (joint.parameters.count("effort_limit") > 0) {
+    mechanism_->limit_effort(
+      index, number(place, joint.parameters.at("effort_limit")));
+  }
   for (const InterfaceInfo & state : joint.state_interfaces) {
     const std::string name = joint.name + "/" + state.name;
     if (quantities.count(state.name) == 0) {
       throw expected(name, "a state position, velocity, acceleration or effort", state.name);
     }
-    measured_.push_back({name, quantities.at(state.name), number, 0, nullptr});
+    measured_.push_back({name, quantities.at(state.name), index, 0, nullptr});
   }
   for (const InterfaceInfo & command : joint.command_interfaces) {
     const std::string name = joint.name + "/" + command.name;
     if (KINDS.count(command.name) == 0) {
       throw expected(name, "a command effort, position or velocity", command.name);
     }
-    commanded_.push_back({name, KINDS.at(command.name), number, nullptr});
+    commanded_.push_back({name, KINDS.at(command.name), index, nullptr});
   }
 }
 

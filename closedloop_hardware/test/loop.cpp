@@ -9,6 +9,7 @@
 //   commands JOINT KIND ...       NONE of joints that are left out; answers 1 where servos
 //                                 can follow, or 0, and calls that allocated memory
 //   command JOINT VALUE
+//   limit JOINT VALUE             of the effort of a servo
 //   advance PERIOD COUNT          answers 1, or 0, calls that allocated memory, and why it failed
 //   timed PERIOD COUNT            the same, and each cycle's time [s]: median, 99 %, most
 //   state JOINT ...               time; position, velocity, acceleration, effort of each
@@ -96,6 +97,9 @@ void obey(Mechanism & mechanism, std::istream & line)
   } else if (order == "command") {
     line >> joint >> word;
     mechanism.command(mechanism.joint(joint), std::stod(word));
+  } else if (order == "limit") {
+    line >> joint >> word;
+    mechanism.limit_effort(mechanism.joint(joint), std::stod(word));
   } else if (order == "advance" || order == "timed") {
     double period = 0.0;
     std::size_t count = 0;

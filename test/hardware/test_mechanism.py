@@ -104,7 +104,8 @@ def test_a_run_is_that_of_the_package(obey):
     answers = obey(
         'commands theta_1 effort theta_6 effort theta_7 effort',
         *(f'command {joint} {value}' for joint, value in efforts.items()), 'advance 0.001 100',
-        f'state {" ".join(joints)}', *(f'wrench {joint}' for joint in joints))
+        f'state {" ".join(joints)}', *(f'wrench {joint}' for joint in joints),
+        *(f'wrench {cut.name}' for cut in simulation_of('three_rrr_vertical').cut_joints))
     simulation.step(efforts, 0.1)
     time, (position, velocity, acceleration, effort) = state_of(answers[2])
     assert time == pytest.approx(0.1, abs=1e-12)
@@ -114,11 +115,14 @@ def test_a_run_is_that_of_the_package(obey):
     scale = np.abs(simulation.acceleration).max()
     np.testing.assert_allclose(acceleration, simulation.acceleration, rtol=0, atol=1e-10 * scale)
     np.testing.assert_array_equal(effort, [efforts.get(joint, 0.0) for joint in joints])
-    # From world axes into those of the child; torques last.
+    # From world axes into those of the child, or of body A; torques last.
     bodies = [body.name for body in simulation.mechanism.bodies]
-    for joint, answer in zip(simulation.mechanism.joints, answers[3:]):
-        moment, x, y = simulation.force(joint.name)
-        angle = simulation.body_poses[bodies.index(joint.child)][2]
+    places = [(joint.name, joint.child) for joint in simulation.mechanism.joints] + [
+        (cut.name, cut.body_a) for cut in simulation.cut_joints]
+    assert len(answers) == 3 + len(places) > 3 + len(joints)
+    for (name, body), answer in zip(places, answers[3:]):
+        moment, x, y = simulation.force(name)
+        angle = simulation.body_poses[bodies.index(body)][2]
         cos, sin = math.cos(angle), math.sin(angle)
         np.testing.assert_allclose(
             numbers(answer), [cos * x + sin * y, cos * y - sin * x, 0.0, 0.0, 0.0, moment],
@@ -186,7 +190,7 @@ def test_initial_positions_that_cannot_be_are_refused(obey, words, message):
 
 
 def test_unknown_joints_are_refused(obey):
-    for order in ('commands theta_0 effort', 'command platform 1', 'state cut_1', 'wrench cut_1'):
+    for order in ('commands theta_0 effort', 'command platform 1', 'state cut_1', 'wrench cut_9'):
         assert 'expected one of' in obey(order, refused=True)
 
 
@@ -216,6 +220,28 @@ def test_a_velocity_is_followed_in_one_joint_and_effort_acts_in_others(obey):
     # Beside what is left of a first-order lag after ten time constants, that of a step.
     assert velocity[0] == pytest.approx(0.2, abs=0.2 * math.exp(-10.0) + 2e-3)
     assert effort[0] != 0.0 and effort[1:].tolist() == [0.4, 0.0]
+
+
+def test_a_servo_at_its_limit_exerts_that_and_the_others_allow_for_it(obey):
+    states = 'state theta_1 theta_6 theta_7'
+    start = state_of(obey(states)[0])[1][0]
+    # Far from where it is, for a motor as weak as this.
+    far = f'command theta_1 {float(start[0]) + 0.5!r}'
+    limited = obey('commands theta_1 position theta_6 position theta_7 position',
+                   'limit theta_1 12', far, 'advance 0.001 40', states)
+    position, velocity, acceleration, effort = state_of(limited[2])[1]
+    assert effort[0] == 12.0 and position[0] > start[0] and np.abs(effort[1:]).max() > 0.1
+    # Torques are constant in a step.
+    np.testing.assert_allclose(position[1:], start[1:], rtol=0, atol=1e-6)
+    # The same as a commanded effort of that size.
+    twin = obey('commands theta_1 effort theta_6 position theta_7 position',
+                'command theta_1 12', 'advance 0.001 40', states)
+    np.testing.assert_allclose(state_of(twin[2])[1], state_of(limited[2])[1], rtol=1e-12)
+    # A limit that is not reached changes nothing.
+    free, wide = (obey(*limit, 'commands theta_1 position', 'command theta_1 0.01',
+                       'advance 0.001 20', states) for limit in ((), ('limit theta_1 1e9',)))
+    assert free == wide
+    assert 'effort_limit: expected more than 0' in obey('limit theta_1 0', refused=True)
 
 
 def test_commands_that_depend_on_one_another_are_refused(obey):

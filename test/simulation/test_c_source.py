@@ -226,17 +226,21 @@ def test_forces_in_joints_are_those_of_the_package(scene, tmp_path):
     simulation.step(torques(simulation), 0.1)
     mechanism = simulation.mechanism
     moving = [n for n, joint in enumerate(mechanism.joints) if joint.type != 'fixed']
-    assert table(library, 'model_joint_names') == [mechanism.joints[n].name for n in moving]
-    bodies = [body.name for body in mechanism.bodies]
-    found = np.full((len(moving), 6), math.nan)
+    # Name, body in whose axes it is, wrench in world axes: of joints, then of cut joints.
+    acting = [(mechanism.joints[n].name, mechanism.joints[n].child, simulation.joint_forces[n])
+              for n in moving] + [(cut.name, cut.body_a, wrench) for cut, wrench in zip(
+                  mechanism.cut_joints, simulation.constraint_forces)]
+    assert table(library, 'model_joint_names') == [name for name, *_ in acting]
+    poses = dict(zip([body.name for body in mechanism.bodies], simulation.body_poses))
+    poses['ground'] = [0.0, 0.0, 0.0] if mechanism.planar else 6 * [0.0] + [1.0]
+    found = np.full((len(acting), 6), math.nan)
     library.model_joint_forces(
         ctypes.byref(ctypes.c_char.in_dll(library, 'model_default')),
         *(ctypes.c_void_p(one.ctypes.data) for one in (
             simulation.position, simulation.velocity, simulation.acceleration,
             simulation.multipliers, found)))
-    for wrench, place in zip(found, moving):
-        pose = simulation.body_poses[bodies.index(mechanism.joints[place].child)]
-        expected = simulation.joint_forces[place]
+    for wrench, (_, body, expected) in zip(found, acting):
+        pose = poses[body]
         if mechanism.planar:
             turned = of_quaternion((0.0, 0.0, math.sin(pose[2] / 2), math.cos(pose[2] / 2)))
             expected = np.array([0.0, 0.0, *expected, 0.0])

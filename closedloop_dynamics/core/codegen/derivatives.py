@@ -89,9 +89,9 @@ class DerivativeTrace(SceneTrace):
             self.outputs += [(JACOBIAN, row * self.nv + joint, value)
                              for row, value in enumerate(column)]
 
-    def joint_forces(self, rows, origins, axes):
+    def joint_forces(self, rows, origins, axes, cuts, cut_axes):
         """
-        Store the wrenches in joints: what the parent exerts on the child.
+        Store the wrenches in joints: what the parent exerts on the child, body B on body A.
 
         Parameters
         ----------
@@ -99,13 +99,25 @@ class DerivativeTrace(SceneTrace):
             Of the bodies that the joints carry.
         origins, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
             Of the children in the frames of these rows.
+        cuts : list of int
+            Rows of the cut joints whose wrenches follow, at the cut points of A.
+        cut_axes : ndarray, shape (number of cut joints, 3, 3)
+            Of bodies A in the frames of their rows.
 
         """
         _, wrenches, _ = self._balanced()
-        for n, (row, origin, turned) in enumerate(zip(rows, origins.tolist(), axes.tolist())):
+        lam, found = self.symbols(LAM, (self.nc,)), []
+        for row, origin, turned in zip(rows, origins.tolist(), axes.tolist()):
+            found.append((row, wrenches[row], origin, turned))
+        for a, turned in zip(cuts, cut_axes.tolist()):
+            cut, wrench = self.constant.cut[a], 2 * ZERO
+            for row, closure in enumerate(
+                    self.recursion.closures(self.model, a), start=cut[CUT_ROW]):
+                wrench = add(wrench, scale(closure.on_a, lam[row]))
+            found.append((cut[BODY_A], wrench, self.recursion.cuts[a].point_a, turned))
+        for n, (row, wrench, origin, turned) in enumerate(found):
             frame = transpose(self.recursion.motion[row].frame)
-            moment, force = (times(frame, part) for part in (
-                wrenches[row][:3], wrenches[row][3:]))
+            moment, force = (times(frame, part) for part in (wrench[:3], wrench[3:]))
             moment = subtract(moment, cross(origin, force))
             for k, value in enumerate(
                     times(transpose(turned), moment) + times(transpose(turned), force)):

@@ -63,6 +63,10 @@ public:
   std::size_t joint(const std::string & name) const;
   std::size_t wrench_place(const std::string & joint) const;
 
+  /// Limit the effort of a joint's servo [N m, N]: above 0, infinite at first. Commanded efforts
+  /// have no limit here. Throws std::invalid_argument.
+  void limit_effort(std::size_t joint, double limit);
+
   /// Start where joints are at these positions, and all others where the loops are closed, on the
   /// branch that leads there from the model's start. Throws std::invalid_argument where there is no
   /// such position.
@@ -95,8 +99,9 @@ public:
   double acceleration(std::size_t joint) const {return qdd_[joint];}
   double effort(std::size_t joint) const {return tau_[joint];}
 
-  /// What the parent exerts on the child of a joint, at the child's origin in its axes: force
-  /// [N], then torque [N m].
+  /// What the parent exerts on the child of a joint, at the child's origin in its axes; in a joint
+  /// that closes a loop, body B on body A, at its point of A in the axes of A: force [N], then
+  /// torque [N m].
   std::array<double, 6> wrench(std::size_t place) const;
 
 private:
@@ -104,8 +109,8 @@ private:
   const double step_size_, bandwidth_;
   std::vector<int> place_;  // Of coordinates in q; -1 of parts of orientations
   std::vector<double> start_, state_;  // q, qd
-  std::vector<Command> commands_;
-  std::vector<double> target_, tau_, qdd_, lam_, forces_, probe_;
+  std::vector<Command> commands_, acting_;  // As commanded; without servos at their limits
+  std::vector<double> limit_, target_, tau_, qdd_, lam_, forces_, probe_;
   Eigen::MatrixXd mobility_;
   Eigen::VectorXd missing_;
   Eigen::LLT<Eigen::MatrixXd> factor_;
@@ -114,6 +119,7 @@ private:
 
   bool factor_mobility(const std::vector<Command> & commands);
   bool find_efforts();
+  bool solve_servos();
   bool measure();
   bool failed(int status);
   double close_around(std::vector<double> & state, const std::vector<bool> & held) const;
