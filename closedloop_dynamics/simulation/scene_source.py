@@ -51,14 +51,14 @@ def source_of(scene: Scene) -> Tuple[str, bool]:
 
 def with_numbers(text: str, base: Scene, scene: Scene) -> Optional[str]:
     """
-    Return a text with the numbers of another scene.
+    Return a text with the numbers of another scene, and with other effects switched off.
 
     Parameters
     ----------
     text : str
         Of ``base``.
     base, scene : Scene
-        Alike but for numbers.
+        Alike but for these.
 
     Returns
     -------
@@ -75,7 +75,18 @@ def with_numbers(text: str, base: Scene, scene: Scene) -> Optional[str]:
             if keys[0] == 'parameters' and keys[1] not in (given.get('parameters') or {}):
                 keys = (MECHANISM, *keys)
             values[keys] = repr(value)
+    entries: Dict[Tuple[str, ...], Any] = {}
+    for name in set(base.switched_off) ^ set(scene.switched_off):
+        acts = name not in scene.switched_off
+        if name in base.switched_off:
+            values['effects', name, 'enabled'] = str(acts).lower()
+        else:
+            entries['effects', name, 'enabled'] = acts
     changed = with_scalars(text, values)
+    if changed is not None:
+        # Where it says so already, it is no new entry.
+        switched = with_scalars(changed, {keys: 'false' for keys in entries})
+        changed = with_entries(changed, entries) if switched is None else switched
     return changed if changed is not None and _is_like(_read(changed, base), scene) else None
 
 
@@ -134,4 +145,4 @@ def _is_like(found: Optional[Scene], wanted: Scene) -> bool:
         return False
     return (found.mechanism == wanted.mechanism and dict(found.effects) == dict(wanted.effects)
             and found.initial == wanted.initial and found.method == wanted.method
-            and found.switched_off == wanted.switched_off)
+            and set(found.switched_off) == set(wanted.switched_off))

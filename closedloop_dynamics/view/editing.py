@@ -171,20 +171,17 @@ class Editor:
         self._keep(('set', key))
         self.scene = scene
 
-    def effect(self, name, values):
-        """Take note of values of an effect, numbers or lists of them, that were changed."""
-        if name not in self.scene.effects:
+    def effect(self, name, acts, record):
+        """Take note of what an effect has become: whether it acts, and its record."""
+        scene = self.scene
+        if name not in scene.effects or (acts, record) == (
+                name not in scene.switched_off, scene.effects[name]):
             return
-        known, flat = numbers(self.scene), {}
-        for key, value in values.items():
-            parts = {f'.{k}': one for k, one in enumerate(value)} if isinstance(
-                value, (list, tuple)) else {'': value}
-            flat.update({f'effects.{name}.{key}{part}': one for part, one in parts.items()})
-        if flat and all(key in known and isinstance(value, (int, float))
-                        and not isinstance(value, bool) for key, value in flat.items()):
-            scene = self._with(flat)
-            self._keep(('set', f'effects.{name}'))
-            self.scene = scene
+        others = tuple(other for other in scene.switched_off if other != name)
+        self._keep(('effect', name, acts))
+        self.scene = replace(
+            scene, effects={**scene.effects, name: record},
+            switched_off=others if acts else (*others, name))
 
     def pose(self, position):
         """Let the machine start in a position, shape (nq,) [rad or m]."""

@@ -551,7 +551,9 @@ class Runner(Shown):
             name, enabled, **(values or {})))
         if self._own.controller is not None:
             self._own.controller.know(name, enabled, values or {})
-        self.editor.effect(name, values or {})
+        with self._lock:
+            self.editor.effect(name, name in self.simulation.enabled_effects,
+                               self.simulation.effects[name])
 
     def _do_method(self, page, values):
         unknown = [key for key in values if key not in METHOD_KEYS]
@@ -649,13 +651,10 @@ class Runner(Shown):
         old, scene = self.simulation, self.editor.scene
         hand = Hand(scene, extent(scene.mechanism))
         new = Simulation(replace(hand.scene, method=old.scene.method))
-        # What was switched while it ran stays so.
-        for name in set(old.effects) & set(new.effects) - {self._hand.spring}:
-            acts, values = name in old.enabled_effects, {}
-            if name == hand.gravity and name not in scene.effects:
-                values = {'acceleration': old.effects[name].acceleration}
-            if values or acts != (name in new.enabled_effects):
-                new.set_effect(name, acts, **values)
+        if hand.gravity not in scene.effects and hand.gravity in old.effects:
+            # Of no scene, and so nothing that is edited.
+            new.set_effect(hand.gravity, hand.gravity in old.enabled_effects,
+                           acceleration=old.effects[hand.gravity].acceleration)
         if not self._editing and old.time > 0.0 and (
                 old.coordinates.names == new.coordinates.names):
             new.set_state(old.position, old.velocity)

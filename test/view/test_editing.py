@@ -133,6 +133,25 @@ def test_the_words_of_the_author_stay(tmp_path):
     assert editor.scene.mechanism != load_scene(path).mechanism
 
 
+def test_effects_are_saved_as_they_were_changed(tmp_path):
+    edited = Edited('carpet_scraper_on_carpet', tmp_path)
+    scene = edited.runner.editor.scene
+    name = next(name for name in scene.effects if name != 'gravity')
+    edited.ask('effect', name=name, enabled=False)
+    edited.ask('effect', name='gravity', values={'acceleration': [1.0, -2.0]})
+    told = edited.ask('save', name='mine')
+    assert 'could not be kept' not in told['notes'][-1]['text']
+    saved = load_scene(tmp_path / 'mine.yaml')
+    assert saved.switched_off == (name,)
+    assert saved.effects['gravity'].acceleration == (1.0, -2.0)
+    for count in (1, 2):
+        edited.ask('undo')
+        assert (name in edited.runner.simulation.enabled_effects) == (count == 2)
+    edited.ask('effect', name=name, enabled=False)
+    edited.ask('effect', name=name, enabled=True)
+    assert edited.runner.editor.text()[0] == Editor(scene).text()[0]
+
+
 def test_edits_while_it_moves_go_on_from_there():
     edited = Edited()
     edited.ask('play', frames=60)
