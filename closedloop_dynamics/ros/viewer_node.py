@@ -145,7 +145,7 @@ class RemoteSimulator(Shown):
         # By actuated joint: what drives it, its value, and the integral of a position drive.
         # Cut joints are driven by commands: the page shows the joints of the tree.
         self.drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
-                        if name in names.index}
+                       if name in names.index}
         self._subscriptions.append(self._subscribe(
             JointState, self._topics['joint_states'], self._on_state, QOS))
         if 'multi_dof_joint_states' in self._topics:
