@@ -430,8 +430,8 @@ def test_shipped_machines_do_not_fall(name):
 
 def test_own_motion_held_and_free():
     now = [0.0]
-    runner = Runner(load_scene('stewart_platform'), lambda: now[0], own_motion)
-    simulation, legs = runner.simulation, runner.simulation.actuated_in_tree
+    runner = Runner(load_scene('excavator_arm'), lambda: now[0], own_motion)
+    simulation, driven = runner.simulation, runner.simulation.actuated_in_tree
 
     def ask(what, frames=0, **more):
         runner.feed.take('page', json.dumps({'do': what, **more}))
@@ -442,12 +442,12 @@ def test_own_motion_held_and_free():
 
     assert ask('play', frames=90)['motion'] == 'own'
     assert ask('motion', which='held')['motion'] == 'held'
-    before = simulation.coordinates.by_freedom(simulation.position)[legs]
+    before = simulation.coordinates.by_freedom(simulation.position)[driven]
     ask('seen', frame=0, frames=60)
-    after = simulation.coordinates.by_freedom(simulation.position)[legs]
+    after = simulation.coordinates.by_freedom(simulation.position)[driven]
     np.testing.assert_allclose(after, before, rtol=0.0, atol=2e-2)
     assert ask('motion', which='free', frames=12)['motion'] == 'free'
-    assert np.abs(simulation.effort[legs]).max() == 0.0
+    assert np.abs(simulation.effort[driven]).max() == 0.0
     assert ask('reset')['motion'] == 'own' and simulation.time == 0.0
-    refused = ask('command', joint='leg_1', value=1.0)['notes'][-1]['text']
+    refused = ask('command', joint='slew', value=1.0)['notes'][-1]['text']
     assert 'another mode' in refused
