@@ -34,7 +34,8 @@ sys.path.insert(0, str(ROOT))
 from closedloop_dynamics.formats.registry import is_model, read_model  # noqa: E402,I100
 from closedloop_dynamics.mechanism.mechanism import MechanismError  # noqa: E402
 from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
-from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed  # noqa: E402
+from closedloop_dynamics.simulation.global_assembly import (  # noqa: E402
+    ClosureProblem, find_closed)
 from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model  # noqa: E402
 from closedloop_dynamics.simulation.modeling import extent  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402

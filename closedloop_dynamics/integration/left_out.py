@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.codegen import pieces
+from ..core.codegen.workspace import unconnected
 from ..core.equations import Equations, with_all_equations
 from ..core.types import Model, Workspace
-from ..core.codegen.workspace import unconnected
 
 # Columns of ``AllEquations.numbers``: the pivot below which other equations are looked for; the
 # most kinetic energy so far [J]; whether there are none better, so that all but open loops is

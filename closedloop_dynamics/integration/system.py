@@ -10,13 +10,13 @@ import numpy as np
 from .left_out import all_equations, AllEquations
 from ..core import codegen
 from ..core.codegen import function_table as calls, pieces, space
+from ..core.codegen.workspace import unconnected
 from ..core.equations import with_all_equations
 from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
 from ..core.types import (
     KEPT, Model, PATH_A, PATH_END, POSSIBLE, RANK_REVEALING_COUNT, ROWS, Workspace)
-from ..core.codegen.workspace import unconnected
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 

@@ -178,7 +178,7 @@ class JointStatesNode(Node):
         cuts = (simulation.cut_position, simulation.cut_velocity,
                 np.zeros(len(simulation.cut_joint_names))) if simulation.cut_joint_names else ()
         self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,
-                             forces, cuts)
+                            forces, cuts)
 
     def _complain(self, kind, problem):
         self.counts[kind] += 1

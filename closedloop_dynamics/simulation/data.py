@@ -21,10 +21,10 @@ from .cut_joints import coordinate_arrays, CutJoints
 from .errors import AssemblyError, SimulationError
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
+from .loop_model import LoopModel
 from .modeling import extent
 from .motions import DrivingConstraints, require_actuated
 from .names import Names
-from .loop_model import LoopModel
 from .redundancy import geometry_of
 from .scene_records import Method, Scene
 from .state import State

@@ -168,7 +168,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     if at_start:
         simulation.reset()
     return run_stepwise(simulation, all_torques(simulation, torques), schedule,
-                    schedule.steps(simulation.step_size), quantities)
+                        schedule.steps(simulation.step_size), quantities)
 
 
 def starts_as_given(simulation, positions, velocities):

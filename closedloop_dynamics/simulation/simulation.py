@@ -788,7 +788,7 @@ class Simulation(Readings):
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
             self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
-                           else self._geometry.keep(None))
+                          else self._geometry.keep(None))
         self.exchanges = 0
         self._set_time(0.0, 0)
         if self._motions:

@@ -504,14 +504,14 @@ class _Search:
         """Return the best machine so far."""
         if self._best is None:
             return Candidate((), (), math.inf, (), message, self._evaluations, self._gradients,
-                         dict(self._refused))
+                             dict(self._refused))
         _, z, aims, missed = self._best
         values = self._values(z)
         position = start_position(self._problem.driven.start(
             with_values(self._scene, self._problem.variables, values)))
         return Candidate(tuple(values.tolist()), tuple(aims), float(missed),
-                     tuple(position.tolist()), message, self._evaluations, self._gradients,
-                     dict(self._refused))
+                         tuple(position.tolist()), message, self._evaluations, self._gradients,
+                         dict(self._refused))
 
     def _by_least_squares(self, z):
         count = len(self._aim.squared_parts(self._quantities(z)).value)
@@ -652,7 +652,7 @@ class _Log:
 
 def _found(values):
     return Candidate(**{key: tuple(value) if isinstance(value, list) else value
-                    for key, value in values.items()})
+                        for key, value in values.items()})
 
 
 def _identity(problem, starts, front):

@@ -3,9 +3,9 @@
 
 """The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
+from closedloop_dynamics.core.codegen.workspace import allocate
 from closedloop_dynamics.core.types import (
     AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
-from closedloop_dynamics.core.codegen.workspace import allocate
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np

@@ -20,9 +20,9 @@ from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 import pytest
 
-from ..reference import cases
 from .machines import assert_balanced, block, flyer, simulated, spatial_block
 from .test_space import point_mass
+from ..reference import cases
 
 X = {'joints': {'x': 'slide'}, 'rates': {'v': 'x'}}
 SPRING = {'parameters': {'k': 40.0, 'l0': 0.2, 'c': 0.7}, 'rates': {'v': 'd'},

@@ -183,7 +183,7 @@ class _Loops:
                      for n in range(6)]
             recursion.force[self.closing] = add(recursion.force[self.closing], force)
 
-    def open(self):
+    def find_multipliers(self):
         """Find the multipliers, the closing body's acceleration being known, and let them act."""
         body, lam = self.work.body, list(self.left)
         if self.closing > 0:
@@ -239,7 +239,7 @@ def _solve(recursion, model, work, tau, right, qdd):
 
     def opened(i):
         if i in groups:
-            groups[i].open()
+            groups[i].find_multipliers()
 
     recursion.inward(model, tau, work, before=close)
     recursion.outward_acceleration(model, work, qdd, after=opened)
