@@ -35,7 +35,7 @@ The shipped ones go by their names; anything else is the path of a file:
 EPILOG = """\
 Exit codes: 0 done; 1 the simulation failed, a comparison found a difference, or a
 file could not be written completely; 2 a wrong option, scene, mechanism or recording;
-130 interrupted.
+130 interrupted, 143 terminated.
 """
 
 
