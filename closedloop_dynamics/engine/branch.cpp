@@ -10,6 +10,7 @@
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
+#include "projection.hpp"
 #include "recursion.hpp"
 #include "refinement.hpp"
 #include "routines.hpp"
@@ -61,25 +62,49 @@ void add_forces(const Workspace & work, Table forces)
   }
 }
 
+/// Closure errors of a state, and what corrects them into System.corrections or the factors of the
+/// loops over bodies; whether its own pivots are good does not matter: the geometry's are judged.
+bool prepare_corrections(const System & system, Values q, Values qd)
+{
+  if (system.is_unrolled()) {
+    call(system.table, routine::CORRECTION, q, qd);
+    return true;
+  }
+  outward(system.model, q, qd, system.work);
+  return prepare_refined(
+    system.model, system.tau.part(0, system.nv()), system.work, NEAR_PIVOT);
+}
+
+/// The least change that takes away errors of positions or rates, shape (nv,).
+Values correction(const System & system, Level level)
+{
+  if (system.is_unrolled()) {
+    return system.corrections[level == Level::POSITION ? 0 : 1];
+  }
+  correct_by_loops(system, level);
+  return system.qdd;
+}
+
 /// Bring a state onto the branch next to it, in place; return whether it is there.
 bool return_to_branch(const System & system, Values q, Values qd, double pivot)
 {
-  const Workspace & work = system.work;
   const double size = system.settings[setting::SIZE];
   for (int count = 0; ; ++count) {
-    // Whether its own pivots are good does not matter: the geometry's have been judged.
-    call(system.table, routine::CORRECTION, q, qd);
-    const double error = largest(work.closure);
+    if (!prepare_corrections(system, q, qd)) {
+      return false;
+    }
+    const double error = largest(system.work.closure);
     if (count == 0 && !(error <= CERTAIN * pivot * size)) {
       return false;
     }
     if (!(error > ROUNDING * size && count < MOST_CORRECTIONS)) {
+      const Values change = correction(system, Level::VELOCITY);
       for (Index i = 0; i < qd.size; ++i) {
-        qd[i] += system.corrections(1, i);
+        qd[i] += change[i];
       }
       return error <= SETTLED * size;
     }
-    move(system.manifold, q, system.corrections[0], 1.0);
+    move(system.manifold, q, correction(system, Level::POSITION), 1.0);
   }
 }
 }  // namespace
@@ -90,7 +115,7 @@ bool accelerate_on_branch(const System & system, Values q, Values qd)
   const Values & health = work.health;
   const double pivot = health[health::SMALLEST_PIVOT];
   const Index size = work.size(), bodies = work.body.rows;
-  if (!(system.whole.empty() && system.settings[setting::BAUMGARTE_GAIN] == 0.0 &&
+  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 &&
     pivot < POOR_PIVOT && good(system.model, pivot, NEAR_PIVOT) &&
     q.size + qd.size + 2 * work.closure.size + bodies * size <= ROOM))
   {

@@ -6,7 +6,8 @@
 
 #include "system.hpp"
 
-// Accelerations beside a singular position, where the closure equations are still independent.
+// Accelerations beside a singular position, where the closure equations that the elimination works on
+// are still independent.
 
 namespace closedloop
 {

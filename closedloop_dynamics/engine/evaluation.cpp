@@ -82,7 +82,8 @@ void accelerate_by_loops(const System & system, Values q, Values qd)
   }
   move_bodies(system, q, qd);
   if (!accelerate_refined(
-      system.model, system.work, system.applied, gain, system.qdd, system.lam))
+      system.model, system.work, system.applied, gain, system.qdd, system.lam) &&
+    !accelerate_on_branch(system, q, qd))
   {
     accelerate_with_all_equations(system, q, qd);
   }

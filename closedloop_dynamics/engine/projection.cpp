@@ -54,21 +54,6 @@ By factor_configuration(const System & system, Values q, Values qd)
   return factor_by_loops(system, q, qd) ? By::LOOPS : By::RANK;
 }
 
-void correct_by_loops(const System & system, Level level)
-{
-  const Workspace & work = system.work;
-  const Values & error = level == Level::POSITION ? work.closure : work.closure_rate;
-  for (Index k = 0; k < work.right.size; ++k) {
-    work.right[k] = -error[k];
-  }
-  solve(system.model, work, work.right);
-  for (Index i = 0; i < work.body.rows; ++i) {
-    work.body(i, work::RHS) = 0.0;
-  }
-  apply(system.model, work, work.right);
-  outward_acceleration(system.model, work, system.qdd);
-}
-
 /// -I^-1 J^T (J I^-1 J^T)^+ times the error into System.qdd: the least change in the mass metric.
 void correction(const System & system, By by, Level level, Values q, Values qd)
 {
@@ -135,6 +120,21 @@ bool stabilise(
   return project(system, q, qd, stabilisation == Stabilisation::PROJECTION);
 }
 }  // namespace
+
+void correct_by_loops(const System & system, Level level)
+{
+  const Workspace & work = system.work;
+  const Values & error = level == Level::POSITION ? work.closure : work.closure_rate;
+  for (Index k = 0; k < work.right.size; ++k) {
+    work.right[k] = -error[k];
+  }
+  solve(system.model, work, work.right);
+  for (Index i = 0; i < work.body.rows; ++i) {
+    work.body(i, work::RHS) = 0.0;
+  }
+  apply(system.model, work, work.right);
+  outward_acceleration(system.model, work, system.qdd);
+}
 
 bool stabilise(const System & system, Stabilisation stabilisation, Values state)
 {

@@ -23,6 +23,10 @@ bool stabilise(const System &, Stabilisation, Values state);
 /// so that a run does not depend on where its states are asked for.
 bool stabilise_between(const System &, Stabilisation, Values state);
 
+/// The least change of coordinates or rates that closes the loops, into System.qdd, by the factors
+/// and closure errors that are in the workspace.
+void correct_by_loops(const System &, Level);
+
 /// Whether no value is infinite or NaN.
 bool all_finite(Values);
 
