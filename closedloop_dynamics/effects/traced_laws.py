@@ -4,8 +4,11 @@
 """
 Laws of effects on symbols, for code that is generated for a whole scene.
 
-The same laws as those of the engine (``joint_laws.cpp``, ``point_laws.cpp``), of effects that are
-smooth functions of the state. A row of the table of effects tells whose parameters they take.
+The same laws as those of the engine (``joint_laws.cpp``, ``point_laws.cpp``, ...), of effects that
+are functions of coordinates and rates without jumps. Where such a law has a corner, as where an
+end stop is reached, its derivative is that of the branch that the engine takes there. A row of the
+table of effects tells whose parameters they take; the numbers of its entries are constants of the
+code.
 
 """
 
@@ -15,20 +18,21 @@ import numpy as np
 
 from .registry import effect_type
 from .table import (
-    DATA, EXTERNAL_FORCE, FIRST, JOINT_DAMPING, JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_FORCE,
-    SPATIAL_POINT_SPRING, SPATIAL_TRACED, TRACED)
+    BUSHING, DATA, END_STOP, ENTRIES, EXTERNAL_FORCE, FIRST, FLUID_DRAG, JOINT_DAMPING,
+    JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_BUSHING, SPATIAL_FLUID_DRAG, SPATIAL_FORCE,
+    SPATIAL_POINT_SPRING, SPATIAL_TRACED, TENDON, TRACED)
 from .traced_effect import COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS
-from ..core.codegen.expression_graph import chosen, replayed, square_root
-from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
+from ..core.codegen.expression_graph import chosen, larger, replayed, smaller, square_root
+from ..core.codegen.vectors import add, cross, dot, in_space, scale, subtract, ZERO
 
 # Why other effects have no law here, by the name of their type.
 _REASONS = {
     'joint_friction': 'dry friction jumps where a joint comes to rest',
     'tendon_friction': 'dry friction jumps where a tendon comes to rest',
     'tendon_inertia': 'it acts on accelerations',
-    'end_stop': 'it begins and ends within a step',
-    'contact': 'it begins and ends within a step',
-    'body_contact': 'it begins and ends within a step',
+    'joint_spring': 'it turns an orientation',
+    'contact': 'its friction jumps with the sliding, and contacts begin within a step',
+    'body_contact': 'which parts of the outlines touch is searched for',
     'cable': 'it slackens, and winds round pulleys',
     'actuator': 'its torque has limits and a state of its own',
     'prescribed_motion': 'it follows the time',
@@ -89,7 +93,32 @@ def act(table, forces, laws=None):
         if laws and row in laws:
             _of_user(forces, laws[row], entries_of(table, row), forces.numbers(row))
         else:
-            LAWS[table.kind[row]](forces, *table.index[row, [FIRST, SECOND]], forces.numbers(row))
+            LAWS[table.kind[row]](forces, *table.index[row, [FIRST, SECOND]], forces.numbers(row),
+                                  constants_of(table, row))
+
+
+def constants_of(table, row):
+    """
+    Return the numbers of a row's entries, which are constants of the code.
+
+    Parameters
+    ----------
+    table : EffectTable
+        Of a scene.
+    row : int
+        Of an effect.
+
+    Returns
+    -------
+    list of float
+        Of a tendon behind how many joints and coefficients there are, of which kind.
+
+    """
+    begin, *after = (int(first) for first in table.index[row:row + 2, DATA])
+    found = table.data[begin:after[0] if after else len(table.data)].tolist()
+    if table.kind[row] != TENDON:
+        return found
+    return [float(table.index[row, ENTRIES] - 2), *table.values[row, :2].tolist(), *found]
 
 
 def entries_of(table, row):
@@ -141,18 +170,18 @@ def _line(forces, bodies, places):
     return offsets, direction, length, dot(direction, subtract(rate_b, rate_a))
 
 
-def _joint_damping(forces, joint, _, values):
+def _joint_damping(forces, joint, _, values, __):
     forces.twist(joint, -(values[0] * forces.rate(joint)))
 
 
-def _joint_spring(forces, joint, _, values):
+def _joint_spring(forces, joint, _, values, __):
     stretch = forces.coordinate(joint) - values[1]
     forces.twist(joint, -(values[0] * stretch))
     forces.store(0.5 * (values[0] * (stretch * stretch)))
 
 
 def _point_spring(size):
-    def law(forces, first, second, values):
+    def law(forces, first, second, values, _):
         stiffness, damping, free = values[:3]
         bodies = first, second
         offsets, direction, length, rate = _line(
@@ -163,11 +192,11 @@ def _point_spring(size):
     return law
 
 
-def _external_force(forces, body, _, values):
+def _external_force(forces, body, _, values, __):
     _constant(forces, body, values[:2], values[2:4], (0.0, 0.0, values[4]), values[5])
 
 
-def _spatial_force(forces, body, _, values):
+def _spatial_force(forces, body, _, values, __):
     _constant(forces, body, values[:3], values[3:6], tuple(values[6:9]), values[9])
 
 
@@ -181,6 +210,107 @@ def _constant(forces, body, point, force, moment, turns):
     forces.push(body, offset, force, add(moment, ZERO))
 
 
-LAWS = {JOINT_DAMPING: _joint_damping, JOINT_SPRING: _joint_spring,
-        POINT_SPRING: _point_spring(2), SPATIAL_POINT_SPRING: _point_spring(3),
-        EXTERNAL_FORCE: _external_force, SPATIAL_FORCE: _spatial_force}
+def _end_stop(forces, joint, _, values, __):
+    stiffness, lower, upper, damping = values[:4]
+    above, below = forces.coordinate(joint) - upper, lower - forces.coordinate(joint)
+    low = below > above
+    sign, depth = chosen(low, -1.0, 1.0), larger(chosen(low, below, above), 0.0)
+    elastic = stiffness * depth
+    push = elastic * larger(1.0 + damping * (sign * forces.rate(joint)), 0.0)
+    forces.twist(joint, -(sign * push))
+    forces.store(0.5 * elastic * depth)
+
+
+def _tendon(forces, _, __, values, constants):
+    joints, springs, _ = (int(count) for count in constants[:3])
+    numbers, coefficients = constants[3:3 + 2 * joints], constants[3 + 2 * joints:]
+    arms = [(int(joint), arm) for joint, arm in zip(numbers[::2], numbers[1::2])]
+    length = sum(arm * forces.coordinate(joint) for joint, arm in arms)
+    rate = sum(arm * forces.rate(joint) for joint, arm in arms)
+    stretch = length - larger(values[2], smaller(values[3], length))
+    tension, stored, power = 0.0, 0.0, stretch
+    for exponent, stiffness in enumerate(coefficients[:springs], start=2):
+        tension = tension + stiffness * power
+        power = power * stretch
+        stored = stored + stiffness / exponent * power
+    power = rate
+    for damping in coefficients[springs:]:
+        tension = tension + damping * power
+        power = power * abs(rate)
+    for joint, arm in arms:
+        forces.twist(joint, -(arm * tension))
+    forces.store(stored)
+
+
+def _fluid_drag(forces, body, _, values, __):
+    axis = tuple(values[2:4])
+    _drag(forces, body, values[:2], in_space(values[10:12]), (
+        (axis, values[4], values[6], 0.0, 0.0),
+        ((-axis[1], axis[0]), values[5], values[7], 0.0, 0.0),
+        ((0.0, 0.0, 1.0), 0.0, 0.0, *values[8:10])))
+
+
+def _spatial_fluid_drag(forces, body, _, values, constants):
+    _drag(forces, body, values[:3], tuple(values[3:6]), [
+        (constants[n:n + 3], *constants[n + 3:n + 7]) for n in (0, 7, 14)])
+
+
+def _drag(forces, body, point, flow, entries):
+    """Let a fluid drag along axes of a body and about them, with two coefficients of each."""
+    offset = forces.turned(body, point)
+    velocity, spin = subtract(forces.place(body, offset)[1], flow), forces.spin(body)
+    force, moment = ZERO, ZERO
+    for direction, *coefficients in entries:
+        axis = forces.turned(body, direction)
+        along, about = (
+            -((linear + quadratic * abs(speed)) * speed) for linear, quadratic, speed in (
+                (*coefficients[:2], dot(axis, velocity)), (*coefficients[2:], dot(axis, spin))))
+        force, moment = add(force, scale(axis, along)), add(moment, scale(axis, about))
+    forces.push(body, offset, force, moment)
+
+
+def _bushing(forces, first, second, values, constants):
+    axis, (stiffness_1, stiffness_2, damping_1, damping_2) = tuple(values[3:5]), constants[4:]
+    turn = forces.angle(second) - forces.angle(first) - values[2]
+    spin = subtract(forces.spin(second), forces.spin(first))[2]
+    moment = 0.0, 0.0, -(values[0] * turn + values[1] * spin)
+    forces.store(0.5 * (values[0] * (turn * turn)))
+    _hold(forces, (first, second), (constants[:2], constants[2:4]), (
+        (forces.turned(first, axis), stiffness_1, damping_1),
+        (forces.turned(first, (-axis[1], axis[0])), stiffness_2, damping_2)), moment)
+
+
+def _spatial_bushing(forces, first, second, values, constants):
+    turning, along, moment = subtract(forces.spin(second), forces.spin(first)), [], ZERO
+    for k, (share, loss) in enumerate(zip(values[:3], values[3:6])):
+        axis, other = (forces.turned(body, constants[n + 3 * k:n + 3 * k + 3])
+                       for body, n in ((first, 6), (second, 15)))
+        along.append((axis, constants[24 + k], constants[27 + k]))
+        moment = add(moment, subtract(scale(cross(other, axis), share),
+                                      scale(axis, loss * dot(axis, turning))))
+        forces.store(share * (1.0 - dot(axis, other)))
+    _hold(forces, (first, second), (constants[:3], constants[3:6]), along, moment)
+
+
+def _hold(forces, bodies, places, axes, moment):
+    """Join points of two bodies by springs and dampers along axes of the first; and a moment."""
+    start, end = (forces.turned(body, place) for body, place in zip(bodies, places))
+    (place_a, _), (place_b, rate_b) = (
+        forces.place(body, offset) for body, offset in zip(bodies, (start, end)))
+    apart, force = subtract(place_b, place_a), ZERO
+    # Against what of the first body would be at the second point: so the axes' turning is seen.
+    lever = add(start, apart)
+    rate = subtract(rate_b, forces.place(bodies[0], lever)[1])
+    for axis, stiffness, damping in axes:
+        along = dot(axis, apart)
+        force = subtract(force, scale(axis, stiffness * along + damping * dot(axis, rate)))
+        forces.store(0.5 * stiffness * (along * along))
+    forces.push(bodies[1], end, force, moment)
+    forces.push(bodies[0], lever, scale(force, -1.0), scale(moment, -1.0))
+
+
+LAWS = {BUSHING: _bushing, END_STOP: _end_stop, EXTERNAL_FORCE: _external_force,
+        FLUID_DRAG: _fluid_drag, JOINT_DAMPING: _joint_damping, JOINT_SPRING: _joint_spring,
+        POINT_SPRING: _point_spring(2), SPATIAL_BUSHING: _spatial_bushing,
+        SPATIAL_FLUID_DRAG: _spatial_fluid_drag, SPATIAL_FORCE: _spatial_force,
+        SPATIAL_POINT_SPRING: _point_spring(3), TENDON: _tendon}

@@ -293,7 +293,8 @@ def _initializer(array):
     """Return an array as C initializes it, every number to the last bit."""
     if array.ndim > 1:
         return '{' + ',\n    '.join(map(_initializer, array)) + '}'
-    return '{' + ', '.join(map(repr, array.tolist())) + '}'
+    # An end stop that is not there is at infinity.
+    return '{' + ', '.join(map(repr, array.tolist())).replace('inf', 'HUGE_VAL') + '}'
 
 
 def _dense(name, rows, columns):

@@ -224,7 +224,8 @@ class Differentiator:
                 'Other effects are switched on now: make a new Differentiator.')
         if self._laws and self._laws != laws_of(self._simulation):
             raise SimulationError(
-                'Effects have other expressions or ends now: make a new Differentiator.')
+                'Effects have other expressions, ends or lists of numbers now: make a new '
+                'Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
         self._lam[:] = self._system.lam
         return tuple(np.array(one, dtype=float) for one in (position, velocity))

@@ -28,6 +28,7 @@ from .c_source import c_source
 from .errors import SimulationError
 from .fmu_template import COMMON, FMI2, FMI3
 from .key_paths import changed, numbers, resolve
+from .parameters import finite
 from ..core.codegen import space
 from ..effects.table import VALUE_COLUMNS
 from ..engine import build
@@ -35,7 +36,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 
 VERSIONS = ('3.0', '2.0')
-FLAGS = ('-x', 'c', '-std=c99', '-fPIC', '-fvisibility=hidden', '-Wall', '-Wextra', '-Werror')
+FLAGS = '-x', 'c', '-std=c99', '-fPIC', '-fvisibility=hidden'
 # Sources of more bytes than these are compiled with less optimisation, or none: it would take
 # minutes.
 LONG, LONGEST = 500_000, 2_000_000
@@ -499,7 +500,7 @@ def _arrays(simulation):
     table = system.effects
     values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
     return {'body': system.model.body.copy(), 'gravity': system.model.gravity.copy(),
-            'cut_point': system.model.cut_point.copy(), 'effect': values.copy()}
+            'cut_point': system.model.cut_point.copy(), 'effect': finite(values)}
 
 
 def _shares(before, once, twice, step, planar):

@@ -999,7 +999,7 @@ EXPORT fmi3Status fmi3GetAdjointDerivative(
     found[k] = 0.0;
     for (size_t n = 0; status == OK && n < count; ++n) {
       const double one = 1.0;
-      double change;
+      double change = 0.0;
       status = differentiate(instance, unknowns + n, 1, knowns + k, 1, &one, &change);
       found[k] += status == OK ? seed[n] * change : 0.0;
     }

@@ -108,7 +108,13 @@ def _arrays(data):
     """Return the arrays that code reads, by their places in the function table."""
     model, effects = data.system.model, data.system.effects
     return {calls.BODY: model.body, calls.GRAVITY: model.gravity, calls.CUT_POINT: model.cut_point,
-            VALUES: np.zeros(0) if effects is None else effects.values, POINT: data.carried[1]}
+            VALUES: np.zeros(0) if effects is None else finite(effects.values),
+            POINT: data.carried[1]}
+
+
+def finite(values):
+    """Return a copy of effects' numbers without infinities: ends of stops that are not there."""
+    return np.where(np.isfinite(values), values, 0.0)
 
 
 def _parallel(data):

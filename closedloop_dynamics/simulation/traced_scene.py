@@ -8,8 +8,8 @@ import numpy as np
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
 from ..core.codegen.scene_routines import VALUES
-from ..effects.table import FIRST, SECOND, VALUE_COLUMNS
-from ..effects.traced_laws import act, entries_of, refused
+from ..effects.table import ENTRIES, FIRST, SECOND, VALUE_COLUMNS
+from ..effects.traced_laws import act, constants_of, refused
 
 
 def refusals(simulation):
@@ -113,6 +113,12 @@ class TracedScene:
 
 
 def laws_of(simulation):
-    """Return what code of users' laws depends on, by rows: arithmetic, and what is measured."""
-    table, laws = simulation.system.effects, simulation.effect_set.laws
-    return {row: (law.arithmetic, entries_of(table, row).tolist()) for row, law in laws.items()}
+    """Return what code depends on of laws with lists of numbers, or of users, by rows."""
+    table, laws, found = simulation.system.effects, simulation.effect_set.laws, {}
+    for row in () if table is None else np.flatnonzero(
+            table.enabled * table.index[:, ENTRIES]).tolist():
+        # A user's law is called by its address, which says nothing.
+        own = ((laws[row].arithmetic,) if row in laws else
+               tuple(table.index[row, [FIRST, SECOND]].tolist()))
+        found[row] = (*own, constants_of(table, row))
+    return found

@@ -29,7 +29,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE
+from .test_derivatives import IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE
 
 ROOT = Path(__file__).resolve().parents[2]
 compiled = pytest.mark.skipif(
@@ -157,6 +157,21 @@ def test_effects_are_carried_in_space(tmp_path):
         'spring': JointSpring(names[0], 0.3, 0.2), 'damper': JointDamping(names[0], 0.02),
         'strut': PointSpring(mechanism.points[0].name, None, (0.1, 0.2, 0.7), 20.0, 0.3, 0.1)})
     require_same_run(tmp_path, simulation)
+
+
+@compiled
+@pytest.mark.parametrize('scene, effects', (('three_rrr', IN_PLANE), ('rssr_four_bar', IN_SPACE)))
+def test_effects_with_corners_and_lists_of_numbers_are_carried(scene, effects, tmp_path):
+    require_same_run(tmp_path, simulation_of(scene, effects))
+
+
+@compiled
+def test_a_stop_is_met_as_in_the_package(tmp_path):
+    # The crank's torque, drawn at random, would hold the slider off the stop.
+    simulation = simulation_of('slider_crank_end_stop', {
+        'push': ExternalForce('wrist_pin', (5.0, 0.0))})
+    require_same_run(tmp_path, simulation, 800, 100)
+    assert simulation.effect_readings('buffer')['dissipated_energy'] > 0.01
 
 
 @compiled

@@ -9,11 +9,15 @@ from closedloop_dynamics.core.codegen.differentiation import differentiated, gra
 from closedloop_dynamics.core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
     square_root)
+from closedloop_dynamics.effects.bushing import Bushing
+from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
@@ -43,6 +47,25 @@ mechanism: ./parallelogram.yaml
 initial: {position: {a: 0.7, b: -0.7, c: 0.7}, hold: [a]}
 effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
 """
+
+
+# Laws with corners, and with lists of numbers. At the start theta_1 is 1.05, theta_2 5.42 and
+# theta_6 4.19 rad: beyond an upper end, between both, and below a lower one.
+IN_PLANE = {
+    'reached': EndStop('theta_1', 40.0, upper=0.9, damping=0.3),
+    'free': EndStop('theta_2', 40.0, lower=2.0, upper=8.0),
+    'below': EndStop('theta_6', 30.0, lower=4.5),
+    'tendon': Tendon({'theta_1': 0.3, 'theta_3': -0.2}, (5.0, 2.0), (0.1, 0.05), (-0.1, 0.05)),
+    'drag': FluidDrag('corner_1', (0.3, 0.2), (1.0, 2.0), 0.1, 0.2, (0.5, -0.3), 0.4),
+    'mount': Bushing('platform_center', None, (0.1, 0.7), (20.0, 30.0), (0.2, 0.3), 2.0, 0.1,
+                     0.3, 0.2)}
+IN_SPACE = {
+    'tendon': Tendon({'crank': 0.3, 'rocker': -0.2}, (5.0, 2.0), (0.1, 0.05), (-0.1, 0.05)),
+    'drag': FluidDrag('rocker_end', (0.3, 0.2, 0.1), (1.0, 2.0, 0.5), (0.1, 0.2, 0.15),
+                      (0.2, 0.1, 0.3), (0.5, -0.3, 0.2), orientation=(0.1, 0.3, 0.3, 0.9)),
+    'mount': Bushing('rocker_end', None, (0.1, 0.2, 0.7), (20.0, 30.0, 10.0), (0.2, 0.3, 0.1),
+                     (2.0, 1.0, 0.5), (0.1, 0.2, 0.3), orientation=(0.1, 0.3, 0.3, 0.9),
+                     rest_orientation=(0.1, 0.1, 0.7, 0.7))}
 
 
 def simulation_of(scene, effects=(), **method):
@@ -117,6 +140,24 @@ def test_derivatives_in_space_with_effects():
         'damper': JointDamping(mechanism.coordinates.names[0], 0.02),
         'strut': PointSpring(mechanism.points[0].name, None, (0.1, 0.2, 0.7), 20.0, 0.3, 0.1)},
         step=2e-3)
+
+
+def test_derivatives_of_laws_with_corners_and_lists_of_numbers():
+    simulation, _ = require_derivatives('three_rrr', IN_PLANE)
+    readings = {name: simulation.effect_readings(name) for name in IN_PLANE}
+    assert [readings[name]['depth'] > 0.01 for name in ('reached', 'free', 'below')] == [
+        True, False, True]
+    require_derivatives('rssr_four_bar', IN_SPACE, step=2e-3)
+
+
+def test_lists_of_numbers_that_have_changed_are_not_taken_for_the_old_ones():
+    simulation = simulation_of('three_rrr', {'tendon': IN_PLANE['tendon']})
+    differentiate, state = Differentiator(simulation), (simulation.position, simulation.velocity)
+    before = differentiate(*state).by_position
+    simulation.set_effect('tendon', stiffness=(50.0, 2.0))
+    with pytest.raises(SimulationError, match='lists of numbers'):
+        differentiate(*state)
+    assert not np.allclose(Differentiator(simulation)(*state).by_position, before, rtol=1e-3)
 
 
 def test_derivatives_of_laws_of_users():
@@ -298,7 +339,7 @@ def test_wrenches_that_multipliers_do_not_tell_are_refused(scene):
 
 @pytest.mark.parametrize('scene, name, reason', (
     ('three_rrr_payload_friction', 'effects.gear_1', 'dry friction jumps'),
-    ('slider_crank_end_stop', 'effects.buffer', 'begins and ends')))
+    ('rope_hoist', 'effects.rope', 'it slackens')))
 def test_effects_without_derivatives_are_refused(scene, name, reason):
     with pytest.raises(SimulationError) as error:
         Differentiator(simulation_of(scene))

@@ -220,9 +220,8 @@ def test_batches_and_choices_that_do_not_do_are_refused_by_a_model():
         model.linearise(type(state).stack([state, state]))
     with pytest.raises(ValueError, match='independent: expected names of'):
         model.linearise(state, independent=('elbow',))
-    with pytest.raises(SimulationError, match='effects.buffer'):
-        load_scene('slider_crank_end_stop').model().linearise(
-            load_scene('slider_crank_end_stop').model().assemble())
+    with pytest.raises(SimulationError, match='effects.rope'):
+        load_scene('rope_hoist').model().linearise(load_scene('rope_hoist').model().assemble())
 
 
 @pytest.mark.parametrize('scene, joint', (
@@ -312,8 +311,8 @@ def test_the_command_prints_modes(capsys):
     assert 'crank_joint 0.289637' in capsys.readouterr().out
     assert main(['modes', 'four_bar', '--hold-start', '--torque', 'crank_joint=1']) == 2
     assert 'expected none with --hold-start' in capsys.readouterr().err
-    assert main(['modes', 'slider_crank_end_stop']) == 1
-    assert 'effects.buffer' in capsys.readouterr().err
+    assert main(['modes', 'rope_hoist']) == 1
+    assert 'effects.rope' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('scene', ('three_rrr_vertical', 'carpet_scraper'))

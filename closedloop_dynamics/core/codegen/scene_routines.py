@@ -148,6 +148,14 @@ class Forces:
         """Return a vector of two or three numbers in a body's frame in world axes."""
         return times(self._one.motion[body].frame, in_space(vector))
 
+    def angle(self, body):
+        """Return the angle of a body, in the plane."""
+        return self._one.motion[body].angle
+
+    def spin(self, body):
+        """Return the angular velocity of a body in world axes."""
+        return self._one.motion[body].spin
+
     def place(self, body, offset):
         """Return the place of a point at an offset in world axes, and its velocity."""
         motion = self._one.motion[body]
