@@ -77,9 +77,9 @@ class Engine:
         one = self._simulation
         one.system.tau[:] = tau
         # Kept: its code writes into arrays of its own.
-        self._differentiate = Differentiator(one)
-        self._differentiate(q, qd, tau[list(one.coordinates.actuated)])
-        again = native.bind('call', self._differentiate._table, 0, q, qd)
+        self._differentiate = ours = Differentiator(one)
+        ours(q, qd, tau[list(one.coordinates.actuated)])
+        again = native.bind('call_for_columns', ours._table, q, qd, ours._columns, ours._found)
 
         def derivatives(count):
             evaluate_again(one.system, q, qd, count)

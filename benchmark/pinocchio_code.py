@@ -7,6 +7,7 @@ import ctypes
 import hashlib
 import os
 from pathlib import Path
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -52,8 +53,9 @@ def compiled(source, *libraries):
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             made = Path(scratch) / 'made.so'
             try:
-                subprocess.run([os.environ.get('CXX', 'g++'), *options, str(source), '-o',
-                                str(made), *links], check=True, capture_output=True, text=True)
+                subprocess.run(
+                    [*shlex.split(os.environ.get('CXX', 'g++')), *options, str(source), '-o',
+                     str(made), *links], check=True, capture_output=True, text=True)
             except (OSError, subprocess.CalledProcessError) as error:
                 lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
                 print(f'no loops in C++: {lines[0] if lines else error}', file=sys.stderr)

@@ -313,6 +313,9 @@ const Entry entries[] = {
   entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),
   entry<call>(
     "call", "call(table, which, q, qd): a generated routine; whether its results are good"),
+  entry<call_for_columns>(
+    "call_for_columns",
+    "call_for_columns(table, q, qd, columns, results): whether the results are good"),
   entry<numbers_of_coordinates>("fill_numbers", "fill_numbers(manifold, q)"),
   entry<find_torques>(
     "find_torques", "find_torques(system, actuated, loops, out, q, qd, qdd): whether it was done"),

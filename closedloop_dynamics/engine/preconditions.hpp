@@ -500,6 +500,14 @@ inline constexpr auto precondition<call> =
   };
 
 template<>
+inline constexpr auto precondition<call_for_columns> =
+  [](Indices table, Values, Values, Table columns, Table results) {
+    return expected::first_of(
+      expected::unless(table.size > 1 && table[0] != 0 && table[1] != 0, expected::places),
+      expected::unless(expected::has_shape(results, columns.rows, columns.columns)));
+  };
+
+template<>
 inline constexpr auto precondition<find_torques> =
   [](const System & system, Indices actuated, Index loops) {
     return expected::unless(loops >= 0 && expected::within(actuated, 0, system.nv()));

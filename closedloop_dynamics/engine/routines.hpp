@@ -37,6 +37,19 @@ inline bool call(Indices table, Index which, Vector<double> q, Vector<double> qd
   return reinterpret_cast<Routine>(table[which])(table.data, q.data, qd.data) != 0;
 }
 
+/// Call routine 0 of a table on a state, then routine 1, which knows what that one left, from each
+/// row of columns to the same row of the results; return whether all are good.
+inline bool call_for_columns(
+  Indices table, Vector<double> q, Vector<double> qd, Matrix<double> columns,
+  Matrix<double> results)
+{
+  bool good = call(table, 0, q, qd);
+  for (Index n = 0; good && n < columns.rows; ++n) {
+    good = call(table, 1, columns[n], results[n]);
+  }
+  return good;
+}
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_

@@ -18,7 +18,8 @@ changes along the loops is what a closing change of all of them adds up to.
 
 from . import elimination, forward_dynamics
 from .differentiation import differentiated
-from .function_table import CLOSURE, LAM, QDD
+from .expression_graph import divided, ExpressionGraph, Q, QD, Routine
+from .function_table import CLOSURE, LAM, LANES, QDD, SHARED
 from .routines import zeros
 from .scene_routines import SceneTrace
 from .spatial import at_parent, rigid
@@ -32,6 +33,8 @@ from ..types import (
 DERIVATIVE, RATE, JACOBIAN = range(44, 47)
 # Output: wrenches in joints.
 JOINT_FORCE = 48
+# Output, and input: changes of the residuals, in columns lane by lane.
+COLUMN = 53
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
@@ -58,6 +61,45 @@ class DerivativeTrace(SceneTrace):
 
     def derivatives(self):
         """Store the derivatives by coordinates, rates and torques, and those of closure rates."""
+        for number, column in enumerate(self._columns()):
+            self.outputs += [(DERIVATIVE, number * len(column) + n, value)
+                             for n, value in enumerate(self.solved(column))]
+
+    def in_lanes(self):
+        """
+        Return routines that compute ``derivatives`` with LANES columns side by side.
+
+        Straight code for all columns of a mechanism in space is longer than caches of
+        instructions: what solves for one column is called again and again instead.
+
+        Returns
+        -------
+        first : list of Routine
+            ``residuals`` stores the columns, LANES of them lane by lane, but for zeros, the
+            factors to ``SHARED``, and derivatives of closure rates; ``shared`` tells how many
+            factors there are, at q.
+        second : list of Routine
+            ``solve``, to be written in lanes: of columns at q to derivatives at qd.
+
+        """
+        columns = self._columns()
+        count = len(columns[0])
+        for number, column in enumerate(columns):
+            block, lane = divmod(number, LANES)
+            self.outputs += [(COLUMN, (block * count + n) * LANES + lane, value)
+                             for n, value in enumerate(column) if hasattr(value, 'place') or value]
+        begin = len(self.graph.operations)
+        found, factors = divided(
+            self.graph, self.solved(list(self.symbols(COLUMN, (count,)))), begin,
+            lambda source, place: (Q, place) if source == COLUMN else None, SHARED)
+        self.outputs += [(SHARED, n, factor) for n, factor in enumerate(factors)]
+        solve = Routine('solve', next(one.graph for one in found if hasattr(one, 'graph')),
+                        [(QD, n, value) for n, value in enumerate(found)])
+        shared = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(factors)))])
+        return [self.named('residuals'), shared], [solve]
+
+    def _columns(self):
+        """Return changes of the residuals; store those of closure rates, and factorise."""
         residuals = self.residuals()
         self.prepare()
         rates = zeros(self.nc)
@@ -71,9 +113,7 @@ class DerivativeTrace(SceneTrace):
         for joint in range(self.nv):
             # A torque is in one residual alone.
             columns.append([-1.0 if n == joint else 0.0 for n in range(count)])
-        for number, column in enumerate(columns):
-            self.outputs += [(DERIVATIVE, number * count + n, value)
-                             for n, value in enumerate(self.solved(column))]
+        return columns
 
     def closures(self):
         """Store the errors of the closure equations and their Jacobian, in the user's order."""

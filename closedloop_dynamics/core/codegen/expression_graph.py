@@ -88,7 +88,7 @@ class Routine:
             self.graph.operations, [value.place for value in values if hasattr(value, 'place')])
 
 
-def needed_for(operations, places):
+def needed_for(operations, places, begin=0):
     """
     Return all places that some depend on, themselves included.
 
@@ -98,6 +98,8 @@ def needed_for(operations, places):
         Of a graph.
     places : iterable of int
         Of operations.
+    begin : int
+        What earlier operations depend on is left out.
 
     Returns
     -------
@@ -109,7 +111,7 @@ def needed_for(operations, places):
         place = rest.pop()
         if place not in found:
             found.add(place)
-            if operations[place][0] != LOAD:
+            if place >= begin and operations[place][0] != LOAD:
                 rest.extend(o for o in operations[place][1:] if isinstance(o, int))
     return found
 
@@ -333,3 +335,45 @@ def replayed(graph, values, load):
         known[place] = load(*operands) if kind == LOAD else _AGAIN[kind](
             *(known[one] if isinstance(one, int) else one for one in operands))
     return [known[value.place] if isinstance(value, Symbol) else value for value in values]
+
+
+def divided(graph, values, begin, own, shared):
+    """
+    Compute values in a graph of their own, from results of the first operations of another.
+
+    Parameters
+    ----------
+    graph : ExpressionGraph
+        Of the values; without a guard that later operations ask for.
+    values : sequence of Symbol or float
+        What is computed.
+    begin : int
+        Operations before this one are results to be loaded.
+    own : callable
+        Returns the (input, place) of a later load in the new graph, None for one that is a result
+        of the first graph, too; takes input and place.
+    shared : int
+        Input of the results.
+
+    Returns
+    -------
+    values : list of Symbol or float
+        Of the new graph.
+    results : list of Symbol
+        Of the first graph, by their places in ``shared``.
+
+    """
+    after, known, results = ExpressionGraph(), {}, []
+    for place in sorted(needed_for(
+            graph.operations, [one.place for one in values if isinstance(one, Symbol)], begin)):
+        kind, *operands = graph.operations[place]
+        loaded = own(*operands) if kind == LOAD else None
+        if loaded is not None:
+            known[place] = after.put(LOAD, *loaded)
+        elif place < begin or kind == LOAD:
+            known[place] = after.put(LOAD, shared, len(results))
+            results.append(Symbol(graph, place))
+        else:
+            known[place] = after.put(kind, *(
+                known[one].place if isinstance(one, int) else one for one in operands))
+    return [known[one.place] if isinstance(one, Symbol) else one for one in values], results

@@ -24,6 +24,8 @@ REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION) = range(10, 23)
 TABLE_COLUMNS = 23
+# Address of results of one routine that another one of the same table works on, for all its lanes.
+SHARED = 52
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 

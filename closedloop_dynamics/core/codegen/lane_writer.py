@@ -8,7 +8,7 @@ from llvmlite import ir
 from . import sincos
 from .emit import Writer
 from .expression_graph import COSINE, LOAD, SINE
-from .function_table import BAUMGARTE, LANES
+from .function_table import BAUMGARTE, LANES, SHARED
 
 _VECTOR, _INDEX = ir.VectorType(ir.DoubleType(), LANES), ir.IntType(32)
 _BITS, _WORD = ir.IntType(LANES), ir.IntType(64)
@@ -42,7 +42,7 @@ class LaneWriter(Writer):
 
     def load(self, source, place):
         """Read a number of all lanes, or one that they share."""
-        if source != BAUMGARTE:
+        if source not in (BAUMGARTE, SHARED):
             return self.builder.load(self.place(source, place), align=8)
         undefined = ir.Constant(_VECTOR, ir.Undefined)
         first = self.builder.insert_element(
