@@ -22,7 +22,7 @@ from .expression_graph import (
 _DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(32)
 _PACKED = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
 # Lanes of a vector at most, and operations that are worth one.
-WIDEST, FEWEST = 8, 2
+WIDEST, FEWEST = 8, 3
 # What must be saved, as a share of all operations: numbers are moved into lanes and out of them.
 WORTH = 0.25
 
@@ -269,7 +269,7 @@ class PackedWriter(Writer):
         """Return operands in lanes; the first one in those beyond them, too."""
         if operands in self.gathered:
             return self.gathered[operands]
-        width = 2 if len(operands) <= 2 else 4 if len(operands) <= 4 else WIDEST
+        width = 4 if len(operands) <= 4 else WIDEST
         padded = operands + (width - len(operands)) * operands[:1]
         kind = ir.VectorType(_DOUBLE, width)
         if not any(isinstance(one, int) for one in operands):
