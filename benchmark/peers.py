@@ -354,7 +354,7 @@ def main(arguments=None):
                         help='these mechanisms alone; what the file has of others stays')
     parser.add_argument('--derivatives', action='store_true',
                         help='only compare derivatives of accelerations by positions, rates and '
-                             'torques; in space their code compiles for minutes')
+                             'torques')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
                         metavar='DIR', help='where results go (default: %(default)s)')
     options = parser.parse_args(arguments)
