@@ -5,6 +5,7 @@
 
 from pathlib import Path
 
+from closedloop_dynamics.mechanism.rotations import of_angles
 from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -74,8 +75,32 @@ def sizes(simulation):
             for joint, wrench in zip(joints, wrenches)}
 
 
+def bennett():
+    """Return Bennett's linkage as its scene starts, with frames along the world's axes there."""
+    lengths, twists = (0.25, 0.25 * 3 ** 0.5) * 2, (np.pi / 6, np.pi / 3) * 2
+    turned, place, places, axes = np.eye(3), np.zeros(3), [], []
+    for angle, length, twist in zip(
+            (*Simulation.from_scene('bennett').position, 0.0), lengths, twists):
+        places.append(place)
+        axes.append(turned[:, 2].tolist())
+        turned = turned @ of_angles((0.0, 0.0, angle))
+        place = place + length * turned[:, 0]
+        turned = turned @ of_angles((twist, 0.0, 0.0))
+    links = [(places[n + 1] - places[n]).tolist() for n in range(3)]
+    bodies = dict(zip(('crank', 'coupler', 'rocker'), (rod(*link) for link in links)))
+    ring = list(zip(('ground', 'crank', 'coupler'), bodies, ([0, 0, 0], *links)))
+    ring.append(('ground', 'rocker', places[3].tolist()))
+    return {'name': 'bennett_ring', 'bodies': bodies, 'joints': {
+        f'joint_{n}': {**pin(one, other, points=[point, links[2] if n == 4 else [0, 0, 0]]),
+                       'axis': axis, 'actuated': n == 1}
+        for n, ((one, other, point), axis) in enumerate(zip(ring, axes), 1)}}
+
+
 BRICARD = yaml.safe_load((CONFIG / 'mechanisms' / 'bricard.yaml').read_text())
 CASES = {
+    'bennett': (
+        bennett(), [(f'joint_{n}',) for n in (1, 2, 3, 4)],
+        {'position': {f'joint_{n}': 0.0 for n in range(1, 5)}}, [0.0, 0.0, -9.81], 'joint_2'),
     'bricard': (
         BRICARD, [(f'joint_{n}',) for n in (2, 3, 4, 5, 6)],
         {'position': {f'joint_{n}': 0.0 for n in range(1, 7)}, 'hold': ['joint_1']},
