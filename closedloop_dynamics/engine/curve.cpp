@@ -96,10 +96,24 @@ Index nearest_chord(const double * pieces, Index count, Vector2 point)
   Index best = 0;
   for (Index k = 0; k < count; ++k) {
     const double * piece = pieces + COLUMNS * k;
-    const Vector2 apart = from_straight(point, {piece[0], piece[4]}, chord(piece));
-    const double square = dot(apart, apart);
-    if (square < least) {
-      least = square;
+    const Vector2 apart = point - Vector2{piece[0], piece[4]}, whole = chord(piece);
+    const double along = dot(apart, whole), square = dot(whole, whole);
+    double found;
+    if (!(along > 0.0)) {
+      found = dot(apart, apart);
+    } else if (along < square) {
+      // Divided by only where it is nearer: this runs over all pieces in every evaluation.
+      const double across = cross(whole, apart);
+      if (!(across * across < least * square)) {
+        continue;
+      }
+      found = across * across / square;
+    } else {
+      const Vector2 past = apart - whole;
+      found = dot(past, past);
+    }
+    if (found < least) {
+      least = found;
       best = k;
     }
   }
