@@ -26,6 +26,8 @@ FOLDER = Path(__file__).resolve().parent
 # Where a checkout keeps what is compiled in place.
 OBJECTS = FOLDER.parents[1] / 'build' / 'engine'
 MODULE = 'native.abi3.so'
+# Compiled first, as they take longest: templates of dense decompositions.
+SLOW = ('null_space', 'large_singular', 'least_squares', 'bindings', 'assembly')
 # The version of the wheel ziglang, a C++ compiler for machines without one.
 ZIG = '0.17.1'
 # No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
@@ -177,7 +179,7 @@ def build(output, folder, sanitize=False, target=None):
         compiled = list(pool.map(
             lambda source: compile_source(
                 source, command + (told if source.stem == 'build_info' else []), folder),
-            sources()))
+            sorted(sources(), key=lambda source: source.stem not in SLOW)))
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=output.parent) as near:
         # The functions of Python are found in the program that loads the module.

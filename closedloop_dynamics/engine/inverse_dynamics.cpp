@@ -13,6 +13,7 @@
 #include "dispatch.hpp"
 #include "evaluation.hpp"
 #include "joint_reaction.hpp"
+#include "least_squares.hpp"
 #include "loop_closure.hpp"
 #include "lu.hpp"
 #include "manifold.hpp"
@@ -147,8 +148,7 @@ public:
       pivots_.clear();
     }
     if (levers.size() > 0) {
-      of_passive_.setThreshold(CLEAR);
-      of_passive_.compute(levers);
+      of_passive_.compute(levers, CLEAR);
     }
     unique_ = jac.rows() == 0 || (levers.size() > 0 && of_passive_.rank() == jac.rows());
     if (!unique_) {
@@ -157,12 +157,11 @@ public:
         unknowns(actuated[n], n) = 1.0;
       }
       unknowns.rightCols(jac.rows()) = jac.transpose();
-      of_all_.setThreshold(REPEATS);
-      of_all_.compute(unknowns);
+      of_all_.compute(unknowns, REPEATS);
       // What may be added: combinations of torques and multipliers that add up to nothing.
       const Index left = unknowns.cols() - of_all_.rank();
       if (left > 0 && actuated.size > 0) {
-        nothing_ = of_all_.colsPermutation() * of_all_.matrixZ().transpose().rightCols(left);
+        nothing_ = of_all_.null_space();
         of_nothing_.compute(
           nothing_.topRows(actuated.size), Eigen::ComputeThinU | Eigen::ComputeThinV);
       }
@@ -221,10 +220,9 @@ private:
   // LU factors of the passive joints' levers, with their pivots; none where these are not square.
   DenseMatrix square_;
   std::vector<Index> pivots_;
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> of_passive_;
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> of_all_;
+  LeastSquares of_passive_, of_all_;
   Eigen::MatrixXd nothing_;
-  Eigen::JacobiSVD<Eigen::MatrixXd> of_nothing_;
+  LargeSingular of_nothing_;
 };
 
 /// Let friction feel the reactions; return whether these are what it felt before.

@@ -9,6 +9,8 @@
 #include <cmath>
 #include <limits>
 
+#include "least_squares.hpp"
+
 namespace closedloop
 {
 
@@ -154,9 +156,8 @@ void solve_least(const Eigen::MatrixXd & matrix, const DenseVector & right, Valu
     out.fill(std::numeric_limits<double>::quiet_NaN());
     return;
   }
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition;
-  decomposition.setThreshold(REPEATED);
-  decomposition.compute(matrix);
+  LeastSquares decomposition;
+  decomposition.compute(matrix, REPEATED);
   dense(out) = decomposition.solve(right);
 }
 }  // namespace
