@@ -175,8 +175,8 @@ class JointStatesNode(Node):
             simulation.advance(tau, 0)
             forces = np.concatenate([
                 simulation.constraint_forces, simulation.joint_forces[self._moving]])
-        cuts = (simulation.cut_position, simulation.cut_velocity,
-                np.zeros(len(simulation.cut_joint_names))) if simulation.cut_joint_names else ()
+        cuts = (*simulation.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
+            simulation.cut_joint_names) else ()
         self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,
                             forces, cuts)
 

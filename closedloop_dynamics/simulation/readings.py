@@ -90,12 +90,12 @@ class Readings(Data):
         w not negative.
 
         """
-        return self._cut_state()[0]
+        return self.cut_state[0]
 
     @property
     def cut_velocity(self) -> np.ndarray:
         """Rates of ``cut_joint_names``, shape (number of them,) [rad/s or m/s]."""
-        return self._cut_state()[1]
+        return self.cut_state[1]
 
     @property
     def cut_acceleration(self) -> np.ndarray:
@@ -131,8 +131,9 @@ class Readings(Data):
                 effort[self._cuts.place(cut.name)] += scale * force
         return effort
 
-    def _cut_state(self) -> Tuple[np.ndarray, np.ndarray]:
-        """Return coordinates and rates of cut joints."""
+    @property
+    def cut_state(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Coordinates and rates of the cut joints, found together."""
         if not self._cuts.count:
             return np.zeros(0), np.zeros(0)
         self._evaluate()
@@ -447,7 +448,7 @@ class Readings(Data):
             As ``cut_position`` and ``cut_velocity``.
 
         """
-        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self._cut_state())
+        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self.cut_state)
         return position.copy(), velocity.copy()
 
     def effect_readings(self, name: str) -> Dict[str, float]:
