@@ -30,7 +30,7 @@ class BuildEngine(build_ext):
 
     def build_extension(self, extension):
         """Compile into the file that setuptools expects."""
-        print('Compiling the engine: this takes less than a minute', flush=True)
+        print('Compiling the engine: this takes about a minute', flush=True)
         # What serves a checkout is kept there, for the next change of a source.
         objects = engine['OBJECTS'] if self.editable_mode else Path(self.build_temp)
         try:

@@ -133,7 +133,7 @@ make_environment() {
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
   bring_compiler
-  say 'Compiling the engine (less than a minute)'
+  say 'Compiling the engine (about a minute)'
   # Editable: the code that runs is the checkout's.
   pip_install --no-deps --no-build-isolation --editable "$root"
 }

@@ -208,7 +208,7 @@ def main():
     if options.requirements:
         print(*requirements())
     elif not fresh(output):
-        print('Compiling the engine: this takes less than a minute', file=sys.stderr)
+        print('Compiling the engine: this takes about a minute', file=sys.stderr)
         try:
             build(output, folder, options.sanitize, options.target)
         except BuildError as error:
