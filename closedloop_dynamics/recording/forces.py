@@ -3,6 +3,8 @@
 
 """Forces along a motion that was recorded of some joints: inverse dynamics, state by state."""
 
+import warnings
+
 import numpy as np
 from rosbags.typesys import get_typestore
 from rosbags.typesys import Stores
@@ -24,6 +26,8 @@ STATE, WRENCH = 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
 def measured_positions(path, topic, joints):
     """
     Read the positions of joints from a topic of a bag.
+
+    Warns of damages of the bag, and of messages that are not used as their time does not increase.
 
     Parameters
     ----------
@@ -49,8 +53,9 @@ def measured_positions(path, topic, joints):
         Where it cannot be read.
 
     """
-    stamps, rows = [], []
-    for _, _, message in Bag(path).messages(topic.__eq__):
+    stamps, rows, unordered = [], [], 0
+    bag = Bag(path)
+    for _, _, message in bag.messages(topic.__eq__):
         missing = [name for name in joints if name not in message.name]
         if missing or len(message.position) != len(message.name):
             raise RecordingError(
@@ -60,6 +65,12 @@ def measured_positions(path, topic, joints):
         if not stamps or stamp > stamps[-1]:
             stamps.append(stamp)
             rows.append([message.position[message.name.index(name)] for name in joints])
+        else:
+            unordered += 1
+    bag.warn()
+    if unordered:
+        warnings.warn(f'{path}: {topic}: {unordered} messages are not used: expected stamps that '
+                      'increase')
     if len(rows) <= DEGREE:
         raise RecordingError(f'{path}: {topic}: expected more than {DEGREE} measurements, got '
                              f'{len(rows)}')

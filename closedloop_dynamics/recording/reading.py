@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 import sqlite3
 from tempfile import TemporaryDirectory
+import warnings
 
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 import zstandard
@@ -24,6 +25,8 @@ from .metadata import load, METADATA_FILE, ROOT
 from .sqlite_file import read_database, ZSTD
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
+# Damages of a bag that are told one by one.
+MOST_TOLD = 5
 # At once, of a compressed file [bytes].
 READ_AT_ONCE = 1 << 20
 
@@ -101,6 +104,13 @@ class Bag:
         """Return how many messages are known to be lost; None where it is not known how many."""
         losses = [damage.lost for damage in self.damages]
         return None if None in losses else sum(losses)
+
+    def warn(self):
+        """Warn of the damages that were found."""
+        for damage in self.damages[:MOST_TOLD]:
+            warnings.warn(f'{self.path}: {damage}')
+        if len(self.damages) > MOST_TOLD:
+            warnings.warn(f'{self.path}: {len(self.damages) - MOST_TOLD} more damages')
 
     def serialised(self):
         """Yield all sound messages, ``Serialised``, in the order of each file."""

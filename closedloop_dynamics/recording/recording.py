@@ -7,7 +7,6 @@ from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional
-import warnings
 
 import numpy as np
 
@@ -26,8 +25,6 @@ STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log',
 EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
 # Of joints with an orientation.
 TURNED = 'multi_dof_joint_states'
-# Damages of a bag that are reported one by one.
-MOST_TOLD = 5
 
 
 @dataclass(frozen=True)
@@ -108,10 +105,7 @@ def _read_bag(path, scene, namespace):
     messages = {}
     for topic, _, message in bag.messages(_of_interest):
         messages.setdefault(topic, []).append(message)
-    for damage in bag.damages[:MOST_TOLD]:
-        warnings.warn(f'{path}: {damage}')
-    if len(bag.damages) > MOST_TOLD:
-        warnings.warn(f'{path}: {len(bag.damages) - MOST_TOLD} more damages')
+    bag.warn()
     try:
         return _recording(path, messages, scene, namespace, bag.finished)
     except (RecordingError, SceneError, MechanismError):

@@ -72,6 +72,25 @@ def test_a_table_has_the_forces_of_all_joints(tmp_path):
     assert main([*arguments, '--overwrite']) == 0
 
 
+def test_damage_and_messages_out_of_order_are_told(tmp_path, capsys):
+    bag = tmp_path / 'motion'
+    recorded(bag, 'four_bar', [0.5], count=200)
+    file, = bag.glob('*.mcap')
+    data = bytearray(file.read_bytes())
+    data[len(data) // 4] ^= 0xFF
+    file.write_bytes(data)
+    assert main(['forces', str(bag), '--scene', 'four_bar', '--output',
+                 str(tmp_path / 'forces.csv')]) == 2
+    assert 'a chunk is damaged' in capsys.readouterr().err
+    simulation = Simulation.from_scene('four_bar')
+    with ForceBag(tmp_path / 'repeated', simulation) as copy:
+        for stamp in [*range(10), 5, 6]:
+            copy.write(1_000_000 * stamp)
+    assert main(['forces', str(tmp_path / 'repeated'), '--scene', 'four_bar', '--output',
+                 str(tmp_path / 'forces.csv')]) == 0
+    assert '/joint_states: 2 messages are not used' in capsys.readouterr().err
+
+
 def test_noise_is_smoothed_as_its_deviation_allows():
     times = np.linspace(0.0, 2.0, 1000)
     exact = np.array([np.sin(3.0 * times), -9.0 * np.sin(3.0 * times)])
