@@ -543,10 +543,20 @@ class EffectSet:
         rows, joints = self.drive_rows()
         tau[joints] = self._table.output[rows, 1]
 
-    def loads(self):
-        """Return the places among the states, and the values, of the joint reactions felt."""
+    def loaded(self):
+        """
+        Return which effects feel reactions of joints.
+
+        Returns
+        -------
+        places : ndarray of int
+            Of these reactions among the states.
+        rows : ndarray of int
+            In the table, where column 2 of ``output`` has the present ones.
+
+        """
         rows = np.flatnonzero(self._table.index[:, LOADED])
-        return self._table.index[rows, STATE] + 1, self._table.output[rows, 2]
+        return self._table.index[rows, STATE] + 1, rows
 
     @property
     def passed(self):

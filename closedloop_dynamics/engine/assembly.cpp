@@ -84,12 +84,15 @@ bool close_loops(
       to_user_order(model, work.closure, view(found));
     };
   place(present, psi);
-  generalized_inertia_matrix(model, work, gim);
-  const Eigen::LLT<Square> metric(of_free(gim, free, true));
-  if (metric.info() != Eigen::Success) {
-    return false;
+  Square root;
+  if (nc < free.size) {
+    generalized_inertia_matrix(model, work, gim);
+    const Eigen::LLT<Square> metric(of_free(gim, free, true));
+    if (metric.info() != Eigen::Success) {
+      return false;
+    }
+    root = metric.matrixL();
   }
-  const Square root = metric.matrixL();
   for (int n = 0; n < MOST_CORRECTIONS; ++n) {
     if (psi.cwiseAbs().maxCoeff() <= 0.01 * closed) {
       break;

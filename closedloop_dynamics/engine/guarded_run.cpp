@@ -98,14 +98,15 @@ bool knows_start(const GuardedRun & run)
   return !std::isnan(run.account.numbers[account::REFERENCE]);
 }
 
-double energy_scale(const System & system, const Watch & watch)
+double energy_scale(const System & system, const GuardedRun & run)
 {
+  const double extent = run.watch.extent;
   const Values & gravity = system.model.gravity;
   const double weight = gravity.size == 2 ?
     std::hypot(gravity[0], gravity[1]) : std::hypot(gravity[0], gravity[1], gravity[2]);
   // With the energy of a rate: at rest without weight there is no other scale.
-  return watch.mass * (watch.extent * weight + watch.extent * watch.extent) +
-         std::max(watch.extent, 1.0) * sum_of_sizes(system.applied);
+  return run.numbers[MASS] * (extent * weight + extent * extent) +
+         std::max(extent, 1.0) * sum_of_sizes(system.applied);
 }
 
 /// How far a cable is wound round a pulley [rad].
@@ -195,7 +196,7 @@ double note(const System & system, const GuardedRun & run, const Energies & pres
   }
   // A step in which something begins to move may lose all of what is hardly anything.
   const double little = ROUNDING * (present.kinetic + std::abs(present.stored)) +
-    (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * energy_scale(system, run.watch);
+    (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * energy_scale(system, run);
   const Energies start = run.counts[BEGUN] != 0 ? read(at(run, BEGIN)) : present;
   note_loss(
     run.numbers, std::abs(present.residual - start.residual),

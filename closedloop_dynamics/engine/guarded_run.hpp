@@ -33,8 +33,7 @@ struct Watch
   double closure = 0.0;
   /// Whether a singular position ends the run.
   bool regular = false;
-  /// Of the mechanism [kg], [m].
-  double mass = 0.0;
+  /// Of the mechanism [m].
   double extent = 0.0;
   /// Torques up to this one are not asked for what they would do within a step [N m or N].
   double usual = 0.0;
@@ -47,8 +46,8 @@ struct Watch
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(first, rarely, call, whole, chooses, most, closure, regular, mass, extent, usual,
-      timed, windings);
+    visit(first, rarely, call, whole, chooses, most, closure, regular, extent, usual, timed,
+      windings);
   }
 };
 
@@ -61,12 +60,13 @@ namespace guard
 /// relative to what had moved by then, when it was found, itself and what had moved [J]; the
 /// balance at the latest look less that of the one before, and what moved in between [J]; when
 /// these looks were [s]; balances where the guard began, at the latest look
-/// that was well and now; when cables were looked at and the error of the balance then.
+/// that was well and now; when cables were looked at and the error of the balance then; the mass of
+/// the mechanism [kg].
 enum Number : Index
 {
   TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
   COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
-  BEGIN, LOOK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, NUMBERS
+  BEGIN, LOOK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, MASS, NUMBERS
 };
 /// GuardedRun.counts: steps since TIME_BASE; those left of the present call, and all of it; the
 /// portion handed to the host, how many steps of it were made, and how it ended; what is to be

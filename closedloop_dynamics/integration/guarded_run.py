@@ -19,7 +19,7 @@ from ..effects.energy_balance import EnergyAccount
 (TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
  COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
  BEGIN) = range(17)
-LOOK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, NUMBERS = 21, 26, 31, 32, 33
+LOOK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, MASS, NUMBERS = 21, 26, 31, 32, 33, 34
 # Columns of ``GuardedRun.counts``.
 (STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
  EQUATIONS_BETWEEN, LOOKED, BEGUN, CABLES_LOOKED, WARNED, FAILED, COUNTS) = range(18)
@@ -43,7 +43,6 @@ class Watch(NamedTuple):
     most: int
     closure: float  # [m or rad]
     regular: bool
-    mass: float  # [kg]
     extent: float  # [m]
     usual: float  # [N m or N]
     timed: bool

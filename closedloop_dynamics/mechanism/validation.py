@@ -230,7 +230,7 @@ def checked(mechanism):
 
 def with_bodies(mechanism, bodies):
     """
-    Return a checked mechanism with other numbers of its bodies, which alone are checked.
+    Return a checked mechanism with other numbers of its bodies; only those are checked.
 
     Parameters
     ----------
@@ -244,10 +244,17 @@ def with_bodies(mechanism, bodies):
     MechanismError
 
     """
-    checks = _CHECKS if mechanism.planar else _SPATIAL_CHECKS
+    _, checks = (SECTIONS if mechanism.planar else SPATIAL_SECTIONS)['bodies']
     other = copy(mechanism)
     with _of(f'mechanism {mechanism.name!r}'), at('bodies'):
-        object.__setattr__(other, 'bodies', checks['bodies'](bodies))
+        for body, known in zip(bodies, mechanism.bodies):
+            if body is not known:
+                changed = {key: check for key, check in (
+                    {**checks, **_MASSLESS} if body.massless else checks).items()
+                    if getattr(body, key) is not getattr(known, key)}
+                with at(body.name):
+                    normalise(body, **changed)
+    object.__setattr__(other, 'bodies', bodies)
     return other
 
 

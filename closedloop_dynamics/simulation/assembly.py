@@ -11,6 +11,7 @@ or velocities are free, the change is the least one in the mass metric.
 """
 
 from contextlib import suppress
+from functools import cache
 from itertools import chain
 import math
 from operator import itemgetter
@@ -60,12 +61,16 @@ class Assembler:
     ----------
     is_light : bool
         Whether bodies are so light that motions may be without inertia.
+    by_masses : bool
+        Whether masses had a part in what was found since this was set False: where closing the
+        loops leaves no freedom they have none.
 
     """
 
     def __init__(self, mechanism, equations, kept=None):
         """Allocate what every assembly needs."""
-        self.mechanism, self._equations = mechanism, equations
+        self._equations = equations
+        self.take(mechanism)
         self.extent = extent(mechanism)
         self._limit = LARGEST_CORRECTION * max(1.0, self.extent)
         self._coordinates = mechanism.coordinates
@@ -73,6 +78,11 @@ class Assembler:
         self.nv, self.nc = equations.nv, equations.nc if kept is None else int(kept.sum())
         # Right-hand sides of the velocities: those of prescribed motions, behind all others.
         self.prescribed_rates = np.zeros(len(mechanism.motions))
+        self.by_masses = False
+
+    def take(self, mechanism):
+        """Go on with a mechanism of other masses, which the equations have already."""
+        self.mechanism = mechanism
         self.is_light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
                             for body in mechanism.bodies)
 
@@ -113,24 +123,31 @@ class Assembler:
         if len(hold) > 0:
             self._require_complete(q, free, hold)
         if self.is_light:
+            self.by_masses = True
             self._require_inertia(q)
         return q
 
     def solve_closure(self, q, free):
         """Return the coordinates where Newton's method ended, and psi there."""
-        psi, metric, start = self.closure(q), None, q
+        psi, start = self.closure(q), q
         if self._is_closed(psi):
             # As it is, to the last digit.
             return q, psi
         if not self.is_light and self.nc == self._equations.nc:
             plain = self._equations.closed(q, free, TOLERANCE * self.extent, self._limit)
             if plain is not None:
+                self.by_masses |= self.nc < len(free)
                 return plain, self.closure(plain)
+
+        @cache
+        def metric():
+            # Dense, and so for mechanisms of a thousand joints only where there is need.
+            self.by_masses = True
+            return self._metric(start, free)
+
         for _ in range(MOST_ITERATIONS):
             if np.abs(psi).max(initial=0.0) <= 0.01 * TOLERANCE * self.extent:
                 break
-            # Dense, and so for mechanisms of a thousand joints only where there is need.
-            metric = self._metric(q, free) if metric is None else metric
             q, psi, better = self._correct(q, psi, free, metric)
             if not better:
                 break
@@ -200,7 +217,12 @@ class Assembler:
         if len(hold) > 0:
             qd[free] = 0.0
         rate = jac @ qd - wanted
-        qd[free] -= _least_change(jac[:, free], rate, self._metric(q, free))
+
+        def metric():
+            self.by_masses = True
+            return self._metric(q, free)
+
+        qd[free] -= _least_change(jac[:, free], rate, metric)
         left = np.abs(jac @ qd - wanted).max(initial=0.0)
         scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
         if left > 1e-9 * scale:
@@ -642,8 +664,9 @@ def angle_notes(mechanism, position):
 
 def _least_change(jac, error, metric, damping=0.0):
     """
-    Return the x with ``jac`` x = ``error`` that is least in the metric L L^T.
+    Return the x with ``jac`` x = ``error`` that is least in a metric.
 
+    ``metric`` returns L of the metric L L^T, and is asked where there is a choice.
     With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
 
     Which equations depend on others is decided on levers alone: in the mass metric those that
@@ -651,18 +674,20 @@ def _least_change(jac, error, metric, damping=0.0):
 
     """
     if damping > 0.0:
-        weighted = np.linalg.solve(metric, jac.T).T
+        root = metric()
+        weighted = np.linalg.solve(root, jac.T).T
         left, singular, right = np.linalg.svd(weighted, full_matrices=False)
         damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
         y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
-        return np.linalg.solve(metric.T, y)
+        return np.linalg.solve(root.T, y)
     levers = _levers(jac)
     left, singular, right = np.linalg.svd(jac / levers)
     rank = rank_from(singular)
     x = right[:rank].T @ (left[:, :rank].T @ error / singular[:rank]) / levers
-    open_ones = right[rank:].T / levers[:, np.newaxis]
-    return x - open_ones @ np.linalg.lstsq(
-        metric.T @ open_ones, metric.T @ x, rcond=None)[0]
+    if rank == len(x):
+        return x
+    open_ones, root = right[rank:].T / levers[:, np.newaxis], metric()
+    return x - open_ones @ np.linalg.lstsq(root.T @ open_ones, root.T @ x, rcond=None)[0]
 
 
 def _levers(jac):

@@ -76,7 +76,8 @@ class Data(Names):
         self._rows, placements = self._geometry.rows, self._geometry.placements
         self._prescribe(scene)
         if self._may_leave_out(scene.method):
-            self._geometry.leave_out_repeated(np.array(scene.initial.position))
+            self._geometry.leave_out_repeated(
+                np.array(scene.initial.position), scene.initial.hold)
             self._motions.look_up(self._geometry.model)
         model, self._equations = self._geometry.model, self._geometry.equations
         machine = Machine(
@@ -118,6 +119,7 @@ class Data(Names):
         initial = self.scene.initial
         self._assembler = Assembler(self.mechanism, self._equations)
         self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
+        self._by_masses = self._assembler.by_masses
         self._motions.require_independent(self._assembler, self._initial[0])
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(self._initial[0])
@@ -143,7 +145,7 @@ class Data(Names):
         """
         # Frames in space lie along centres of mass; lengths decide which equations are worked on.
         masses = ('mass', 'inertia', *(('center_of_mass',) if self.mechanism.planar else ()))
-        return self._geometry.is_plain and not self._motions and all(
+        return not self._geometry.by_masses and not self._motions and all(
             path[0] == 'effects' or (
                 path[:2] == ('mechanism', 'bodies') and path[3] in masses) for path in paths)
 
@@ -176,9 +178,12 @@ class Data(Names):
         self.scene, self.mechanism, self._motions.records = scene, mechanism, self._effects.records
         self.system.tau[:] = 0.0
         if others:
-            self._assemble_start()
-        else:
-            self._begin_at_start()
+            was_light = self._assembler.is_light
+            self._assembler.take(mechanism)
+            if self._by_masses or self._assembler.is_light != was_light:
+                self._assemble_start()
+                return True
+        self._begin_at_start()
         return True
 
     def _find_decided(self) -> None:
@@ -461,10 +466,13 @@ class Data(Names):
         self._effects.follow_time(self._own, self.time)
         if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
+            places, rows = self._effects.loaded()
             for _ in range(20):
                 self._fresh = False
                 self._evaluate()
-                places, values = self._effects.loads()
+                values = self._table.output[rows, 2]
+                if (self._own[places] == values).all():
+                    break
                 self._own[places] = values
             self._fresh = False
         self._require_finite_laws()

@@ -82,7 +82,8 @@ class InverseDynamics:
             # friction is the smaller part.
             native.load_joints(self._system.native, self._equations.model, self._equations.work,
                                qd, qdd, lam)
-            places, values = self._effects.loads()
+            places, rows = self._effects.loaded()
+            values = table.output[rows, 2]
             change = np.abs(table.states[places] - values).max()
             table.states[places] = values
             if not change > 1e-12 * values.max():

@@ -50,8 +50,8 @@ class LoopModel:
         Row of each body in the model's arrays.
     leaves_out : bool
         Whether the elimination leaves out equations that repeat others.
-    is_plain : bool
-        Whether all equations are worked on, and masses had no part in that choice.
+    by_masses : bool
+        Whether masses had a part in the choice of equations at the start.
     opening : float
         Closure errors of equations that are left out, in sizes of the mechanism, up to which they
         count as repeating others.
@@ -65,7 +65,7 @@ class LoopModel:
         self._first, self._known, self.model = None, {}, None
         # Where equations were last chosen, and those that have been worked on there.
         self._place, self._tried = b'', set()
-        self.opening, self.is_plain = AS_GOOD_AS_CLOSED, True
+        self.opening, self.by_masses = AS_GOOD_AS_CLOSED, False
         self.keep(None)
 
     def of(self, kept):
@@ -128,7 +128,7 @@ class LoopModel:
         self.leaves_out = not self.equations.kept.all()
         return self.model
 
-    def leave_out_repeated(self, q):
+    def leave_out_repeated(self, q, hold=()):
         """
         Let the elimination work on equations that do not repeat one another.
 
@@ -136,16 +136,19 @@ class LoopModel:
         ----------
         q : ndarray, shape (nq,)
             Near a position that closes the loops.
+        hold : sequence of str
+            Joints that are held there.
 
         """
         if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
             return
         assembler = Assembler(self.mechanism, self.equations)
-        self.is_plain = self._plainly_independent(assembler, q)
-        if self.is_plain:
+        if self._plainly_independent(assembler, q):
             return
         with suppress(AssemblyError):
-            self.choose(assembler.positions(q))
+            place = assembler.positions(q, hold)
+            self.by_masses = assembler.by_masses
+            self.choose(place)
             self._first = self._kept()
 
     def _plainly_independent(self, assembler, q):

@@ -168,9 +168,7 @@ class _BatchRunner:
     def __init__(self, simulation, given, schedule, quantities, hold):
         self._type, self._given, self._schedule = type(simulation), given, schedule
         self._quantities, self._hold = quantities, hold
-        self._scene = replace(
-            simulation.scene, effects=simulation.effects, switched_off=tuple(
-                name for name in simulation.effects if name not in simulation.enabled_effects))
+        self._scene = _present_scene(simulation)
         self._again = not given.parameters
         self._fits_simd = fits_simd(simulation, schedule)
         # Whether samples start in states of their own.
@@ -346,6 +344,16 @@ class _BatchRunner:
         # Nobody asks runs for their local error.
         simulation.monitor.sampling = False
         return simulation
+
+
+def _present_scene(simulation):
+    """Return the scene of a simulation with its effects as they are now."""
+    scene, effects, enabled = simulation.scene, simulation.effects, simulation.enabled_effects
+    switched_off = tuple(name for name in effects if name not in enabled)
+    if switched_off == scene.switched_off and len(effects) == len(scene.effects) and all(
+            scene.effects[name] is record for name, record in effects.items()):
+        return scene
+    return replace(scene, effects=effects, switched_off=switched_off)
 
 
 class RolloutArguments:

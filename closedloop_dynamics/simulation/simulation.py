@@ -132,7 +132,7 @@ class Simulation(Readings):
         if not super().vary(scene):
             return False
         # By whose weight the guards measure.
-        self._set_run()
+        self._numbers[guarded_run.MASS] = self._mass
         self.reset()
         return True
 
@@ -565,13 +565,14 @@ class Simulation(Readings):
             guard.first, guard.rarely, guard.call, guard.whole, self._geometry.may_leave_out,
             min(CABLE_LOOK_EVERY if places else guarded_run.NEVER,
                 CLOSURE_LOOK_EVERY if drifts else guarded_run.NEVER),
-            OPEN * size if drifts else math.inf, method.stabilisation == 'none', self._mass, size,
+            OPEN * size if drifts else math.inf, method.stabilisation == 'none', size,
             USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
 
     def _set_run(self) -> None:
         """Let the engine make steps by the present method, system and guards."""
         before = getattr(self, '_run', None)
         self._numbers[guarded_run.STEP_SIZE] = self.step_size
+        self._numbers[guarded_run.MASS] = self._mass
         run = guarded_run.guarded_run(
             self._driver.driver.stepper, self._watch(), self._balance.account, self._state,
             sum(map(np.size, self._driver.memory)), self._numbers, self._counts)

@@ -72,7 +72,7 @@ def structure(model):
     bytes
 
     """
-    found = (space.body_structure(model),) if space.is_spatial(model) else ()
+    found = space.kinds_of_bodies(model) if space.is_spatial(model) else ()
     return b''.join(array.tobytes() for array in (model.tree, *found))
 
 

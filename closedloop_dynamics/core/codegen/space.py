@@ -81,6 +81,16 @@ def cleared(values):
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
 
 
+# Rows and columns of the moments of inertia, as ``INERTIA`` has them.
+_MOMENTS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+
+
+def _cleared(values):
+    """Return what ``cleared`` does, of a list."""
+    least = ROUNDING * max(map(abs, values))
+    return [value if abs(value) >= least else 0.0 for value in values]
+
+
 def snapped(values):
     """Return directions, components that are nearly 0, 1 or -1 exactly so, as was meant."""
     nearest = np.round(values)
@@ -103,15 +113,18 @@ def weigh(constant, mass, center, about):
         Inertia about that, in the axes of the row's frame [kg m^2].
 
     """
-    about = cleared(cleared(about) + mass * (
-        center @ center * np.eye(3) - np.outer(center, center)))
+    # Numbers rather than arrays: of so few they are faster.
+    place, square = center.tolist(), float(center @ center)
+    found = _cleared([
+        own + mass * (square * (m == n) - place[m] * place[n])
+        for own, m, n in zip(_cleared(about[_MOMENTS].tolist()), *_MOMENTS)])
     for m, n in ((0, 1), (0, 2), (1, 2)):
         # Principal moments that differ by rounding are equal.
-        if abs(about[m, m] - about[n, n]) < ROUNDING * about[m, m]:
-            about[n, n] = about[m, m]
+        if abs(found[m] - found[n]) < ROUNDING * found[m]:
+            found[n] = found[m]
     constant[MASS] += mass
-    constant[MOMENT:MOMENT + 3] += cleared(mass * center)
-    constant[INERTIA:INERTIA + 6] += about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+    constant[MOMENT:MOMENT + 3] += _cleared([mass * part for part in place])
+    constant[INERTIA:INERTIA + 6] += found
 
 
 def inertia_matrix(inertia):
@@ -250,8 +263,18 @@ def body_structure(model):
         bare[parent] &= bare[row]
     if bare.any():
         found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
-    same = [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
-    return np.column_stack([found, *same])
+    return np.column_stack([found, *_equal_moments(body)])
+
+
+def kinds_of_bodies(model):
+    """Return what ``body_structure`` of a model depends on as its masses and rotors change."""
+    body = model.body
+    return body == 0.0, body[:, TURNED:PARALLEL], *_equal_moments(body)
+
+
+def _equal_moments(body):
+    """Return which of the moments of inertia of bodies agree."""
+    return [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
 
 
 def _known(structural, symbols):
