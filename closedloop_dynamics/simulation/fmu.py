@@ -26,7 +26,7 @@ from scipy.linalg import qr
 
 from .c_source import c_source
 from .errors import SimulationError
-from .fmu_template import COMMON, FMI2, FMI3
+from .fmu_template import BOTH, COMMON, FMI2, FMI3, WORDS
 from .key_paths import changed, numbers, resolve
 from .parameters import finite
 from ..core.codegen import space
@@ -257,7 +257,7 @@ class _Unit:
         simulation, words = self.simulation, [one.key for one in self.parameters]
         shares = [(number, place, share) for number, one in enumerate(self.parameters)
                   for place, share in one.shares]
-        fill = {
+        fill = WORDS[self.version] | {
             'NAME': self.name, 'UPPER': self.name.upper(), 'VERSION': self.version,
             'SIZE': str(2 if simulation.mechanism.planar else 3),
             'INPUTS': str(len(self.inputs)), 'PARAMETERS': str(len(words)),
@@ -275,7 +275,7 @@ class _Unit:
                     (0, ('closure_limit', 0), 0.0)]),
             'LONGEST': repr(float(simulation.scene.method.step_size))}
         return re.sub('@([A-Z]+)@', lambda match: fill[match[1]],
-                      COMMON + (FMI3 if self.version == '3.0' else FMI2))
+                      COMMON + (FMI3 if self.version == '3.0' else FMI2) + BOTH)
 
     def _variables(self):
         """Return the variables by their value references."""

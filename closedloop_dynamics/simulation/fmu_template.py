@@ -4,10 +4,20 @@
 """
 The C of a functional mock-up unit: the interface of FMI 2.0 or 3.0 around the C of a scene.
 
-``fmu`` fills in the words. What both versions share comes first; their own functions, behind it,
-only carry arguments. The types are those of the standard's headers, which are not needed.
+``fmu`` fills in the words. ``COMMON`` is what a unit is; then come the types and functions of a
+version, and functions that both have, under the names of either. The types are those of the
+standard's headers, which are not needed.
 
 """
+
+# What the versions call otherwise.
+WORDS = {
+    '3.0': {'FMI': 'fmi3', 'BOOLEAN': 'bool', 'REAL': 'Float64', 'INTEGER': 'Int32',
+            'LENGTH': ', size_t value_count', 'FITS': 'value_count == count', 'KEPT': 'FMUState',
+            'DESERIALIZE': 'DeserializeFMUState', 'RATES': 'GetContinuousStateDerivatives'},
+    '2.0': {'FMI': 'fmi2', 'BOOLEAN': 'int', 'REAL': 'Real', 'INTEGER': 'Integer',
+            'LENGTH': '', 'FITS': '1', 'KEPT': 'FMUstate',
+            'DESERIALIZE': 'DeSerializeFMUstate', 'RATES': 'GetDerivatives'}}
 
 COMMON = """\
 /* The interface of FMI @VERSION@ around @NAME@.c. */
@@ -17,6 +27,11 @@ COMMON = """\
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
+
+/* The standard hands over more than this unit needs. */
+#if defined __GNUC__
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
 
 #if defined _WIN32
 #define EXPORT __declspec(dllexport)
@@ -330,18 +345,6 @@ static Instance *instantiate(const char *name, const char *given, int exchange, 
   return instance;
 }
 
-static int finish_initialization(Instance *instance)
-{
-  int status = require(instance, INITIALIZATION, "ExitInitializationMode: not in its mode");
-  status = status == OK ? closed(instance) : status;
-  if (status == OK) {
-    Values *values = &instance->values;
-    values->chosen_at = EXCHANGE ? determinant_now(values) : 0.0;
-    values->mode = instance->exchange ? EVENT : STEP;
-  }
-  return status == DISCARD ? ERROR : status;
-}
-
 /* What of the model follows from the parameters. */
 static void derive(Values *values)
 {
@@ -435,48 +438,12 @@ static int get(Instance *instance, unsigned reference, double *value)
   return OK;
 }
 
-static int get_freedom(Instance *instance, unsigned reference, int *value)
-{
-  if (reference < FREEDOM || reference >= END) {
-    return failed(instance, ERROR, "get: no such variable of this type");
-  }
-  *value = instance->values.choice[reference - FREEDOM];
-  return OK;
-}
-
-static int set_states(Instance *instance, const double *states, size_t count)
-{
-  Values *values = &instance->values;
-  if (require(instance, CONTINUOUS, "SetContinuousStates: not in continuous-time mode") != OK ||
-      count != 2 * FREE)
-  {
-    return ERROR;
-  }
-  for (int n = 0; n < FREE; ++n) {
-    values->state.q[coordinate[values->choice[n]]] = states[n];
-    values->state.qd[values->choice[n]] = states[FREE + n];
-  }
-  values->open = 1;
-  values->known = 0;
-  return OK;
-}
-
 static int get_range(Instance *instance, unsigned first, double *found, size_t count)
 {
   int status = count == 2 * FREE ? OK : ERROR;
   for (int n = 0; status == OK && n < 2 * FREE; ++n) {
     status = get(instance, first + (unsigned)n, found + n);
   }
-  return status;
-}
-
-/* At the end of a step: whether other coordinates had better be independent. */
-static int completed(Instance *instance, int *event)
-{
-  const Values *values = &instance->values;
-  int status = require(instance, CONTINUOUS, "CompletedIntegratorStep: not in its mode");
-  status = status == OK ? closed(instance) : status;
-  *event = status == OK && determinant_now(values) < 0.2 * values->chosen_at;
   return status;
 }
 
@@ -593,53 +560,8 @@ static int differentiate(
   }
   return OK;
 #else
-  (void)unknowns;
-  (void)count;
-  (void)knowns;
-  (void)known_count;
-  (void)seed;
-  (void)found;
   return failed(instance, ERROR, "this unit was written without derivatives");
 #endif
-}
-
-static int get_state(Instance *instance, void **state)
-{
-  if (!*state && !(*state = malloc(sizeof(Values)))) {
-    return failed(instance, ERROR, "no memory is left");
-  }
-  memcpy(*state, &instance->values, sizeof(Values));
-  return OK;
-}
-
-enum { SERIAL = sizeof token + sizeof(Values) };
-
-static int serialize(Instance *instance, const void *state, unsigned char *bytes, size_t size)
-{
-  if (!state || size < SERIAL) {
-    return failed(instance, ERROR, "SerializeFMUState: expected a state, and room for it");
-  }
-  memcpy(bytes, token, sizeof token);
-  memcpy(bytes + sizeof token, state, sizeof(Values));
-  return OK;
-}
-
-static int deserialize(Instance *instance, const unsigned char *bytes, size_t size, void **state)
-{
-  if (size < SERIAL || memcmp(bytes, token, sizeof token) != 0) {
-    return failed(instance, ERROR, "DeserializeFMUState: this is no state of this unit");
-  }
-  if (!*state && !(*state = malloc(sizeof(Values)))) {
-    return failed(instance, ERROR, "no memory is left");
-  }
-  memcpy(*state, bytes + sizeof token, sizeof(Values));
-  return OK;
-}
-
-static int restart(Instance *instance)
-{
-  begin(&instance->values);
-  return OK;
 }
 
 static int enter(Instance *instance, int from, int to, const char *complaint)
@@ -650,12 +572,34 @@ static int enter(Instance *instance, int from, int to, const char *complaint)
   }
   return status;
 }
+
+/* There are no other variables: with none asked for, all is well. */
+static int without(const Instance *instance, size_t count)
+{
+  return count ? failed(instance, ERROR, "this unit has no such variables") : OK;
+}
+
+typedef int @FMI@Status;
+typedef unsigned @FMI@ValueReference;
+typedef @BOOLEAN@ @FMI@Boolean;
+
+/* A function of variables that are not there. */
+#define NONE(NAME, ...) \\
+  EXPORT @FMI@Status @FMI@ ## NAME( \\
+    Instance *instance, const @FMI@ValueReference references[], size_t count, __VA_ARGS__) \\
+  { \\
+    return without(instance, count); \\
+  }
+/* A function that this unit has no answer to. */
+#define REFUSED(NAME, STATUS, MESSAGE, ...) \\
+  EXPORT @FMI@Status @FMI@ ## NAME(__VA_ARGS__) \\
+  { \\
+    return failed(instance, STATUS, MESSAGE); \\
+  }
 """
 
 FMI3 = """
 /* FMI 3.0. */
-typedef int fmi3Status;
-typedef unsigned fmi3ValueReference;
 typedef void (*fmi3LogMessageCallback)(void *, fmi3Status, const char *, const char *);
 
 static void complain(const Instance *instance, const char *message)
@@ -669,16 +613,6 @@ static void complain(const Instance *instance, const char *message)
 
 EXPORT const char *fmi3GetVersion(void) {return "3.0";}
 
-EXPORT fmi3Status fmi3SetDebugLogging(
-  void *instance, bool on, size_t count, const char *const categories[])
-{
-  (void)instance;
-  (void)on;
-  (void)count;
-  (void)categories;
-  return OK;
-}
-
 static void *kept(fmi3LogMessageCallback log)
 {
   void *logger;
@@ -690,9 +624,6 @@ EXPORT void *fmi3InstantiateModelExchange(
   const char *name, const char *given, const char *path, bool visible, bool logging,
   void *environment, fmi3LogMessageCallback log)
 {
-  (void)path;
-  (void)visible;
-  (void)logging;
   return instantiate(name, given, 1, environment, kept(log));
 }
 
@@ -701,12 +632,6 @@ EXPORT void *fmi3InstantiateCoSimulation(
   bool event_mode, bool early_return, const fmi3ValueReference intermediate[], size_t count,
   void *environment, fmi3LogMessageCallback log, void (*update_between)(void))
 {
-  (void)path;
-  (void)visible;
-  (void)logging;
-  (void)early_return;
-  (void)intermediate;
-  (void)update_between;
   if (event_mode || count) {
     if (log) {
       log(environment, ERROR, "logStatusError",
@@ -722,38 +647,19 @@ EXPORT void *fmi3InstantiateScheduledExecution(
   void *environment, fmi3LogMessageCallback log, void (*tick)(void *), void (*lock)(void),
   void (*unlock)(void))
 {
-  (void)name;
-  (void)given;
-  (void)path;
-  (void)visible;
-  (void)logging;
-  (void)tick;
-  (void)lock;
-  (void)unlock;
   if (log) {
     log(environment, ERROR, "logStatusError", "this unit has no scheduled execution");
   }
   return 0;
 }
 
-EXPORT void fmi3FreeInstance(void *instance) {free(instance);}
-
 EXPORT fmi3Status fmi3EnterInitializationMode(
   Instance *instance, bool has_tolerance, double tolerance, double start, bool has_stop,
   double stop)
 {
-  (void)has_tolerance;
-  (void)tolerance;
-  (void)has_stop;
-  (void)stop;
   instance->values.time = start;
   return enter(instance, INSTANTIATED, INITIALIZATION,
                "EnterInitializationMode: not instantiated, or past it");
-}
-
-EXPORT fmi3Status fmi3ExitInitializationMode(Instance *instance)
-{
-  return finish_initialization(instance);
 }
 
 EXPORT fmi3Status fmi3EnterEventMode(Instance *instance)
@@ -761,224 +667,50 @@ EXPORT fmi3Status fmi3EnterEventMode(Instance *instance)
   return enter(instance, CONTINUOUS, EVENT, "EnterEventMode: not in continuous-time mode");
 }
 
-EXPORT fmi3Status fmi3Terminate(Instance *instance)
-{
-  return enter(instance, RUNNING, TERMINATED, "Terminate: not initialized");
-}
-
-EXPORT fmi3Status fmi3Reset(Instance *instance) {return restart(instance);}
-
-EXPORT fmi3Status fmi3GetFloat64(
-  Instance *instance, const fmi3ValueReference references[], size_t count, double values[],
-  size_t value_count)
-{
-  int status = value_count == count ? OK : ERROR;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    status = get(instance, references[n], values + n);
-  }
-  return status;
-}
-
-EXPORT fmi3Status fmi3SetFloat64(
-  Instance *instance, const fmi3ValueReference references[], size_t count, const double values[],
-  size_t value_count)
-{
-  int status = value_count == count ? OK : ERROR;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    status = set(instance, references[n], values[n]);
-  }
-  return status;
-}
-
-EXPORT fmi3Status fmi3GetInt32(
-  Instance *instance, const fmi3ValueReference references[], size_t count, int32_t values[],
-  size_t value_count)
-{
-  int status = value_count == count ? OK : ERROR;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    int value;
-    status = get_freedom(instance, references[n], &value);
-    if (status == OK) {
-      values[n] = value;
-    }
-  }
-  return status;
-}
-
-/* There are no variables of other types: with none asked for, all is well. */
-static fmi3Status without(const Instance *instance, size_t count)
-{
-  return count ? failed(instance, ERROR, "this unit has no variables of this type") : OK;
-}
-
-#define NO_GET(NAME, TYPE) \\
-  EXPORT fmi3Status fmi3Get ## NAME( \\
-    Instance *instance, const fmi3ValueReference references[], size_t count, TYPE values[], \\
-    size_t value_count) \\
-  { \\
-    (void)references; \\
-    (void)values; \\
-    (void)value_count; \\
-    return without(instance, count); \\
-  }
-#define NO_SET(NAME, TYPE) \\
-  EXPORT fmi3Status fmi3Set ## NAME( \\
-    Instance *instance, const fmi3ValueReference references[], size_t count, \\
-    const TYPE values[], size_t value_count) \\
-  { \\
-    (void)references; \\
-    (void)values; \\
-    (void)value_count; \\
-    return without(instance, count); \\
-  }
-NO_GET(Float32, float)
-NO_SET(Float32, float)
-NO_GET(Int8, int8_t)
-NO_SET(Int8, int8_t)
-NO_GET(UInt8, uint8_t)
-NO_SET(UInt8, uint8_t)
-NO_GET(Int16, int16_t)
-NO_SET(Int16, int16_t)
-NO_GET(UInt16, uint16_t)
-NO_SET(UInt16, uint16_t)
-NO_SET(Int32, int32_t)
-NO_GET(UInt32, uint32_t)
-NO_SET(UInt32, uint32_t)
-NO_GET(Int64, int64_t)
-NO_SET(Int64, int64_t)
-NO_GET(UInt64, uint64_t)
-NO_SET(UInt64, uint64_t)
-NO_GET(Boolean, bool)
-NO_SET(Boolean, bool)
-NO_GET(String, const char *)
-NO_SET(String, char *const)
-
-EXPORT fmi3Status fmi3GetBinary(
-  Instance *instance, const fmi3ValueReference references[], size_t count, size_t sizes[],
-  const uint8_t *values[], size_t value_count)
-{
-  (void)references;
-  (void)sizes;
-  (void)values;
-  (void)value_count;
-  return without(instance, count);
-}
-
-EXPORT fmi3Status fmi3SetBinary(
-  Instance *instance, const fmi3ValueReference references[], size_t count, const size_t sizes[],
-  const uint8_t *const values[], size_t value_count)
-{
-  (void)references;
-  (void)sizes;
-  (void)values;
-  (void)value_count;
-  return without(instance, count);
-}
-
-/* Of clocks: references, their number, and arrays. */
-#define NO_CLOCK(NAME, ...) \\
-  EXPORT fmi3Status fmi3 ## NAME( \\
-    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
-  { \\
-    (void)references; \\
-    (void)a; \\
-    (void)b; \\
-    (void)c; \\
-    return without(instance, count); \\
-  }
-#define NO_CLOCK_OF_ONE(NAME, ...) \\
-  EXPORT fmi3Status fmi3 ## NAME( \\
-    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
-  { \\
-    (void)references; \\
-    (void)a; \\
-    return without(instance, count); \\
-  }
-#define NO_CLOCK_OF_TWO(NAME, ...) \\
-  EXPORT fmi3Status fmi3 ## NAME( \\
-    Instance *instance, const fmi3ValueReference references[], size_t count, __VA_ARGS__) \\
-  { \\
-    (void)references; \\
-    (void)a; \\
-    (void)b; \\
-    return without(instance, count); \\
-  }
-NO_CLOCK_OF_ONE(GetClock, bool a[])
-NO_CLOCK_OF_ONE(SetClock, const bool a[])
-NO_CLOCK_OF_TWO(GetIntervalDecimal, double a[], int b[])
-NO_CLOCK(GetIntervalFraction, uint64_t a[], uint64_t b[], int c[])
-NO_CLOCK_OF_ONE(GetShiftDecimal, double a[])
-NO_CLOCK_OF_TWO(GetShiftFraction, uint64_t a[], uint64_t b[])
-NO_CLOCK_OF_ONE(SetIntervalDecimal, const double a[])
-NO_CLOCK_OF_TWO(SetIntervalFraction, const uint64_t a[], const uint64_t b[])
-NO_CLOCK_OF_ONE(SetShiftDecimal, const double a[])
-NO_CLOCK_OF_TWO(SetShiftFraction, const uint64_t a[], const uint64_t b[])
+#define NO_TYPE(NAME, TYPE) \\
+  NONE(Get ## NAME, TYPE values[], size_t value_count) \\
+  NONE(Set ## NAME, const TYPE values[], size_t value_count)
+NO_TYPE(Float32, float)
+NO_TYPE(Int8, int8_t)
+NO_TYPE(UInt8, uint8_t)
+NO_TYPE(Int16, int16_t)
+NO_TYPE(UInt16, uint16_t)
+NONE(SetInt32, const int32_t values[], size_t value_count)
+NO_TYPE(UInt32, uint32_t)
+NO_TYPE(Int64, int64_t)
+NO_TYPE(UInt64, uint64_t)
+NO_TYPE(Boolean, bool)
+NONE(GetString, const char *values[], size_t value_count)
+NONE(SetString, const char *const values[], size_t value_count)
+NONE(GetBinary, size_t sizes[], const uint8_t *values[], size_t value_count)
+NONE(SetBinary, const size_t sizes[], const uint8_t *const values[], size_t value_count)
+NONE(GetClock, bool values[])
+NONE(SetClock, const bool values[])
+NONE(GetIntervalDecimal, double intervals[], int qualifiers[])
+NONE(GetIntervalFraction, uint64_t counters[], uint64_t resolutions[], int qualifiers[])
+NONE(GetShiftDecimal, double shifts[])
+NONE(GetShiftFraction, uint64_t counters[], uint64_t resolutions[])
+NONE(SetIntervalDecimal, const double intervals[])
+NONE(SetIntervalFraction, const uint64_t counters[], const uint64_t resolutions[])
+NONE(SetShiftDecimal, const double shifts[])
+NONE(SetShiftFraction, const uint64_t counters[], const uint64_t resolutions[])
+NONE(GetOutputDerivatives, const int32_t orders[], double values[], size_t value_count)
 
 /* All outputs may depend on all inputs and states; modelDescription.xml names no less. */
-EXPORT fmi3Status fmi3GetNumberOfVariableDependencies(
-  Instance *instance, fmi3ValueReference reference, size_t *count)
-{
-  (void)reference;
-  (void)count;
-  return failed(instance, ERROR, "this unit reports no dependencies of single elements");
-}
-
-EXPORT fmi3Status fmi3GetVariableDependencies(
-  Instance *instance, fmi3ValueReference dependent, size_t elements[],
-  fmi3ValueReference independents[], size_t elements_of_these[], int kinds[], size_t count)
-{
-  (void)dependent;
-  (void)elements;
-  (void)independents;
-  (void)elements_of_these;
-  (void)kinds;
-  (void)count;
-  return failed(instance, ERROR, "this unit reports no dependencies of single elements");
-}
-
-EXPORT fmi3Status fmi3GetFMUState(Instance *instance, void **state)
-{
-  return get_state(instance, state);
-}
-
-EXPORT fmi3Status fmi3SetFMUState(Instance *instance, const void *state)
-{
-  if (!state) {
-    return failed(instance, ERROR, "SetFMUState: expected a state");
-  }
-  memcpy(&instance->values, state, sizeof(Values));
-  return OK;
-}
-
-EXPORT fmi3Status fmi3FreeFMUState(Instance *instance, void **state)
-{
-  (void)instance;
-  if (state) {
-    free(*state);
-    *state = 0;
-  }
-  return OK;
-}
-
-EXPORT fmi3Status fmi3SerializedFMUStateSize(Instance *instance, const void *state, size_t *size)
-{
-  (void)instance;
-  (void)state;
-  *size = SERIAL;
-  return OK;
-}
-
-EXPORT fmi3Status fmi3SerializeFMUState(
-  Instance *instance, const void *state, unsigned char bytes[], size_t size)
-{
-  return serialize(instance, state, bytes, size);
-}
-
-EXPORT fmi3Status fmi3DeserializeFMUState(
-  Instance *instance, const unsigned char bytes[], size_t size, void **state)
-{
-  return deserialize(instance, bytes, size, state);
-}
+REFUSED(GetNumberOfVariableDependencies, ERROR,
+        "this unit reports no dependencies of single elements",
+        Instance *instance, fmi3ValueReference reference, size_t *count)
+REFUSED(GetVariableDependencies, ERROR, "this unit reports no dependencies of single elements",
+        Instance *instance, fmi3ValueReference dependent, size_t elements[],
+        fmi3ValueReference independents[], size_t elements_of_these[], int kinds[], size_t count)
+REFUSED(EnterConfigurationMode, ERROR, "this unit has no structural parameters",
+        Instance *instance)
+REFUSED(ExitConfigurationMode, ERROR, "this unit has no structural parameters",
+        Instance *instance)
+REFUSED(EnterStepMode, ERROR, "EnterStepMode: there is no event mode in co-simulation",
+        Instance *instance)
+REFUSED(ActivateModelPartition, ERROR, "this unit has no scheduled execution",
+        Instance *instance, fmi3ValueReference clock, double time)
 
 EXPORT fmi3Status fmi3GetDirectionalDerivative(
   Instance *instance, const fmi3ValueReference unknowns[], size_t count,
@@ -1007,16 +739,6 @@ EXPORT fmi3Status fmi3GetAdjointDerivative(
   return status;
 }
 
-EXPORT fmi3Status fmi3EnterConfigurationMode(Instance *instance)
-{
-  return failed(instance, ERROR, "this unit has no structural parameters");
-}
-
-EXPORT fmi3Status fmi3ExitConfigurationMode(Instance *instance)
-{
-  return failed(instance, ERROR, "this unit has no structural parameters");
-}
-
 EXPORT fmi3Status fmi3EvaluateDiscreteStates(Instance *instance)
 {
   return require(instance, INITIALIZATION | EVENT, "EvaluateDiscreteStates: not in event mode");
@@ -1028,94 +750,21 @@ EXPORT fmi3Status fmi3UpdateDiscreteStates(
 {
   int other = 0;
   const int status = update(instance, &other);
-  (void)next;
   *again = *terminate = *has_next = false;
   *nominals = *changed = other != 0;
   return status;
 }
 
-EXPORT fmi3Status fmi3EnterContinuousTimeMode(Instance *instance)
-{
-  return enter(instance, EVENT, CONTINUOUS, "EnterContinuousTimeMode: not in event mode");
-}
-
-EXPORT fmi3Status fmi3CompletedIntegratorStep(
-  Instance *instance, bool no_way_back, bool *event, bool *terminate)
-{
-  int wanted = 0;
-  const int status = completed(instance, &wanted);
-  (void)no_way_back;
-  *event = wanted != 0;
-  *terminate = false;
-  return status;
-}
-
-EXPORT fmi3Status fmi3SetTime(Instance *instance, double time)
-{
-  instance->values.time = time;
-  return require(instance, CONTINUOUS | EVENT, "SetTime: not in model exchange");
-}
-
-EXPORT fmi3Status fmi3SetContinuousStates(Instance *instance, const double states[], size_t count)
-{
-  return set_states(instance, states, count);
-}
-
-EXPORT fmi3Status fmi3GetContinuousStateDerivatives(
-  Instance *instance, double derivatives[], size_t count)
-{
-  return get_range(instance, CHANGE, derivatives, count);
-}
-
-EXPORT fmi3Status fmi3GetEventIndicators(Instance *instance, double indicators[], size_t count)
-{
-  (void)indicators;
-  return without(instance, count);
-}
-
-EXPORT fmi3Status fmi3GetContinuousStates(Instance *instance, double states[], size_t count)
-{
-  return get_range(instance, STATE, states, count);
-}
-
-EXPORT fmi3Status fmi3GetNominalsOfContinuousStates(
-  Instance *instance, double nominals[], size_t count)
-{
-  (void)instance;
-  for (size_t n = 0; n < count; ++n) {
-    nominals[n] = 1.0;
-  }
-  return OK;
-}
-
 EXPORT fmi3Status fmi3GetNumberOfEventIndicators(Instance *instance, size_t *count)
 {
-  (void)instance;
   *count = 0;
   return OK;
 }
 
 EXPORT fmi3Status fmi3GetNumberOfContinuousStates(Instance *instance, size_t *count)
 {
-  (void)instance;
   *count = 2 * FREE;
   return OK;
-}
-
-EXPORT fmi3Status fmi3EnterStepMode(Instance *instance)
-{
-  return failed(instance, ERROR, "EnterStepMode: there is no event mode in co-simulation");
-}
-
-EXPORT fmi3Status fmi3GetOutputDerivatives(
-  Instance *instance, const fmi3ValueReference references[], size_t count, const int32_t orders[],
-  double values[], size_t value_count)
-{
-  (void)references;
-  (void)orders;
-  (void)values;
-  (void)value_count;
-  return without(instance, count);
 }
 
 EXPORT fmi3Status fmi3DoStep(
@@ -1123,25 +772,14 @@ EXPORT fmi3Status fmi3DoStep(
   bool *early, double *last)
 {
   const int status = do_step(instance, now, size);
-  (void)no_way_back;
   *event = *terminate = *early = false;
   *last = instance->values.time;
   return status;
-}
-
-EXPORT fmi3Status fmi3ActivateModelPartition(
-  Instance *instance, fmi3ValueReference clock, double time)
-{
-  (void)clock;
-  (void)time;
-  return failed(instance, ERROR, "this unit has no scheduled execution");
 }
 """
 
 FMI2 = """
 /* FMI 2.0. */
-typedef int fmi2Status;
-typedef unsigned fmi2ValueReference;
 typedef struct {
   void (*logger)(void *, const char *, fmi2Status, const char *, const char *, ...);
   void *(*allocateMemory)(size_t, size_t);
@@ -1167,24 +805,11 @@ static void complain(const Instance *instance, const char *message)
 EXPORT const char *fmi2GetTypesPlatform(void) {return "default";}
 EXPORT const char *fmi2GetVersion(void) {return "2.0";}
 
-EXPORT fmi2Status fmi2SetDebugLogging(
-  void *instance, int on, size_t count, const char *const categories[])
-{
-  (void)instance;
-  (void)on;
-  (void)count;
-  (void)categories;
-  return OK;
-}
-
 EXPORT void *fmi2Instantiate(
   const char *name, int kind, const char *given, const char *path,
   const fmi2CallbackFunctions *functions, int visible, int logging)
 {
   void *logger = 0;
-  (void)path;
-  (void)visible;
-  (void)logging;
   if (functions) {
     memcpy(&logger, &functions->logger, sizeof logger);
   }
@@ -1192,16 +817,10 @@ EXPORT void *fmi2Instantiate(
     name, given, kind == 0, functions ? functions->componentEnvironment : 0, logger);
 }
 
-EXPORT void fmi2FreeInstance(void *instance) {free(instance);}
-
 EXPORT fmi2Status fmi2SetupExperiment(
   Instance *instance, int has_tolerance, double tolerance, double start, int has_stop,
   double stop)
 {
-  (void)has_tolerance;
-  (void)tolerance;
-  (void)has_stop;
-  (void)stop;
   instance->values.time = start;
   return require(instance, INSTANTIATED, "SetupExperiment: not instantiated, or past it");
 }
@@ -1212,111 +831,21 @@ EXPORT fmi2Status fmi2EnterInitializationMode(Instance *instance)
                "EnterInitializationMode: not instantiated, or past it");
 }
 
-EXPORT fmi2Status fmi2ExitInitializationMode(Instance *instance)
-{
-  return finish_initialization(instance);
-}
+NONE(SetInteger, const int values[])
+NONE(GetBoolean, int values[])
+NONE(SetBoolean, const int values[])
+NONE(GetString, const char *values[])
+NONE(SetString, const char *const values[])
+NONE(SetRealInputDerivatives, const int orders[], const double values[])
+NONE(GetRealOutputDerivatives, const int orders[], double values[])
 
-EXPORT fmi2Status fmi2Terminate(Instance *instance)
-{
-  return enter(instance, RUNNING, TERMINATED, "Terminate: not initialized");
-}
-
-EXPORT fmi2Status fmi2Reset(Instance *instance) {return restart(instance);}
-
-EXPORT fmi2Status fmi2GetReal(
-  Instance *instance, const fmi2ValueReference references[], size_t count, double values[])
-{
-  int status = OK;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    status = get(instance, references[n], values + n);
-  }
-  return status;
-}
-
-EXPORT fmi2Status fmi2SetReal(
-  Instance *instance, const fmi2ValueReference references[], size_t count, const double values[])
-{
-  int status = OK;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    status = set(instance, references[n], values[n]);
-  }
-  return status;
-}
-
-EXPORT fmi2Status fmi2GetInteger(
-  Instance *instance, const fmi2ValueReference references[], size_t count, int values[])
-{
-  int status = OK;
-  for (size_t n = 0; status == OK && n < count; ++n) {
-    status = get_freedom(instance, references[n], values + n);
-  }
-  return status;
-}
-
-/* There are no other variables: with none asked for, all is well. */
-static fmi2Status without(const Instance *instance, size_t count)
-{
-  return count ? failed(instance, ERROR, "this unit has no such variables") : OK;
-}
-
-#define NONE(NAME, TYPE) \\
-  EXPORT fmi2Status fmi2 ## NAME( \\
-    Instance *instance, const fmi2ValueReference references[], size_t count, TYPE values[]) \\
-  { \\
-    (void)references; \\
-    (void)values; \\
-    return without(instance, count); \\
-  }
-NONE(SetInteger, const int)
-NONE(GetBoolean, int)
-NONE(SetBoolean, const int)
-NONE(GetString, const char *)
-NONE(SetString, const char *const)
-
-EXPORT fmi2Status fmi2GetFMUstate(Instance *instance, void **state)
-{
-  return get_state(instance, state);
-}
-
-EXPORT fmi2Status fmi2SetFMUstate(Instance *instance, const void *state)
-{
-  if (!state) {
-    return failed(instance, ERROR, "SetFMUstate: expected a state");
-  }
-  memcpy(&instance->values, state, sizeof(Values));
-  return OK;
-}
-
-EXPORT fmi2Status fmi2FreeFMUstate(Instance *instance, void **state)
-{
-  (void)instance;
-  if (state) {
-    free(*state);
-    *state = 0;
-  }
-  return OK;
-}
-
-EXPORT fmi2Status fmi2SerializedFMUstateSize(Instance *instance, const void *state, size_t *size)
-{
-  (void)instance;
-  (void)state;
-  *size = SERIAL;
-  return OK;
-}
-
-EXPORT fmi2Status fmi2SerializeFMUstate(
-  Instance *instance, const void *state, unsigned char bytes[], size_t size)
-{
-  return serialize(instance, state, bytes, size);
-}
-
-EXPORT fmi2Status fmi2DeSerializeFMUstate(
-  Instance *instance, const unsigned char bytes[], size_t size, void **state)
-{
-  return deserialize(instance, bytes, size, state);
-}
+REFUSED(CancelStep, ERROR, "CancelStep: steps are made at once", Instance *instance)
+REFUSED(GetStatus, DISCARD, "GetStatus: steps are made at once",
+        Instance *instance, int kind, fmi2Status *value)
+REFUSED(GetIntegerStatus, DISCARD, "GetIntegerStatus: there is none",
+        Instance *instance, int kind, int *value)
+REFUSED(GetStringStatus, DISCARD, "GetStringStatus: there is none",
+        Instance *instance, int kind, const char **value)
 
 EXPORT fmi2Status fmi2GetDirectionalDerivative(
   Instance *instance, const fmi2ValueReference unknowns[], size_t count,
@@ -1339,92 +868,9 @@ EXPORT fmi2Status fmi2NewDiscreteStates(Instance *instance, fmi2EventInfo *info)
   return status;
 }
 
-EXPORT fmi2Status fmi2EnterContinuousTimeMode(Instance *instance)
-{
-  return enter(instance, EVENT, CONTINUOUS, "EnterContinuousTimeMode: not in event mode");
-}
-
-EXPORT fmi2Status fmi2CompletedIntegratorStep(
-  Instance *instance, int no_way_back, int *event, int *terminate)
-{
-  (void)no_way_back;
-  *terminate = 0;
-  return completed(instance, event);
-}
-
-EXPORT fmi2Status fmi2SetTime(Instance *instance, double time)
-{
-  instance->values.time = time;
-  return require(instance, CONTINUOUS | EVENT, "SetTime: not in model exchange");
-}
-
-EXPORT fmi2Status fmi2SetContinuousStates(Instance *instance, const double states[], size_t count)
-{
-  return set_states(instance, states, count);
-}
-
-EXPORT fmi2Status fmi2GetDerivatives(Instance *instance, double derivatives[], size_t count)
-{
-  return get_range(instance, CHANGE, derivatives, count);
-}
-
-EXPORT fmi2Status fmi2GetEventIndicators(Instance *instance, double indicators[], size_t count)
-{
-  (void)indicators;
-  return without(instance, count);
-}
-
-EXPORT fmi2Status fmi2GetContinuousStates(Instance *instance, double states[], size_t count)
-{
-  return get_range(instance, STATE, states, count);
-}
-
-EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(
-  Instance *instance, double nominals[], size_t count)
-{
-  (void)instance;
-  for (size_t n = 0; n < count; ++n) {
-    nominals[n] = 1.0;
-  }
-  return OK;
-}
-
-EXPORT fmi2Status fmi2SetRealInputDerivatives(
-  Instance *instance, const fmi2ValueReference references[], size_t count, const int orders[],
-  const double values[])
-{
-  (void)references;
-  (void)orders;
-  (void)values;
-  return without(instance, count);
-}
-
-EXPORT fmi2Status fmi2GetRealOutputDerivatives(
-  Instance *instance, const fmi2ValueReference references[], size_t count, const int orders[],
-  double values[])
-{
-  (void)references;
-  (void)orders;
-  (void)values;
-  return without(instance, count);
-}
-
 EXPORT fmi2Status fmi2DoStep(Instance *instance, double now, double size, int no_way_back)
 {
-  (void)no_way_back;
   return do_step(instance, now, size);
-}
-
-EXPORT fmi2Status fmi2CancelStep(Instance *instance)
-{
-  return failed(instance, ERROR, "CancelStep: steps are made at once");
-}
-
-EXPORT fmi2Status fmi2GetStatus(Instance *instance, int kind, fmi2Status *value)
-{
-  (void)kind;
-  (void)value;
-  return failed(instance, DISCARD, "GetStatus: steps are made at once");
 }
 
 EXPORT fmi2Status fmi2GetRealStatus(Instance *instance, int kind, double *value)
@@ -1436,13 +882,6 @@ EXPORT fmi2Status fmi2GetRealStatus(Instance *instance, int kind, double *value)
   return OK;
 }
 
-EXPORT fmi2Status fmi2GetIntegerStatus(Instance *instance, int kind, int *value)
-{
-  (void)kind;
-  (void)value;
-  return failed(instance, DISCARD, "GetIntegerStatus: there is none");
-}
-
 EXPORT fmi2Status fmi2GetBooleanStatus(Instance *instance, int kind, int *value)
 {
   if (kind != 3) {
@@ -1451,11 +890,200 @@ EXPORT fmi2Status fmi2GetBooleanStatus(Instance *instance, int kind, int *value)
   *value = 0;
   return OK;
 }
+"""
 
-EXPORT fmi2Status fmi2GetStringStatus(Instance *instance, int kind, const char **value)
+BOTH = """
+/* Of both versions. */
+EXPORT @FMI@Status @FMI@SetDebugLogging(
+  void *instance, @FMI@Boolean on, size_t count, const char *const categories[])
 {
-  (void)kind;
-  (void)value;
-  return failed(instance, DISCARD, "GetStringStatus: there is none");
+  return OK;
+}
+
+EXPORT void @FMI@FreeInstance(void *instance) {free(instance);}
+
+EXPORT @FMI@Status @FMI@ExitInitializationMode(Instance *instance)
+{
+  int status = require(instance, INITIALIZATION, "ExitInitializationMode: not in its mode");
+  status = status == OK ? closed(instance) : status;
+  if (status == OK) {
+    Values *values = &instance->values;
+    values->chosen_at = EXCHANGE ? determinant_now(values) : 0.0;
+    values->mode = instance->exchange ? EVENT : STEP;
+  }
+  return status == DISCARD ? ERROR : status;
+}
+
+EXPORT @FMI@Status @FMI@Terminate(Instance *instance)
+{
+  return enter(instance, RUNNING, TERMINATED, "Terminate: not initialized");
+}
+
+EXPORT @FMI@Status @FMI@Reset(Instance *instance)
+{
+  begin(&instance->values);
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@Get@REAL@(
+  Instance *instance, const @FMI@ValueReference references[], size_t count,
+  double values[]@LENGTH@)
+{
+  int status = @FITS@ ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = get(instance, references[n], values + n);
+  }
+  return status;
+}
+
+EXPORT @FMI@Status @FMI@Set@REAL@(
+  Instance *instance, const @FMI@ValueReference references[], size_t count,
+  const double values[]@LENGTH@)
+{
+  int status = @FITS@ ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    status = set(instance, references[n], values[n]);
+  }
+  return status;
+}
+
+EXPORT @FMI@Status @FMI@Get@INTEGER@(
+  Instance *instance, const @FMI@ValueReference references[], size_t count,
+  int32_t values[]@LENGTH@)
+{
+  int status = @FITS@ ? OK : ERROR;
+  for (size_t n = 0; status == OK && n < count; ++n) {
+    if (references[n] < FREEDOM || references[n] >= END) {
+      return failed(instance, ERROR, "get: no such variable of this type");
+    }
+    values[n] = instance->values.choice[references[n] - FREEDOM];
+  }
+  return status;
+}
+
+/* Copy a state, into memory of its own where there is none yet. */
+static int copied(const Instance *instance, const void *from, void **to)
+{
+  if (!*to && !(*to = malloc(sizeof(Values)))) {
+    return failed(instance, ERROR, "no memory is left");
+  }
+  memcpy(*to, from, sizeof(Values));
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@Get@KEPT@(Instance *instance, void **state)
+{
+  return copied(instance, &instance->values, state);
+}
+
+EXPORT @FMI@Status @FMI@Set@KEPT@(Instance *instance, const void *state)
+{
+  if (!state) {
+    return failed(instance, ERROR, "Set@KEPT@: expected a state");
+  }
+  memcpy(&instance->values, state, sizeof(Values));
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@Free@KEPT@(Instance *instance, void **state)
+{
+  if (state) {
+    free(*state);
+    *state = 0;
+  }
+  return OK;
+}
+
+enum { SERIAL = sizeof token + sizeof(Values) };
+
+EXPORT @FMI@Status @FMI@Serialized@KEPT@Size(Instance *instance, const void *state, size_t *size)
+{
+  *size = SERIAL;
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@Serialize@KEPT@(
+  Instance *instance, const void *state, unsigned char bytes[], size_t size)
+{
+  if (!state || size < SERIAL) {
+    return failed(instance, ERROR, "Serialize@KEPT@: expected a state, and room for it");
+  }
+  memcpy(bytes, token, sizeof token);
+  memcpy(bytes + sizeof token, state, sizeof(Values));
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@@DESERIALIZE@(
+  Instance *instance, const unsigned char bytes[], size_t size, void **state)
+{
+  if (size < SERIAL || memcmp(bytes, token, sizeof token) != 0) {
+    return failed(instance, ERROR, "@DESERIALIZE@: this is no state of this unit");
+  }
+  return copied(instance, bytes + sizeof token, state);
+}
+
+EXPORT @FMI@Status @FMI@EnterContinuousTimeMode(Instance *instance)
+{
+  return enter(instance, EVENT, CONTINUOUS, "EnterContinuousTimeMode: not in event mode");
+}
+
+/* At the end of a step: whether other coordinates had better be independent. */
+EXPORT @FMI@Status @FMI@CompletedIntegratorStep(
+  Instance *instance, @FMI@Boolean no_way_back, @FMI@Boolean *event, @FMI@Boolean *terminate)
+{
+  const Values *values = &instance->values;
+  int status = require(instance, CONTINUOUS, "CompletedIntegratorStep: not in its mode");
+  status = status == OK ? closed(instance) : status;
+  *event = status == OK && determinant_now(values) < 0.2 * values->chosen_at;
+  *terminate = 0;
+  return status;
+}
+
+EXPORT @FMI@Status @FMI@SetTime(Instance *instance, double time)
+{
+  instance->values.time = time;
+  return require(instance, CONTINUOUS | EVENT, "SetTime: not in model exchange");
+}
+
+EXPORT @FMI@Status @FMI@SetContinuousStates(
+  Instance *instance, const double states[], size_t count)
+{
+  Values *values = &instance->values;
+  if (require(instance, CONTINUOUS, "SetContinuousStates: not in continuous-time mode") != OK ||
+      count != 2 * FREE)
+  {
+    return ERROR;
+  }
+  for (int n = 0; n < FREE; ++n) {
+    values->state.q[coordinate[values->choice[n]]] = states[n];
+    values->state.qd[values->choice[n]] = states[FREE + n];
+  }
+  values->open = 1;
+  values->known = 0;
+  return OK;
+}
+
+EXPORT @FMI@Status @FMI@@RATES@(Instance *instance, double derivatives[], size_t count)
+{
+  return get_range(instance, CHANGE, derivatives, count);
+}
+
+EXPORT @FMI@Status @FMI@GetEventIndicators(Instance *instance, double indicators[], size_t count)
+{
+  return without(instance, count);
+}
+
+EXPORT @FMI@Status @FMI@GetContinuousStates(Instance *instance, double states[], size_t count)
+{
+  return get_range(instance, STATE, states, count);
+}
+
+EXPORT @FMI@Status @FMI@GetNominalsOfContinuousStates(
+  Instance *instance, double nominals[], size_t count)
+{
+  for (size_t n = 0; n < count; ++n) {
+    nominals[n] = 1.0;
+  }
+  return OK;
 }
 """

@@ -274,9 +274,6 @@ def test_every_function_of_the_standard_is_there_and_does_no_harm(version, tmp_p
     unit = fmu(simulation_of('four_bar'), 'machine', version)
     program = tmp_path / 'calls.c'
     files = sources_of(unit)
-    names = re.findall(r'EXPORT [^;{(]*?\b(fmi\d\w+)\(', files['fmu.c'])
-    typed = re.findall(r'^N\w+\((\w+), ', files['fmu.c'], re.M)
-    assert len(names) + len(typed) >= {'3.0': 70, '2.0': 40}[version]
     # In a process with the sanitizer: an instance, a step, and each function without variables.
     program.write_text('#include "fmu.c"\n' + (CALLS_3 if version == '3.0' else CALLS_2))
     for name, text in files.items():
