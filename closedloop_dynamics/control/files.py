@@ -3,7 +3,8 @@
 
 """Controllers from files: those shipped for a mechanism, and others in the same form."""
 
-from .controller import closed_loop, FEEDBACK_MODES, open_loop, SETTINGS
+from .controller import closed_loop, open_loop
+from .settings import FEEDBACK_MODES, SETTINGS
 from .errors import StartError
 from .references import PathError
 from ..mechanism.checks import list_of, number, one_of, text
@@ -28,7 +29,7 @@ class Controller:
     name : str
         For people.
     values : dict
-        Of ``controller.SETTINGS``, as ``read_controller`` returns them.
+        Of ``settings.SETTINGS``, as ``read_controller`` returns them.
     scene : simulation.scene_records.Scene
         What is driven. The controller has a model of it for itself.
 

@@ -401,10 +401,10 @@ class Model:
             f'{where}: expected the name of a link or frame, got {name!r}'
             f' ({nearest(name, known) or "there are " + among(known)})')
 
-    def ignore(self, counts, reasons, otherwise='not known to this reader'):
-        """Count an omission with its reason, by its kind, or ``otherwise``."""
+    def ignore(self, counts, reasons):
+        """Count omissions with the reason of their kind."""
         self.ignored.update({
-            f'{count} {what}' if count > 1 else what: reasons.get(what, otherwise)
+            f'{count} {what}' if count > 1 else what: reasons.get(what, 'not known to this reader')
             for what, count in counts.items()})
 
     def check(self):

@@ -119,7 +119,23 @@ class FixedSteps:
         """Begin as a new driver would."""
 
 
-class ErrorControlled:
+class _Adaptive:
+    """An error-controlled method whose ``control`` holds the time reached and the step size."""
+
+    def advance(self, state, origin, done, step_size, steps):
+        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        status = self._advance(state, origin, done, step_size, steps)
+        if status == DONE:
+            return status, steps * step_size
+        return status, self.control[columns.REACHED] - (origin + done * step_size)
+
+    def go_on(self):
+        """Let the next call go on; see ``FixedSteps.go_on``."""
+        if self.control[columns.STEP_SIZE] == 0.0:
+            self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
+
+
+class ErrorControlled(_Adaptive):
     """
     Steps of an embedded pair, as long as the tolerance allows.
 
@@ -153,24 +169,12 @@ class ErrorControlled:
         return one_run(EXPLICIT_STEPS, self._stabilisation, self._tableau, control=self.control,
                        scale=self._scale, scratch=self._scratch)
 
-    def advance(self, state, origin, done, step_size, steps):
-        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = self._advance(state, origin, done, step_size, steps)
-        if status == DONE:
-            return status, steps * step_size
-        return status, self.control[columns.REACHED] - (origin + done * step_size)
-
     def take(self, system):
         """Step with a system that works on other equations."""
         self._system = system
         self._advance = native.bind(
             'advance_explicit', system.native, self._tableau, self._stabilisation, self.control,
             self._scale, self._scratch)
-
-    def go_on(self):
-        """Let the next call go on; see ``FixedSteps.go_on``."""
-        if self.control[columns.STEP_SIZE] == 0.0:
-            self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
 
     @property
     def memory(self):
@@ -187,7 +191,7 @@ class ErrorControlled:
         self.control[:] = 0.0
 
 
-class Switching:
+class Switching(_Adaptive):
     """
     Error control that changes between an explicit and a stiff method; see ``switching``.
 
@@ -219,23 +223,11 @@ class Switching:
         return Stepper(
             SWITCHING_STEPS, self._stabilisation, self._tableau, self._unit, self._runs)
 
-    def advance(self, state, origin, done, step_size, steps):
-        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = self._advance(state, origin, done, step_size, steps)
-        if status == DONE:
-            return status, steps * step_size
-        return status, self.control[columns.REACHED] - (origin + done * step_size)
-
     def take(self, system):
         """Step with a system that works on other equations."""
         self._system = system
         self._advance = native.bind(
             'advance_switching', system.native, self._tableau, self._stabilisation, self._runs)
-
-    def go_on(self):
-        """Let the next call go on; see ``FixedSteps.go_on``."""
-        if self.control[columns.STEP_SIZE] == 0.0:
-            self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
 
     @property
     def memory(self):

@@ -6,7 +6,8 @@
 from dataclasses import dataclass
 from typing import Optional
 
-from closedloop_dynamics.control.controller import FEEDBACK_MODES, per_joint, reference
+from closedloop_dynamics.control.controller import per_joint, reference
+from closedloop_dynamics.control.settings import FEEDBACK_MODES
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS

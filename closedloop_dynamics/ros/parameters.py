@@ -3,10 +3,9 @@
 
 """Parameters of the nodes: typed, described, range-checked, with errors in one line."""
 
-from dataclasses import dataclass
 import textwrap
-from typing import Any, Optional, Tuple
 
+from closedloop_dynamics.control.settings import Setting
 from closedloop_dynamics.ros.process import StartError
 from rcl_interfaces.msg import FloatingPointRange
 from rcl_interfaces.msg import IntegerRange
@@ -31,33 +30,8 @@ _WIDER = {_Type.INTEGER: _Type.DOUBLE, _Type.INTEGER_ARRAY: _Type.DOUBLE_ARRAY}
 _HELP_WIDTH = 96
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """
-    One parameter of a node.
-
-    Attributes
-    ----------
-    name : str
-    default : object
-        Its type is the type of the parameter.
-    description : str
-        One or two sentences with the unit, for ``ros2 param describe``.
-    limits : tuple of 2 numbers, optional
-        Smallest and largest value of a floating-point or integer parameter.
-    choices : tuple of str
-        Values of a string parameter; empty: any string.
-    read_only : bool
-        Whether the value is fixed once the node runs.
-
-    """
-
-    name: str
-    default: Any
-    description: str
-    limits: Optional[Tuple[float, float]] = None
-    choices: Tuple[str, ...] = ()
-    read_only: bool = True
+class Parameter(Setting):
+    """A setting as a parameter of a node, with its text for ``ros2 param describe``."""
 
     @property
     def kind(self):

@@ -8,9 +8,9 @@ from itertools import chain
 from math import isfinite
 import time
 
-from closedloop_dynamics.control.controller import (
-    closed_loop, FEEDBACK_MODES, gains, MODEL_MODES, open_loop)
+from closedloop_dynamics.control.controller import closed_loop, gains, open_loop
 from closedloop_dynamics.control.references import TrajectoryError
+from closedloop_dynamics.control.settings import FEEDBACK_MODES, MODEL_MODES
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of, SERVICE_QOS
 from closedloop_dynamics.ros.joint_trajectory import points_of

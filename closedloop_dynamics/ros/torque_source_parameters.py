@@ -3,7 +3,7 @@
 
 """Parameters of the torque source: the settings of its controller, and what nodes have beside."""
 
-from closedloop_dynamics.control.controller import SETTINGS
+from closedloop_dynamics.control.settings import SETTINGS
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 
 TORQUE_SOURCE_PARAMETERS = (*(Parameter(*setting) for setting in SETTINGS), ALLOW_CODE)

@@ -76,18 +76,16 @@ class LineDrawing(NamedTuple):
     extent: float
 
 
-def line_drawing(motion, title, row=0):
+def line_drawing(motion, title):
     """
-    Return the drawing of a mechanism in one row of a motion, with the paths of all its points.
+    Return the drawing of a mechanism where a motion starts, with the paths of all its points.
 
     Parameters
     ----------
-    motion : motion.Motion
+    motion : trajectory.Trajectory
         Of the mechanism.
     title : str
         Of the drawing.
-    row : int
-        Which position is drawn.
 
     """
     mechanism = motion.mechanism
@@ -95,7 +93,7 @@ def line_drawing(motion, title, row=0):
     colors, lines = body_colors(mechanism), []
 
     def placed(body, points):
-        return MILLIMETRES * world_points(pose_of(mechanism, poses[row], body), points)
+        return MILLIMETRES * world_points(pose_of(mechanism, poses[0], body), points)
 
     for body in mechanism.bodies:
         for points in _strokes(mechanism, body.name):

@@ -18,7 +18,7 @@ import sys
 from types import ModuleType, SimpleNamespace
 
 from ament_index_python.packages import PackageNotFoundError
-from closedloop_dynamics.control.controller import FEEDBACK_MODES
+from closedloop_dynamics.control.settings import FEEDBACK_MODES
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
