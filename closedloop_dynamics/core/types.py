@@ -43,12 +43,12 @@ BODY_COLUMNS = 8
 # the factor 1/D, the reduced right-hand side, and how fast the angle that refinement counts by (of
 # the body in the plane, of the joint in space, the slide of a prismatic joint) accelerates.
 DINV, RHS, DZ = range(3)
-# In the plane. Set by kinematics.outward: absolute angle, its cosine and sine, origin,
+# In the plane. Set by the outward recursion: absolute angle, its cosine and sine, origin,
 # offset from the parent's origin, velocity, velocity-product acceleration of
 # the origin (its angular part is zero in the plane).
 ALPHA, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY = range(3, 15)
 # Articulated-body inertia [[IZZ, HX, HY], [HX, MXX, MXY], [HY, MXY, MYY]] and bias force:
-# set to the rigid body's own by kinematics.outward, completed by articulated_inertia.inward.
+# set to the rigid body's own by the outward recursion, completed by the inward one.
 IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(15, 24)
 # U = IA S; joint axis S (x and y; its angular part is 1 for a revolute joint, 0 for a prismatic
 # one); with DZ the acceleration beyond the velocity-product one.
@@ -69,7 +69,7 @@ BODY_STAGES = 13
 # Workspace.cut_piece, one row a cut joint: its equations; the wrenches of its multipliers.
 EQUATIONS, WRENCH = range(2)
 
-# What ``loop_closure.update`` computes of the unit cut forces: nothing, their shares at the joints
+# What ``Recursion.update`` computes of the unit cut forces: nothing, their shares at the joints
 # of trees that give way, or their levers on the bodies' angles and on the slides (J^T for these).
 NO_RESPONSES, REDUCED, LEVERS = range(3)
 
@@ -198,7 +198,7 @@ class Workspace(NamedTuple):
     closure, closure_rate, bias : ndarray, shape (nc,)
         psi, J qd and Jdot qd, in elimination order.
     equation : ndarray
-        Of one cut joint, as ``loop_closure.measure`` leaves it.
+        Of one cut joint, as ``engine/loop_closure.cpp`` leaves it.
     wrench : ndarray, shape (2, 3 or 6)
         On their way inward.
     share : ndarray, shape (9 or 18,)

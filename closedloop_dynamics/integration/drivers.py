@@ -193,7 +193,7 @@ class ErrorControlled(_Adaptive):
 
 class Switching(_Adaptive):
     """
-    Error control that changes between an explicit and a stiff method; see ``switching``.
+    Error control that changes between an explicit and a stiff method (``engine/switching.cpp``).
 
     ``accuracy``: float; global error of coordinates within a second [rad or m].
 

@@ -77,7 +77,7 @@ class SimulatorNode(Node):
         Joint states and constraint forces.
     live : live.LiveSimulation
         The simulation under the command, with its publishers.
-    pacer : pacing.Pacer
+    pacer : simulation.pacer.Pacer
         Simulated and elapsed time.
     mode : pacing.RealTime, pacing.AsFastAsPossible or pacing.Lockstep
         When to advance.

@@ -150,7 +150,7 @@ class Plan:
     # Shape (rows, na): of the actuated joints [N m or N], for equal parts of the duration;
     # none where None.
     torques: Optional[np.ndarray] = None
-    keep: Tuple[str, ...] = STATE  # Quantities kept at every instant; of ``recording.QUANTITIES``
+    keep: Tuple[str, ...] = STATE  # Of ``rollout_run.QUANTITIES``, at every instant
 
     def __post_init__(self):
         """Refuse a plan that fails for every sample."""

@@ -82,7 +82,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
         Sequences of them, for equal parts of the duration: shape (rows, number of actuated
         joints), or (samples, rows, number of actuated joints).
     keep : sequence of str
-        Quantities kept at every instant, of ``recording.QUANTITIES``; the final values and a
+        Quantities kept at every instant, of ``rollout_run.QUANTITIES``; the final values and a
         summary always are.
     resume : bool
         Go on where a file is there already, of the same sweep.

@@ -38,7 +38,7 @@ def assemble(model, work):
     model : Model
         Constant topology and geometry.
     work : Workspace
-        After ``loop_closure.update``; ``factor`` is written, and ``scale``, the same for
+        After ``Recursion.update``; ``factor`` is written, and ``scale``, the same for
         all equations of a cut point, whatever the direction of the world's axes.
 
     Notes

@@ -194,7 +194,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     -------
     bool
         Whether the configuration is regular, with masses that double precision can distinguish.
-        If not, ``rank_revealing.accelerate`` must be asked, after the outward recursion again.
+        If not, ``engine/rank_revealing.cpp`` must be asked, after the outward recursion again.
 
     Notes
     -----
