@@ -76,7 +76,7 @@ class Server:
         self._host, self._resource = host, resource
         self.token = None if is_local(host) else secrets.token_urlsafe(16)
         self._started, self._error = threading.Event(), None
-        self._loop, self._over = None, None
+        self._loop, self._over, self._attending = None, None, set()
         self._wanted_port, self.port = port, None
         self.thread = threading.Thread(target=self._run, name='view_server', daemon=True)
         self.thread.start()
@@ -109,8 +109,11 @@ class Server:
             return
         self.port = server.sockets[0].getsockname()[1]
         self._started.set()
-        async with server:
-            await self._over.wait()
+        await self._over.wait()
+        server.close()
+        # For pages only: a browser also opens connections that it asks nothing of for seconds.
+        if self._attending:
+            await asyncio.wait(self._attending, timeout=PATIENCE)
 
     # Pages.
 
@@ -169,6 +172,9 @@ class Server:
                 # The loop may be over already.
                 self._loop.call_soon_threadsafe(changed.set)
 
+        attending = asyncio.current_task()
+        self._attending.add(attending)
+        attending.add_done_callback(self._attending.discard)
         feed.on_change.append(wake)
         feed.pages += 1
         sending = asyncio.create_task(page.send())

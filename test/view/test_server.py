@@ -196,3 +196,11 @@ def test_a_port_that_is_taken_is_refused():
             Server(['page'], [], port=70_000)
     finally:
         server.close()
+
+
+def test_a_connection_that_asks_for_nothing_holds_up_no_end():
+    server = Server(['page'], [Feed({'name': 'test'})])
+    # As a browser opens them ahead of need.
+    with socket.create_connection(('127.0.0.1', server.port)), Client(server.url):
+        server.close()
+        assert not server.thread.is_alive()
