@@ -65,10 +65,11 @@ def test_no_mechanism_is_known_by_name():
         assert not shipped & texts, path
 
 
-@functools.cache
-def syntax_trees():
-    """Return the syntax tree of every file of the package, by its path."""
-    return {path: ast.parse(path.read_text()) for path in (ROOT / PACKAGE).rglob('*.py')}
+@functools.lru_cache(maxsize=1)
+def nodes_of(folder):
+    """Return all nodes of the syntax tree of every file in a folder, by its path."""
+    return {path: list(ast.walk(ast.parse(path.read_text())))
+            for path in (ROOT / folder).rglob('*.py')}
 
 
 def private(names):
@@ -76,52 +77,58 @@ def private(names):
     return {name for name in names if name.startswith('_') and not name.startswith('__')}
 
 
-def private_members(tree):
+def private_members(nodes):
     """Return the private methods and attributes that the classes of a file define."""
-    methods = {node.name for each in ast.walk(tree) if isinstance(each, ast.ClassDef)
+    methods = {node.name for each in nodes if isinstance(each, ast.ClassDef)
                for node in each.body if isinstance(node, ast.FunctionDef)}
     return private(methods | {
-        node.attr for node in ast.walk(tree)
+        node.attr for node in nodes
         if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)})
 
 
+def is_own(node):
+    """Return whether a node is ``self.NAME`` or ``cls.NAME``."""
+    return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and (
+        node.value.id in ('self', 'cls'))
+
+
 def test_private_names_are_used_where_they_are_defined():
-    trees = syntax_trees()
-    members_of = {path: private_members(tree) for path, tree in trees.items()}
+    files = nodes_of(PACKAGE)
+    members_of = {path: private_members(nodes) for path, nodes in files.items()}
     members = set().union(*members_of.values())
     found = []
-    for path, tree in trees.items():
+    for path, nodes in files.items():
         elsewhere = members - members_of[path]
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.ImportFrom) and (
                     node.level or node.module.startswith(PACKAGE)):
                 if private(alias.name for alias in node.names):
                     found.append(f'{path}:{node.lineno}')
-            own = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and (
-                node.value.id in ('self', 'cls'))
-            if isinstance(node, ast.Attribute) and not own and node.attr in elsewhere:
+            if isinstance(node, ast.Attribute) and node.attr in elsewhere and not is_own(node):
                 found.append(f'{path}:{node.lineno} {ast.unparse(node)}')
     assert not found
 
 
-def defined_privately(tree):
+def defined_privately(nodes):
     """Return the private names that a file gives to functions, classes, values and members."""
-    return private_members(tree) | private(
-        getattr(node, 'name', None) or node.id for node in ast.walk(tree)
+    return private_members(nodes) | private(
+        getattr(node, 'name', None) or node.id for node in nodes
         if isinstance(node, (ast.FunctionDef, ast.ClassDef))
         or isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store))
 
 
 def test_tests_use_nothing_private():
-    known, found = set().union(*map(defined_privately, syntax_trees().values())), []
-    for path in (ROOT / 'test').rglob('*.py'):
-        tree = ast.parse(path.read_text())
-        others = known - defined_privately(tree)
-        for node in ast.walk(tree):
+    known = set().union(*map(defined_privately, nodes_of(PACKAGE).values()))
+    found = []
+    for path, nodes in nodes_of('test').items():
+        others = known - defined_privately(nodes)
+        for node in nodes:
             used = set()
-            if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ('self', 'cls'):
+            if isinstance(node, ast.Attribute) and not is_own(node):
                 used = {node.attr}
-            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith('tattr'):
+            elif isinstance(node, ast.Call) and (
+                    getattr(node.func, 'id', None) or getattr(node.func, 'attr', '')
+                    ).endswith('tattr'):
                 used = {each.value for each in node.args if isinstance(each, ast.Constant)}
             elif isinstance(node, ast.ImportFrom) and (node.module or '').startswith(PACKAGE):
                 used = {alias.name for alias in node.names}
@@ -132,8 +139,8 @@ def test_tests_use_nothing_private():
 
 def test_no_part_of_a_node_holds_it():
     found = []
-    for path in (ROOT / PACKAGE / 'ros').glob('*.py'):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path, nodes in nodes_of(f'{PACKAGE}/ros').items():
+        for node in nodes:
             if isinstance(node, ast.Assign) and any(
                     isinstance(target, ast.Attribute) for each in node.targets
                     for target in ast.walk(each)):
@@ -144,7 +151,7 @@ def test_no_part_of_a_node_holds_it():
 
 
 def test_attributes_are_not_probed_for():
-    found = [f'{path}:{node.lineno}' for path, tree in syntax_trees().items()
-             if path.parent.name in ('effects', 'ros') for node in ast.walk(tree)
+    found = [f'{path}:{node.lineno}' for room in ('effects', 'ros')
+             for path, nodes in nodes_of(f'{PACKAGE}/{room}').items() for node in nodes
              if isinstance(node, ast.Name) and node.id == 'hasattr']
     assert not found
