@@ -54,11 +54,6 @@ class Results:
                 if row['engine'] != OURS and row[COST] == row[COST] and _kept(row, target)]
         return min(rows, key=lambda row: row[COST], default=None)
 
-    def note(self, machine, rate):
-        """Return why there are no rows of the default method, or ''."""
-        return next((row['note'] for row in self._rows.get((machine, rate), ())
-                     if row['engine'] == OURS and row['note']), '')
-
     def digit(self, machine, rate):
         """Return what one more digit costs, as a share; None where it was not measured."""
         ends = [self.ours(machine, rate, target) for target in (TARGETS[0], TARGETS[-1])]
@@ -80,36 +75,31 @@ def table(results, rate):
         for target in TARGETS:
             one = results.ours(machine, rate, target)
             cells.append(seconds(one[COST]) if one else NOTHING)
+        share = results.digit(machine, rate)
+        cells.append(NOTHING if share is None else f'{round(100.0 * share)} %')
         for target in TARGETS:
             one, other = results.ours(machine, rate, target), results.other(machine, rate, target)
-            cells.append(NOTHING if other is None else f'{seconds(other[COST])}, {_who(other)}' + (
+            cells.append(NOTHING if other is None else f'{seconds(other[COST])} {_who(other)}' + (
                 f' ({spread([other[COST] / one[COST]])})' if one else ''))
-        if any(cell != NOTHING for cell in cells):
+        # Machines without drives are not moved by torques.
+        if not rate or any(cell != NOTHING for cell in cells):
             rows.append((machine, *cells))
     return markdown_table(
-        ('machine', *(f'default, {target:.0e}' for target in TARGETS),
-         *(f'others, {target:.0e} (times ours)' for target in TARGETS)), rows)
+        ('machine', *(f'default, {target:.0e}' for target in TARGETS), 'a digit more',
+         *(f'others, {target:.0e}' for target in TARGETS)), rows)
+
+
+# Whose method it is, in two letters; doc/accuracy_machines.md says which.
+METHODS = {('Pinocchio', 'constraintDynamics, RK4'): 'C4',
+           ('Pinocchio', 'constraintDynamics, Fehlberg 7(8)'): 'C7',
+           ('Pinocchio', 'lcaba, RK4'): 'L4', ('Pinocchio', 'lcaba, Fehlberg 7(8)'): 'L7',
+           ('MuJoCo', 'RK4'): 'M4', ('MuJoCo', 'implicitfast'): 'Mi'}
 
 
 def _who(row):
-    """Return whose row it is, and by which method, in short."""
-    method = row['setting'].partition(', tolerance')[0].partition(', step')[0]
-    return f'{row["engine"]} {method}'
-
-
-def digits(results):
-    """Return what one more digit costs, a sentence for each machine."""
-    lines = []
-    for machine in results.machines:
-        found = {NAMES[rate]: results.digit(machine, rate) for rate in RATES}
-        told = [f'{round(100.0 * share)} % ({name})' for name, share in found.items()
-                if share is not None]
-        if told:
-            lines.append(f'- `{machine}`: one more digit costs {", ".join(told)} of CPU time.')
-        else:
-            why = results.note(machine, 0).partition('; ')[0].partition('. ')[0]
-            lines.append(f'- `{machine}`: not told. {why}.')
-    return '\n'.join(lines)
+    """Return the letters of the method of a row."""
+    return METHODS[
+        row['engine'], row['setting'].partition(', tolerance')[0].partition(', step')[0]]
 
 
 def summary(results):
@@ -140,7 +130,7 @@ def passages(path):
     """Return {name of a passage: its text} of the pages on accuracy."""
     results = Results(path)
     tables = {f'machines {NAMES[rate]}': table(results, rate) for rate in RATES}
-    return {'machines': summary(results), **tables, 'machines digits': digits(results)}
+    return {'machines': summary(results), **tables}
 
 
 def picture(path):
