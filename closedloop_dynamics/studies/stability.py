@@ -90,7 +90,7 @@ OUTCOME_COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4',
 
 def stability_atlas(atlas, cases=CASES, methods=METHODS):
     """Draw the atlas."""
-    figure = Figure(figsize=(1.35 * len(methods) + 3.4, 0.34 * len(cases) + 2.2),
+    figure = Figure(figsize=(0.82 * len(methods) + 2.6, 0.26 * len(cases) + 2.2),
                     dpi=DOTS_PER_INCH, layout='constrained')
     axes = figure.subplots()
     names = list(methods)
@@ -110,7 +110,7 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
                   ha='left')
     axes.set_xlim(-0.52, len(names) - 0.48)
     axes.set_ylim(height - 0.45, -0.2)
-    axes.set_xticks(range(len(names)), names, fontsize=9)
+    axes.set_xticks(range(len(names)), [name.replace(' ', '\n') for name in names], fontsize=9)
     axes.xaxis.tick_top()
     axes.set_yticks([heights[case.name] for case in cases], [case.name for case in cases],
                     fontsize=9)
