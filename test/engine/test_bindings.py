@@ -285,12 +285,13 @@ def test_no_reference_is_lost_or_kept_by_calls(system):
             native.forward_dynamics(*arguments[:-1], 'text')
         with pytest.raises(TypeError):
             native.forward_dynamics(*arguments[:-1])
-        gc.collect()
 
     calls()
+    gc.collect()
     before = [sys.getrefcount(each) for each in watched]
     for _ in range(50):
         calls()
+    gc.collect()
     assert [sys.getrefcount(each) for each in watched] == before
 
 
