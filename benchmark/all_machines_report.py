@@ -97,9 +97,9 @@ METHODS = {('Pinocchio', 'constraintDynamics, RK4'): 'C4',
 
 
 def _who(row):
-    """Return the letters of the method of a row."""
-    return METHODS[
-        row['engine'], row['setting'].partition(', tolerance')[0].partition(', step')[0]]
+    """Return the letters of the method of a row, its name where it has none."""
+    method = row['setting'].partition(', tolerance')[0].partition(', step')[0]
+    return METHODS.get((row['engine'], method), f'{row["engine"]} {method}')
 
 
 def summary(results):

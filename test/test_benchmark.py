@@ -178,17 +178,18 @@ def test_the_best_of_the_others_is_the_cheapest_that_keeps_an_error(benchmark, t
         {**usual, 'engine': machines.OURS, 'setting': f'accuracy {target:.0e}', 'target': target,
          'error': 0.1 * target, 'cpu_time_per_second': cost}
         for target, cost in ((1e-3, 1.0), (1e-6, 2.0), (1e-9, 4.0))] + [
-        {**usual, 'engine': 'Other', 'setting': setting, 'error': error,
+        {**usual, 'engine': engine, 'setting': f'{method}, step 1 s', 'error': error,
          'cpu_time_per_second': cost}
-        for setting, error, cost in (('A, step 1 s', 1e-4, 3.0), ('B, step 1 s', 1e-7, 5.0),
-                                     ('C, step 1 s', 1e-7, 9.0), ('D, step 1 s', math.nan, 0.1))],
+        for engine, method, error, cost in (
+            ('MuJoCo', 'RK4', 1e-4, 3.0), ('Other', 'B', 1e-7, 5.0), ('Other', 'C', 1e-7, 9.0),
+            ('Other', 'D', math.nan, 0.1))],
         tmp_path / 'rows.csv')
     results = report.Results(tmp_path / 'rows.csv')
     found = [results.other('one', 0, target) for target in machines.TARGETS]
     assert [row and row['cpu_time_per_second'] for row in found] == [3.0, 5.0, None]
     # The reference is not known to 1e-9.
     assert results.ours('one', 0, 1e-9) is None and results.digit('one', 0) is None
-    assert '| one | 1 s | 2 s | - | 3 s, Other A (3) | 5 s, Other B (2.5) | - |' in (
+    assert '| one | 1 s | 2 s | - | - | 3 s M4 (3) | 5 s Other B (2.5) | - |' in (
         report.table(results, 0))
 
 
