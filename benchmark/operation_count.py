@@ -35,7 +35,6 @@ from closedloop_dynamics.core.codegen.routines import MechanismTrace  # noqa: E4
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import load_scene, scene_names  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model  # noqa: E402
 from closedloop_dynamics.simulation.tree_choice import MOST_JOINTS  # noqa: E402
 from closedloop_dynamics.studies.families import ladder  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
@@ -131,8 +130,7 @@ def models():
     found = {}
     for mechanism in [load_scene(name).mechanism for name in scene_names()] + [ladder(LADDER)[0]]:
         if mechanism.name not in found and len(mechanism.joints) <= MOST_JOINTS:
-            found[mechanism.name] = (build_model(mechanism) if mechanism.planar
-                                     else build_spatial_model(mechanism).model)
+            found[mechanism.name] = build_model(mechanism)
     return found
 
 

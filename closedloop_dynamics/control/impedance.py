@@ -15,7 +15,7 @@ import numpy as np
 
 from .errors import StartError
 from ..mechanism.rotations import composed, CONJUGATE, rotated, rotation_vector
-from ..simulation.redundancy import geometry_of
+from ..simulation.geometry import Geometry
 from ..visual.trajectory import (
     body_poses, body_velocities, poses_in_space, wrench_in_joints)
 
@@ -58,7 +58,7 @@ class Impedance:
                              f"{self._mechanism.name} ({', '.join(points)}), got '{name}'")
         self._body = points[name].body
         self._place = np.array([*points[name].position, 0.0][:3])
-        self._closures = geometry_of(self._mechanism).equations
+        self._closures = Geometry(self._mechanism).equations
         self._actuated = simulation.actuated
         self.target = self.pose(simulation.position)
         self.tune(stiffness, damping, feedforward, limit)

@@ -17,11 +17,8 @@ class Machine:
     Parameters
     ----------
     mechanism : Mechanism
-    rows : dict of str to int
-        Row of each body in the kernels' arrays.
-    placements : dict of str to Placement, optional
-        Where the bodies' frames are in those of their rows, in space; in the plane they are the
-        same.
+    placements : dict of str to simulation.tree_rows.Placement
+        Where the bodies' frames are in those of their rows in the kernels' arrays.
     motions : dict of DrivingConstraint to tuple, optional
         By the equation of a prescribed motion, without its name: its row of ``Model.cut``, its
         place among the multipliers, the first of its right-hand sides in ``Model.cut_point``, and
@@ -40,9 +37,9 @@ class Machine:
 
     decided = frozenset()
 
-    def __init__(self, mechanism, rows, placements=None, motions=None, cuts=()):
+    def __init__(self, mechanism, placements, motions=None, cuts=()):
         """Collect the names."""
-        self.mechanism, self._rows, self._placements = mechanism, rows, placements
+        self.mechanism, self._placements = mechanism, placements
         self._motions, self.cuts = motions, tuple(cuts)
         self._joints = {joint.name: joint for joint in mechanism.joints}
         self._points = {point.name: point for point in mechanism.points}
@@ -77,22 +74,21 @@ class Machine:
         """Return the row of the body that a joint carries; 0 for a cut joint."""
         if name in self.cuts:
             return 0
-        return self._rows[self._joints[self.mechanism.coordinates.joint_of(name)].child]
+        return self.body(self._joints[self.mechanism.coordinates.joint_of(name)].child)
 
     def body(self, name):
         """Return the row of a body."""
-        return self._rows[name]
+        return self._placements[name].row
 
     def placement(self, name):
-        """Return where a body's frame is in that of its row, in space."""
+        """Return where a body's frame is in that of its row."""
         return self._placements[name]
 
     def point(self, name):
         """Return the row of a point's body, and its place in the row's frame."""
         point = self._points[name]
-        place = point.position if self.mechanism.planar else tuple(
-            self._placements[point.body].place(point.position))
-        return self._rows[point.body], place
+        placement = self._placements[point.body]
+        return placement.row, tuple(placement.place(point.position))
 
     def carrier(self, name):
         """Return the name of the body that a point belongs to."""

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from typing import Tuple, Union
 
 from .effect import Effect
-from ..core.codegen import space
-from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, one_or_several, vector
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector
@@ -61,14 +59,5 @@ class Payload(Effect):
 
     def change(self, model, machine):
         """Add the mass to the model."""
-        row, position = machine.body(self.body), machine.vector(self.position)
-        if not machine.mechanism.planar:
-            placement = machine.placement(self.body)
-            about = placement.axes @ space.inertia_matrix(self.inertia) @ placement.axes.T
-            space.weigh(model.body[row], self.mass, placement.place(position), about)
-            return
-        x, y = position
-        model.body[row, MASS] += self.mass
-        model.body[row, MASS_X] += self.mass * x
-        model.body[row, MASS_Y] += self.mass * y
-        model.body[row, INERTIA] += self.inertia + self.mass * (x * x + y * y)
+        machine.placement(self.body).weigh(
+            model.body, self.mass, machine.vector(self.position), self.inertia)

@@ -536,7 +536,7 @@ inline constexpr auto precondition<find_joint_forces> =
     const Index all = system.whole.empty() ? system.lam.size : system.whole.lam.size;
     return expected::unless(
       lam.size == all && expected::within(row, 0, bodies) &&
-      (point.rows == 0 || (size == 6 && expected::has_shape(point, row.size, 3))) &&
+      expected::has_shape(point, row.size, 3) &&
       expected::has_shape(scratch, bodies, 2 * size) &&
       expected::has_shape(out, row.size, size));
   };

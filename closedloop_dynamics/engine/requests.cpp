@@ -246,7 +246,8 @@ void find_joint_forces(
       continue;
     }
     copy(scratch[i], out[k]);
-    if (point.rows > 0) {
+    // In the plane rows begin where the joints are.
+    if (!work.planar()) {
       const Vector3 moment = cross(
         to_world(work.body, i, vector3(point.row(k))), vector3(out.row(k) + 3));
       out(k, 0) -= moment.x;

@@ -10,6 +10,8 @@ The coordinates of other cut joints are not: of these a coupling may name one.
 
 """
 
+import numpy as np
+
 from .mechanism import GROUND, REVOLUTE
 
 
@@ -71,3 +73,51 @@ def in_tree(mechanism, coupling):
                     factors[joint.name] = factors.get(joint.name, 0.0) + sign
                 body = joint.parent
     return {name: factor for name, factor in factors.items() if factor != 0.0}, offset
+
+
+def coupling_scales(mechanism):
+    """
+    Return what the multipliers of couplings are to be divided by.
+
+    Those of a cut joint whose coordinate is no sum of those of the tree are written for that
+    coordinate, without its factor.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+
+    Returns
+    -------
+    ndarray, shape (number of couplings,)
+
+    """
+    found = [measured(mechanism, one) for one in mechanism.couplings]
+    return np.array([one.joints[cuts[0].name] if cuts else 1.0
+                     for one, cuts in zip(mechanism.couplings, found)])
+
+
+def relative(mechanism, coupling):
+    """
+    Return a coupling for the coordinate of the cut joint that ``measured`` tells.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    coupling : Coupling
+        Of one such cut joint.
+
+    Returns
+    -------
+    cut : CutJoint
+    factors : dict of str to float
+        Of joints of the tree.
+    offset : float
+        What the sum with the coordinate of the cut joint is held at.
+
+    """
+    cut, = measured(mechanism, coupling)
+    factors, offset = in_tree(mechanism, coupling)
+    own = coupling.joints[cut.name]
+    return cut, {name: factor / own for name, factor in factors.items()}, offset / own

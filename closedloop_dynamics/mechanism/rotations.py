@@ -7,6 +7,8 @@ import math
 
 import numpy as np
 
+from ..engine import native
+
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
@@ -52,16 +54,15 @@ def of_quaternion(quaternion):
 
 def quaternion_of(matrix):
     """Return the unit quaternion x, y, z, w of a rotation, shape (3, 3); w is not negative."""
-    # q q^T, of which the column with the largest diagonal entry gives q best.
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
-    outer = 0.25 * np.array([
-        [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
-        [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
-        [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
-        [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz]])
-    column = outer[np.argmax(np.diag(outer))]
-    found = column / np.copysign(np.linalg.norm(column), column[3])
+    found, = quaternions_of(np.array([matrix]))
     return tuple((found + 0.0).tolist())
+
+
+def quaternions_of(matrices):
+    """Return the same of rotations, shape (n, 3, 3), as an array, shape (n, 4)."""
+    found = np.empty((len(matrices), 4))
+    native.fill_quaternions(np.ascontiguousarray(matrices), found)
+    return found
 
 
 def composed(first, second):

@@ -13,9 +13,9 @@ from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
+from ..simulation.geometry import Geometry
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
-from ..simulation.redundancy import geometry_of
 from ..visual.trajectory import body_poses, named_point, pose_of, world_points
 
 TURN = 2.0 * math.pi
@@ -87,7 +87,7 @@ def cycle(scene):
             'expected drives, as the scene does not have one actuated joint, which turns; got '
             f'{", ".join(names) or "none that is actuated"}')
     name, ends = names[0], []
-    assembler = Assembler(scene.mechanism, geometry_of(scene.mechanism).equations)
+    assembler = Assembler(scene.mechanism, Geometry(scene.mechanism).equations)
     position = assembler.positions(scene.initial.position, scene.initial.hold)
     coordinates = scene.mechanism.coordinates
     start = float(position[coordinates.place[coordinates.index[name]]])
@@ -104,7 +104,7 @@ def cycle(scene):
 def degrees_of_freedom(scene, position):
     """Return the degrees of freedom of a scene's mechanism near a position."""
     mechanism = scene.mechanism
-    return Assembler(mechanism, geometry_of(mechanism).equations).degrees_of_freedom(position)
+    return Assembler(mechanism, Geometry(mechanism).equations).degrees_of_freedom(position)
 
 
 def drive_values(run):
@@ -383,7 +383,7 @@ def sensitivity(scene, run, keys, numbers_of=output_numbers) -> Sensitivity:
     mechanism = scene.mechanism
     coordinates, known = mechanism.coordinates, numbers(scene)
     free = [place for place, name in enumerate(coordinates.names) if name not in run.driven]
-    equations = geometry_of(mechanism).equations
+    equations = Geometry(mechanism).equations
     inverses, jacobians = [], []
     for position in run.position:
         jacobians.append(equations.move(position).jacobian()[:, free].copy())
@@ -414,5 +414,5 @@ def sensitivity(scene, run, keys, numbers_of=output_numbers) -> Sensitivity:
 
 def _closures(mechanism, positions):
     """Return the errors of the closure equations, shape (n, number of equations)."""
-    equations = geometry_of(mechanism).equations
+    equations = Geometry(mechanism).equations
     return np.array([equations.move(position).closures()[0].copy() for position in positions])

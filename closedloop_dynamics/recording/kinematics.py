@@ -16,8 +16,8 @@ from ..simulation.assemblies import find_assemblies
 from ..simulation.assembly import Assembler
 from ..simulation.driven import BranchEndError, DrivenKinematics
 from ..simulation.errors import SimulationError
+from ..simulation.geometry import Geometry
 from ..simulation.motions import with_motions
-from ..simulation.redundancy import geometry_of
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
@@ -180,12 +180,12 @@ def assemblies(scene, drives):
 
 def start_position(scene):
     """Return the position of a scene's start, assembled."""
-    assembler = Assembler(scene.mechanism, geometry_of(scene.mechanism).equations)
+    assembler = Assembler(scene.mechanism, Geometry(scene.mechanism).equations)
     return assembler.positions(scene.initial.position, scene.initial.hold)
 
 
 def _assembled(mechanism, start, values):
-    return find_assemblies(mechanism, geometry_of(mechanism).equations, values, start)
+    return find_assemblies(mechanism, Geometry(mechanism).equations, values, start)
 
 
 def _assembly(mechanism, start, values, number):

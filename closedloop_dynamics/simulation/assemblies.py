@@ -10,9 +10,9 @@ import numpy as np
 
 from .assembly import Assembler, rank_of, TOLERANCE
 from .errors import AssemblyError
+from .geometry import Geometry
 from .modeling import extent
 from .planar_assemblies import all_planar, NotProved
-from .redundancy import geometry_of
 from .state import State
 from ..core import types as t
 from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, SPHERICAL
@@ -183,7 +183,7 @@ class _Distinct:
     def __init__(self, mechanism, size):
         """Begin with none."""
         self._mechanism, self._size = mechanism, size
-        self._geometry, self._places = geometry_of(mechanism), []
+        self._geometry, self._places = Geometry(mechanism), []
         self.positions = []
 
     def add(self, position):
@@ -220,7 +220,7 @@ def drives_needed(mechanism, jacobian, unit, position):
 
     """
     loops = replace(mechanism, motions=())
-    freedoms = Assembler(loops, geometry_of(loops).equations).degrees_of_freedom(position)
+    freedoms = Assembler(loops, Geometry(loops).equations).degrees_of_freedom(position)
     null = np.linalg.svd(jacobian)[2][rank_of(jacobian):]
     if all(_is_idle(mechanism, position, row * unit) for row in null):
         return freedoms - len(null), null[:0], np.ascontiguousarray(null)
@@ -259,7 +259,7 @@ def _is_idle(mechanism, position, rates):
               if JOINT_FREEDOMS[joint.type] == 1]
     if np.abs(rates[wheels]).max(initial=0.0) > STILL * most:
         return False
-    step, geometry = 1e-6, geometry_of(mechanism)
+    step, geometry = 1e-6, Geometry(mechanism)
     one, other = (marked_places(mechanism, geometry, coordinates.moved(
         position, sign * step * rates)) for sign in (1.0, -1.0))
     return np.abs(one - other).max(initial=0.0) <= STILL * step * extent(mechanism) * most
@@ -273,7 +273,7 @@ def marked_places(mechanism, geometry, position):
     ----------
     mechanism : mechanism.mechanism.Mechanism
         Any.
-    geometry : plane.PlanarGeometry or space.SpatialGeometry
+    geometry : Geometry
         Of it.
     position : ndarray, shape (nq,)
         Joint coordinates.

@@ -15,7 +15,7 @@ import cmath
 
 from .assembly import Assembler
 from .frames import body_pose
-from .redundancy import geometry_of
+from .geometry import Geometry
 from .scene_records import Initial, Scene
 from .variant import Variant
 from ..effects.gravity import Gravity
@@ -67,7 +67,7 @@ def cognates(scene, point=None):
         raise ValueError(f'point: expected a point of the coupler, {coupler} '
                          f'({", ".join(names) or "it has none"}), got {point!r}')
     point = point or names[0]
-    position = Assembler(mechanism, geometry_of(mechanism).equations).positions(
+    position = Assembler(mechanism, Geometry(mechanism).equations).positions(
         scene.initial.position, scene.initial.hold)
 
     def place(body, own):

@@ -19,8 +19,8 @@ import numpy as np
 
 from .assembly import rank_from, TOLERANCE
 from .errors import SimulationError
+from .geometry import Geometry
 from .modeling import extent
-from .redundancy import geometry_of
 from ..core.manifold import manifold_of
 from ..engine import native
 
@@ -103,7 +103,7 @@ class Completion:
         lengths = np.array(coordinates.lengths, dtype=bool)
         self._unit = np.where(lengths, self._size, 1.0)
         self._turns = ~lengths[self._rates]
-        geometry = geometry_of(mechanism)
+        geometry = Geometry(mechanism)
         self._equations, self._manifold = geometry.equations, manifold_of(geometry.model)
         self.position = np.array(position, dtype=float)
         self.velocity = np.zeros(coordinates.nv)

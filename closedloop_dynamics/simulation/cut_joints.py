@@ -5,8 +5,6 @@
 
 import numpy as np
 
-from .space import quaternions
-from .spatial_modeling import Placement
 from ..core import types as t
 from ..core.codegen.space import FRAME
 from ..effects.table import (
@@ -15,7 +13,7 @@ from ..effects.table import (
 from ..engine import native
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import of_quaternion, quaternions_of
 
 
 def acted_in(mechanism, effects):
@@ -41,7 +39,7 @@ def acted_in(mechanism, effects):
                  if name in named or place in known.actuated)
 
 
-def coordinate_arrays(mechanism, model, rows, placements, names, followed):
+def coordinate_arrays(mechanism, model, placements, names, followed):
     """
     Return the coordinates of some cut joints as arrays.
 
@@ -51,10 +49,8 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
         In the plane or in space.
     model : core.types.Model
         Of it.
-    rows : dict of str to int
-        Row of each body.
-    placements : dict of str to Placement or None
-        Where their frames are in those of the rows, in space.
+    placements : dict of str to tree_rows.Placement
+        Where the bodies' frames are in those of their rows.
     names : sequence of str
         Of freedoms of cut joints.
     followed : bool
@@ -74,8 +70,7 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
     for one, line, name in zip(index, values, names):
         freedom = known[name]
         cut = freedom.cut
-        a, b = (Placement(rows[body], np.eye(3), np.zeros(3)) if placements is None
-                else placements[body] for body in freedom.bodies)
+        a, b = (placements[body] for body in freedom.bodies)
         turns = not (freedom.slides or mechanism.planar)
         point_a, point_b = map(_whole, freedom.points)
         one[:] = (freedom.slides, mechanism.planar, a.row, b.row,
@@ -144,7 +139,7 @@ class CutJoints:
     ----------
     mechanism : Mechanism
         In the plane or in space.
-    model, rows, placements
+    model, placements
         As for ``coordinate_arrays``.
     acted : sequence of str
         Names of those that anything acts along.
@@ -158,13 +153,13 @@ class CutJoints:
 
     """
 
-    def __init__(self, mechanism, model, rows, placements, acted):
+    def __init__(self, mechanism, model, placements, acted):
         """Look up the bodies."""
         self._coordinates = mechanism.cut_coordinates
         self.names = self._coordinates.names
         self.acted = np.array([self.names.index(name) for name in acted], dtype=int)
         self._index, self._values = coordinate_arrays(
-            mechanism, model, rows, placements, self.names, False)
+            mechanism, model, placements, self.names, False)
         self.count, numbers = len(self.names), [cut.name for cut in mechanism.cut_joints]
         known = cut_freedoms(mechanism) if self.count else {}
         self._numbers = [numbers.index(one.cut.name) for one in known.values()]
@@ -224,7 +219,7 @@ class CutJoints:
         found[self._singles] = position[self._coordinates.single]
         frames = body[self._rows, FRAME:FRAME + 9].reshape(-1, 3, 3) @ self._axes
         count = len(frames) // 2
-        found[self._quaternions] = quaternions(frames[:count].swapaxes(1, 2) @ frames[count:])
+        found[self._quaternions] = quaternions_of(frames[:count].swapaxes(1, 2) @ frames[count:])
         return found
 
     def accelerations(self, equations, qdd):

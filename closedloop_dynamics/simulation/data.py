@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 from .assembly import Assembler
 from .cut_joints import coordinate_arrays, CutJoints
 from .errors import AssemblyError, SimulationError
+from .geometry import Geometry
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
 from .loop_model import LoopModel
 from .modeling import extent
 from .motions import DrivingConstraints, require_actuated
 from .names import Names
-from .redundancy import geometry_of
 from .scene_records import Method, Scene
 from .state import State
 from ..core import types as t
@@ -72,8 +72,8 @@ class Data(Names):
         self.decomposition = decompose(self.mechanism)
         self._time = 0.0
         self._points = {point.name: point for point in self.mechanism.points}
-        self._geometry = geometry_of(self.mechanism, self.decomposition)
-        self._rows, placements = self._geometry.rows, self._geometry.placements
+        self._geometry = Geometry(self.mechanism, self.decomposition)
+        placements = self._geometry.placements
         self._prescribe(scene)
         if self._may_leave_out(scene.method):
             self._geometry.leave_out_repeated(
@@ -81,11 +81,11 @@ class Data(Names):
             self._motions.look_up(self._geometry.model)
         model, self._equations = self._geometry.model, self._geometry.equations
         machine = Machine(
-            self.mechanism, self._rows, placements, self._motions.rows, self.acted)
+            self.mechanism, placements, self._motions.rows, self.acted)
         self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
-            self.mechanism, model, self._rows, placements, self.acted, True)
+            self.mechanism, model, placements, self.acted, True)
             if self.acted else None, scene.switched_off)
-        self._cuts = CutJoints(self.mechanism, model, self._rows, placements, self.acted)
+        self._cuts = CutJoints(self.mechanism, model, placements, self.acted)
         for name, angle in scene.initial.turned.items():
             self._effects.begin_angle(name, angle)
         method = scene.method
@@ -249,7 +249,7 @@ class Data(Names):
         """Return the coordinate of a freedom of a cut joint in a position of the joints."""
         equations = self._geometry.equations
         cuts = CutJoints(
-            self.mechanism, equations.model, self._rows, self._geometry.placements, ())
+            self.mechanism, equations.model, self._geometry.placements, ())
         found, _ = cuts.measure(equations.move(position).work.body)
         return float(found[cuts.place(name)])
 
@@ -368,10 +368,7 @@ class Data(Names):
             Their origins and axes in the frames of the rows [m].
 
         """
-        row, point, axes = self._geometry.joint_places
-        if not len(point):
-            point, axes = np.zeros((len(row), 3)), np.tile(np.eye(3), (len(row), 1, 1))
-        return row, point, axes
+        return self._geometry.joint_places
 
     @property
     def takes_closed_states(self) -> bool:
@@ -397,11 +394,11 @@ class Data(Names):
     @property
     def point_rows(self) -> Tuple[np.ndarray, np.ndarray]:
         """Rows of the bodies of the named points, and the places in them, shape (n, 2 or 3)."""
-        return self._geometry.named_points[:2]
+        return self._geometry.named_points
 
     def body_row(self, name: str) -> int:
         """Return the row of a body in the arrays of ``system``."""
-        return self._rows[name]
+        return self._geometry.rows[name]
 
     @property
     def command_delay(self) -> float:

@@ -20,9 +20,9 @@ import numpy as np
 from .assemblies import closed_from, driven_names, drives_needed, moving_joints, too_few
 from .assembly import TOLERANCE
 from .errors import SimulationError
+from .geometry import Geometry
 from .loop_model import independent, scaled
 from .modeling import extent
-from .redundancy import geometry_of
 from ..core import types as t
 from ..core.manifold import manifold_of
 from ..engine import native
@@ -129,7 +129,7 @@ class DrivenKinematics:
     def __init__(self, mechanism, position):
         """Choose the equations to solve."""
         self._mechanism, self.coordinates = mechanism, mechanism.coordinates
-        self._geometry = geometry_of(mechanism)
+        self._geometry = Geometry(mechanism)
         self._equations, self._size = self._geometry.equations, extent(mechanism)
         # Of all equations.
         self._model = self._equations.model

@@ -15,7 +15,7 @@ import numpy as np
 
 from .assembly import Assembler
 from .frames import angle_of, body_pose, moved_inertia, moved_place, placement, reframed
-from .redundancy import geometry_of
+from .geometry import Geometry
 from .variant import carried_effects, variant
 from ..formats.pose import Pose
 from ..mechanism.mechanism import (
@@ -62,7 +62,7 @@ def inverted(scene, link):
     base = BASE
     while base in names:
         base += '_'
-    position = Assembler(mechanism, geometry_of(mechanism).equations).positions(
+    position = Assembler(mechanism, Geometry(mechanism).equations).positions(
         scene.initial.position, scene.initial.hold)
     carrying = {joint.child: joint for joint in mechanism.joints}
     path, body = [], link

@@ -9,6 +9,7 @@ import numpy as np
 
 from .assembly import Assembler, MOST_EQUATIONS, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
+from .modeling import mechanism_arrays
 from ..core.equations import Equations
 from ..integration.system import JointPlaces
 from ..mechanism.decomposition import decompose
@@ -44,8 +45,8 @@ class LoopModel:
     model : core.types.Model
     equations : core.equations.Equations
         Of ``model``.
-    placements : dict of str to spatial_modeling.Placement, or None
-        Where the bodies' frames are in those of their rows, in space.
+    placements : dict of str to tree_rows.Placement
+        Where the bodies' frames are in those of their rows.
     rows : dict of str to int
         Row of each body in the model's arrays.
     leaves_out : bool
@@ -86,7 +87,9 @@ class LoopModel:
         """
         key = None if kept is None else kept.tobytes()
         if key not in self._known:
-            model, self.rows, self.placements = self._built(kept)
+            model, self.placements, _ = mechanism_arrays(
+                self.mechanism, decomposition=self._decomposition, kept=kept)
+            self.rows = {name: one.row for name, one in self.placements.items()}
             if self.model is not None:
                 model = model._replace(
                     tree=self.model.tree, body=self.model.body, gravity=self.model.gravity,
@@ -117,10 +120,8 @@ class LoopModel:
 
     def _placed(self, body, position):
         """Return the row of a body, and a point of the body in the frame of the row."""
-        if self.placements is None:
-            return self.rows[body], position
         placement = self.placements[body]
-        return placement.row, placement.place(np.array(position, dtype=float))
+        return placement.row, placement.place(position)
 
     def keep(self, kept):
         """Let the elimination work on some equations, as ``of``; return the model."""

@@ -16,11 +16,11 @@ from .data import Numbers, vector
 from .driven import BranchEndError, driven_mechanism, DrivenKinematics
 from .errors import AssemblyError
 from .evaluation import Evaluation
+from .geometry import Geometry
 from .key_paths import changed, resolve
 from .named_array import frozen
 from .names import Names
 from .readings import Readings
-from .redundancy import geometry_of
 from .scene_records import Scene
 from .state import State
 from ..integration.evaluation import Evaluator
@@ -273,7 +273,7 @@ class Model(Names):
         if count is not None:
             raise ValueError(f'expected one pose, got {count}')
         found = find_assemblies(
-            mechanism, geometry_of(mechanism).equations, values[0], self._start_of(None))
+            mechanism, Geometry(mechanism).equations, values[0], self._start_of(None))
         nq = self.coordinates.nq
         return Assemblies(self.state(np.array(found.positions).reshape(-1, nq)), *found[1:])
 

@@ -24,8 +24,8 @@ import numpy as np
 from .assembly import Assembler
 from .driven import BranchEndError, DrivenKinematics
 from .errors import AssemblyError
+from .geometry import Geometry
 from .modeling import extent
-from .redundancy import geometry_of
 from ..mechanism.mechanism import DrivingConstraint, GROUND, Point
 
 # Parts of the grid along each axis that are computed side by side: at most so many, of so many
@@ -105,7 +105,7 @@ class Platform:
             raise ValueError('expected a scene that prescribes no motions, got '
                              + ', '.join(one.name for one in mechanism.motions))
         self.mechanism, self.point = mechanism, mechanism.point(point)
-        geometry = self._geometry = geometry_of(mechanism)
+        geometry = self._geometry = Geometry(mechanism)
         assembler = Assembler(mechanism, geometry.equations)
         self.start = assembler.positions(scene.initial.position, scene.initial.hold)
         self.axes = 2 if mechanism.planar else 3

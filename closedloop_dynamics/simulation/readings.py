@@ -13,14 +13,13 @@ from .data import Data
 from .errors import SimulationError
 from .evaluation import Evaluation
 from .health import Health, health_of
-from .modeling import coupling_scales
 from .named_array import NamedArray, Place
 from .redundancy import find_redundancy
 from .scene_records import Scene
 from .state import State
 from ..core.equations import Equations
 from ..engine import native
-from ..mechanism.couplings import measured
+from ..mechanism.couplings import coupling_scales, measured
 
 
 class Readings(Data):

@@ -10,9 +10,8 @@ import numpy as np
 
 from .assembly import Assembler, rank_of
 from .errors import AssemblyError
+from .geometry import Geometry
 from .loop_model import scaled
-from .plane import PlanarGeometry
-from .space import SpatialGeometry
 from ..core.codegen import pieces, space
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import GROUND, MechanismError
@@ -64,7 +63,7 @@ def find_redundancy(mechanism, q):
     Redundancy
 
     """
-    geometry = geometry_of(mechanism)
+    geometry = Geometry(mechanism)
     geometry.choose(q)
     if not geometry.leaves_out:
         return Redundancy((), (), {})
@@ -138,11 +137,6 @@ def _moment(arm, force):
     return arm[0] * force[1] - arm[1] * force[0] if len(arm) == 2 else np.cross(arm, force)
 
 
-def geometry_of(mechanism, decomposition=None):
-    """Return the geometry of a mechanism, in the plane or in space."""
-    return (PlanarGeometry if mechanism.planar else SpatialGeometry)(mechanism, decomposition)
-
-
 def _names(mechanism, geometry):
     """Return the cut joint or coupling and the name of each equation that may fail to hold."""
     found, held = [], pieces.arrays_of(geometry.model).HELD
@@ -166,7 +160,7 @@ def _with_other_lengths(mechanism, q):
         mechanism, joints=tuple(stretched(joint, 'position') for joint in mechanism.joints),
         cut_joints=tuple(stretched(cut, 'point_a', 'point_b') for cut in mechanism.cut_joints))
     try:
-        assembler = Assembler(other, geometry_of(other).equations)
+        assembler = Assembler(other, Geometry(other).equations)
         return assembler.jacobian_of_largest_rank(assembler.positions(q))
     except (AssemblyError, MechanismError):
         return None

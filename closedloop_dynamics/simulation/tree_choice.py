@@ -4,7 +4,6 @@
 """Of a mechanism described without a tree the one that takes the fewest operations."""
 
 from .modeling import build_model
-from .spatial_modeling import build_spatial_model
 from ..core.codegen.routines import operations
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
@@ -38,9 +37,7 @@ def count_operations(mechanism):
     """
     if len(mechanism.joints) > MOST_JOINTS:
         return None
-    build = build_model if mechanism.planar else build_spatial_model
-    built = build(mechanism)
-    return operations(built if mechanism.planar else built.model)
+    return operations(build_model(mechanism))
 
 
 def cheapest(mechanism):

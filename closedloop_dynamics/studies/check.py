@@ -14,11 +14,11 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
 from ..simulation.assembly import find_degrees_of_freedom, MOST_EQUATIONS
+from ..simulation.geometry import Geometry
 from ..simulation.global_assembly import ClosureProblem, find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.redundancy import find_redundancy
-from ..simulation.space import equations_left
 from ..simulation.tree_choice import count_operations
 from ..visual.tables import text_table
 
@@ -133,7 +133,7 @@ def _equations(mechanism):
     if mechanism.planar:
         return [*(CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints),
                 *(1 for _ in mechanism.couplings)]
-    return equations_left(mechanism)
+    return Geometry(mechanism).equations.counts
 
 
 def _couplings(mechanism):

@@ -44,9 +44,9 @@ from ..simulation.assembly import rank_from
 from ..simulation.completion import Completion, CompletionError
 from ..simulation.data import Data
 from ..simulation.errors import SimulationError
+from ..simulation.geometry import Geometry
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
-from ..simulation.redundancy import geometry_of
 
 # Columns, scaled to length one, are dependent below DEPENDENT; shares of others below NOTHING are
 # rounding; parameters whose torques are below UNSEEN of those of the largest have no influence.
@@ -566,7 +566,7 @@ class _Along:
     def __init__(self, scene, linear, joints, motion, driven, own=None):
         self._linear, self._joints, self._motion, self._driven = linear, joints, motion, driven
         self._take(scene)
-        self._geometry = geometry_of(scene.mechanism)
+        self._geometry = Geometry(scene.mechanism)
         self.states = self._completed()
         self._find_tangents(own)
         self._find_unit_torques()
@@ -705,7 +705,7 @@ class _Along:
         for name in self._linear:
             row = constants[rows[name]]
             before, found = row.copy(), []
-            for unit in unit_rows(None if planar else self._geometry.placements[name]):
+            for unit in unit_rows(self._geometry.placements[name], planar):
                 row[columns] += unit
                 found.append(self._inverse(equations) - base)
                 row[:] = before

@@ -220,14 +220,16 @@ def pseudo_inertia(body) -> np.ndarray:
                      [moment[np.newaxis], np.array([[body.mass]])]])
 
 
-def unit_rows(placement):
+def unit_rows(placement, planar):
     """
     Return the change of a body's row of ``Model.body`` by units of its numbers.
 
     Parameters
     ----------
-    placement : simulation.spatial_modeling.Placement or None
-        Where the body's frame is in that of its row; None in the plane, where it is the same.
+    placement : simulation.tree_rows.Placement
+        Where the body's frame is in that of its row.
+    planar : bool
+        Whether this is in the plane, where it is the same.
 
     Returns
     -------
@@ -236,7 +238,7 @@ def unit_rows(placement):
         the origin; k is 4 in the plane, 10 in space.
 
     """
-    if placement is None:
+    if planar:
         return np.eye(4)
     axes, origin, found = placement.axes, placement.origin, []
     for mass, *numbers in np.eye(10):

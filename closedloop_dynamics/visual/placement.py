@@ -14,7 +14,7 @@ import numpy as np
 
 from .trajectory import body_poses, body_velocities, poses_in_space
 from ..mechanism.rotations import composed, CONJUGATE, rotation_vector
-from ..simulation.redundancy import geometry_of
+from ..simulation.geometry import Geometry
 
 # An error that is left is one of the request, not of rounding, above this [m, rad; of velocities
 # relative to the largest one].
@@ -43,7 +43,7 @@ class Placement:
 
     def __init__(self, mechanism):
         self._mechanism = mechanism
-        self._closures = geometry_of(mechanism).equations
+        self._closures = Geometry(mechanism).equations
 
     def velocity(self, position, rates, body):
         """Return velocity of the origin [m/s] and angular velocity [rad/s], world axes, (6,)."""

@@ -8,7 +8,7 @@ from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, R
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
-from closedloop_dynamics.simulation.modeling import body_rows, build_model
+from closedloop_dynamics.simulation.modeling import mechanism_arrays
 import numpy as np
 
 from ..reference.dense import EARTH
@@ -35,8 +35,8 @@ class Engine:
     def __init__(self, mechanism, gravity=EARTH, formulation=SUBSYSTEM, baumgarte=0.0,
                  unrolled=None):
         self.decomposition = decompose(mechanism)
-        self.body_row = body_rows(mechanism, self.decomposition)
-        self.model = build_model(mechanism, gravity, self.decomposition)
+        self.model, placements, _ = mechanism_arrays(mechanism, gravity, self.decomposition)
+        self.body_row = {name: one.row for name, one in placements.items()}
         self.system = build_system(self.model, formulation, baumgarte, unrolled=unrolled)
         self.work = self.system.work
         self.nv, self.nc = len(mechanism.joints), mechanism.number_of_equations

@@ -12,7 +12,7 @@ from closedloop_dynamics.core.codegen.emit import Q, QD
 from closedloop_dynamics.core.codegen.spatial import Recursion
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import JOINT_FREEDOMS
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+from closedloop_dynamics.simulation.modeling import mechanism_arrays
 import numpy as np
 
 from ..reference import spatial_maximal as twin
@@ -90,8 +90,7 @@ class SpatialEngine:
 
     def __init__(self, mechanism, compiled=False):
         self.mechanism = mechanism
-        built = build_spatial_model(mechanism, GRAVITY)
-        self.model, self.placements, self.rows = built
+        self.model, self.placements, self.rows = mechanism_arrays(mechanism, GRAVITY)
         self.nv, self.nc = len(self.model.tree) - 1, len(self.model.column) - 1
         self.system = build_system(self.model, unrolled=True) if compiled else None
 

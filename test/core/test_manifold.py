@@ -3,7 +3,7 @@
 
 """Quaternions of rotation matrices, against SciPy's."""
 
-from closedloop_dynamics.simulation.space import quaternions
+from closedloop_dynamics.mechanism.rotations import quaternions_of
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +15,7 @@ def test_quaternions_are_those_of_the_rotations():
         # Half turns, and a little less and more.
         *(Rotation.from_rotvec(angle * axes) for angle in np.pi + np.array([0.0, -1e-9, 1e-9]))])
     matrices, expected = rotations.as_matrix(), rotations.as_quat()
-    found = quaternions(matrices)
+    found = quaternions_of(matrices)
     # A rotation and its twin of the other sign are one; it is w that is not negative.
     expected *= np.sign(np.sum(expected * found, axis=1))[:, np.newaxis]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-14)

@@ -7,7 +7,7 @@ from closedloop_dynamics.core.codegen.workspace import allocate
 from closedloop_dynamics.core.types import (
     AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 
@@ -22,7 +22,7 @@ class Loops:
     """A model in space in a random state: on numbers, and in the workspace of the loops."""
 
     def __init__(self, mechanism, seed=0, state=None):
-        self.model = build_spatial_model(mechanism, (0.1, -0.3, -9.81)).model
+        self.model = build_model(mechanism, (0.1, -0.3, -9.81))
         self.nv, self.nc = len(self.model.tree) - 1, len(self.model.column) - 1
         self.work, self.numbers = allocate(self.model), Numbers(self.model)
         rng = np.random.default_rng(seed)

@@ -16,7 +16,6 @@ from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Jo
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
 
@@ -129,7 +128,7 @@ def gripper(mass, planar=True):
 def test_a_hinge_may_lie_on_the_path_of_a_coupling_of_lengths(planar, by, mass):
     mechanism = gripper(mass, planar)
     system = build_system(
-        build_model(mechanism) if planar else build_spatial_model(mechanism).model,
+        build_model(mechanism),
         unrolled=by != 'loops')
     if by == 'refined routines':
         codegen.link(system.model, system.table, codegen.REFINED)

@@ -27,7 +27,7 @@ from closedloop_dynamics.effects.table import build_table
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+from closedloop_dynamics.simulation.modeling import build_model, mechanism_arrays
 import numpy as np
 import pytest
 
@@ -42,11 +42,10 @@ MASSLESS = ((0.0, 0.0, 0.0), 0.0, True)
 
 def accelerations(mechanism, q, qd, tau, effects):
     """Return joint accelerations under effects by dense matrices, and the effects' table."""
-    built = build_spatial_model(mechanism, (0.0, 0.0, -9.81))
-    rows = {name: one.row for name, one in built.placements.items()}
+    built = mechanism_arrays(mechanism, (0.0, 0.0, -9.81))
     for record in effects.values():
         record.fit(mechanism)
-    chosen = EffectSet(effects, built.model, Machine(mechanism, rows, built.placements))
+    chosen = EffectSet(effects, built.model, Machine(mechanism, built.placements))
     numbers = Numbers(built.model)
     table = build_table(chosen.elements, tau, numbers.nv, numbers.nc)
     numbers.move(q, qd)
@@ -323,13 +322,11 @@ def carried(seed, joint, axis):
 @pytest.mark.parametrize('seed', cases.first(1, range(3)))
 def test_a_rotor_moves_as_a_body_of_its_own(seed, joint, axis, ratio):
     chain, fixed, explicit, q, qd = carried(seed, joint, axis)
-    built = build_spatial_model(chain, (0.0, 0.0, -9.81))
-    rows = {name: one.row for name, one in built.placements.items()}
-    machine = Machine(chain, rows, built.placements)
+    built = mechanism_arrays(chain, (0.0, 0.0, -9.81))
+    machine = Machine(chain, built.placements)
     effects = {'motor': Rotor(f'joint_{joint}', 0.07, ratio, axis), 'fixed': fixed}
     EffectSet(effects, built.model, machine)
-    one, other = Numbers(built.model), Numbers(build_spatial_model(
-        explicit, (0.0, 0.0, -9.81)).model)
+    one, other = Numbers(built.model), Numbers(build_model(explicit, (0.0, 0.0, -9.81)))
     # The wheel turns by the gear.
     geared = np.vstack([np.eye(3), ratio * np.eye(3)[joint]])
     one.move(q, qd)

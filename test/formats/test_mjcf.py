@@ -10,7 +10,7 @@ from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.simulation.global_assembly import ClosureProblem
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 
@@ -125,7 +125,7 @@ def accelerations(imported, q, qd):
     """Return our accelerations under gravity and what acts in joints, by dense matrices."""
     coordinates, effects = imported.mechanism.coordinates, imported.effects
     gravity = effects.get('gravity', {'acceleration': (0.0, 0.0, 0.0)})['acceleration']
-    numbers = Numbers(build_spatial_model(imported.mechanism, gravity).model)
+    numbers = Numbers(build_model(imported.mechanism, gravity))
     numbers.move(q, qd)
     inertia, force = numbers.inertia(), -numbers.bias_force()
     loops = ClosureProblem(imported.mechanism, 1.0)

@@ -21,7 +21,7 @@ from closedloop_dynamics.mechanism.mechanism import (
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed
-from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 
@@ -69,7 +69,7 @@ CHAIN = ('revolute', 'prismatic', 'revolute', 'revolute', 'revolute', 'prismatic
 
 def accelerations(mechanism, q, qd):
     """Return what gravity does to a mechanism, by a dense solution of all equations."""
-    numbers = Numbers(build_spatial_model(mechanism, (0.0, 0.0, -9.81)).model)
+    numbers = Numbers(build_model(mechanism, (0.0, 0.0, -9.81)))
     numbers.move(q, qd)
     jac, bias = numbers.jacobian(), numbers.closures()[2]
     inertia, nc = numbers.inertia(), len(bias)

@@ -10,8 +10,8 @@ from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mecha
 from closedloop_dynamics.simulation.assembly import (
     angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
 from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.simulation.redundancy import geometry_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def tangents(one, q):
 def test_the_engine_closes_loops_as_singular_values_do(monkeypatch, name, held):
     scene, rng = load_scene(name), np.random.default_rng(5)
     mechanism = scene.mechanism
-    one = Assembler(mechanism, geometry_of(mechanism).equations)
+    one = Assembler(mechanism, Geometry(mechanism).equations)
     start, free = np.array(scene.initial.position), np.arange(one.nv)
     if held and scene.initial.hold:
         free = np.array([k for k in free if mechanism.coordinates.names[k] not in (

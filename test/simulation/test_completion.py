@@ -6,7 +6,7 @@
 import math
 
 from closedloop_dynamics.simulation.completion import Completion, CompletionError
-from closedloop_dynamics.simulation.redundancy import geometry_of
+from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_simulated_motion_is_met(scene, measured):
 
 def equations_at(mechanism, q):
     """Return J and the largest closure error."""
-    equations = geometry_of(mechanism).equations.move(q)
+    equations = Geometry(mechanism).equations.move(q)
     return equations.jacobian(), equations.closure_error()
 
 

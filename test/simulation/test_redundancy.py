@@ -16,12 +16,12 @@ from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mecha
 from closedloop_dynamics.mechanism.reader import with_cuts
 from closedloop_dynamics.simulation import loop_model
 from closedloop_dynamics.simulation.assembly import Assembler
+from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.space import SpatialGeometry
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 def closed(mechanism, guess):
     """Return the geometry with repeated equations left out, and a position that closes."""
-    geometry = SpatialGeometry(mechanism)
+    geometry = Geometry(mechanism)
     geometry.leave_out_repeated(np.array(guess, dtype=float))
     return geometry, Assembler(mechanism, geometry.equations).positions(
         np.array(guess, dtype=float))
@@ -69,7 +69,7 @@ def test_it_is_told_why_equations_repeat_others(name):
 
 def test_independent_equations_are_not_said_to_repeat():
     mechanism, _ = spatial_machines.rssr_four_bar()
-    geometry = SpatialGeometry(spatial_machines.with_single_freedoms(mechanism))
+    geometry = Geometry(spatial_machines.with_single_freedoms(mechanism))
     q = np.zeros(len(geometry.mechanism.joints))
     assert find_redundancy(geometry.mechanism, q) == ((), (), {})
 
@@ -94,7 +94,7 @@ STANDING_IN = {'bricard': 'universal', 'bennett': 'point_on_line', 'four_bar': '
 def test_loops_close_from_positions_where_repeated_equations_contradict(name):
     # Beside closed positions all equations are independent, and Newton's method is led astray.
     mechanism, position, *_ = linkages()[name]
-    assembler = Assembler(mechanism, SpatialGeometry(mechanism).equations)
+    assembler = Assembler(mechanism, Geometry(mechanism).equations)
     rng = np.random.default_rng(1)
     for _ in range(8):
         q = assembler.positions(position + rng.uniform(-0.1, 0.1, len(position)))
@@ -110,7 +110,7 @@ def test_repeated_equations_cost_no_more_than_independent_ones(name):
     axes = {'axis_a': tuple(np.roll(cut.axis_b, 1))} if name == 'bricard' else {'axis_a': None}
     other = replace(mechanism, cut_joints=(
         replace(cut, type=STANDING_IN[name], **axes),))
-    independent = SpatialGeometry(other).model
+    independent = Geometry(other).model
     assert len(independent.column) - 1 == left
     assert operations(geometry.model) <= 1.5 * operations(independent)
 
@@ -119,7 +119,7 @@ def test_a_delta_robot_with_rods_between_balls_costs_what_its_rows_do():
     # Its six rods may spin; no equation repeats others, and the platform turns nowhere.
     mechanism = spatial_machines.with_single_freedoms(spatial_machines.delta_robot()[0])
     geometry, _ = closed(mechanism, np.zeros(len(mechanism.joints)))
-    whole = SpatialGeometry(mechanism).model
+    whole = Geometry(mechanism).model
     assert operations(geometry.model) == operations(whole)
 
 
@@ -238,7 +238,7 @@ def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
 
 def closed_here(mechanism, q):
     """Return a mechanism with the cut joint's point and axis on B as they are in a position."""
-    geometry, (cut,) = SpatialGeometry(mechanism), mechanism.cut_joints
+    geometry, (cut,) = Geometry(mechanism), mechanism.cut_joints
 
     def placed(body, vectors):
         origin = geometry.point(q, body, np.zeros(3))

@@ -13,7 +13,7 @@ from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, DISTANCE, Joint, Mechanism, Point, POINT_ON_LINE, PRISMATIC,
     REVOLUTE)
-from closedloop_dynamics.simulation.plane import PlanarGeometry
+from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -135,7 +135,7 @@ def test_dense_formulations_leave_out_the_same(formulation):
 def test_singular_positions_leave_nothing_out(loops):
     for tilt in (0.5 * math.pi, 0.5 * math.pi - 1e-9, 0.5 * math.pi - 1e-4):
         mechanism, q, _ = machines.ladder(loops, tilt)
-        geometry = PlanarGeometry(mechanism)
+        geometry = Geometry(mechanism)
         geometry.leave_out_repeated(q)
         assert not geometry.leaves_out
 
@@ -357,8 +357,8 @@ STANDING_IN = {
 def test_repeated_equations_cost_no_more_than_independent_ones(name):
     from closedloop_dynamics.core.codegen.routines import operations
     mechanism, q, _ = REDUNDANT[name][0]()
-    geometry = PlanarGeometry(mechanism)
+    geometry = Geometry(mechanism)
     geometry.leave_out_repeated(q)
-    independent = PlanarGeometry(STANDING_IN[name](mechanism)).model
+    independent = Geometry(STANDING_IN[name](mechanism)).model
     assert len(independent.column) == len(geometry.model.column)
     assert operations(geometry.model) <= 1.5 * operations(independent)

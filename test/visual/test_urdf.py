@@ -21,9 +21,9 @@ from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.space import SpatialGeometry
 from closedloop_dynamics.visual.srdf import srdf
 from closedloop_dynamics.visual.trajectory import body_poses
 from closedloop_dynamics.visual.urdf import urdf
@@ -123,7 +123,7 @@ SPATIAL = {
 def test_frames_of_the_links_in_space_are_the_poses_of_the_bodies(name):
     mechanism = SPATIAL[name]()
     names = mechanism.coordinates
-    random, geometry = np.random.default_rng(4), SpatialGeometry(mechanism)
+    random, geometry = np.random.default_rng(4), Geometry(mechanism)
     for change in random.normal(size=(5, names.nv)):
         position = names.moved(names.start(), change)
         by_name = {name: position[place] for name, place in zip(names.names, names.place)}

@@ -36,6 +36,27 @@ HELD = {kind: (CUT_TYPES[kind], *held) for kind, held in {
     COUPLED_PLACE: ((X,), ())}.items()}
 
 
+def weigh(constant, mass, center, about):
+    """
+    Add a rigid mass to a row of ``Model.body``.
+
+    Parameters
+    ----------
+    constant : ndarray, shape (BODY_COLUMNS,)
+        Changed in place.
+    mass : float
+        [kg].
+    center : ndarray, shape (2,)
+        Its centre of mass in the body's frame [m].
+    about : float
+        Inertia about that [kg m^2].
+
+    """
+    x, y = center
+    constant[[MASS, MASS_X, MASS_Y, INERTIA]] += (
+        mass, mass * x, mass * y, about + mass * (x * x + y * y))
+
+
 def possible(kind):
     """
     Return the bits of the equations of a cut joint that do not always hold in the plane.

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which closure equations a motion can change, and which hold, or fail to, whatever moves."""
+
+import numpy as np
+
+from ..core import types as t
+from ..core.codegen import plane, space
+from ..core.codegen.expression_graph import ExpressionGraph, LOAD
+from ..core.codegen.spatial import Recursion
+from ..core.codegen.vectors import is_zero
+from ..mechanism.mechanism import MechanismError
+
+# Of the size: errors of equations that no motion changes are rounding below this.
+NEVER_CLOSED = 1e-9
+
+
+def changeable_in_plane(model):
+    """
+    Tell whether any motion may change each equation of a planar model.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Its equations are not chosen yet.
+
+    Yields
+    ------
+    bool
+        In the order of the cut joints.
+
+    """
+    for one in model.cut[np.argsort(model.cut[:, t.CUT_NUMBER])]:
+        kind, between = one[t.CUT_TYPE], model.path_body[one[t.PATH_A]:one[t.PATH_COMMON]]
+        # Slides alone never change the angle between two bodies.
+        parallel = kind in (t.CUT_PRISMATIC, t.CUT_FIXED) and (
+            model.tree[between, t.TYPE] == t.PRISMATIC).all()
+        yield from (not (parallel and plane.group_of(kind, n))
+                    for n in range(6) if one[t.POSSIBLE] >> n & 1)
+
+
+_always_held = {}
+
+
+def changeable_in_space(mechanism, model, size):
+    """
+    Find the equations of each cut joint in space that do not hold anyway.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+    model : core.types.Model
+        Its equations are not chosen yet.
+    size : float
+        Of the mechanism [m].
+
+    Yields
+    ------
+    list of int
+        Their numbers, cut joint by cut joint in the order of elimination.
+
+    Raises
+    ------
+    MechanismError
+        Where a loop cannot close: an equation that no motion changes is not met.
+
+    """
+    # Lengths and masses may differ: the symbols stand for any.
+    shape = tuple((array.shape, array.tobytes()) for array in (
+        *space.structure(model), model.tree, model.cut, model.path_body))
+    if shape not in _always_held:
+        _always_held[shape] = _is_held(model)
+    held, somewhere = _always_held[shape], None
+    for a, one in enumerate(model.cut):
+        # Bodies that are fixed to one another are one row of the tree.
+        joined = one[t.CUT_TYPE] not in (t.CUT_COUPLING, t.PRESCRIBED_JOINT) and (
+            one[t.BODY_A] == one[t.BODY_B])
+        fixed = [joined or always for always in held[a]]
+        if any(fixed) and somewhere is None:
+            somewhere = _outward(
+                model, model.body.astype(object), model.cut_point.astype(object),
+                mechanism.coordinates.start().tolist(), [0.0] * (len(model.tree) - 1))
+        for always, equation in zip(fixed, somewhere.equations(model, a) if any(fixed) else ()):
+            if always and not abs(equation.value) <= NEVER_CLOSED * size:
+                name = mechanism.closures[one[t.CUT_NUMBER]].name
+                raise MechanismError(
+                    f'cut_joints.{name}: expected axes and points that the joints of the tree '
+                    'can bring together, got an equation that no motion changes and that is not '
+                    f'met: {equation.value:.3g} instead of 0')
+        yield [n for n, always in enumerate(fixed) if not always]
+
+
+def _outward(model, bodies, cuts, q, qd):
+    """Return the recursion at coordinates and rates, symbols or numbers."""
+    recursion = Recursion(space.bodies(model, bodies), space.cuts(model, cuts), (0.0, 0.0, 0.0))
+    recursion.outward(model, q, qd, None)
+    return recursion
+
+
+def _is_held(model):
+    """Return for each equation of each cut joint whether no motion changes it."""
+    nv, nq = len(model.tree) - 1, t.number_of_coordinates(model)
+    graph = ExpressionGraph()
+
+    def symbols(source, shape):
+        found = np.empty(shape, dtype=object)
+        found.flat = [graph.put(LOAD, source, place) for place in range(found.size)]
+        return found
+
+    symbolic = _outward(model, symbols(0, model.body.shape), symbols(1, model.cut_point.shape),
+                        symbols(2, (nq,)), symbols(3, (nv,)))
+    return [[isinstance(equation.value, float) or is_zero((equation.rate,))
+             for equation in symbolic.equations(model, a)] for a in range(len(model.cut))]

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Geometry and masses of a model: places and poses of bodies, by name."""
+
+import numpy as np
+
+from .loop_model import LoopModel
+from .tree_rows import weigh_bodies
+from ..core import types as t
+from ..core.codegen import space
+from ..engine import native
+from ..mechanism.mechanism import FIXED
+from ..mechanism.rotations import quaternions_of
+
+
+class Geometry(LoopModel):
+    """
+    A model, on numbers and by name.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    decomposition : Decomposition, optional
+        Found here when not given.
+
+    Attributes
+    ----------
+    model, equations, placements, rows
+        As ``LoopModel`` has them.
+
+    """
+
+    def __init__(self, mechanism, decomposition=None):
+        """Look up the frames of bodies and points."""
+        super().__init__(mechanism, decomposition)
+        self._size = 2 if mechanism.planar else 3
+        #: Rows and places in them of the named points.
+        self.named_points = self._placed_points(
+            [(point.body, point.position) for point in mechanism.points])
+        bodies = [body.name for body in mechanism.bodies]
+        self._origins = self._placed_points([(name, np.zeros(self._size)) for name in bodies])
+        self._axes = np.array([self.placements[name].axes for name in bodies])
+
+    def _placed_points(self, points):
+        """Return the rows of bodies' points, pairs of name and position, and the places there."""
+        placed = [self.placements[body] for body, _ in points]
+        return np.array([one.row for one in placed], dtype=int), np.array(
+            [one.place(place) for one, (_, place) in zip(placed, points)]).reshape(-1, self._size)
+
+    def weigh(self, constants, bodies, changed):
+        """
+        Write the masses of some bodies into rows of ``Model.body``.
+
+        Parameters
+        ----------
+        constants : ndarray
+            As ``Model.body``, without what effects add; changed in place.
+        bodies : sequence of Body
+            All of the mechanism's.
+        changed : set of str
+            Names of those that have other masses, centres of mass or inertias.
+
+        """
+        # A row has the masses of all bodies that are fixed to one another.
+        rows = {self.placements[name].row for name in changed}
+        constants[[*rows], :t.INERTIA + 1 if self.mechanism.planar else space.INERTIA + 6] = 0.0
+        weigh_bodies(constants, self.placements, {body.name: body for body in bodies}, rows)
+
+    def point(self, q, body, position):
+        """
+        Return the place of a point of a body.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Joint coordinates.
+        body : str
+            Its name.
+        position : sequence of 2 or 3 floats
+            In the body's frame [m].
+
+        Returns
+        -------
+        ndarray, shape (2,) or (3,)
+            In the world [m].
+
+        """
+        return self._in_world(self.equations.move(q).work.body,
+                              *self._placed_points([(body, position)]))[0]
+
+    def _in_world(self, body, rows, places):
+        """Return places in the frames of rows in the world."""
+        found = np.empty(places.shape)
+        native.place_points(body, rows, places, found)
+        return found
+
+    def poses_among(self, body):
+        """
+        Return the poses of the bodies where the rows of the tree are.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            Of ``Workspace``, after the outward recursion.
+
+        Returns
+        -------
+        ndarray, shape (nb, 3) or (nb, 7)
+            x, y [m] and angle [rad] of each body, in the mechanism's order; in space x, y, z of
+            the frame's origin and its unit quaternion x, y, z, w.
+
+        """
+        rows, origins = self._origins
+        places = self._in_world(body, rows, origins)
+        if self.mechanism.planar:
+            return np.column_stack([places, body[rows, t.ALPHA]])
+        frames = body[rows, space.FRAME:space.FRAME + 9].reshape(-1, 3, 3)
+        return np.hstack([places, quaternions_of(frames @ self._axes)])
+
+    @property
+    def joint_places(self):
+        """
+        Return where the wrenches in the joints act: at the origins of the bodies they carry.
+
+        Returns
+        -------
+        row : ndarray of int, shape (number of joints,)
+            Of the bodies; 0 of fixed joints, of which the kernels know nothing.
+        point : ndarray, shape (number of joints, 3)
+            In the frame of the row [m].
+        axes : ndarray, shape (number of joints, 3, 3)
+            Of these bodies there.
+
+        """
+        joints = self.mechanism.joints
+        carried = [self.placements[joint.child] for joint in joints]
+        row = np.array([one.row for one in carried], dtype=int)
+        row[[joint.type == FIXED for joint in joints]] = 0
+        return row, np.array([one.origin for one in carried]), np.array(
+            [one.axes for one in carried])

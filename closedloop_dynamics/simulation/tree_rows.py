@@ -1,0 +1,228 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Joints of the spanning tree and the bodies that they carry, as rows of the model's arrays.
+
+In the plane a joint is one row, in the user's frames. In space the user's frames lie as drawings
+have them; those of the rows lie so that what turns does so about Z, that successive parallel axes
+share it, and that as many constants as can be are exactly 0: each of these saves operations. A
+joint of several freedoms is several rows there, and bodies that are fixed to one another share
+one.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core import types as t
+from ..core.codegen import plane, space
+from ..core.codegen.space import cleared, snapped
+from ..core.codegen.spatial import X, Y, Z
+from ..mechanism.mechanism import (
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
+    SPHERICAL, UNIVERSAL)
+from ..mechanism.rotations import of_quaternion
+
+UNIT = np.eye(3)
+# Rows of joints that move along or about the axes of their frame: type, axis.
+_SLIDES = tuple((t.PRISMATIC, axis) for axis in (X, Y, Z))
+_BALL = tuple((t.BALL, axis) for axis in (X, Y, Z))
+_BY_FRAME = {SPHERICAL: _BALL, FREE: _SLIDES + _BALL,
+             PLANAR: (*_SLIDES[:2], (t.REVOLUTE, Z))}
+_ALONG_AXIS = {REVOLUTE: (t.REVOLUTE,), PRISMATIC: (t.PRISMATIC,), HELICAL: (t.HELICAL,),
+               CYLINDRICAL: (t.REVOLUTE, t.PRISMATIC)}
+
+
+class Placement(NamedTuple):
+    """
+    Where a body's frame is in the frame of its row; in the plane the two are the same.
+
+    Attributes
+    ----------
+    row : int
+        0 for the ground.
+    axes : ndarray, shape (3, 3)
+        Columns: the body's axes.
+    origin : ndarray, shape (3,)
+        [m].
+
+    """
+
+    row: int
+    axes: np.ndarray
+    origin: np.ndarray
+
+    def place(self, point):
+        """Return a point of the body's frame, of 2 or 3 numbers, in that of the row."""
+        size = len(point)
+        return self.axes[:size, :size] @ point + self.origin[:size]
+
+    def weigh(self, constants, mass, center, inertia):
+        """
+        Add a rigid mass on the body to ``Model.body``.
+
+        Parameters
+        ----------
+        constants : ndarray, shape (nb + 1, BODY_COLUMNS)
+            Changed in place.
+        mass : float
+            [kg].
+        center : sequence of 2 or 3 floats
+            Its centre of mass in the body's frame [m].
+        inertia : float or tuple of 6
+            About that, in the body's axes, as ``mechanism.Body`` has it [kg m^2].
+
+        """
+        if len(center) == 2:
+            plane.weigh(constants[self.row], mass, self.place(center), inertia)
+            return
+        space.weigh(constants[self.row], mass, self.place(center),
+                    self.axes @ space.inertia_matrix(inertia) @ self.axes.T)
+
+
+class TreeRows:
+    """
+    Rows of a tree in the plane, joint by joint; those in space do what differs their way.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is described.
+    decomposition : Decomposition
+        Of it.
+
+    Attributes
+    ----------
+    tree, body : ndarray
+        As ``core.types.Model`` has them.
+    placements : dict of str to Placement
+        By body, the ground among them.
+    rows : dict of str to list of int
+        Rows of the tree by joint.
+
+    """
+
+    COLUMNS = t.BODY_COLUMNS
+
+    def __init__(self, mechanism, decomposition):
+        """Fill in the rows."""
+        joints = mechanism.joints
+        self._bodies = {body.name: body for body in mechanism.bodies}
+        self._joints = joints
+        self.placements = {GROUND: Placement(0, UNIT, np.zeros(3))}
+        self.rows = {}
+        self._tree = [(0,) * t.TREE_COLUMNS]
+        self._constants = [np.zeros(self.COLUMNS)]
+        freedoms = [JOINT_FREEDOMS[joint.type] for joint in joints]
+        balls = [joint.type in (SPHERICAL, FREE) for joint in joints]
+        first = np.cumsum([0] + freedoms)
+        coordinate = first + np.cumsum([0] + balls)
+        for index in decomposition.joint_order:
+            joint = joints[index]
+            begin = len(self._tree)
+            self.placements[joint.child] = self._add(joint, first[index], coordinate[index])
+            self.rows[joint.name] = [*range(begin, len(self._tree))]
+        self.tree, self.body = np.array(self._tree, dtype=np.int64), np.array(self._constants)
+        for number, names in enumerate(decomposition.subsystems):
+            for name in names:
+                self.tree[self.rows[name], t.SUBSYSTEM] = number
+        weigh_bodies(self.body, self.placements, self._bodies)
+
+    def _add(self, joint, dof, coordinate):
+        """Add the rows of a joint; return the placement of the body that it carries."""
+        kind = t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE
+        self._tree.append((self.placements[joint.parent].row, dof, kind, 0, coordinate, 0))
+        constant = np.zeros(t.BODY_COLUMNS)
+        constant[[t.JOINT_X, t.JOINT_Y, t.ANGLE]] = *joint.position, joint.angle
+        self._constants.append(constant)
+        return self.placements[GROUND]._replace(row=len(self._tree) - 1)
+
+
+class SpatialTreeRows(TreeRows):
+    """Rows of a tree in space; as for ``TreeRows``."""
+
+    COLUMNS = space.BODY_COLUMNS
+
+    def _add(self, joint, dof, coordinate):
+        """Add the rows of a joint, as in the plane."""
+        parent = self.placements[joint.parent]
+        axes = snapped(parent.axes @ of_quaternion(joint.orientation))
+        place, row, begin = parent.place(joint.position), parent.row, len(self._tree)
+        for kind, axis, turned in self._freedoms(joint, axes):
+            constant = np.zeros(space.BODY_COLUMNS)
+            constant[space.PLACE:space.PLACE + 3] = cleared(place)
+            constant[space.TURNED:space.TURNED + 9] = turned.ravel()
+            # The frame of a ball begins again; what only slides does not turn.
+            constant[space.PARALLEL] = np.array_equal(turned, UNIT)
+            if kind == t.HELICAL:
+                constant[space.LEAD] = joint.lead
+            self._tree.append((row, dof, kind, 0, coordinate, axis))
+            self._constants.append(constant)
+            row, place, axes = len(self._tree) - 1, np.zeros(3), snapped(turned.T @ axes)
+            dof, coordinate = dof + 1, coordinate + (kind != t.BALL)
+        for last in range(max(begin, len(self._tree) - 3), len(self._tree)):
+            if self._tree[last][t.TYPE] == t.BALL:
+                self._tree[last] = (*self._tree[last][:t.COORDINATE], coordinate,
+                                    self._tree[last][t.AXIS])
+        return Placement(row, axes, place)
+
+    def _freedoms(self, joint, axes):
+        """Yield (type, axis, frame in that of the row before) of each row of a joint."""
+        if joint.type == FIXED:
+            return
+        if joint.type in _BY_FRAME:
+            turned = axes
+            for kind, axis in _BY_FRAME[joint.type]:
+                yield kind, axis, turned
+                turned = UNIT
+            return
+        kinds = ((t.REVOLUTE, joint.axis), (t.REVOLUTE, joint.second_axis)) if (
+            joint.type == UNIVERSAL) else [(kind, joint.axis) for kind in _ALONG_AXIS[joint.type]]
+        for n, (kind, axis) in enumerate(kinds):
+            hint = kinds[n + 1][1] if n + 1 < len(kinds) else self._direction(joint.child)
+            turned = frame_along(axes @ axis, axes @ hint)
+            yield kind, Z, turned
+            axes = turned.T @ axes
+
+    def _direction(self, name):
+        """Return a direction of a body that many of its constants lie along."""
+        places = [self._bodies[name].center_of_mass, *(
+            joint.position for joint in self._joints if joint.parent == name)]
+        return np.array(max(places, key=np.linalg.norm))
+
+
+def weigh_bodies(constants, placements, bodies, rows=None):
+    """
+    Write masses into ``Model.body``.
+
+    Parameters
+    ----------
+    constants : ndarray, shape (nb + 1, BODY_COLUMNS)
+        Changed in place; the masses of these rows are zero.
+    placements : dict of str to Placement
+        Of all bodies, in the order of the rows: in that they are added up, to the last bit.
+    bodies : dict of str to Body
+        By name.
+    rows : set of int, optional
+        The rows to write; all when not given.
+
+    """
+    for name, placement in placements.items():
+        if name != GROUND and (rows is None or placement.row in rows):
+            body = bodies[name]
+            placement.weigh(constants, body.mass, body.center_of_mass, body.inertia)
+
+
+def frame_along(axis, hint=(0.0, 0.0, 0.0)):
+    """Return a frame with an axis as its Z, X towards a hint; the present one where that does."""
+    axis = snapped(np.array(axis) / np.linalg.norm(axis))
+    if np.array_equal(axis, UNIT[Z]):
+        return UNIT
+    across = hint - axis * (axis @ hint)
+    if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(hint):
+        # Perpendicular to the axis and to the present axis that it is the least along.
+        across = np.cross(UNIT[np.argmin(np.abs(axis))], axis)
+    across = snapped(across / np.linalg.norm(across))
+    return snapped(np.column_stack([across, np.cross(axis, across), axis]))
