@@ -170,8 +170,7 @@ def with_tree(mechanism, links, orders=None):
     cuts = [_cut(*found[index], shifts, spatial) for index in chosen.cut]
     return replace(
         mechanism, joints=tuple(joints),
-        bodies=tuple(replace(body, center_of_mass=_moved(body.center_of_mass, shifts[body.name]))
-                     if not body.massless else body for body in mechanism.bodies),
+        bodies=tuple(_body(body, shifts[body.name]) for body in mechanism.bodies),
         cut_joints=(*cuts, *(replace(
             cut, point_a=_moved(cut.point_a, shifts.get(cut.body_a)),
             point_b=_moved(cut.point_b, shifts.get(cut.body_b)))
@@ -182,6 +181,14 @@ def with_tree(mechanism, links, orders=None):
                         tuple(edges[index].name for index in first.cut) if orders is None
                         else (), tuple(free),
                         {body: tuple(shift.tolist()) for body, shift in shifts.items()}))
+
+
+def _body(body, shift):
+    """Return a body whose frame was moved."""
+    visual = tuple(replace(one, center=_moved(one.center, np.append(shift, 0.0)[:3]))
+                   for one in body.visual)
+    return replace(body, visual=visual, center_of_mass=body.center_of_mass if body.massless
+                   else _moved(body.center_of_mass, shift))
 
 
 def _moved(place, shift):

@@ -247,3 +247,10 @@ def test_what_is_held_is_not_cut_but_by_order(tmp_path):
         FOUR_BAR.replace('[0.25, 0]]}', '[0.25, 0]], cut: true}'))
     with pytest.raises(SceneError, match='initial.hold.0.: expected one of the joints'):
         load_scene(path)
+
+
+@pytest.mark.parametrize('name', ['bricard', 'excavator_arm'])
+def test_shapes_stay_on_their_masses_when_frames_are_moved(name):
+    for body in load_scene(name).mechanism.bodies:
+        if len(body.visual) == 1:
+            np.testing.assert_allclose(body.visual[0].center, body.center_of_mass, atol=1e-12)
