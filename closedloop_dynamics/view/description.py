@@ -14,22 +14,23 @@ from pathlib import Path
 import numpy as np
 
 from .effect_shapes import effect_lines, surfaces, wires
+from .machine_shapes import BLOCK, BLOCK_WIDTH, joint_axis, MachineShapes
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from .messages import FASTEST, SLOWEST
 from ..effects.registry import effect_type
 from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.meanings import documented, unit_in
-from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
-from ..mechanism.rotations import of_quaternion, rotated
+from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, SPHERE
+from ..mechanism.rotations import of_quaternion
 from ..simulation.modeling import extent
 from ..visual.appearance import (
-    body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, sliders, solid)
+    body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, solid)
 from ..visual.urdf import depths
 
-# Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
-# between layers, half the length of a block on a slide.
-BAR, THICKNESS, LAYER, BLOCK = 0.022, 0.016, 0.03, 0.05
+# Of links, as shares of the size that they are drawn by: radius of bars, thickness of plates and
+# the distance between layers; that size in radii of the smallest wheel, at most.
+BAR, THICKNESS, LAYER, SLENDER = 0.022, 0.016, 0.03, 16.0
 # Gravity of the weight that forces are compared with [m/s^2].
 EARTH = 9.81
 # Digits of the places of a mesh's points, below the size of the mesh.
@@ -61,35 +62,45 @@ def describe(mechanism, columns, effects=None, **more):
         As JSON can.
 
     """
-    size, effects, missing = extent(mechanism), effects or {}, []
+    effects, missing, extras = effects or {}, [], MachineShapes(mechanism, effects or {})
+    size = drawn_size(mechanism, extras)
+    thick = extras.thickness(size, SLENDER)
     rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
-    heights = _heights(mechanism, size)
-    blocks, colors = sliders(mechanism), body_colors(mechanism)
-    outlines = wires(mechanism, effects, rows, heights, LAYER * size)
+    heights = _heights(mechanism, thick)
+    colors = body_colors(mechanism)
+    outlines = wires(mechanism, effects, rows, heights, LAYER * thick)
+    outlined = {wire['body'] for wire in outlines}
+    outlines += extras.wires(rows, heights, thick)
+    wheels = extras.height(heights, thick)
+    tops = {**heights, **{wheel.body: max(wheels, heights[wheel.body])
+                          for wheel in extras.wheels}}
     drawn = [mechanism.ground_visual, *(body.visual for body in mechanism.bodies)]
     meshes = sum(visual.kind == MESH for some in drawn for visual in some)
     most = min(MOST_TRIANGLES, MOST_OF_ALL // max(meshes, 1))
-    outlined = {wire['body'] for wire in outlines}
     trees = decompose(mechanism).subsystems
     child = {joint.name: joint.child for joint in mechanism.joints}
     subsystem = {child[name]: number for number, tree in enumerate(trees) for name in tree}
     return {
         'name': mechanism.name, 'planar': mechanism.planar, 'size': size,
+        'thick': thick,
         'weight': EARTH * sum(body.mass for body in mechanism.bodies),
         'colors': {'cut': CUT_COLOR, 'load': CONTACT_COLOR},
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{
             'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],
-            'shapes': (_visuals(body.name, body.visual, size, heights[body.name], most, missing)
-                       or _shapes(mechanism, body.name, size, heights[body.name], blocks,
-                                  rows[body.name] in outlined)),
+            'shapes': [
+                *(_visuals(body.name, body.visual, thick, heights[body.name], most, missing)
+                  or _shapes(mechanism, body.name, thick, heights[body.name], extras,
+                             rows[body.name] in outlined)),
+                *extras.shapes(body.name, heights, thick)],
             'grabs': grabs(mechanism, body).tolist()} for body in mechanism.bodies],
-        'ground': _visuals(GROUND, mechanism.ground_visual, size, 0.0, most, missing),
+        'ground': [*_visuals(GROUND, mechanism.ground_visual, thick, 0.0, most, missing),
+                   *extras.shapes(GROUND, heights, thick)],
         'joints': [{
             'name': joint.name, 'type': joint.type, 'parent': rows[joint.parent],
             'child': rows[joint.child], 'actuated': joint.actuated,
-            'place': _in_space(joint.position), 'axis': _axis(joint),
-            'heights': sorted((heights[joint.parent], heights[joint.child]))}
+            'place': _in_space(joint.position), 'axis': joint_axis(joint),
+            'heights': sorted((heights[joint.parent], tops[joint.child]))}
             for joint in mechanism.joints],
         'cuts': [{
             'name': cut.name, 'type': cut.type, 'body_a': rows[cut.body_a],
@@ -97,9 +108,9 @@ def describe(mechanism, columns, effects=None, **more):
             'point_a': _in_space(cut.point_a), 'point_b': _in_space(cut.point_b),
             'heights': sorted((heights[cut.body_a], heights[cut.body_b]))}
             for cut in mechanism.cut_joints],
-        'rails': _rails(mechanism, rows),
+        'guides': extras.guides(rows, heights, thick),
         'lines': [*_rods(mechanism, rows, heights),
-                  *effect_lines(mechanism, effects, rows, heights, LAYER * size)],
+                  *effect_lines(mechanism, effects, rows, heights, LAYER * thick)],
         'surfaces': surfaces(effects),
         'wires': outlines, 'missing': missing,
         'points': [{'name': point.name, 'body': rows[point.body],
@@ -129,6 +140,13 @@ def described_drive(mechanism, name, position, torque, modes):
             'position': [middle - reach, middle + reach], 'speed': 4.0 * reach}
 
 
+def drawn_size(mechanism, extras):
+    """Return the largest extent of a body as it is drawn, or of the joints of the ground [m]."""
+    spans = [np.ptp(marked_points(mechanism, name), axis=0).max()
+             for name in (GROUND, *(body.name for body in mechanism.bodies))]
+    return float(max(extras.size(), *spans)) or extent(mechanism)
+
+
 def grabs(mechanism, body):
     """
     Return the places by which a Body can be taken hold of, shape (n, 3), in its frame [m].
@@ -145,26 +163,19 @@ def _in_space(place):
     return [*place, 0.0][:3]
 
 
-def _axis(joint):
-    """Return the axis of a joint in its parent's frame, along z in the plane unless it slides."""
-    if joint.axis is not None:
-        return rotated(np.array(joint.orientation), np.array(joint.axis)).tolist()
-    if joint.type == PRISMATIC:
-        return [float(np.cos(joint.angle)), float(np.sin(joint.angle)), 0.0]
-    return [0.0, 0.0, 1.0]
-
-
 def _heights(mechanism, size):
     """Return the layer of each body above the plane [m]; all zero in space."""
     found = depths(mechanism)
     return {name: LAYER * size * depth * mechanism.planar for name, depth in found.items()}
 
 
-def _shapes(mechanism, body, size, height, blocks, outlined):
+def _shapes(mechanism, body, size, height, extras, outlined):
     """Return what a body is drawn as, in its frame [m]."""
-    radius = BAR * size
+    radius, marks = BAR * size, marked_points(mechanism, body)
+    if extras.covers(body, marks):
+        return _stem(extras, body, size, height)
     if not mechanism.planar:
-        return _bars(marked_points(mechanism, body), radius)
+        return _bars(marks, radius)
     corners = [[*corner, height] for corner in outline(mechanism, body).tolist()]
     shapes = []
     if len(corners) > 2:
@@ -173,10 +184,27 @@ def _shapes(mechanism, body, size, height, blocks, outlined):
         ends = [*corners, corners[0]] if len(corners) > 2 else corners
         shapes += [{'kind': 'bar', 'from': start, 'to': end, 'radius': radius,
                     'flat': THICKNESS * size} for start, end in zip(ends, ends[1:])]
-    if body in blocks or len(corners) == 1 and not outlined:
-        shapes.append({'kind': 'box', 'center': [0.0, 0.0, height],
-                       'size': [2.0 * BLOCK * size, 1.2 * BLOCK * size, 1.2 * THICKNESS * size]})
+    block = extras.block(body)
+    if block is not None:
+        shapes.append(_block(block, size, height))
+    elif len(corners) == 1 and not outlined:
+        shapes.append(_block(corners[0], size, height))
     return shapes
+
+
+def _stem(extras, body, size, height):
+    """Return what joins a follower's roller with the block that slides; of others nothing."""
+    reach = extras.stem(body, size)
+    if extras.block(body) is None or not reach:
+        return []
+    start, end = [0.0, 0.0, height], [reach, 0.0, height]
+    return [{'kind': 'bar', 'from': start, 'to': end, 'radius': 0.6 * BAR * size,
+             'flat': THICKNESS * size}, _block(end, size, height)]
+
+
+def _block(place, size, height):
+    return {'kind': 'box', 'center': [*place[:2], height],
+            'size': [2.0 * BLOCK * size, 2.0 * BLOCK_WIDTH * size, 1.2 * THICKNESS * size]}
 
 
 def _visuals(name, visuals, size, height, most, missing):
@@ -241,16 +269,3 @@ def _bars(points, radius):
         shapes.append({'kind': 'faces', 'triangles': [
             [points[corner] for corner in face] for face in faces]})
     return shapes
-
-
-def _rails(mechanism, rows):
-    """Return the slides on the ground: a place, a direction, and the body that slides."""
-    found = [{'place': _in_space(joint.position), 'axis': _axis(joint),
-              'body': rows[joint.child]} for joint in mechanism.joints
-             if joint.parent == GROUND and joint.type == PRISMATIC]
-    return found + [
-        {'place': _in_space(cut.point_b), 'body': rows[cut.body_a],
-         'axis': [float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0]
-         if mechanism.planar else list(cut.axis_b)}
-        for cut in mechanism.cut_joints
-        if cut.body_b == GROUND and cut.type == PRISMATIC]

@@ -38,7 +38,8 @@ def effect_lines(mechanism, effects, rows, heights, above):
     -------
     list of dict
         Kind, name, ends (number of a body, place in its frame [m]), of a cable radii, and under
-        ``anchor`` the key of the effect that the last end follows.
+        ``anchor`` the key of the effect that the last end follows; in space the axis of the
+        pulleys, with the body that it is fixed in.
 
     """
     found = []
@@ -52,8 +53,13 @@ def effect_lines(mechanism, effects, rows, heights, above):
 
     for name, record in effects.items():
         if isinstance(record, Cable):
-            found.append({'kind': 'cable', 'name': name, 'ends': ends(record.points),
-                          'radii': list(record.radii or ()) if mechanism.planar else []})
+            ropes = {'kind': 'cable', 'name': name, 'ends': ends(record.points),
+                     'radii': list(record.radii or ())}
+            if record.axis is not None:
+                # Of the body of the first pulley.
+                first = next(k for k, radius in enumerate(record.radii) if radius)
+                ropes['axis'] = [ropes['ends'][first][0], list(record.axis)]
+            found.append(ropes)
         elif isinstance(record, (PointSpring, ForceTable)) and record.point_a is not None:
             line = {'kind': 'spring', 'name': name, 'ends': ends(
                 [name for name in (record.point_a, record.point_b) if name is not None])}
@@ -84,7 +90,7 @@ def wires(mechanism, effects, rows, heights, above):
                       for point, some in ((record.point, _ball(record.radius)),
                                           (record.other, rings_of(record))) for ring in some]
             continue
-        rolling = _line(record) if record.shape == 'face' else _circle(record.radius)
+        rolling = _line(record) if record.shape == 'face' else circle(record.radius)
         for point, places in ((record.point, rolling), (record.other, outline_of(record))):
             if len(places):
                 body = points[point].body
@@ -99,7 +105,7 @@ def outline_of(contact):
     if contact.shape == 'line':
         return _line(contact)
     if contact.shape == 'circle':
-        return _circle(contact.other_radius)
+        return circle(contact.other_radius)
     pieces = np.array(contact.pieces)
     powers = (np.arange(SPLINE) / SPLINE)[:, None] ** np.arange(4)
     places = np.stack([pieces[:, :4] @ powers.T, pieces[:, 4:] @ powers.T], axis=-1).reshape(-1, 2)
@@ -132,13 +138,13 @@ def rings_of(contact):
     if contact.shape == 'plane':
         half = SHORT * (contact.radius or 1.0)
         return [half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) @ across]
-    ring = _circle(contact.other_radius) @ across
+    ring = circle(contact.other_radius) @ across
     return [ring + share * contact.other_radius * along for share in (-1.0, 0.0, 1.0)]
 
 
 def _ball(radius):
     """Return three circles of a ball."""
-    return [_circle(radius) @ np.delete(np.eye(3), k, axis=0) for k in range(3) if radius]
+    return [circle(radius) @ np.delete(np.eye(3), k, axis=0) for k in range(3) if radius]
 
 
 def normal_in_space(contact, place):
@@ -179,7 +185,8 @@ def face_normal(contact):
     return np.array([-math.sin(angle), math.cos(angle)])
 
 
-def _circle(radius):
+def circle(radius):
+    """Return a closed circle, shape (n, 2) [m]; without a radius no places."""
     if not radius:
         return np.zeros((0, 2))
     angles = 2.0 * np.pi * np.arange(CIRCLE + 1) / CIRCLE

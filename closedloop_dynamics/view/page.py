@@ -9,7 +9,8 @@ import json
 
 import numpy as np
 
-PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'edit.js', 'page.js')
+PARTS = ('algebra.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js', 'arrows.js',
+         'overlay.js', 'camera.js', 'scene.js', 'plots.js', 'panels.js', 'edit.js', 'page.js')
 STYLES = ('page.css', 'edit.css')
 
 

@@ -390,8 +390,8 @@ def test_arrows_are_of_forces_that_matter(open_page, tmp_path, force, drawn):
         mechanism, columns, scene.effects, mode='recording', title='arrows'),
         np.array([0.0, 1.0]), rows))
     tab = open_page(path.as_uri())
-    tab.wait('typeof page !== "undefined" && page.picture?.forceScale > 0')
-    longest = tab.ask('Math.max(...page.picture.arrows().map(({along}) => norm(along)))')
+    tab.wait('typeof page !== "undefined" && page.picture?.forces.forceScale > 0')
+    longest = tab.ask('Math.max(...page.picture.forces.found().map(({along}) => norm(along)))')
     size = tab.ask('page.picture.size')
     assert (longest > 0.05 * size) if drawn else (longest < 1e-6 * size)
     assert not tab.errors

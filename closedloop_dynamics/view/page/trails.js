@@ -1,0 +1,175 @@
+// Paths of points: places in buffers that grow, drawn as wide as they are seen.
+
+// Paths: each piece a rectangle about two places next to each other, as wide as it is seen.
+const PATH_VERTEX = `#version 300 es
+uniform mat4 view;
+uniform vec2 window;
+uniform float radius;
+in vec3 from, to;
+out vec2 a, b;
+void main() {
+  vec4 first = view * vec4(from, 1.0), second = view * vec4(to, 1.0);
+  a = (0.5 + 0.5 * first.xy / first.w) * window;
+  b = (0.5 + 0.5 * second.xy / second.w) * window;
+  vec2 along = b - a;
+  // Pieces end where the next ones begin: what is drawn twice would show. A dot is round.
+  float cap = dot(along, along) > 0.0 ? 0.0 : 1.0;
+  along = cap > 0.0 ? vec2(1.0, 0.0) : normalize(along);
+  bool ahead = gl_VertexID > 1;
+  vec2 side = vec2(-along.y, along.x) * (gl_VertexID % 2 == 0 ? 1.0 : -1.0);
+  vec2 place = (ahead ? b : a) + (radius + 1.0) * (side + cap * (ahead ? along : -along));
+  gl_Position = first.w > 0.0 && second.w > 0.0
+    ? vec4(2.0 * place / window - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}`;
+const PATH_FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec3 paint;
+uniform float radius;
+in vec2 a, b;
+out vec4 result;
+void main() {
+  vec2 along = b - a, away = gl_FragCoord.xy - a;
+  away -= clamp(dot(away, along) / max(dot(along, along), 1e-6), 0.0, 1.0) * along;
+  result = vec4(paint, clamp(radius + 0.5 - length(away), 0.0, 1.0));
+}`;
+
+// Half the width of a path, and the radius of the dot at its end [CSS pixels]; how many places of
+// a live one are kept, and forgotten at once; how far they are apart at least, in sizes.
+const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 8000, FORGOTTEN = 1000, SPACING = 0.001;
+
+// The places of a point, in a buffer that grows by what is new; of a recording those of all rows.
+class Trail {
+  constructor(gl, capacity = PATH_LENGTH) {
+    this.gl = gl;
+    this.buffer = gl.createBuffer();
+    this.places = new Float32Array(3 * capacity);
+    // How many there are, are drawn, and are in the buffer; -1: none, and it has no size yet.
+    this.count = this.shown = 0;
+    this.sent = -1;
+    this.now = null;
+  }
+
+  push(place) {
+    if (3 * this.count === this.places.length) {
+      this.places.copyWithin(0, 3 * FORGOTTEN);
+      this.count -= FORGOTTEN;
+      this.sent = 0;
+    }
+    this.places.set(place, 3 * this.count);
+    this.count += 1;
+  }
+
+  forget() { this.count = this.sent = 0; }
+
+  last() { return this.places.subarray(3 * this.shown - 3, 3 * this.shown); }
+
+  drop() { this.gl.deleteBuffer(this.buffer); }
+
+  // Bind the buffer with all places.
+  bind() {
+    const gl = this.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    if (this.sent < 0) {
+      gl.bufferData(gl.ARRAY_BUFFER, this.places.byteLength, gl.DYNAMIC_DRAW);
+      this.sent = 0;
+    }
+    if (this.sent < this.count) {
+      gl.bufferSubData(gl.ARRAY_BUFFER, 12 * this.sent,
+                       this.places.subarray(3 * this.sent, 3 * this.count));
+      this.sent = this.count;
+    }
+  }
+}
+
+// The paths of all points of a machine.
+class Trails {
+  constructor(scene) {
+    this.scene = scene;
+    this.program = scene.build(PATH_VERTEX, PATH_FRAGMENT, ['from', 'to']);
+    this.buffer = scene.gl.createBuffer();
+    this.all = [];
+    this.begin();
+  }
+
+  // Paths of the points that there are now.
+  begin() {
+    for (const trail of this.all) trail.drop();
+    this.all = this.scene.described.points.map(() => new Trail(this.scene.gl));
+  }
+
+  // Where the points are; ``reached``: of a recording, the number of the last row before that.
+  follow(reached) {
+    const {scene} = this;
+    scene.described.points.forEach((point, k) => {
+      const trail = this.all[k];
+      trail.now = moved(scene.frameOf(point.body), point.place);
+      if (this.recorded) trail.shown = reached + 1;
+      else this.lengthen(trail, trail.now);
+    });
+  }
+
+  // Places of the points at an instant between two frames.
+  trace(places) {
+    this.all.forEach((trail, k) => this.lengthen(trail, places.subarray(3 * k, 3 * k + 3)));
+  }
+
+  lengthen(trail, place) {
+    trail.shown = trail.count;
+    if (!trail.count || norm(minus(place, trail.last())) > SPACING * this.scene.size) {
+      trail.push(place);
+      trail.shown = trail.count;
+    }
+  }
+
+  // The paths of a recording are those of all its rows, whichever of them are shown.
+  record({rows, width, count}) {
+    this.recorded = true;
+    const {points, columns: {poses}} = this.scene.described;
+    this.all = points.map((point) => {
+      const trail = new Trail(this.scene.gl, count);
+      for (let row = 0; row < count; row++) {
+        trail.push(moved(point.body < 0 ? IDENTITY
+          : ofPose(rows, row * width + poses + 7 * point.body), point.place));
+      }
+      return trail;
+    });
+  }
+
+  forget() {
+    if (!this.recorded) for (const trail of this.all) trail.forget();
+  }
+
+  // Above everything, with a dot where each is now.
+  draw(theme, ratio) {
+    const {gl, canvas, seen, shown} = this.scene, {program, uniforms} = this.program;
+    gl.useProgram(program);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.uniformMatrix4fv(uniforms.view, false, seen.matrix);
+    gl.uniform2f(uniforms.window, canvas.width, canvas.height);
+    gl.uniform3fv(uniforms.paint, rgb(theme.path));
+    gl.bindVertexArray(this.array ??= gl.createVertexArray());
+    // Pieces, each from a place to the next; a dot, from a place to itself.
+    const pieces = (first, step, count, radius) => {
+      [first, first + step].forEach((offset, number) => {
+        gl.enableVertexAttribArray(number);
+        gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
+        gl.vertexAttribDivisor(number, 1);
+      });
+      gl.uniform1f(uniforms.radius, ratio * radius);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+    };
+    this.all.forEach((trail, k) => {
+      if (!trail.shown || !shown[k ? 'paths' : 'path']) return;
+      trail.bind();
+      if (trail.shown > 1) pieces(0, 12, trail.shown - 1, PATH);
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([...trail.last(), ...trail.now]),
+                    gl.STREAM_DRAW);
+      pieces(0, 12, 1, PATH);
+      pieces(12, 0, 1, DOT);
+    });
+    gl.disable(gl.BLEND);
+  }
+}

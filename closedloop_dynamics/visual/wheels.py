@@ -1,0 +1,566 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Gears, racks and belts that couplings stand for: their radii and teeth follow from ratio and place.
+
+Two wheels turn by psi_1 and psi_2 about axes that are fixed in one body, their carrier, and a
+coupling says a_1 psi_1 + a_2 psi_2 = constant. Where they roll on one another, their radii are as
+|a_1| to |a_2|, and with the distance of the axes that is all: r_1 + r_2 for wheels that turn
+against one another, |r_1 - r_2| for one in a ring. Axes that meet have bevel gears. A coupling
+whose ``radius`` is too small for its wheels to touch is a belt. Whether teeth fit into gaps does
+not change while wheels roll: it is decided once, from ``offset``.
+
+"""
+
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
+from ..mechanism.rotations import of_quaternion
+
+GEAR, RING, BEVEL, PULLEY = 'gear', 'ring', 'bevel', 'pulley'
+# Relative error that radii, distances and numbers of teeth may have in a file.
+TOLERANCE = 1e-4
+# Teeth of the smallest wheel, in this order; of the largest one.
+LEAST_TEETH, MOST_TEETH = (*range(18, 41), *range(12, 18)), 500
+# Of a tooth, in modules: above and below the pitch circle; in angular pitches: half its width at
+# the tip, on the pitch circle and at the root.
+ABOVE, BELOW, WIDTHS = 1.0, 1.25, (0.11, 0.24, 0.36)
+# Outside a ring, and below the teeth of a rack, in modules; of a rack in radii of its wheel.
+RIM, BACK, REACH = 2.2, 2.5, 4.0
+# Wheels that turn the same way with about the same speed are no gear in a ring, which would be so
+# many times as large as their distance; the larger pulley of a belt without radii, in distances.
+LARGEST_RING, BELT_RADIUS = 6.0, 0.15
+# Corners of a smooth wheel, and of half a turn of a belt.
+ROUND = 72
+
+
+class Wheel(NamedTuple):
+    """
+    A wheel on a body, in its frame.
+
+    Attributes
+    ----------
+    kind : str
+        ``GEAR``, ``RING`` with teeth inside, ``BEVEL`` or ``PULLEY``.
+    body : str
+        Its name, or that of the ground.
+    center, axis, start : ndarray, shape (3,)
+        Centre of its pitch circle [m], axis, and the direction of the middle of a tooth.
+    radius : float
+        Of the pitch circle [m].
+    teeth : int
+        Zero where no whole numbers of teeth have the ratio: a smooth wheel.
+    apex : float
+        Of a bevel gear: where its cone ends, along the axis from the centre on [m].
+
+    """
+
+    kind: str
+    body: str
+    center: np.ndarray
+    axis: np.ndarray
+    start: np.ndarray
+    radius: float
+    teeth: int = 0
+    apex: float = 0.0
+
+    @property
+    def module(self):
+        """Return what teeth are drawn by [m]: the pitch diameter over the number of teeth."""
+        return 2.0 * self.radius / (self.teeth or 36)
+
+    @property
+    def side(self):
+        """Return the direction across axis and start, shape (3,)."""
+        return np.cross(self.axis, self.start)
+
+
+class Rack(NamedTuple):
+    """
+    A straight gear on a body, in its frame.
+
+    Attributes
+    ----------
+    body : str
+    place, along, normal : ndarray, shape (3,)
+        The middle of a tooth on the pitch line [m], directions of that and towards the wheel.
+    pitch : float
+        From tooth to tooth [m].
+    span : tuple of 2 floats
+        Where it begins and ends along the line from ``place`` on [m].
+
+    """
+
+    body: str
+    place: np.ndarray
+    along: np.ndarray
+    normal: np.ndarray
+    pitch: float
+    span: tuple
+
+
+class Belt(NamedTuple):
+    """A belt about two pulleys: its body, their carrier, and its places in that frame [m]."""
+
+    name: str
+    body: str
+    places: np.ndarray
+
+
+class _Hinge(NamedTuple):
+    """What turns about an axis; turn: the child's axes in the parent at zero."""
+
+    name: str
+    parent: str
+    child: str
+    at_parent: np.ndarray
+    at_child: np.ndarray
+    axis: np.ndarray
+    turn: np.ndarray
+
+
+class _Seat(NamedTuple):
+    """
+    How a body turns in its carrier.
+
+    ``terms``: by joint its factor in the angle psi; place and axis in the carrier, axes of the
+    body at psi = 0, and the same place in the body.
+
+    """
+
+    body: str
+    terms: dict
+    place: np.ndarray
+    axis: np.ndarray
+    turn: np.ndarray
+    center: np.ndarray
+
+
+class _Mesh(NamedTuple):
+    """
+    Teeth of wheel ``first`` in gaps of wheel ``other``, by their numbers.
+
+    ``ahead``: angles at one instant from the contact to the directions that ``start`` is counted
+    from; ``sense`` 1 where the axes lie so that both turn the same way.
+
+    """
+
+    first: int
+    other: int
+    ahead: tuple
+    sense: int
+
+
+def transmissions(mechanism):
+    """
+    Return the wheels, racks and belts of the couplings of a mechanism.
+
+    Couplings whose wheels would not touch, are on one axis or on skew ones have none.
+
+    Returns
+    -------
+    wheels : list of Wheel
+    racks : list of Rack
+    belts : list of Belt
+
+    """
+    if not mechanism.couplings:
+        return [], [], []
+    train = _Train(mechanism)
+    for coupling in mechanism.couplings:
+        train.add(coupling)
+    train.cut_teeth()
+    return train.wheels, [train.rack(*one) for one in train.racks], train.belts
+
+
+def profile(wheel):
+    """
+    Return the outline of a wheel, shape (n, 2), and of its hole, along start and side [m].
+
+    The hole of a ring has as many places as its outline; others have None.
+
+    """
+    if not wheel.teeth:
+        outer = wheel.radius * _circle(ROUND)
+    else:
+        sign = -1.0 if wheel.kind == RING else 1.0
+        outer = _teeth(wheel, sign)
+    if wheel.kind != RING:
+        return outer, None
+    rim = wheel.radius + (BELOW + RIM) * wheel.module
+    return rim * outer / np.linalg.norm(outer, axis=1)[:, None], outer
+
+
+def rack_profile(rack):
+    """Return the outline of a rack, shape (n, 2), along its line and normal from place on [m]."""
+    module = rack.pitch / np.pi
+    first, last = np.array(rack.span) / rack.pitch
+    numbers = np.arange(np.ceil(first), np.floor(last) + 1)
+    shape = _tooth(rack.pitch, module, 1.0)
+    teeth = (numbers[:, None, None] * [rack.pitch, 0.0] + shape).reshape(-1, 2)
+    back = -(BELOW + BACK) * module
+    begin, end = teeth[0, 0], teeth[-1, 0]
+    return np.vstack([teeth, [[end, back], [begin, back]]])
+
+
+def _tooth(pitch, module, sign):
+    """Return a tooth along a line: places along it, and heights above it, shape (6, 2)."""
+    tip, middle, root = WIDTHS
+    return np.column_stack([
+        pitch * np.array([-root, -middle, -tip, tip, middle, root]),
+        sign * module * np.array([-BELOW, 0.0, ABOVE, ABOVE, 0.0, -BELOW])])
+
+
+def _teeth(wheel, sign):
+    pitch = 2.0 * np.pi / wheel.teeth
+    shape = _tooth(pitch, wheel.module, sign)
+    angles = (pitch * np.arange(wheel.teeth)[:, None] + shape[:, 0]).ravel()
+    radii = np.tile(wheel.radius + shape[:, 1], wheel.teeth)
+    return radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _circle(count):
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+class _Train:
+    """What is found: wheels, how they mesh, and racks before their teeth are cut."""
+
+    def __init__(self, mechanism):
+        self.mechanism = mechanism
+        self.hinges = {hinge.name: hinge for hinge in _hinges(mechanism)}
+        self.slides = {joint.name: joint for joint in mechanism.joints
+                       if joint.type == PRISMATIC}
+        self.values = _values(mechanism.couplings)
+        self.wheels, self.meshes, self.racks, self.belts, self._known = [], [], [], [], {}
+
+    def add(self, coupling):
+        """Add the wheels of a coupling, if it has any."""
+        if all(name in self.hinges for name in coupling.joints):
+            carrier, seats, factors = self._rolling(coupling)
+            if carrier is not None:
+                self._roll(coupling, carrier, seats, factors)
+        elif len(coupling.joints) == 2:
+            slide = next((name for name in coupling.joints if name in self.slides), None)
+            hinge = next((name for name in coupling.joints if name in self.hinges), None)
+            if slide and hinge and all(coupling.joints.values()):
+                self._push(self.slides[slide], self.hinges[hinge],
+                           -coupling.joints[hinge] / coupling.joints[slide])
+
+    def _rolling(self, coupling):
+        """Return the carrier in which a coupling is one of angles of bodies; their factors."""
+        near = dict.fromkeys(chain([GROUND], *(
+            (self.hinges[name].child, self.hinges[name].parent) for name in coupling.joints)))
+        for carrier in near:
+            seats = [seat for body in near if body != carrier
+                     for seat in [self._seat(carrier, body)] if seat is not None]
+            names = sorted({*coupling.joints, *chain(*(seat.terms for seat in seats))})
+            terms = np.array([[seat.terms.get(name, 0.0) for seat in seats] for name in names])
+            wanted = np.array([coupling.joints.get(name, 0.0) for name in names])
+            if not seats:
+                continue
+            factors = np.linalg.lstsq(terms, wanted, rcond=None)[0]
+            scale = np.abs(wanted).max()
+            some = [k for k, factor in enumerate(factors) if abs(factor) > TOLERANCE * scale]
+            if len(some) < 2 or np.abs(terms @ factors - wanted).max() > TOLERANCE * scale:
+                continue
+            child = self.hinges[next(iter(coupling.joints))].child
+            # The first joint's wheel is the one whose radius may be given.
+            some.sort(key=lambda k: seats[k].body != child)
+            return carrier, [seats[k] for k in some], [factors[k] for k in some]
+        return None, (), ()
+
+    def _seat(self, carrier, body):
+        for hinge in self.hinges.values():
+            if (hinge.parent, hinge.child) == (carrier, body):
+                return _upright(_Seat(body, {hinge.name: 1.0}, hinge.at_parent, hinge.axis,
+                                      hinge.turn, hinge.at_child))
+            if (hinge.child, hinge.parent) == (carrier, body):
+                return _upright(_Seat(body, {hinge.name: -1.0}, hinge.at_child,
+                                      hinge.turn.T @ hinge.axis, hinge.turn.T, hinge.at_parent))
+        for hinge in self.hinges.values():
+            for arm in self.hinges.values():
+                if (hinge.child, arm.child, hinge.parent) == (body, carrier, arm.parent) and (
+                        _on_one_axis(hinge, arm)):
+                    same = np.sign(hinge.axis @ arm.axis)
+                    return _upright(_Seat(
+                        body, {hinge.name: 1.0, arm.name: -same}, arm.at_child,
+                        arm.turn.T @ hinge.axis, arm.turn.T @ hinge.turn, hinge.at_child))
+        return None
+
+    def _roll(self, coupling, carrier, seats, factors):
+        first, *others = seats
+        for other, factor in zip(others, factors[1:]):
+            turned = np.cross(first.axis, other.axis)
+            # Wheels that are alike, as planets are, share what they do to the first one.
+            alike = sum(abs(abs(one) - abs(factor)) < TOLERANCE * abs(factor)
+                        for one in factors[1:])
+            ratio = alike * factor / factors[0]
+            if np.linalg.norm(turned) < TOLERANCE:
+                self._parallel(coupling, carrier, first, other,
+                               ratio * np.sign(first.axis @ other.axis))
+            elif coupling.radius:
+                self._meeting(coupling.radius, first, other, ratio)
+
+    def _parallel(self, coupling, carrier, first, other, ratio):
+        """Put wheels on axes that are parallel; ``ratio`` below zero: they turn the same way."""
+        away = other.place - first.place
+        away = away - (away @ first.axis) * first.axis
+        distance = np.linalg.norm(away)
+        if distance < TOLERANCE * (coupling.radius or distance or 1.0) or not distance:
+            return
+        gap = abs(1.0 + ratio)
+        radius = coupling.radius or (distance / gap if gap * LARGEST_RING > 1.0 else 0.0)
+        radii = np.array([radius, abs(ratio) * radius])
+        between = radii.sum() if ratio > 0.0 else abs(radii[0] - radii[1])
+        shift = (first.place - other.place) @ other.axis
+        centers = first.center, other.center + shift * (other.turn.T @ other.axis)
+        direction = away / distance
+        if radius and abs(between - distance) < TOLERANCE * distance:
+            inside = np.sign(radii[0] - radii[1]) if ratio < 0.0 else 0.0
+            contacts = ((direction, -direction) if ratio > 0.0
+                        else (inside * direction, inside * direction))
+            self._mesh(first, other, contacts, [
+                self._wheel(RING if ratio < 0.0 and size == radii.max() else GEAR,
+                            seat, center, size)
+                for seat, center, size in zip((first, other), centers, radii)])
+        elif not radius or radii.sum() < distance:
+            if not radius:
+                radii = BELT_RADIUS * distance * np.array([1.0, abs(ratio)]) / max(1.0, abs(ratio))
+            for seat, center, size in zip((first, other), centers, radii):
+                self._wheel(PULLEY, seat, center, size)
+            self.belts.append(Belt(coupling.name, carrier, _belt(
+                first.place, direction, np.cross(first.axis, direction), distance, radii,
+                crossed=ratio > 0.0)))
+
+    def _meeting(self, radius, first, other, ratio):
+        """Put bevel gears on axes that meet."""
+        across = np.cross(first.axis, other.axis)
+        away = other.place - first.place
+        if abs(away @ across) > TOLERANCE * radius:
+            return
+        reach = np.linalg.det([away, other.axis, across]) / (across @ across)
+        apex = first.place + reach * first.axis
+        outward, (one, two) = [], (self._side(seat, apex) for seat in (first, other))
+        # As they roll on one another, the side of one decides that of the other.
+        if one * two * ratio < 0.0:
+            two = -two
+        outward = [one * first.axis, two * other.axis]
+        cosine, sine = outward[0] @ outward[1], np.linalg.norm(across)
+        radii = radius, abs(ratio) * radius
+        cones = [np.arctan2(sine, radii[1 - k] / radii[k] + cosine) for k in range(2)]
+        heights = [size / np.tan(cone) for size, cone in zip(radii, cones)]
+        wheels, contacts = [], []
+        for k, (seat, height) in enumerate(zip((first, other), heights)):
+            center = seat.turn.T @ (apex + height * outward[k] - seat.place) + seat.center
+            wheels.append(self._wheel(
+                BEVEL, seat, center, radii[k], -height * (outward[k] @ seat.axis)))
+            towards = outward[1 - k] - cosine * outward[k]
+            contacts.append(towards / np.linalg.norm(towards))
+        self._mesh(first, other, contacts, wheels)
+
+    def _side(self, seat, apex):
+        """Return on which side of the apex a wheel is, -1 or 1: on that of its body."""
+        middle = seat.turn @ (self._middle(seat.body) - seat.center) + seat.place
+        for place in (seat.place, middle):
+            along = (place - apex) @ seat.axis
+            if abs(along) > TOLERANCE * np.linalg.norm(place - apex):
+                return np.sign(along)
+        return 1.0
+
+    def _middle(self, body):
+        places = [point.position for point in self.mechanism.points if point.body == body]
+        places += [one.center_of_mass for one in self.mechanism.bodies if one.name == body]
+        return _in_space(np.mean(places, axis=0)) if places else np.zeros(3)
+
+    def _push(self, slide, hinge, radius):
+        """Put a wheel on a hinge and a rack on a slide of the same body, which moves by radius."""
+        if slide.parent != hinge.parent:
+            return
+        turn = _turn(slide)
+        along = turn @ ([1.0, 0.0, 0.0] if slide.axis is None else slide.axis)
+        if abs(along @ hinge.axis) > TOLERANCE:
+            return
+        seat = _upright(_Seat(hinge.child, {hinge.name: 1.0}, hinge.at_parent, hinge.axis,
+                              hinge.turn, hinge.at_child))
+        along = along * np.sign(radius) * np.sign(hinge.axis @ seat.axis)
+        normal, size = np.cross(along, seat.axis), abs(radius)
+        self.racks.append((
+            self._wheel(GEAR, seat, seat.center, size), slide, along, normal,
+            seat.place + size * normal, turn, self._ahead(seat, normal)))
+
+    def _wheel(self, kind, seat, center, radius, apex=0.0):
+        """Return the number of a wheel, which may be known."""
+        key = (kind, seat.body, *np.round(center / radius, 4), f'{radius:.6g}')
+        if key not in self._known:
+            self._known[key] = len(self.wheels)
+            axis = seat.turn.T @ seat.axis
+            self.wheels.append(Wheel(kind, seat.body, center, axis, _across(axis), radius,
+                                     apex=apex))
+        return self._known[key]
+
+    def _ahead(self, seat, contact):
+        """Return the angle from the contact to the wheel's start as the couplings have it."""
+        zero = seat.turn @ _across(seat.turn.T @ seat.axis)
+        angle = np.arctan2(np.cross(contact, zero) @ seat.axis, contact @ zero)
+        return angle + sum(factor * self.values.get(name, 0.0)
+                           for name, factor in seat.terms.items())
+
+    def _mesh(self, first, other, contacts, wheels):
+        moving = [np.cross(seat.axis, contact) for seat, contact in zip((first, other), contacts)]
+        self.meshes.append(_Mesh(
+            *wheels, tuple(map(self._ahead, (first, other), contacts)),
+            int(np.sign(moving[0] @ moving[1]))))
+
+    def cut_teeth(self):
+        """Find numbers of teeth with the ratios of the radii, and where the first ones are."""
+        left = set(range(len(self.wheels)))
+        while left:
+            group, reached = [], [min(left)]
+            while reached:
+                number = reached.pop()
+                group.append(number)
+                left.discard(number)
+                reached += [end for mesh in self.meshes if number in (mesh.first, mesh.other)
+                            for end in (mesh.first, mesh.other)
+                            if end in left and end not in reached]
+            if self.wheels[group[0]].kind != PULLEY:
+                self._cut(group)
+
+    def _cut(self, group):
+        radii = np.array([self.wheels[number].radius for number in group])
+        best = None
+        for least in LEAST_TEETH:
+            teeth = least * radii / radii.min()
+            if np.abs(teeth - teeth.round()).max() > TOLERANCE * least or (
+                    teeth.max() > MOST_TEETH):
+                continue
+            counts = dict(zip(group, teeth.round().astype(int).tolist()))
+            starts, misfit = self._starts(group, counts)
+            if best is None or misfit < best[0] - TOLERANCE:
+                best = misfit, counts, starts
+        for number in group if best else ():
+            wheel = self.wheels[number]
+            angle = best[2][number]
+            self.wheels[number] = wheel._replace(
+                teeth=best[1][number],
+                start=np.cos(angle) * wheel.start + np.sin(angle) * wheel.side)
+
+    def _starts(self, group, teeth):
+        """Return, by wheel, the angle of its first tooth, and the largest misfit in pitches."""
+        starts, misfit = {group[0]: 0.0}, 0.0
+        meshes = [mesh for mesh in self.meshes if mesh.first in teeth]
+        while meshes:
+            mesh = next(one for one in meshes if one.first in starts or one.other in starts)
+            meshes.remove(mesh)
+            pitches = [2.0 * np.pi / teeth[end] for end in (mesh.first, mesh.other)]
+            if mesh.first in starts and mesh.other in starts:
+                place, other = ((mesh.ahead[k] + starts[end]) / pitches[k]
+                                for k, end in enumerate((mesh.first, mesh.other)))
+                off = place - mesh.sense * other - 0.5
+                misfit = max(misfit, abs(off - np.round(off)))
+                continue
+            known = 0 if mesh.first in starts else 1
+            ends = mesh.first, mesh.other
+            place = (mesh.ahead[known] + starts[ends[known]]) / pitches[known]
+            starts[ends[1 - known]] = (mesh.sense * (place - 0.5) * pitches[1 - known]
+                                       - mesh.ahead[1 - known])
+        return starts, misfit
+
+    def rack(self, number, slide, along, normal, contact, turn, ahead):
+        """Return the rack that a wheel pushes."""
+        wheel = self.wheels[number]
+        zero = _across(wheel.axis)
+        ahead += np.arctan2(np.cross(zero, wheel.start) @ wheel.axis, zero @ wheel.start)
+        pitch = 2.0 * np.pi * wheel.radius / (wheel.teeth or 36)
+        moved = turn @ ([1.0, 0.0, 0.0] if slide.axis is None else slide.axis)
+        place = contact - _in_space(slide.position) - (
+            self.values.get(slide.name, 0.0) * moved) + (
+            wheel.radius * ahead + 0.5 * pitch) * along
+        place, along, normal = turn.T @ place, turn.T @ along, turn.T @ normal
+        marks = [_in_space(point.position) @ along for point in self.mechanism.points
+                 if point.body == slide.child]
+        middle = turn.T @ (contact - _in_space(slide.position)) @ along
+        reach = REACH * wheel.radius
+        ends = np.array([min([middle - reach, *marks]), max([middle + reach, *marks])])
+        return Rack(slide.child, place, along, -normal, pitch,
+                    tuple((ends - place @ along).tolist()))
+
+
+def _in_space(place):
+    return np.append(np.array(place, dtype=float), 0.0)[:3]
+
+
+def _turn(joint):
+    """Return the axes of a child in its parent at zero, shape (3, 3)."""
+    if joint.axis is not None:
+        return of_quaternion(joint.orientation)
+    return _about_z(joint.angle)
+
+
+def _about_z(angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _hinges(mechanism):
+    upright = np.array([0.0, 0.0, 1.0])
+    for joint in mechanism.joints:
+        if joint.type == REVOLUTE:
+            turn = _turn(joint)
+            axis = upright if joint.axis is None else turn @ joint.axis
+            yield _Hinge(joint.name, joint.parent, joint.child, _in_space(joint.position),
+                         np.zeros(3), axis / np.linalg.norm(axis), turn)
+    for cut in mechanism.cut_joints:
+        if cut.type == REVOLUTE and mechanism.planar:
+            yield _Hinge(cut.name, cut.body_b, cut.body_a, _in_space(cut.point_b),
+                         _in_space(cut.point_a), upright, _about_z(cut.angle))
+
+
+def _values(couplings):
+    """Return coordinates that all couplings hold at, by joint [rad or m]."""
+    names = sorted({name for coupling in couplings for name in coupling.joints})
+    factors = [[coupling.joints.get(name, 0.0) for name in names] for coupling in couplings]
+    found = np.linalg.lstsq(np.array(factors), np.array(
+        [coupling.offset for coupling in couplings]), rcond=None)[0]
+    return dict(zip(names, found.tolist()))
+
+
+def _on_one_axis(hinge, arm):
+    away = hinge.at_parent - arm.at_parent
+    size = np.linalg.norm(hinge.at_parent) or 1.0
+    return (np.linalg.norm(np.cross(hinge.axis, arm.axis)) < TOLERANCE
+            and np.linalg.norm(np.cross(away, arm.axis)) < TOLERANCE * size)
+
+
+def _upright(seat):
+    """Return a seat whose axis is the one of two that its body knows as positive."""
+    axis = seat.turn.T @ seat.axis
+    if axis[np.argmax(np.abs(axis))] > 0.0:
+        return seat
+    return seat._replace(axis=-seat.axis, terms={
+        name: -factor for name, factor in seat.terms.items()})
+
+
+def _across(axis):
+    """Return a direction across an axis, shape (3,)."""
+    across = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [0.0, 0.0, 1.0], axis)
+    return across / np.linalg.norm(across)
+
+
+def _belt(place, along, side, distance, radii, crossed):
+    """Return the places of a closed belt, shape (n, 3)."""
+    first, other = radii
+    lean = np.arccos(((first + other) if crossed else (first - other)) / distance)
+    # Round the first pulley where it is away from the other one, and on.
+    back = np.linspace(lean, 2.0 * np.pi - lean, ROUND // 2)
+    forth = np.linspace(*((np.pi - lean, lean - np.pi) if crossed else (-lean, lean)), ROUND // 2)
+    places = np.vstack([
+        first * np.column_stack([np.cos(back), np.sin(back)]),
+        other * np.column_stack([np.cos(forth), np.sin(forth)]) + [distance, 0.0]])
+    return place + np.vstack([places, places[:1]]) @ np.array([along, side])
