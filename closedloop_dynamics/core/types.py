@@ -24,10 +24,11 @@ import numpy as np
 # Model.tree, one row a body: topology. In space, joints of several freedoms are several rows, all
 # but the last of them bodies without mass. DOF: place in qd and tau; COORDINATE: first place in q;
 # AXIS: the column of the body's frame along or about which it moves, in space; in the plane READ:
-# whether a coupling reads the joint's coordinate.
-PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS = range(6)
+# whether a coupling reads the joint's coordinate. VARIES: in space, bits of the columns of
+# Model.body that effects may change while code runs, which loads them even where they are zero.
+PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS, VARIES = range(7)
 READ = AXIS
-TREE_COLUMNS = 6
+TREE_COLUMNS = 7
 # Values of the column TYPE. HELICAL and BALL, one of the three rows of a spherical joint, are
 # in space.
 REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE, HELICAL, BALL = range(5)

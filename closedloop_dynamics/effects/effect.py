@@ -202,6 +202,9 @@ class Effect:
         """Return the names that ``joint`` may be: but of spherical and free joints."""
         return mechanism.coordinates.single_names + mechanism.measured_cuts
 
+    def reserve(self, model, machine):
+        """Tell the model what ``change`` changes, whether the effect acts now or not."""
+
     def change(self, model, machine):
         """Change the constants of the model."""
 

@@ -20,7 +20,7 @@ from .table import (
 from .traced_effect import TracedEffect
 from ..core import codegen
 from ..core.codegen import pieces
-from ..core.types import TYPE
+from ..core.types import TYPE, VARIES
 from ..engine import native
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -98,7 +98,8 @@ class EffectSet:
         self.records = dict(effects)
         self.enabled = {name: name not in switched_off for name in effects}
         self._model, self._machine, self._table, self._system = model, machine, None, None
-        self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
+        self._bare = (model.body.copy(), model.tree[:, [TYPE, VARIES]].copy(),
+                      model.gravity.copy())
         elements = {name: record.element(machine) for name, record in effects.items()}
         self._linked = None
         self._rows = [name for name, element in elements.items() if element is not None]
@@ -169,7 +170,9 @@ class EffectSet:
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""
         model = self._model
-        model.body[:], model.tree[:, TYPE], model.gravity[:] = self._bare
+        model.body[:], model.tree[:, [TYPE, VARIES]], model.gravity[:] = self._bare
+        for record in self.records.values():
+            record.reserve(model, self._machine)
         active = [record for name, record in self.records.items() if self.enabled[name]]
         for record in active:
             record.change(model, self._machine)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Tuple, Union
 
 from .effect import Effect
+from ..core.codegen import space
 from ..mechanism.checks import name, not_negative, one_or_several, vector
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector
@@ -56,6 +57,11 @@ class Payload(Effect):
                 not_negative(self.inertia)
             elif self.inertia != 0.0:
                 spatial_inertia(self.inertia)
+
+    def reserve(self, model, machine):
+        """Let code load all that a mass changes."""
+        if not machine.mechanism.planar:
+            space.vary(model, machine.body(self.body), range(space.MASS, space.PLACE))
 
     def change(self, model, machine):
         """Add the mass to the model."""

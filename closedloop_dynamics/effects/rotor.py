@@ -107,29 +107,45 @@ class Rotor(Effect):
                 f'{self.joint!r}, which closes a loop on {cut.body_b!r}, whose turning the '
                 'rotor feels', 'cut another joint of that loop', ('joint',))
 
+    def reserve(self, model, machine):
+        """Let code load the inertia of a rotor, and in space what its spin adds."""
+        for row in self._rows(model, machine):
+            if not machine.mechanism.planar:
+                space.vary(model, row, [
+                    space.ARMATURE,
+                    *space.ROTOR + np.flatnonzero(self._spin(model, machine, row))])
+            elif model.tree[row, TYPE] == REVOLUTE:
+                model.tree[row, TYPE] = REVOLUTE_ARMATURE
+
     def change(self, model, machine):
         """Add the rotor to the model."""
+        planar = machine.mechanism.planar
+        for row in self._rows(model, machine):
+            model.body[row, ARMATURE if planar else space.ARMATURE] += (
+                self.gear_ratio ** 2 * self.inertia)
+            if not planar:
+                model.body[row, space.ROTOR:space.ROTOR + 3] += (
+                    self.gear_ratio * self.inertia * self._spin(model, machine, row))
+
+    def _rows(self, model, machine):
+        """Return the rows of its joint in the tree: each freedom has one of its own."""
         if self.joint in machine.cuts:
-            return
+            return ()
         coordinates = machine.mechanism.coordinates
         if self.joint in coordinates.with_orientation:
-            turns = range(coordinates.nv)[coordinates.rates[self.joint]][-3:]
-            rows = 1 + np.flatnonzero(np.isin(model.tree[1:, DOF], turns))
-            model.body[rows, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
-            return
-        # Each freedom has a row of its own.
-        row = 1 + int(np.flatnonzero(model.tree[1:, DOF] == machine.joint(self.joint))[0])
-        if machine.mechanism.planar:
-            model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
-            if model.tree[row, TYPE] == REVOLUTE:
-                model.tree[row, TYPE] = REVOLUTE_ARMATURE
-            return
-        model.body[row, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
-        if model.tree[row, PARENT] > 0 and abs(self.gear_ratio) <= ENDLESS:
-            joint = machine.description(self.joint)
-            axis = self.axis or of_quaternion(joint.orientation) @ joint.axis
-            model.body[row, space.ROTOR:space.ROTOR + 3] += self.gear_ratio * self.inertia * (
-                space.snapped(machine.placement(joint.parent).axes @ axis))
+            freedoms = range(coordinates.nv)[coordinates.rates[self.joint]][-3:]
+        else:
+            freedoms = machine.joint(self.joint),
+        return 1 + np.flatnonzero(np.isin(model.tree[1:, DOF], freedoms))
+
+    def _spin(self, model, machine, row):
+        """Return its axis in the frame of the row that carries it; 0 where that does not turn."""
+        joint = machine.description(self.joint)
+        if (self.joint in machine.mechanism.coordinates.with_orientation
+                or model.tree[row, PARENT] == 0 or abs(self.gear_ratio) > ENDLESS):
+            return np.zeros(3)
+        axis = self.axis or of_quaternion(joint.orientation) @ joint.axis
+        return space.snapped(machine.placement(joint.parent).axes @ axis)
 
     def element(self, machine):
         """Return the row of the table of a rotor at a cut joint."""

@@ -15,7 +15,7 @@ namespace closedloop
 /// Model.tree, a row for each body.
 namespace tree
 {
-enum : Index {PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS};
+enum : Index {PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS, VARIES};
 enum Type : Index {REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE, HELICAL, BALL};
 }
 

@@ -12,7 +12,7 @@ namespace closedloop
 
 namespace
 {
-constexpr Index TREE_COLUMNS = 6, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10;
+constexpr Index TREE_COLUMNS = 7, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10;
 constexpr Index BODY_STAGES = 13;
 constexpr Index INDEX_COLUMNS = 6, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
 constexpr Index CUT_INDEX_COLUMNS = 8, CUT_VALUE_COLUMNS = 20;

@@ -133,7 +133,7 @@ class TreeRows:
     def _add(self, joint, dof, coordinate):
         """Add the rows of a joint; return the placement of the body that it carries."""
         kind = t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE
-        self._tree.append((self.placements[joint.parent].row, dof, kind, 0, coordinate, 0))
+        self._tree.append((self.placements[joint.parent].row, dof, kind, 0, coordinate, 0, 0))
         constant = np.zeros(t.BODY_COLUMNS)
         constant[[t.JOINT_X, t.JOINT_Y, t.ANGLE]] = *joint.position, joint.angle
         self._constants.append(constant)
@@ -158,14 +158,14 @@ class SpatialTreeRows(TreeRows):
             constant[space.PARALLEL] = np.array_equal(turned, UNIT)
             if kind == t.HELICAL:
                 constant[space.LEAD] = joint.lead
-            self._tree.append((row, dof, kind, 0, coordinate, axis))
+            self._tree.append((row, dof, kind, 0, coordinate, axis, 0))
             self._constants.append(constant)
             row, place, axes = len(self._tree) - 1, np.zeros(3), snapped(turned.T @ axes)
             dof, coordinate = dof + 1, coordinate + (kind != t.BALL)
         for last in range(max(begin, len(self._tree) - 3), len(self._tree)):
             if self._tree[last][t.TYPE] == t.BALL:
                 self._tree[last] = (*self._tree[last][:t.COORDINATE], coordinate,
-                                    self._tree[last][t.AXIS])
+                                    *self._tree[last][t.AXIS:])
         return Placement(row, axes, place)
 
     def _freedoms(self, joint, axes):

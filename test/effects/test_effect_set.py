@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core import cache
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.bushing import Bushing
@@ -167,15 +168,20 @@ def test_effects_that_are_absent_or_off_leave_identical_bits():
     bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
     assert bare.system.applied is bare.system.tau
     assert bare.system.effects is None
-    off = simulated(mechanism, all_effects(rng, mechanism, q), q, qd)
-    for name in off.effects:
-        off.set_effect(name, enabled=name == 'gravity')
-    assert off.enabled_effects == ('gravity',)
-    for simulation in (bare, off):
+    effects = all_effects(rng, mechanism, q)
+    plain = {name: record for name, record in effects.items() if not isinstance(record, Rotor)}
+    off, with_rotors = (simulated(mechanism, some, q, qd) for some in (plain, effects))
+    for simulation in (off, with_rotors):
+        for name in simulation.effects:
+            simulation.set_effect(name, enabled=name == 'gravity')
+        assert simulation.enabled_effects == ('gravity',)
+    for simulation in (bare, off, with_rotors):
         simulation.step([1.0, 2.0, 3.0], 0.1)
-    assert np.array_equal(bare.position, off.position)
-    assert np.array_equal(bare.velocity, off.velocity)
-    assert np.array_equal(bare.multipliers, off.multipliers)
+    for name in ('position', 'velocity', 'multipliers'):
+        expected = getattr(bare, name)
+        assert np.array_equal(expected, getattr(off, name))
+        # An armature of zero is added: the sums are others, to rounding.
+        np.testing.assert_allclose(getattr(with_rotors, name), expected, rtol=1e-9)
 
 
 def test_readings_of_all_effects_add_up_to_the_balance():
@@ -316,3 +322,34 @@ def test_a_switch_in_a_scene_is_a_boolean_and_of_no_prescribed_motion(tmp_path):
     with pytest.raises(SceneError, match=r'effects.one.enabled: .*leave it out of the scene'):
         load('enabled: false', '{type: prescribed_motion, joint: crank_joint, '
              'shape: expression, expression: t, %s}')
+
+
+@pytest.mark.parametrize('scene', ['three_rrr', 'bennett'])
+def test_switching_and_tuning_what_changes_bodies_compiles_nothing(scene, monkeypatch):
+    read = load_scene(scene)
+    place = (0.1, 0.2) if read.mechanism.planar else (0.1, 0.2, 0.3)
+    effects = {
+        **{f'rotor_{name}': Rotor(name, 0.01) for name in read.mechanism.joint_names[:3]},
+        # A mass in the origin leaves moments of inertia as they are.
+        **{f'part_{body.name}': Payload(body.name, 1.0) for body in read.mechanism.bodies[:2]}}
+    tuned = {name: replace(record, **(
+        {'inertia': 0.03} if isinstance(record, Rotor) else {'position': place}))
+        for name, record in effects.items()}
+    q = Simulation.from_scene(scene).position
+    found = {name: Simulation(replace(read, effects={**read.effects, **those})).acceleration
+             for name, those in (('off', {}), ('tuned', tuned))}
+    one = Simulation(replace(read, effects={**read.effects, **effects}))
+    wanted = []
+    monkeypatch.setattr(cache, 'read', wanted.append)
+    for name in effects:
+        one.set_effect(name, enabled=False)
+        one.step(duration=0.001)
+    one.set_state(q)
+    np.testing.assert_allclose(one.acceleration, found['off'], rtol=1e-10)
+    for name, record in tuned.items():
+        one.set_effect(name, enabled=True, **(
+            {'inertia': 0.03} if isinstance(record, Rotor) else {'position': place}))
+        one.step(duration=0.001)
+    one.set_state(q)
+    np.testing.assert_allclose(one.acceleration, found['tuned'], rtol=1e-10)
+    assert not wanted

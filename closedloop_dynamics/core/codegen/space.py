@@ -17,7 +17,8 @@ from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
     AXIS, BALL, BODY_A, BODY_B, COUPLED_PLACE, COUPLED_TURN, CUT_NUMBER, CUT_ROW, CUT_TYPE,
     FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_END,
-    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS, TYPE)
+    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS, TYPE,
+    VARIES)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -79,6 +80,24 @@ ROUNDING = 1e-14
 def cleared(values):
     """Return numbers, zero where they are next to nothing beside the largest."""
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
+
+
+def vary(model, row, columns):
+    """
+    Let code load constants of a body that may change while it runs, and be zero now.
+
+    Parameters
+    ----------
+    model : Model
+        Of a mechanism in space.
+    row : int
+        Of the body.
+    columns : iterable of int
+        Of ``Model.body``.
+
+    """
+    for column in columns:
+        model.tree[row, VARIES] |= 1 << int(column)
 
 
 # Rows and columns of the moments of inertia, as ``INERTIA`` has them.
@@ -256,6 +275,8 @@ def body_structure(model):
     body = model.body
     found = _structure(body, slice(TURNED, PARALLEL))
     found[:, PARALLEL] = body[:, PARALLEL]
+    varies = _varies(model)
+    found[varies] = np.nan
     # Where nothing has mass a joint's pivot is zero, and is to be divided by like any other:
     # refinement takes it from there.
     bare = body[:, MASS] == 0.0
@@ -263,18 +284,24 @@ def body_structure(model):
         bare[parent] &= bare[row]
     if bare.any():
         found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
-    return np.column_stack([found, *_equal_moments(body)])
+    return np.column_stack([found, *_equal_moments(body, varies)])
 
 
 def kinds_of_bodies(model):
     """Return what ``body_structure`` of a model depends on as its masses and rotors change."""
-    body = model.body
-    return body == 0.0, body[:, TURNED:PARALLEL], *_equal_moments(body)
+    body, varies = model.body, _varies(model)
+    return (body == 0.0) & ~varies, body[:, TURNED:PARALLEL], *_equal_moments(body, varies)
 
 
-def _equal_moments(body):
-    """Return which of the moments of inertia of bodies agree."""
-    return [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
+def _varies(model):
+    """Return which constants of bodies may change while code runs."""
+    return (model.tree[:, VARIES, np.newaxis] >> np.arange(BODY_COLUMNS) & 1).astype(bool)
+
+
+def _equal_moments(body, varies):
+    """Return which of the moments of inertia of bodies agree, and stay so."""
+    return [(body[:, INERTIA + m] == body[:, INERTIA + n]) & ~varies[:, INERTIA]
+            for m, n in ((0, 1), (0, 2), (1, 2))]
 
 
 def _known(structural, symbols):
