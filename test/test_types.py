@@ -32,8 +32,10 @@ def check(arguments, cache):
 
 
 @pytest.fixture(scope='module')
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp('mypy')
+def cache(request, tmp_path_factory):
+    """Return where mypy keeps what it has read, from run to run where pytest has such a place."""
+    place = getattr(request.config, 'cache', None)
+    return place.mkdir('mypy') if place else tmp_path_factory.mktemp('mypy')
 
 
 def test_hints_are_complete_and_hold(cache):
