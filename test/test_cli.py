@@ -303,6 +303,8 @@ def test_a_full_disk_is_named(capsys):
     ('animate run.csv --scene four_bar --output no/x.gif', '--output'),
     ('replay none', 'expected a rosbag2 bag'),
     ('replay none --picture x.docx', '--picture: expected a name that ends with'),
+    ('identify run.csv four_bar --vary mechanism.bodies --picture x.docx',
+     '--picture: expected a name that ends with'),
     ('recover none', 'expected a rosbag2 bag'),
     ('view four_bar --save no/x.html', '--save'),
     ('view four_bar --save x.html --torque elbow=1', '--torque'),

@@ -573,7 +573,7 @@ def test_options_of_a_workspace_are_named_as_they_are_given(capsys):
     for options, message in (
             (['--point', 'nothing'], 'workspace: --point: expected a named point'),
             (['--torque-limit', 'theta_1=-1'], '--torque-limit: theta_1: expected a finite'),
-            (['--picture', 'map.xyz'], '--picture: expected a file that ends with .png')):
+            (['--picture', 'map.xyz'], '--picture: expected a name that ends with .png')):
         code, _, errors = call(
             capsys, 'workspace', 'three_rrr', '--point', 'platform_center', *options)
         assert code == 2 and message in errors, errors

@@ -362,7 +362,7 @@ def require_picture(arguments, path):
         return
     require_free(arguments, path, '--picture')
     if path.suffix not in PICTURES:
-        raise UsageError(f'--picture: expected a file that ends with {", ".join(PICTURES)}, got '
+        raise UsageError(f'--picture: expected a name that ends with {", ".join(PICTURES)}, got '
                          f'{path}')
 
 

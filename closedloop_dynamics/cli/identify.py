@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 
 from .command import (
-    add_scene, add_set, Command, FAILED, not_negative, positive, require_free, UsageError,
+    add_scene, add_set, Command, FAILED, not_negative, positive, require_picture, UsageError,
     with_numbers)
 from ..recording.measurements import read_measurements
 from ..simulation.completion import CompletionError
@@ -42,7 +42,8 @@ def _add_arguments(parser):
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
     parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help='where to draw recorded efforts, and what is left of them')
+                        help='where to draw recorded efforts, and what is left of them (or '
+                             '.pdf, .svg)')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     group = parser.add_argument_group('a motion to record')
     group.add_argument('--excite', metavar='SECONDS', type=positive,
@@ -64,8 +65,7 @@ def _harmonics(text):
 def _run(arguments):
     if (arguments.recording is None) == (arguments.excite is None):
         raise UsageError('expected a recording to identify from, or --excite, which needs none')
-    if arguments.picture is not None:
-        require_free(arguments, arguments.picture, '--picture')
+    require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     try:
         joints = tuple(name.strip() for name in arguments.joints.split(',')) if (

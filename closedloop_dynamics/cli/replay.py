@@ -7,13 +7,13 @@ import math
 from pathlib import Path
 import sys
 
-from .command import add_recording, Command, positive, recording_of, require_free, UsageError
+from .command import (
+    add_recording, Command, PICTURES, positive, recording_of, require_picture)
 from ..recording.replay import PERTURBATION, replay, table
 from ..visual import pictures
 from ..visual.progress import announced, progress_to
 
 DIFFERENT = 1
-PICTURES = '.png', '.svg', '.pdf'
 
 
 def _add_arguments(parser):
@@ -28,11 +28,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    if arguments.picture:
-        if arguments.picture.suffix not in PICTURES:
-            raise UsageError(f'--picture: expected a name that ends with {", ".join(PICTURES)}, '
-                             f'got {arguments.picture}')
-        require_free(arguments, arguments.picture, option='--picture')
+    require_picture(arguments, arguments.picture)
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.bag, other_machine=True)
     with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:

@@ -133,7 +133,7 @@ def require_kind(path):
 
     """
     if path.suffix.lower() not in KINDS:
-        raise DrawingError(f'expected a file that ends with {" or ".join(KINDS)}, got {path}')
+        raise DrawingError(f'expected a name that ends with {" or ".join(KINDS)}, got {path}')
     if path.suffix.lower() == '.dxf':
         _ezdxf(path)
 

@@ -128,7 +128,7 @@ def test_gif_holds_all_frames_at_their_rate(csv_file, tmp_path, capsys):
 
 
 @pytest.mark.parametrize('arguments, problem', [
-    (['--output', 'run.avi'], 'ends in .gif or .mp4'),
+    (['--output', 'run.avi'], 'ends with .gif or .mp4'),
     (['--output', 'run.gif', '--scene', 'three_rrr'], 'mechanism.bodies.crank differs'),
     (['--output', 'run.gif', '--start', '9'], 'expected a part'),
     (['--output', 'run.gif', '--point', 'nose'], '--point: expected'),

@@ -96,7 +96,7 @@ def test_plot_draws_a_recorded_run(capsys, tmp_path):
 
 
 @pytest.mark.parametrize('name, message', [
-    ('machine.png', '--drawing: expected a file that ends with .dxf or .svg, got'),
+    ('machine.png', '--drawing: expected a name that ends with .dxf or .svg, got'),
     ('nowhere/machine.svg', '--drawing: expected an existing directory'),
     ('machine.dxf', 'DXF files need ezdxf: pip install ezdxf')])
 def test_drawings_that_cannot_be_written_are_refused_first(
