@@ -241,7 +241,7 @@ def pinocchios(path, scene, gravity):
         turned += [1.0 if joint.axis == ours[name].axis else -1.0] * (
             spans[1].stop - spans[1].start)
     turned = np.array(turned)
-    # Only joints of one freedom are turned round, in the plane and in space.
+    # Only joints of one degree of freedom are turned round, in the plane and in space.
     signs = turned if len(places) == len(rates) else np.ones(len(places))
     if len(places) != len(rates) and (turned < 0.0).any():
         raise ValueError('joints are turned round beside balls')

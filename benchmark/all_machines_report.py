@@ -116,12 +116,12 @@ def summary(results):
         if not costs:
             continue
         texts.append(
-            f'**{motion[0].upper()}{motion[1:]}**: of {len(costs)} machines half take no more '
-            f'than {seconds(median(costs))} of CPU time per simulated second for an accuracy of '
-            f'1e-6, the dearest {seconds(max(costs))}; one more digit costs '
-            f'{100.0 * median(shares):.0f} % in the middle.' + (
+            f'**{motion[0].upper()}{motion[1:]}**: the median of {len(costs)} machines is '
+            f'{seconds(median(costs))} of CPU time per simulated second for an accuracy of 1e-6, '
+            f'the largest {seconds(max(costs))}; one more digit costs '
+            f'{100.0 * median(shares):.0f} % (median).' + (
                 f' Another simulator keeps an error of 1e-6 on {len(ratios)} of them and takes '
-                f'{spread(ratios)} times as long, {spread([median(ratios)])} times in the middle.'
+                f'{spread(ratios)} times as long (median {spread([median(ratios)])}).'
                 if ratios else ''))
     return '\n'.join(paragraph(text, '* ', '  ') for text in texts)
 

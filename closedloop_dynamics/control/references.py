@@ -350,7 +350,7 @@ class CircularPath:
 
 
 def _places(mechanism, joints):
-    """Return where in q the coordinates of joints of one freedom are."""
+    """Return where in q the coordinates of joints of one degree of freedom are."""
     return [mechanism.coordinates.coordinates[joint].start for joint in joints]
 
 

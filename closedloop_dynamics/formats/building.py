@@ -68,7 +68,7 @@ class Imported:
     effects : dict of str to dict
         Keys of the effects as a scene has them, gravity among them.
     limits : dict of str to tuple of 2
-        Least and largest coordinate of joints of one freedom, None where there is none.
+        Least and largest coordinate of joints of one degree of freedom, None where there is none.
     drives : dict of str to tuple of 2
         Largest torque and speed of driven joints of one freedom, None where there is none.
     omitted : list of model.Omission
@@ -394,7 +394,7 @@ def _cut(joint, groups, frames, named, stops, omitted):
     acting = [key for key in JOINT_EFFECTS if np.any(getattr(joint, key))]
     if joint.actuated and not single:
         omitted.append(Omission('the drive', 'joint', joint.name,
-                                'it has several freedoms and closes a loop'))
+                                'it has several degrees of freedom and closes a loop'))
     axis_a, axis_b = joint.axis, other
     held = joint.type in CUT_WITH_ORIENTATION
     if single and (joint.actuated or stops and (joint.lower, joint.upper) != (None, None)) or (
@@ -418,7 +418,8 @@ def _coupling(relation, tree, named):
     for name in relation.factors:
         if kinds.get(name) not in COUPLED:
             raise MechanismError(
-                f'{relation.where}: expected joints of one freedom that move and close no loop, '
+                f'{relation.where}: expected joints of one degree of freedom that move '
+                f'and close no loop, '
                 f'got {name!r}')
     return Coupling(named.coupling(relation.name), {
         named.joint(name): factor for name, factor in relation.factors.items()}, relation.offset)

@@ -612,7 +612,7 @@ class _Reader:
         found.in_parent = place
         if kind == FREE:
             if found.friction and not np.array_equal(place.rotation, np.eye(3)):
-                # One of several freedoms is a box, not a ball.
+                # One of several degrees of freedom is a box, not a ball.
                 self._omit('friction', self.objects.mjOBJ_JOINT, joint,
                            'it acts along the axes of the world, not of the body as drawn',
                            found.friction, 'N')

@@ -48,7 +48,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
     limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one freedom, None where there is none.
+        Least and largest coordinate of joints of one degree of freedom, None where there is none.
 
     Returns
     -------

@@ -51,7 +51,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
     limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one freedom, None where there is none.
+        Least and largest coordinate of joints of one degree of freedom, None where there is none.
     drake : bool
         Whether loops are closed by Drake's ball constraints, as it refuses loops of joints.
 

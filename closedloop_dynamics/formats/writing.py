@@ -40,7 +40,7 @@ APART = 0.1
 
 
 class Single(NamedTuple):
-    """A joint of one freedom, or a ball or nothing, of a chain that stands for a joint."""
+    """A joint of a chain that stands for another: one degree of freedom, a ball or nothing."""
 
     name: str
     type: str  # noqa: A003
@@ -48,7 +48,7 @@ class Single(NamedTuple):
 
 
 def chain(mechanism, joint, balls):
-    """Return the joints of one freedom, or balls where a format has them, that are a joint."""
+    """Return the chain of joints that is a joint: balls only where a format has them."""
     slides = [(PRISMATIC, axis) for axis in (X, Y, Z)]
     ball = [(SPHERICAL, None)] if balls else [(REVOLUTE, axis) for axis in (X, Y, Z)]
     kinds = {
@@ -88,7 +88,7 @@ class Acting:
     singles : callable
         Returns the single joints of a joint.
     limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one freedom, None where there is none.
+        Least and largest coordinate of joints of one degree of freedom, None where there is none.
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ def measured(mechanism, coupling):
     mechanism : Mechanism
         Joints and cut joints that the coupling names exist.
     coupling : Coupling
-        Of joints and cut joints of one freedom.
+        Of joints and cut joints of one degree of freedom.
 
     Returns
     -------

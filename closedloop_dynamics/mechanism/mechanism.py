@@ -140,7 +140,7 @@ class Body:
 @dataclass(frozen=True)
 class Joint:
     """
-    A joint of the spanning tree between parent and child; in the plane of one freedom.
+    A joint of the spanning tree between parent and child; in the plane of one degree of freedom.
 
     Attributes
     ----------

@@ -118,8 +118,8 @@ def choose_tree(bodies, edges, closures):
         wrong = [edges[index].name for index, turned in best.carriers.values()
                  if turned and not edges[index].reversible]
         raise FieldError(
-            'joints of several freedoms, and all joints in the plane, between the body that '
-            'carries and the one that is carried', f'none of the ways to the ground for '
+            'joints of several degrees of freedom, and all joints in the plane, between the body '
+            'that carries and the one that is carried', f'none of the ways to the ground for '
             f'{among(wrong)}', 'exchange the bodies in between, with all that is given for them',
             ('joints', wrong[0], 'between'))
     return best, listed

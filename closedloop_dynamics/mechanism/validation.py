@@ -383,12 +383,12 @@ def _check_couplings(mechanism):
             with at('couplings', coupling.name, 'joints', key):
                 if key in cuts:
                     if cuts[key].type not in COUPLED:
-                        raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
+                        raise FieldError(f'a joint of one degree of freedom: {among(COUPLED)}',
                                          f'a {cuts[key].type} cut joint')
                     continue
                 one_of(tuple(joints), 'one of the joints')(key)
                 if joints[key].type not in COUPLED:
-                    raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
+                    raise FieldError(f'a joint of one degree of freedom: {among(COUPLED)}',
                                      f'one that is {joints[key].type}')
         found = [cut.name for cut in measured(mechanism, coupling)]
         if len(found) > 1:

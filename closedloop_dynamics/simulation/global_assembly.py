@@ -77,7 +77,7 @@ class ClosureProblem:
     size : float
         Of the mechanism [m], by which lengths are measured.
     limits : dict of str to tuple of 2
-        Least and largest coordinate of joints of one freedom, None where there is none.
+        Least and largest coordinate of joints of one degree of freedom, None where there is none.
 
     Attributes
     ----------
@@ -374,7 +374,7 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
     hold : sequence of str
         Joints, or freedoms of joints, that stay where they are.
     limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one freedom.
+        Least and largest coordinate of joints of one degree of freedom.
     starts : int
         How many others are tried at each distance from the first; 0: nothing but the first.
 

@@ -169,8 +169,8 @@ def _signs(mechanism, path, recounted):
 def _coupling(coupling, signs):
     if None in [signs.get(name, 1) for name in coupling.joints]:
         raise ValueError(f'ground: couplings.{coupling.name}: expected joints that count as '
-                         'before, got a reversed one of several freedoms, or a cut joint between '
-                         'bodies whose frames change')
+                         'before, got a reversed one of several degrees of freedom, or a cut '
+                         'joint between bodies whose frames change')
     return replace(coupling, joints={name: signs.get(name, 1) * factor
                                      for name, factor in coupling.joints.items()})
 

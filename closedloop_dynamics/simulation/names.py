@@ -40,7 +40,7 @@ class Names:
         """
         Names of the joints, in the order of velocities and torques.
 
-        A joint of several freedoms has a name for each: ``hip.1``, ``ball.rx``.
+        A joint of several degrees of freedom has a name for each: ``hip.1``, ``ball.rx``.
 
         """
         return self.coordinates.names

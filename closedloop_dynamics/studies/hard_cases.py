@@ -769,7 +769,8 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          'The same with two loops: two closure equations vanish at once.', ENERGY_OR_BRANCH, 1e-5,
          1e-2, _passing(2, 2.5, 10.0), '41 steps, 10 s / 7 steps, 2.5 s'),
         ('flat, 40 loops',
-         'The same with 40 loops: one freedom becomes 41 for an instant.', ENERGY_OR_BRANCH, 1e-5,
+         'The same with 40 loops: one degree of freedom becomes 41 for an instant.',
+         ENERGY_OR_BRANCH, 1e-5,
          1e-2, _passing(40, 0.9, 2.5), '41 steps, 2.5 s / 2 steps, 0.9 s'),
         ('start flat',
          'N = 1 and 2, starting exactly on the flat position: goes on along its velocity.',
@@ -802,7 +803,8 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          'acceleration against the closed form.', 'difference, relative', 1e-9, 1e-3,
          _three_rockers),
         ('welded twice',
-         'Two hinged bodies welded by two fixed cut joints, six equations for one freedom.',
+         'Two hinged bodies welded by two fixed cut joints, six equations for one degree of '
+         'freedom.',
          'difference, relative', 1e-9, 1e-3, _welded),
     ),
     'Scale': (

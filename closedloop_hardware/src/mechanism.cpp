@@ -150,8 +150,8 @@ std::size_t Mechanism::joint(const std::string & name) const
     }
   }
   throw error(
-          "joint: expected one of those of one freedom in ", model_.file, " (", listed(known),
-          "), got '", name, "'");
+          "joint: expected one of those of one degree of freedom in ", model_.file, " (",
+          listed(known), "), got '", name, "'");
 }
 
 std::size_t Mechanism::wrench_place(const std::string & joint) const

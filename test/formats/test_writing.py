@@ -79,7 +79,7 @@ def accelerations(mechanism, q, qd):
 
 
 def by_joint(mechanism, q, qd):
-    """Return the accelerations of joints of one freedom by name."""
+    """Return the accelerations of joints of one degree of freedom by name."""
     found, places = accelerations(mechanism, q, qd), mechanism.coordinates.rates
     return {name: found[places[name]][0] for name in mechanism.joint_names
             if len(found[places[name]]) == 1}

@@ -250,7 +250,8 @@ def test_what_is_no_coupling_or_cut_is_refused():
     refused('couplings.a: expected a name that is not used in joints',
             couplings=(Coupling('a', {'a': 1.0}),))
     ball = replace(machine.joints[1], type='universal', second_axis=Y)
-    refused('couplings.mesh.joints.b: expected a joint of one freedom: .* one that is universal',
+    refused('couplings.mesh.joints.b: expected a joint of one degree of freedom: .* one that is '
+            'universal',
             joints=(machine.joints[0], ball, machine.joints[2]))
     for words, keys in (
             ('length: expected this key of a distance joint, got none', {}),

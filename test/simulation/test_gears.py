@@ -192,7 +192,8 @@ def test_a_pin_in_a_slot_is_a_block_without_mass():
      'couplings.gear.joints: expected joints whose coordinates change the sum'),
     ({'cut_joints': (CutJoint('far', 'fixed', 'coupler', 'rocker', (0.4, 0.0), (0.2, 0.0)),),
       'couplings': (Coupling('gear', {'far': 1.0}),)},
-     'couplings.gear.joints.far: expected a joint of one freedom: .* got a fixed cut joint'),
+     'couplings.gear.joints.far: expected a joint of one degree of freedom: .* got a fixed '
+     'cut joint'),
     ({'cut_joints': (CutJoint('far', 'distance', 'coupler', 'rocker', ORIGIN, ORIGIN),)},
      'cut_joints.far.length: expected this key of a distance joint'),
     ({'cut_joints': (CutJoint('far', 'revolute', 'coupler', 'rocker', ORIGIN, ORIGIN,

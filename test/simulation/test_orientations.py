@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joints with an orientation, and others of several freedoms: known motions, and their states."""
+"""Joints of several degrees of freedom: known motions, and their states."""
 
 from dataclasses import replace
 
@@ -213,7 +213,7 @@ def test_spherical_joint_accelerates_alike_in_every_orientation():
 # Coordinates and rates.
 
 def arm():
-    """Return a chain of all kinds of joints of several freedoms."""
+    """Return a chain of all kinds of joints of several degrees of freedom."""
     link = Body('link', 1.0, (0.1, 0.0, 0.05), (0.02, 0.03, 0.04))
     kinds = (('base', 'free', {}), ('hip', 'universal', {
         'axis': (1.0, 0.0, 0.0), 'second_axis': (0.0, 1.0, 0.0)}),

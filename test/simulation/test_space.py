@@ -43,7 +43,7 @@ def scene(mechanism, gravity=spatial_machines.GRAVITY, effects=None, **method):
 
 
 def machine(name, *points):
-    """Return a machine with joints of one freedom in its tree, and its forces."""
+    """Return a machine with joints of one degree of freedom in its tree, and its forces."""
     mechanism, forces = getattr(spatial_machines, name)()
     mechanism = spatial_machines.with_single_freedoms(mechanism)
     return replace(mechanism, points=tuple(

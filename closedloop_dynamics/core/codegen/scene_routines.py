@@ -132,7 +132,7 @@ class Forces:
         return self._values[row]
 
     def coordinate(self, joint):
-        """Return the coordinate of a joint of one freedom."""
+        """Return the coordinate of a joint of one degree of freedom."""
         assert self._row[joint][TYPE] != BALL
         return self._q[self._row[joint][COORDINATE]]
 

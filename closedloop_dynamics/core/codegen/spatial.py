@@ -9,9 +9,10 @@ its own origin. Components that a description fixes at 0 or 1 (an axis, a positi
 plane) are numbers here, all others symbols; what these numbers decide vanishes before
 anything is compiled. Of a planar mechanism the planar recursions are left.
 
-A row of the tree is a body with a joint of one freedom. The methods of ``Recursion`` are the
-recursions of ``forward_dynamics``; for mechanisms too large to be unrolled the engine loops over
-kernels of single bodies instead (``pieces``, ``engine/recursion.cpp``, ``loop_closure.cpp``).
+A row of the tree is a body with a joint of one degree of freedom. The methods of ``Recursion``
+are the recursions of ``forward_dynamics``; for mechanisms too large to be unrolled the engine
+loops over kernels of single bodies instead (``pieces``, ``engine/recursion.cpp``,
+``loop_closure.cpp``).
 
 """
 
