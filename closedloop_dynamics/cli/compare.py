@@ -11,6 +11,7 @@ from .command import (
     add_directory, add_reading, assignment, Command, FAILED, free_paths, read_scene, UsageError,
     with_numbers)
 from .kinematics import add_drive, drive_axis, driven_run
+from ..mechanism.rotations import in_three
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
 from ..recording.rows import write_scene
@@ -127,8 +128,8 @@ def _percent(value):
 
 def _draw(runs, paths, curves):
     # Only here, as it takes long to load.
+    from ..mechanism.kinematics import named_paths
     from ..visual import pictures
-    from ..visual.trajectory import named_paths
     from ..visual.views import FRONT, PLANE
     title, shown, traced = 'drive torques and joint forces', {}, {}
     labels, planar = set(), True
@@ -144,17 +145,13 @@ def _draw(runs, paths, curves):
         traced[label] = named_paths(mechanism, run.position)
     if not planar:
         # A plane among others in space: its points lie at z = 0.
-        traced = {label: {name: _in_space(places) for name, places in points.items()}
+        traced = {label: {name: in_three(places) for name, places in points.items()}
                   for label, points in traced.items()}
     pictures.overlaid_paths(traced, PLANE if planar else FRONT, 'paths of named points').savefig(
         paths)
     pictures.over_drive(
         shown, labels.pop() if len(labels) == 1 else 'drive [deg or m]', title,
         list(runs)).savefig(curves)
-
-
-def _in_space(places):
-    return places if places.shape[-1] == 3 else [[*place, 0.0] for place in places.tolist()]
 
 
 COMMAND = Command(

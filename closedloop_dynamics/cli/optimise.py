@@ -257,8 +257,8 @@ def _has_aims(problem, path, found):
 def _draw(optimum, machines, directory):
     """Draw paths before and after, and the front; return the files."""
     # Only here, as it takes long to load.
+    from ..mechanism.kinematics import named_paths
     from ..visual import pictures
-    from ..visual.trajectory import named_paths
     from ..visual.views import FRONT as FROM_THE_FRONT, PLANE
     problem, files = optimum.problem, []
     traced, driven = {}, replace(

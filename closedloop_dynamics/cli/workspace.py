@@ -190,7 +190,7 @@ def summary(scene, found):
 
 def _draw(arguments, scene, found):
     # Only here, as it takes long to load.
-    from ..visual.trajectory import body_poses
+    from ..mechanism.kinematics import body_poses
     from ..visual.workspace_picture import workspace_picture
     long = [axis for axis in found.axes if len(axis.values) > 1]
     shape = tuple(len(axis.values) for axis in long)

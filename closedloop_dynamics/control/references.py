@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 
-from ..mechanism.rotations import composed, CONJUGATE
-from ..visual.trajectory import (
-    body_poses, closure_errors, coupling_errors, named_point, pose_of)
+from ..mechanism.closure import closure_errors, coupling_errors
+from ..mechanism.kinematics import body_poses, named_point, pose_of
+from ..mechanism.rotations import composed, CONJUGATE, quaternion_about
 
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.
@@ -356,8 +356,7 @@ def _places(mechanism, joints):
 
 def _leaning(tilt, angle):
     """Return the quaternion of a lean outward at an angle round a circle [rad]."""
-    half = math.sin(0.5 * tilt)
-    return np.array([-half * math.sin(angle), half * math.cos(angle), 0.0, math.cos(0.5 * tilt)])
+    return quaternion_about((-math.sin(angle), math.cos(angle), 0.0), tilt)
 
 
 class PointToPointPath:

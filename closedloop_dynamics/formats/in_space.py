@@ -10,6 +10,7 @@ import numpy as np
 from ..mechanism.couplings import in_tree, measured
 from ..mechanism.mechanism import (
     Body, Coupling, CutJoint, DISTANCE, FIXED, Joint, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE)
+from ..mechanism.rotations import about_z, direction, in_three
 from ..mechanism.validation import checked
 
 X, Y, Z = (tuple(axis) for axis in np.eye(3).tolist())
@@ -29,7 +30,7 @@ def in_space(mechanism):
         0.5 * body.inertia, 0.5 * body.inertia, body.inertia), body.massless)
         for body in mechanism.bodies]
     joints = [Joint(joint.name, joint.type, joint.parent, joint.child, (*joint.position, 0.0),
-                    actuated=joint.actuated, orientation=_turned(joint.angle),
+                    actuated=joint.actuated, orientation=tuple(about_z(joint.angle).tolist()),
                     axis=Z if joint.type == REVOLUTE else X) for joint in mechanism.joints]
     points = [Point(point.name, point.body, (*point.position, 0.0)) for point in mechanism.points]
     couplings = []
@@ -49,15 +50,11 @@ def cuts_in_space(mechanism):
         return mechanism.cut_joints
     cuts = []
     for cut in mechanism.cut_joints:
-        along = {'axis_b': (float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}
-        keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': _turned(cut.angle)},
-                PRISMATIC: {'orientation': _turned(cut.angle), **along}, POINT_ON_LINE: along,
+        along = {'axis_b': tuple(in_three(direction(cut.angle)).tolist())}
+        turned = tuple(about_z(cut.angle).tolist())
+        keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': turned},
+                PRISMATIC: {'orientation': turned, **along}, POINT_ON_LINE: along,
                 DISTANCE: {'length': cut.length}}[cut.type]
         cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
                              (*cut.point_b, 0.0), actuated=cut.actuated, **keys))
     return tuple(cuts)
-
-
-def _turned(angle):
-    """Return the quaternion of a turn about z."""
-    return (0.0, 0.0, float(np.sin(0.5 * angle)), float(np.cos(0.5 * angle)))

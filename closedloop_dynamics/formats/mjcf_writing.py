@@ -10,9 +10,9 @@ import numpy as np
 from .in_space import in_space
 from .mjcf import START
 from .model import inertia_matrix
-from .pose import IDENTITY, Pose
+from .pose import IDENTITY, joint_frame, Pose
 from .writing import (
-    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected,
+    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, reflected,
     Single, written)
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -170,7 +170,7 @@ def _add_bodies(mechanism, bodies, sections, acting):
     while waiting:
         joint, parent, before, place = waiting.pop(0)
         body, below, place = records[joint.child], carried.get(joint.child, ()), (
-            place @ pose_of(joint))
+            place @ joint_frame(joint))
         singles = [*before, *((single, place) for single in _singles(mechanism, joint))]
         if joint.type == HELICAL:
             _gear(sections, joint.name, {f'{joint.name}_slide': 1.0, joint.name: -joint.lead}, 0.0)
@@ -196,7 +196,7 @@ def _add_key_frame(root, mechanism, start):
             some = np.array([some[0], joint.lead * some[0]])
         for single in _singles(mechanism, joint):
             if single.type == FREE:
-                there = pose_of(joint) @ Pose(of_quaternion(some[3:]), some[:3])
+                there = joint_frame(joint) @ Pose(of_quaternion(some[3:]), some[:3])
                 x, y, z, w = quaternion_of(there.rotation)
                 values[single.name] = (*there.position, w, x, y, z)
                 continue

@@ -7,6 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..mechanism.kinematics import body_poses, poses_in_space
+from ..mechanism.mechanism import GROUND
+from ..mechanism.rotations import about, of_quaternion
+
 
 class Pose(NamedTuple):
     """
@@ -39,6 +43,40 @@ class Pose(NamedTuple):
 
 
 IDENTITY = Pose(np.eye(3), np.zeros(3))
+
+
+def pose_from(numbers):
+    """Return the pose of x, y, z [m] and a quaternion x, y, z, w."""
+    return Pose(of_quaternion(numbers[3:]), np.array(numbers[:3]))
+
+
+def poses_at(mechanism, position):
+    """
+    Return where bodies are in the world.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose bodies these are.
+    position : ndarray, shape (nq,)
+        Joint coordinates [rad or m].
+
+    Returns
+    -------
+    dict of str to Pose
+        By name, the ground among them.
+
+    """
+    names = [GROUND, *(body.name for body in mechanism.bodies)]
+    return {name: pose_from(numbers) for name, numbers in zip(
+        names, poses_in_space(body_poses(mechanism, position, names)))}
+
+
+def joint_frame(joint):
+    """Return where the frame that a joint moves its child in lies in the parent's frame."""
+    if len(joint.position) == 2:
+        return Pose(about((0.0, 0.0, 1.0), joint.angle), np.array([*joint.position, 0.0]))
+    return Pose(of_quaternion(joint.orientation), np.array(joint.position, dtype=float))
 
 
 def unturned(position):

@@ -14,10 +14,10 @@ import numpy as np
 
 from .in_space import in_space
 from .model import inertia_matrix, MOMENTS, NO_LIMIT
-from .pose import IDENTITY, unturned
+from .pose import IDENTITY, joint_frame, poses_at, unturned
 from .writing import (
     Acting, APART, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of,
-    moved, numbers, pose_of, reflected, Single, written)
+    numbers, reflected, Single, written)
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import quaternion_of
@@ -75,11 +75,13 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name), effects,
                   limits)
     writer.mimics = mimics_of(counted_from(mechanism, start), 'SDF')
-    waiting = list(mechanism.joints)
+    writer.poses = poses_at(mechanism, start)
+    waiting, drawn_bodies = list(mechanism.joints), {GROUND}
     while waiting:
         # What a joint is on is drawn before it, whatever their order in the mechanism.
-        joint = next(one for one in waiting if one.parent in writer.poses)
+        joint = next(one for one in waiting if one.parent in drawn_bodies)
         waiting.remove(joint)
+        drawn_bodies.add(joint.child)
         writer.add_joint(joint, start[places.coordinates[joint.name]])
     for cut in mechanism.cut_joints:
         (writer.add_ball_constraints if drake else writer.add_loop)(cut)
@@ -104,7 +106,7 @@ class _Sdf:
         taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
         taken |= {single.name for joint in mechanism.joints
                   for single in self._singles(joint)}
-        self.links, self.elements, self.poses = {GROUND: '__model__'}, {}, {GROUND: IDENTITY}
+        self.links, self.elements, self.poses = {GROUND: '__model__'}, {}, {}
         names = [one.name for one in (*mechanism.bodies, *mechanism.points)]
         for name in names:
             word = name
@@ -146,8 +148,7 @@ class _Sdf:
 
     def add_joint(self, joint, q):
         """Add a joint of the tree, drawn at its coordinates."""
-        singles, place = self._singles(joint), pose_of(joint)
-        self.poses[joint.child] = self.poses[joint.parent] @ place @ moved(joint, q)
+        singles, place = self._singles(joint), joint_frame(joint)
         if not singles:
             if joint.actuated:
                 raise self._error('joints', joint, 'actuated', 'false', 'true')

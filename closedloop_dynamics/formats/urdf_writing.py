@@ -9,11 +9,11 @@ import numpy as np
 
 from .in_space import in_space
 from .model import GRAVITY, MOMENTS, NO_LIMIT
-from .pose import IDENTITY
+from .pose import IDENTITY, joint_frame, poses_at
 from .urdf_loops import add_loops, add_origin, CONSTRAINT, GAZEBO
 from .writing import (
     Acting, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, moved,
-    numbers, pose_of, written)
+    numbers, written)
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import FREE, GROUND, HELICAL, PRISMATIC, REVOLUTE
 
@@ -88,7 +88,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
                 ElementTree.SubElement(element, 'axis', xyz=numbers(*single.axis))
             _add_dynamics(element, single, joint, acting, mimics, _counted(joint, q, number))
             parent = child
-    add_loops(robot, mechanism.cut_joints, loops, _poses(mechanism, zero))
+    add_loops(robot, mechanism.cut_joints, loops, poses_at(mechanism, zero))
     if left_out is not None:
         left_out.update(acting.left)
         if tuple(gravity_of(effects).tolist()) != GRAVITY:
@@ -126,11 +126,11 @@ def _add_dynamics(element, single, joint, acting, mimics, zero):
 def _origins(joint, singles, q):
     """Return the poses of the single joints of a joint, drawn at its coordinates."""
     if joint.type in WITH_ORIENTATION:
-        return [pose_of(joint) @ moved(joint, q), *(IDENTITY for _ in singles[1:])]
+        return [joint_frame(joint) @ moved(joint, q), *(IDENTITY for _ in singles[1:])]
     found = []
     for number, single in enumerate(singles):
         value = _counted(joint, q, number)
-        before = IDENTITY if number else pose_of(joint)
+        before = IDENTITY if number else joint_frame(joint)
         if value:
             frame, child = drawn(single, joint, [value])
             before = before @ frame @ child
@@ -143,14 +143,3 @@ def _counted(joint, q, number):
     if joint.type in WITH_ORIENTATION or not len(q):
         return 0.0
     return joint.lead * q[0] if joint.type == HELICAL and number else q[number]
-
-
-def _poses(mechanism, q):
-    """Return the poses of bodies and ground, in that of the ground, at coordinates."""
-    found, waiting = {GROUND: IDENTITY}, list(mechanism.joints)
-    while waiting:
-        joint = next(one for one in waiting if one.parent in found)
-        waiting.remove(joint)
-        found[joint.child] = found[joint.parent] @ pose_of(joint) @ moved(
-            joint, q[mechanism.coordinates.coordinates[joint.name]])
-    return found

@@ -18,12 +18,13 @@ import numpy as np
 
 from .in_space import X, Y, Z
 from .model import NO_LIMIT
-from .pose import IDENTITY, Pose
+from .pose import Pose, pose_from
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.couplings import measured
+from ..mechanism.kinematics import moved_by
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL)
+    SPHERICAL, UNIVERSAL, UNTURNED)
 from ..mechanism.rotations import about, of_quaternion
 
 # Effects on joints that formats know, and the key of the number of each.
@@ -225,11 +226,6 @@ def gravity_of(effects):
     return total
 
 
-def pose_of(joint):
-    """Return the pose of a joint's frame in that of its parent."""
-    return Pose(of_quaternion(joint.orientation), np.array(joint.position, dtype=float))
-
-
 def drawn(single, joint, q):
     """
     Return where a single joint's frame is in the one before it, and its child in that.
@@ -260,16 +256,7 @@ def drawn(single, joint, q):
 
 def moved(joint, q):
     """Return the pose of a joint's child in its frame, at its coordinates [rad or m]."""
-    pose = IDENTITY
-    if joint.type == FREE:
-        return Pose(of_quaternion(q[3:]), np.array(q[:3]))
-    kinds = {CYLINDRICAL: ((REVOLUTE, joint.axis), (PRISMATIC, joint.axis)),
-             PLANAR: ((PRISMATIC, X), (PRISMATIC, Y), (REVOLUTE, Z))}.get(
-                 joint.type, ((joint.type, joint.axis),))
-    for number, (kind, axis) in enumerate(kinds):
-        frame, child = drawn(Single('', kind, axis), joint, q[number:])
-        pose = pose @ frame @ child
-    return pose
+    return pose_from(moved_by(np.array((0.0, 0.0, 0.0, *UNTURNED)), joint, np.asarray(q)))
 
 
 def counted_from(mechanism, start):

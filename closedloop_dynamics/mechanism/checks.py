@@ -9,6 +9,7 @@ from numbers import Real
 import re
 
 from .fields import among, at, FieldError, nearest, shown
+from .rotations import quaternion_of_angles
 
 # What ROS accepts as one token of a topic or parameter name.
 NAME_PATTERN = re.compile(r'[a-zA-Z][a-zA-Z0-9_]*')
@@ -140,7 +141,8 @@ def orientation(value):
         raise FieldError(expected, shown(value))
     if 'rpy' in value:
         with at('rpy'):
-            return _of_angles(*numbers(value['rpy'], 3, 'a list of 3 finite numbers [rad]'))
+            return quaternion_of_angles(
+                *numbers(value['rpy'], 3, 'a list of 3 finite numbers [rad]'))
     with at('quaternion'):
         found = numbers(value['quaternion'], 4, 'a list of 4 finite numbers [x, y, z, w]')
         norm = math.hypot(*found)
@@ -149,14 +151,6 @@ def orientation(value):
         if abs(norm - 1.0) <= UNIT_NORM:
             return found
         return tuple(component / norm for component in found)
-
-
-def _of_angles(roll, pitch, yaw):
-    """Return the quaternion of turns about the fixed axes x, y, z, one after the other."""
-    (sr, cr), (sp, cp), (sy, cy) = (
-        (math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
-    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
 def boolean(value):

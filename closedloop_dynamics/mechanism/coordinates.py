@@ -21,7 +21,7 @@ import numpy as np
 
 from .checks import number, orientation, UNIT_NORM, vector3
 from .fields import at, FieldError, mapping
-from .rotations import composed, CONJUGATE
+from .rotations import composed, CONJUGATE, quaternion_of_vector
 
 REVOLUTE = 'revolute'
 PRISMATIC = 'prismatic'
@@ -365,7 +365,8 @@ class Coordinates:
         q = q.copy()
         q[..., self.place[single]] += change[..., single]
         for first, rate in self.balls:
-            turned = composed(q[..., first:first + 4], _exponential(change[..., rate:rate + 3]))
+            turned = composed(q[..., first:first + 4], quaternion_of_vector(
+                change[..., rate:rate + 3]))
             q[..., first:first + 4] = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
         return q
 
@@ -432,10 +433,3 @@ class Coordinates:
                 each = 'one for each joint' if self.nq == self.nv == len(self._joints) else (
                     'for ' + ', '.join(self.columns(key)))
                 raise FieldError(f'{count} numbers, {each}', f'{len(values)}', path=(key,))
-
-
-def _exponential(turn):
-    """Return the quaternions of rotation vectors, shape (..., 3)."""
-    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
-    share = 0.5 * np.sinc(0.5 * angle / np.pi)
-    return np.concatenate([share * turn, np.cos(0.5 * angle)], axis=-1)

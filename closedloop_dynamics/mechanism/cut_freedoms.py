@@ -17,7 +17,7 @@ import numpy as np
 
 from .mechanism import (
     CutJoint, CYLINDRICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
-from .rotations import CONJUGATE, perpendicular, rotated
+from .rotations import CONJUGATE, direction, in_three, perpendicular, rotated
 
 # Sine of the angle between two axes below which they are parallel.
 PARALLEL = 1e-12
@@ -92,7 +92,7 @@ def cut_freedoms(mechanism):
 
 def _in_plane(cut):
     """Return the fields after name and cut joint, of a cut joint in the plane."""
-    slide = True, np.array((np.cos(cut.angle), np.sin(cut.angle), 0.0))
+    slide = True, in_three(direction(cut.angle))
     return {REVOLUTE: [(False, _Z)], PRISMATIC: [slide]}.get(cut.type, [slide, (False, _Z)])
 
 

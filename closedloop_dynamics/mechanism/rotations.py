@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rotations in space: matrices, unit quaternions x, y, z, w, and angles."""
+"""Rotations: matrices, unit quaternions x, y, z, w, angles; in the plane angles alone."""
 
 import math
 
@@ -12,10 +12,59 @@ from ..engine import native
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
+def direction(angle):
+    """Return the x axis of the plane turned by angles [rad], shape (..., 2)."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def turned(angle, vectors):
+    """Return vectors of the plane, shape (..., 2), turned by angles [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+def in_three(vectors):
+    """Return vectors of the plane as those in space, shape (..., 3); others as they are."""
+    vectors = np.asarray(vectors, dtype=float)
+    return vectors if vectors.shape[-1] == 3 else np.concatenate(
+        [vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
+
+
+def angle_of(matrix):
+    """Return the angle of a turn about z [rad]."""
+    return math.atan2(matrix[1, 0], matrix[0, 0])
+
+
+def quaternion_about(axis, angle):
+    """Return the quaternions of turns by angles [rad] about a unit vector, shape (..., 4)."""
+    half = 0.5 * np.asarray(angle)[..., np.newaxis]
+    return np.concatenate([np.sin(half) * axis, np.cos(half)], axis=-1)
+
+
+def about_z(angle):
+    """Return the quaternions of turns by angles [rad] in the plane, shape (..., 4)."""
+    return quaternion_about((0.0, 0.0, 1.0), angle)
+
+
 def about(axis, angle):
     """Return the rotation about a unit vector by an angle [rad], shape (3, 3)."""
-    half = 0.5 * angle
-    return of_quaternion((*(np.sin(half) * np.array(axis)), np.cos(half)))
+    return of_quaternion(quaternion_about(axis, angle))
+
+
+def quaternion_of_vector(vector):
+    """Return the quaternions of axes times angles [rad], shape (..., 3)."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    share = 0.5 * np.sinc(0.5 * angle / np.pi)
+    return np.concatenate([share * vector, np.cos(0.5 * angle)], axis=-1)
+
+
+def quaternion_of_angles(roll, pitch, yaw):
+    """Return the quaternion of turns about the fixed axes x, y, z in this order [rad]."""
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
+    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
 
 
 def of_angles(angles):

@@ -11,12 +11,12 @@ import numpy as np
 from .kinematics import by_name, Drive, DrivenRun
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
+from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
 from ..simulation.geometry import Geometry
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
-from ..visual.trajectory import body_poses, named_point, pose_of, world_points
 
 TURN = 2.0 * math.pi
 # Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.

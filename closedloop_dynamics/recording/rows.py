@@ -17,9 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from .errors import RecordingError
+from ..mechanism.closure import closure
+from ..mechanism.kinematics import body_poses, named_point
 from ..simulation.modeling import extent
 from ..simulation.scene_text import read_scene_text, scene_text
-from ..visual.trajectory import body_poses, closure, from_rows, named_point
+from ..visual.trajectory import from_rows
 
 # Share of the mechanism's size by which points and closure may differ from the rows', and share
 # of a closure error itself: large ones depend on how directions are compared.

@@ -3,14 +3,14 @@
 
 """Transmission angles: how a coupler pushes the link that a linkage drives."""
 
-import math
 from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
+from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import (
     DISTANCE, GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
-from ..visual.trajectory import body_poses, pose_of, world_points
+from ..mechanism.rotations import direction
 
 
 class _Joint(NamedTuple):
@@ -114,7 +114,7 @@ def _joints(mechanism):
             (joint.parent, joint.position), (joint.child, (0.0,) * len(joint.position))),
             None if axis is None else (joint.child, axis))
     for cut in mechanism.cut_joints:
-        axis = cut.axis_b if not mechanism.planar else (math.cos(cut.angle), math.sin(cut.angle))
+        axis = cut.axis_b if not mechanism.planar else direction(cut.angle)
         yield _Joint(cut.name, cut.type, (
             (cut.body_a, cut.point_a), (cut.body_b, cut.point_b)),
             None if axis is None else (cut.body_b, axis))

@@ -16,6 +16,7 @@ from typing import Dict, Mapping, Optional, Tuple
 import numpy as np
 from scipy.io import netcdf_file
 
+from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND
 from ..simulation.driven import DrivenKinematics
 from ..simulation.errors import AssemblyError
@@ -23,7 +24,6 @@ from ..simulation.pose_grid import (
     angles_of, Axis, begun, LEADING, orientation_of, Platform, PoseGrid, TURN, turn_between)
 from ..simulation.scene_text import scene_text
 from ..simulation.singular_curves import all_curves, SingularCurves, TYPE_1, TYPE_2
-from ..visual.trajectory import body_poses, pose_of, world_points
 
 FREE, REACHED, AT_LIMIT, COLLIDES = range(4)
 MEANINGS = ('not reached', 'reached', 'beyond a limit of a joint', 'links too near')

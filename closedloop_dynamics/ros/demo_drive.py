@@ -9,13 +9,12 @@ from typing import Optional
 from closedloop_dynamics.control.controller import per_joint, reference
 from closedloop_dynamics.control.settings import FEEDBACK_MODES
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
+from closedloop_dynamics.mechanism.kinematics import body_poses
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.trajectory import body_poses
 import numpy as np
-from rclpy.parameter import parameter_dict_from_yaml_file
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 
 SIMULATOR, TORQUE_SOURCE, RECORDER = (
     'closedloop_simulator', 'closedloop_torque_source', 'closedloop_recorder')

@@ -4,10 +4,12 @@
 
 from dataclasses import dataclass, replace
 
+from closedloop_dynamics.mechanism.closure import closure
+from closedloop_dynamics.mechanism.kinematics import body_poses, named_point
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.visual import pictures
-from closedloop_dynamics.visual.trajectory import body_poses, closure, named_point, Trajectory
+from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np
 
 NANOSECONDS = 1e-9

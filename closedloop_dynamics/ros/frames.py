@@ -12,8 +12,8 @@ whose origin is the cut point of body A; its axes are those of the world.
 """
 
 from closedloop_dynamics.mechanism.coordinates import WITH_ORIENTATION
+from closedloop_dynamics.mechanism.kinematics import place_on, poses_in_space
 from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
-from closedloop_dynamics.mechanism.rotations import rotated
 from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
@@ -65,8 +65,7 @@ class Frames:
         self._simulation, self._prefix = simulation, values['frame_prefix']
         cuts = simulation.mechanism.cut_joints
         bodies = [GROUND, *(body.name for body in simulation.mechanism.bodies)]
-        self._planar = simulation.mechanism.planar
-        origin, unmoved = ((0.0, 0.0), (0.0, 0.0, 0.0)) if self._planar else (
+        origin, unmoved = ((0.0, 0.0), (0.0, 0.0, 0.0)) if simulation.mechanism.planar else (
             (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, *UNTURNED))
         floating = {joint.child for joint in simulation.mechanism.joints
                     if joint.type in WITH_ORIENTATION and TFMessage is not None}
@@ -91,7 +90,7 @@ class Frames:
         if frames:
             self._names, of, points, turns = zip(*frames)
             self._rows = np.array([bodies.index(body) for body in of])
-            self._points, self._turns = np.array(points), np.array(turns, dtype=float)
+            self._points, self._turns = np.array(points), np.array(turns)[:, np.newaxis]
             self._poses = np.tile(unmoved, (len(bodies), 1))
             self._transforms = np.zeros((len(frames), 7))
             self._message = SerializedTemplate(self._build, len(frames) * [7])
@@ -107,22 +106,9 @@ class Frames:
         """Return origins [m] and quaternions x, y, z, w, shape (number of frames, 7)."""
         # The first is the ground's, which stays as it is.
         self._poses[1:] = self._simulation.body_poses
-        return self._in_plane() if self._planar else self._in_space()
-
-    def _in_plane(self):
-        x, y, angle = self._poses[self._rows].T
-        cosine, sine = np.cos(angle), np.sin(angle)
-        out, along, across = self._transforms, *self._points.T
-        out[:, 0] = x + cosine * along - sine * across
-        out[:, 1] = y + sine * along + cosine * across
-        half = 0.5 * self._turns * angle
-        out[:, 5], out[:, 6] = np.sin(half), np.cos(half)
-        return out
-
-    def _in_space(self):
         out, poses = self._transforms, self._poses[self._rows]
-        out[:, :3] = poses[:, :3] + rotated(poses[:, 3:], self._points)
-        out[:, 3:] = np.where(self._turns[:, np.newaxis], poses[:, 3:], UNTURNED)
+        out[:, :self._points.shape[1]] = place_on(poses, self._points)
+        out[:, 3:] = np.where(self._turns, poses_in_space(poses)[:, 3:], UNTURNED)
         return out
 
     def _build(self, sec, nanosec, *transforms):

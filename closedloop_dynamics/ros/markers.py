@@ -14,20 +14,20 @@ import time
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.mechanism.kinematics import pose_of, poses_in_space, world_points
+from closedloop_dynamics.mechanism.rotations import direction, turned
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, rgb, sliders, solid)
-from closedloop_dynamics.visual.trajectory import (
-    force_of, pose_of, poses_in_space, world_points)
+from closedloop_dynamics.visual.trajectory import force_of
 from geometry_msgs.msg import Point
 import numpy as np
 from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 # Points of the path kept, and the distance between two of them as a share of the size.
 PATH_POINTS, PATH_STEP = 400, 0.01
@@ -187,7 +187,7 @@ class Markers:
 
     def _contact_line(self, number, contact):
         """Return the line of a contact, as long as its point's surroundings."""
-        along = np.array([math.cos(contact.angle), math.sin(contact.angle)])
+        along = direction(contact.angle)
         place = np.array(contact.origin)
         middle = place + along * np.dot(
             self._simulation.point(contact.point) - place, along)
@@ -200,8 +200,7 @@ def contact_force(contact, readings):
     """Return the force of a contact on its point, world axes [N]."""
     along = readings['friction_force'] + readings['scraping_force']
     normal = readings['normal_force']
-    cosine, sine = math.cos(contact.angle), math.sin(contact.angle)
-    return [along * cosine - normal * sine, along * sine + normal * cosine]
+    return turned(contact.angle, np.array([along, normal])).tolist()
 
 
 def styled(kind, namespace, number, color, scale, strength=1.0):

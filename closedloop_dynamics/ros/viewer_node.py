@@ -13,6 +13,7 @@ from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.checks import number, one_of
 from closedloop_dynamics.mechanism.fields import at, FieldError
+from closedloop_dynamics.mechanism.kinematics import body_poses, body_velocities, poses_in_space
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
@@ -39,22 +40,18 @@ from closedloop_dynamics.view.posing import felt_inertia, felt_mass
 from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
-from closedloop_dynamics.visual.trajectory import (
-    body_poses, body_velocities, poses_in_space, Trajectory)
+from closedloop_dynamics.visual.trajectory import Trajectory
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
-from sensor_msgs.msg import MultiDOFJointState
+from sensor_msgs.msg import JointState, MultiDOFJointState
 from std_msgs.msg import String
-from std_srvs.srv import SetBool
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 NAME = 'closedloop_viewer'
 # Frames per second; time between two looks for simulators; how long one may be silent before it is

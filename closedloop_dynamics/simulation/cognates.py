@@ -14,12 +14,12 @@ from C0, (1 - k) (B0 - B), and P - B from B0.
 import cmath
 
 from .assembly import Assembler
-from .frames import body_pose
 from .geometry import Geometry
 from .scene_records import Initial, Scene
 from .variant import Variant
 from ..effects.gravity import Gravity
 from ..effects.registry import effect_type
+from ..formats.pose import poses_at
 from ..mechanism.four_bar import bars
 from ..mechanism.mechanism import Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE
 
@@ -71,7 +71,7 @@ def cognates(scene, point=None):
         scene.initial.position, scene.initial.hold)
 
     def place(body, own):
-        return complex(*body_pose(mechanism, position, body).place((*own, 0.0))[:2])
+        return complex(*poses_at(mechanism, position)[body].place((*own, 0.0))[:2])
 
     fixed_in, pin_in, pin_out, fixed_out = (
         place(links[1][0], links[1][1]), place(coupler, start), place(coupler, end),

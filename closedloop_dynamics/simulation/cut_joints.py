@@ -13,7 +13,7 @@ from ..effects.table import (
 from ..engine import native
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
-from ..mechanism.rotations import of_quaternion, quaternions_of
+from ..mechanism.rotations import in_three, of_quaternion, quaternions_of
 
 
 def acted_in(mechanism, effects):
@@ -72,7 +72,7 @@ def coordinate_arrays(mechanism, model, placements, names, followed):
         cut = freedom.cut
         a, b = (placements[body] for body in freedom.bodies)
         turns = not (freedom.slides or mechanism.planar)
-        point_a, point_b = map(_whole, freedom.points)
+        point_a, point_b = map(in_three, freedom.points)
         one[:] = (freedom.slides, mechanism.planar, a.row, b.row,
                   0 if turns and followed else -1,
                   np.flatnonzero(model.cut[:, t.CUT_NUMBER] == numbers[cut.name])[0],
@@ -124,11 +124,6 @@ def coupling_moments(mechanism):
                     in_joints[places[body], n] += sign * at_cuts[k, n]
                     body = mechanism.joints[places[body]].parent
     return at_cuts, in_joints
-
-
-def _whole(vector):
-    """Return a vector with three numbers."""
-    return np.array((*vector, 0.0)[:3])
 
 
 class CutJoints:

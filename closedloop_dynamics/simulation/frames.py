@@ -4,75 +4,23 @@
 """Other frames for the bodies of a mechanism, in which all that belongs to them is given."""
 
 from dataclasses import replace
-import math
 
 import numpy as np
 
-from ..formats.pose import IDENTITY, Pose
+from ..formats.pose import joint_frame
 from ..mechanism.mechanism import (
-    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, GROUND, HELICAL, MechanismError,
-    POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
-from ..mechanism.rotations import about, of_quaternion, quaternion_of
+    CUT_WITH_ORIENTATION, DISTANCE, GROUND, MechanismError, POINT_ON_LINE, PRISMATIC, UNTURNED)
+from ..mechanism.rotations import angle_of, in_three, of_quaternion, quaternion_of
 
 # Sine of an angle that is rounding.
 ROUNDING = 1e-12
-_X, _, _Z = np.eye(3)
 # Places of xx, yy, zz, xy, xz, yz in a matrix.
 _MOMENTS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
-def placement(joint):
-    """Return where the frame that a joint moves its child in lies in the parent's frame."""
-    if len(joint.position) == 2:
-        return Pose(about(_Z, joint.angle), np.array([*joint.position, 0.0]))
-    return Pose(of_quaternion(joint.orientation), np.array(joint.position))
-
-
-def body_pose(mechanism, position, body):
-    """
-    Return where a body is in the world.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose bodies these are.
-    position : ndarray, shape (nq,)
-        Joint coordinates [rad or m].
-    body : str
-        Carried by joints that ``_motion`` knows.
-
-    Returns
-    -------
-    formats.pose.Pose
-
-    """
-    pose, carrying = IDENTITY, {joint.child: joint for joint in mechanism.joints}
-    while body != GROUND:
-        joint = carrying[body]
-        pose = placement(joint) @ _motion(mechanism.planar, joint, position[
-            mechanism.coordinates.coordinates[joint.name]]) @ pose
-        body = joint.parent
-    return pose
-
-
-def _motion(planar, joint, values):
-    """Return how far a joint of the types that can be reversed has moved its child."""
-    kind, axis = joint.type, joint.axis
-    if planar:
-        axis = _Z if kind == REVOLUTE else _X
-    if kind == SPHERICAL:
-        return Pose(of_quaternion(values), np.zeros(3))
-    if kind == UNIVERSAL:
-        return Pose(about(axis, values[0]) @ about(joint.second_axis, values[1]), np.zeros(3))
-    turn = np.eye(3) if kind == PRISMATIC else about(axis, values[0])
-    slide = {PRISMATIC: values[-1], CYLINDRICAL: values[-1],
-             HELICAL: (joint.lead or 0.0) * values[0]}.get(kind, 0.0)
-    return Pose(turn, slide * np.array(axis))
-
-
 def moved_place(pose, place):
     """Return a place of 2 or 3 numbers in another frame; ``pose`` is that frame in its own."""
-    found = pose.inverse.place(np.array([*place, 0.0][:3]))
+    found = pose.inverse.place(in_three(place))
     return tuple(found[:len(place)].tolist())
 
 
@@ -136,11 +84,6 @@ def reframed(mechanism, frames):
                    points=points, ground_visual=ground), tuple(recounted)
 
 
-def angle_of(rotation):
-    """Return the angle of a turn about z [rad]."""
-    return math.atan2(rotation[1, 0], rotation[0, 0])
-
-
 def _body(body, pose):
     return replace(
         body, center_of_mass=moved_place(pose, body.center_of_mass),
@@ -155,7 +98,7 @@ def _visual(visual, pose):
 
 def _joint(joint, pose):
     """Return a joint in another frame of its parent."""
-    moved = pose.inverse @ placement(joint)
+    moved = pose.inverse @ joint_frame(joint)
     if len(joint.position) == 2:
         return replace(joint, position=tuple(moved.position[:2].tolist()),
                        angle=joint.angle - angle_of(pose.rotation))

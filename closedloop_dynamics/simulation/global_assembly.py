@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .assembly import rank_of
+from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
-    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
+    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import about, of_quaternion, perpendicular
 
@@ -100,6 +101,7 @@ class ClosureProblem:
         self._joints = _parents_first(mechanism.joints)
         self._turned = {joint.name: of_quaternion(joint.orientation)
                         for joint in mechanism.joints}
+        self._steps = {joint.name: steps_of(joint) for joint in mechanism.joints}
         self._chain = {GROUND: []}
         for joint in self._joints:
             rates = self.coordinates.rates[joint.name]
@@ -155,37 +157,19 @@ class ClosureProblem:
             frame = frames[joint.parent] @ self._turned[joint.name]
             origin = origins[joint.parent] + frames[joint.parent] @ joint.position
             rate, place = self._rate[joint.name], self._place[joint.name]
-            kind = joint.type
-            steps = []
-            if kind in (REVOLUTE, HELICAL, CYLINDRICAL):
-                steps = [('turn', joint.axis)]
-            elif kind == UNIVERSAL:
-                steps = [('turn', joint.axis), ('turn', joint.second_axis)]
-            elif kind in (PRISMATIC,):
-                steps = [('slide', joint.axis)]
-            elif kind in (PLANAR, FREE):
-                steps = [('slide', axis) for axis in _UNIT[:2 if kind == PLANAR else 3]]
-            for step, axis in steps:
+            for kind, axis in self._steps[joint.name]:
+                if kind == SPHERICAL:
+                    frame = frame @ of_quaternion(q[place:place + 4])
+                    spins[rate:rate + 3], arms[rate:rate + 3] = frame.T, origin
+                    continue
                 world, value = frame @ axis, q[place]
-                if step == 'turn':
+                if kind != PRISMATIC:
                     spins[rate], arms[rate] = world, origin
-                    if kind == HELICAL:
-                        slides[rate] = world * joint.lead
-                        origin = origin + world * (joint.lead * value)
-                    frame = frame @ about(np.array(axis), value)
-                else:
-                    slides[rate] = world
-                    origin = origin + world * value
+                    frame = frame @ about(axis, value)
+                if kind != REVOLUTE:
+                    slides[rate] = world * joint.lead if kind == HELICAL else world
+                    origin = origin + slides[rate] * value
                 rate, place = rate + 1, place + 1
-            if kind == CYLINDRICAL:
-                slides[rate] = frame @ joint.axis
-                origin = origin + slides[rate] * q[place]
-            elif kind == PLANAR:
-                spins[rate], arms[rate] = frame[:, 2], origin
-                frame = frame @ about(_UNIT[2], q[place])
-            elif kind in (SPHERICAL, FREE):
-                frame = frame @ of_quaternion(q[place:place + 4])
-                spins[rate:rate + 3], arms[rate:rate + 3] = frame.T, origin
             frames[joint.child], origins[joint.child] = frame, origin
         # Where arms[k] moves with what its joint slides, the slide has no spin.
         return frames, origins, spins, slides - np.cross(spins, arms)

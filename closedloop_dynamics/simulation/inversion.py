@@ -14,14 +14,14 @@ from dataclasses import replace
 import numpy as np
 
 from .assembly import Assembler
-from .frames import angle_of, body_pose, moved_inertia, moved_place, placement, reframed
+from .frames import moved_inertia, moved_place, reframed
 from .geometry import Geometry
 from .variant import carried_effects, variant
-from ..formats.pose import Pose
+from ..formats.pose import joint_frame, Pose, poses_at
 from ..mechanism.mechanism import (
     Body, CYLINDRICAL, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL,
     UNTURNED)
-from ..mechanism.rotations import of_quaternion, quaternion_of
+from ..mechanism.rotations import angle_of, of_quaternion, quaternion_of
 
 BASE = 'base'
 REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, UNIVERSAL, SPHERICAL)
@@ -75,10 +75,10 @@ def inverted(scene, link):
         if joint.type not in REVERSIBLE:
             raise ValueError(f'ground: joints.{joint.name}: expected a joint that can be '
                              f'reversed ({", ".join(REVERSIBLE)}), got a {joint.type} one')
-        frames[joint.parent] = placement(joint)
+        frames[joint.parent] = joint_frame(joint)
         if mechanism.planar and joint.type == PRISMATIC:
             frames[joint.parent] @= _REVERSED
-    frames[link] = body_pose(mechanism, position, link).inverse
+    frames[link] = poses_at(mechanism, position)[link].inverse
     try:
         moved, recounted = reframed(mechanism, frames)
     except MechanismError as error:

@@ -27,6 +27,8 @@ from .errors import AssemblyError
 from .geometry import Geometry
 from .modeling import extent
 from ..mechanism.mechanism import DrivingConstraint, GROUND, Point
+from ..mechanism.rotations import (
+    about, angle_of, angles_of as rpy_of, of_angles, quaternion_of, rotation_vector)
 
 # Parts of the grid along each axis that are computed side by side: at most so many, of so many
 # nodes or more.
@@ -457,34 +459,19 @@ def orientation_of(angles):
     ndarray, shape (2, 2) or (3, 3)
 
     """
-    if len(angles) == 1:
-        c, s = math.cos(angles[0]), math.sin(angles[0])
-        return np.array([[c, -s], [s, c]])
-    found = np.eye(3)
-    for axis, angle in enumerate(angles):
-        c, s = math.cos(angle), math.sin(angle)
-        turn, (j, k) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
-        turn[[j, j, k, k], [j, k, j, k]] = c, -s, s, c
-        found = turn @ found
-    return found
+    return of_angles(angles) if len(angles) == 3 else about((0.0, 0.0, 1.0), angles[0])[:2, :2]
 
 
 def angles_of(orientation):
     """Return the angles of an orientation, as ``orientation_of`` takes them."""
-    r = orientation
-    if len(r) == 2:
-        return (math.atan2(r[1, 0], r[0, 0]),)
-    return (math.atan2(r[2, 1], r[2, 2]), math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0])),
-            math.atan2(r[1, 0], r[0, 0]))
+    return rpy_of(orientation) if len(orientation) == 3 else (angle_of(orientation),)
 
 
 def turn_between(one, other):
     """Return the angle between two orientations [rad]."""
     left = one.T @ other
-    if len(left) == 2:
-        return abs(math.atan2(left[1, 0], left[0, 0]))
-    spin = np.array([left[2, 1] - left[1, 2], left[0, 2] - left[2, 0], left[1, 0] - left[0, 1]])
-    return math.atan2(0.5 * float(np.linalg.norm(spin)), 0.5 * (float(np.trace(left)) - 1.0))
+    return abs(angle_of(left)) if len(left) == 2 else float(np.linalg.norm(
+        rotation_vector(np.array(quaternion_of(left)))))
 
 
 def begun(platform, axes, angles=None, workers=None):

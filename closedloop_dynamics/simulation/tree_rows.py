@@ -20,9 +20,9 @@ from ..core import types as t
 from ..core.codegen import plane, space
 from ..core.codegen.space import cleared, snapped
 from ..core.codegen.spatial import X, Y, Z
+from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL)
+    FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import of_quaternion
 
 UNIT = np.eye(3)
@@ -31,8 +31,7 @@ _SLIDES = tuple((t.PRISMATIC, axis) for axis in (X, Y, Z))
 _BALL = tuple((t.BALL, axis) for axis in (X, Y, Z))
 _BY_FRAME = {SPHERICAL: _BALL, FREE: _SLIDES + _BALL,
              PLANAR: (*_SLIDES[:2], (t.REVOLUTE, Z))}
-_ALONG_AXIS = {REVOLUTE: (t.REVOLUTE,), PRISMATIC: (t.PRISMATIC,), HELICAL: (t.HELICAL,),
-               CYLINDRICAL: (t.REVOLUTE, t.PRISMATIC)}
+_KINDS = {REVOLUTE: t.REVOLUTE, PRISMATIC: t.PRISMATIC, HELICAL: t.HELICAL}
 
 
 class Placement(NamedTuple):
@@ -170,20 +169,17 @@ class SpatialTreeRows(TreeRows):
 
     def _freedoms(self, joint, axes):
         """Yield (type, axis, frame in that of the row before) of each row of a joint."""
-        if joint.type == FIXED:
-            return
         if joint.type in _BY_FRAME:
             turned = axes
             for kind, axis in _BY_FRAME[joint.type]:
                 yield kind, axis, turned
                 turned = UNIT
             return
-        kinds = ((t.REVOLUTE, joint.axis), (t.REVOLUTE, joint.second_axis)) if (
-            joint.type == UNIVERSAL) else [(kind, joint.axis) for kind in _ALONG_AXIS[joint.type]]
-        for n, (kind, axis) in enumerate(kinds):
-            hint = kinds[n + 1][1] if n + 1 < len(kinds) else self._direction(joint.child)
+        steps = steps_of(joint)
+        for n, (kind, axis) in enumerate(steps):
+            hint = steps[n + 1][1] if n + 1 < len(steps) else self._direction(joint.child)
             turned = frame_along(axes @ axis, axes @ hint)
-            yield kind, Z, turned
+            yield _KINDS[kind], Z, turned
             axes = turned.T @ axes
 
     def _direction(self, name):

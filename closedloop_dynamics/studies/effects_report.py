@@ -7,6 +7,7 @@ import matplotlib.figure
 import numpy as np
 
 from .effects import changes_of_position
+from ..mechanism.rotations import direction
 from ..visual.pictures import COLORS, DASHES, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
@@ -271,7 +272,7 @@ def work(study, contact):
     top.fill_between(angle, 0, 1, where=touching, color='#B8A200', alpha=0.15, linewidth=0,
                      transform=top.get_xaxis_transform(), label=f'{effect.point} in contact')
     rows = np.sort(turn)
-    along = run.points[effect.point][rows] @ [np.cos(effect.angle), np.sin(effect.angle)]
+    along = run.points[effect.point][rows] @ direction(effect.angle)
     hidden = np.where(forces['depth'][rows] > 0.0, 1.0, np.nan)
     for k, key in enumerate(('normal_force', 'friction_force', 'scraping_force')):
         middle.plot(along, hidden * forces[key][rows], color=COLORS[k],

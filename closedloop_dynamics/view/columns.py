@@ -21,10 +21,11 @@ from ..effects.external_force import BODY, ExternalForce
 from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
+from ..mechanism.kinematics import body_poses, body_velocities, POSE, poses_in_space
 from ..mechanism.mechanism import GROUND
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import of_quaternion, turned
 from ..simulation.health import WARN_BELOW
-from ..visual.trajectory import body_poses, body_velocities, magnitudes, POSE, poses_in_space
+from ..visual.trajectory import magnitudes
 
 # Numbers of an arrow: its foot [m], its force [N].
 ARROW = 6
@@ -328,8 +329,7 @@ class SimulationRows:
         normal = readings['normal_force']
         along = readings['friction_force'] + readings['scraping_force']
         if record.normal is None:
-            cosine, sine = np.cos(record.angle), np.sin(record.angle)
-            return np.array([[-normal * sine, normal * cosine], [along * cosine, along * sine]])
+            return turned(record.angle, np.array([[0.0, normal], [along, 0.0]]))
         out = np.array(record.normal)
         point = self._places[record.point]
         return np.array([normal * out, along * self._sliding(

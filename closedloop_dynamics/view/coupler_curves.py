@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
+from ..mechanism.kinematics import body_poses, named_point
 from ..mechanism.mechanism import DrivingConstraint
 from ..simulation.driven import DrivenKinematics
 from ..simulation.errors import SimulationError
 from ..simulation.modeling import extent
-from ..visual.trajectory import body_poses, named_point
 
 # Poses in a turn, points with curves at most, digits of places [m].
 POSES, MOST_CURVES, DIGITS = 240, 8, 7

@@ -22,7 +22,7 @@ from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.meanings import documented, unit_in
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, SPHERE
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import in_three, of_quaternion
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, solid)
@@ -99,13 +99,13 @@ def describe(mechanism, columns, effects=None, **more):
         'joints': [{
             'name': joint.name, 'type': joint.type, 'parent': rows[joint.parent],
             'child': rows[joint.child], 'actuated': joint.actuated,
-            'place': _in_space(joint.position), 'axis': joint_axis(joint),
+            'place': in_three(joint.position).tolist(), 'axis': joint_axis(joint),
             'heights': sorted((heights[joint.parent], tops[joint.child]))}
             for joint in mechanism.joints],
         'cuts': [{
             'name': cut.name, 'type': cut.type, 'body_a': rows[cut.body_a],
             'body_b': rows[cut.body_b], 'a': cut.body_a, 'b': cut.body_b,
-            'point_a': _in_space(cut.point_a), 'point_b': _in_space(cut.point_b),
+            'point_a': in_three(cut.point_a).tolist(), 'point_b': in_three(cut.point_b).tolist(),
             'heights': sorted((heights[cut.body_a], heights[cut.body_b]))}
             for cut in mechanism.cut_joints],
         'guides': extras.guides(rows, heights, thick),
@@ -114,7 +114,7 @@ def describe(mechanism, columns, effects=None, **more):
         'surfaces': surfaces(effects),
         'wires': outlines, 'missing': missing,
         'points': [{'name': point.name, 'body': rows[point.body],
-                    'place': _in_space(point.position)} for point in mechanism.points],
+                    'place': in_three(point.position).tolist()} for point in mechanism.points],
         'meanings': {effect_type(record): {
             key: {'meaning': meaning, 'unit': unit_in(meaning)}
             for key, (_, meaning) in documented(type(record)).items()}
@@ -157,10 +157,6 @@ def grabs(mechanism, body):
     places = np.vstack([marked_points(mechanism, body.name), body.center_of_mass])
     places = np.unique(places, axis=0)
     return np.hstack([places, np.zeros((len(places), 3 - places.shape[1]))])
-
-
-def _in_space(place):
-    return [*place, 0.0][:3]
 
 
 def _heights(mechanism, size):

@@ -21,13 +21,13 @@ import numpy as np
 from ..mechanism.checks import number
 from ..mechanism.document import with_value
 from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.kinematics import body_poses, poses_in_space
 from ..mechanism.mechanism import DISTANCE, GROUND
 from ..mechanism.rotations import of_quaternion
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.scene import scene_of_yaml
 from ..simulation.scene_source import source_of, with_entries, with_numbers
 from ..simulation.scene_text import scene_yaml
-from ..visual.trajectory import body_poses, poses_in_space
 
 # Changes of the same number within so long are undone at once [s]; how many steps are kept.
 GESTURE, MOST_STEPS = 1.0, 200

@@ -3,7 +3,6 @@
 
 """Shapes of effects: springs and cables, and what contacts press on; places as a page has them."""
 
-import math
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from ..effects.cable import Cable
 from ..effects.contact import Contact
 from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
+from ..mechanism.rotations import direction, in_three, turned
 
 # Pieces of a circle, and of a piece of a spline.
 CIRCLE, SPLINE = 48, 4
@@ -73,8 +73,8 @@ def effect_lines(mechanism, effects, rows, heights, above):
 
 def surfaces(effects):
     """Return the lines and planes that contacts press on: place, and normal to the free side."""
-    return [{'name': name, 'place': [*record.origin, 0.0][:3], 'normal': list(
-        record.normal or (-math.sin(record.angle), math.cos(record.angle), 0.0))}
+    return [{'name': name, 'place': in_three(record.origin).tolist(), 'normal': list(
+        record.normal or in_three(face_normal(record)).tolist())}
         for name, record in effects.items() if isinstance(record, Contact)]
 
 
@@ -119,7 +119,7 @@ def _line(contact):
     half = SHORT * (contact.radius or 1.0)
     if contact.pieces:
         half = np.abs(np.array(contact.pieces)[:, [0, 4]]).max()
-    along = half * np.array([math.cos(angle), math.sin(angle)])
+    along = half * direction(angle)
     return np.array([-along, along])
 
 
@@ -181,8 +181,7 @@ def normal_of(contact, outline, place):
 
 def face_normal(contact):
     """Return the normal of a line or face to its free side, in its body, shape (2,)."""
-    angle = contact.angle or 0.0
-    return np.array([-math.sin(angle), math.cos(angle)])
+    return turned(contact.angle or 0.0, np.array([0.0, 1.0]))
 
 
 def circle(radius):
@@ -190,4 +189,4 @@ def circle(radius):
     if not radius:
         return np.zeros((0, 2))
     angles = 2.0 * np.pi * np.arange(CIRCLE + 1) / CIRCLE
-    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return radius * direction(angles)

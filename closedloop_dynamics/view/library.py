@@ -15,10 +15,10 @@ from ..mechanism.checks import NAME_PATTERN
 from ..mechanism.config import shipped_path
 from ..mechanism.document import Document
 from ..mechanism.fields import FieldError, shown
+from ..mechanism.kinematics import body_poses, pose_of, poses_in_space, world_points
 from ..mechanism.mechanism import GROUND, MechanismError
 from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
 from ..visual.appearance import body_colors, marked_points, solid
-from ..visual.trajectory import body_poses, pose_of, poses_in_space, world_points
 
 # Files of the user's own that are looked at.
 MOST_FILES, LARGEST_FILE = 200, 200_000

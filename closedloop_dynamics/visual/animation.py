@@ -17,8 +17,9 @@ import numpy as np
 from .drawing import all_places, ARROW, MechanismArtist
 from .gif import Gif
 from .pictures import COLORS
-from .trajectory import body_poses, magnitudes, named_point, Trajectory
+from .trajectory import magnitudes, Trajectory
 from .views import perspective, PLANE
+from ..mechanism.kinematics import body_poses, named_point
 
 FRAME_DOTS_PER_INCH = 100
 # More would take long, and fill a disk.

@@ -20,9 +20,11 @@ import numpy as np
 from .appearance import (
     body_colors, convex_hull, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, sliders)
-from .trajectory import force_of, named_point, pose_of, world_points
+from .trajectory import force_of
 from .views import PLANE
+from ..mechanism.kinematics import named_point, pose_of, world_points
 from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
+from ..mechanism.rotations import direction
 
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
@@ -365,7 +367,7 @@ def draw_ground(axes, mechanism, poses, extent):
     """
     for kind, angle, place, body, point in _on_ground(mechanism):
         if kind in (PRISMATIC, POINT_ON_LINE):
-            axis = np.array([np.cos(angle), np.sin(angle)])
+            axis = direction(angle)
             moving = world_points(pose_of(mechanism, poses, body), point)
             along = (moving - place) @ axis
             _draw_rail(axes, np.array(place), axis, along, SLIDER_SIZE * extent)

@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, PATH_COLOR, rgb
-from .trajectory import body_poses, named_point, pose_of, world_points
 from .views import FRONT, PLANE
+from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 
 MILLIMETRES = 1e3
 # Of a joint's circle, and of a line's width, as shares of the extent.

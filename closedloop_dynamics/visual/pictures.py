@@ -9,9 +9,11 @@ from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
 from .drawing import all_places, MechanismArtist
-from .trajectory import body_poses, magnitudes
+from .trajectory import magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
+from ..mechanism.kinematics import body_poses
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
+from ..mechanism.rotations import direction
 
 # Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be distinguished.
 COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
@@ -355,10 +357,10 @@ def spread_positions(poses, count):
     candidates = np.unique(np.linspace(0, len(poses) - 1, POSE_CANDIDATES).astype(int))
     if poses.shape[-1] == 3:
         extent = np.ptp(poses[..., :2], axis=(0, 1)).max()
-        angle = poses[candidates, :, 2]
-        places = np.concatenate([
-            poses[candidates, :, 0], poses[candidates, :, 1],
-            0.3 * extent * np.cos(angle), 0.3 * extent * np.sin(angle)], axis=1)
+        chosen = poses[candidates]
+        places = np.concatenate(
+            [chosen[..., :2], 0.3 * extent * direction(chosen[..., 2])], axis=-1
+        ).reshape(len(chosen), -1)
     else:
         extent = np.ptp(poses[..., :3], axis=(0, 1)).max()
         # A turn changes a quaternion by half as much.

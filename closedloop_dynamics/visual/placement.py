@@ -12,7 +12,7 @@ closure and body Jacobian).
 
 import numpy as np
 
-from .trajectory import body_poses, body_velocities, poses_in_space
+from ..mechanism.kinematics import body_poses, body_velocities, poses_in_space
 from ..mechanism.rotations import composed, CONJUGATE, rotation_vector
 from ..simulation.geometry import Geometry
 

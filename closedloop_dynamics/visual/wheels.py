@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import about, direction, in_three, of_quaternion
 
 GEAR, RING, BEVEL, PULLEY = 'gear', 'ring', 'bevel', 'pulley'
 # Relative error that radii, distances and numbers of teeth may have in a file.
@@ -220,12 +220,12 @@ def _teeth(wheel, sign):
     shape = _tooth(pitch, wheel.module, sign)
     angles = (pitch * np.arange(wheel.teeth)[:, None] + shape[:, 0]).ravel()
     radii = np.tile(wheel.radius + shape[:, 1], wheel.teeth)
-    return radii[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+    return radii[:, None] * direction(angles)
 
 
 def _circle(count):
     angles = 2.0 * np.pi * np.arange(count) / count
-    return np.column_stack([np.cos(angles), np.sin(angles)])
+    return direction(angles)
 
 
 class _Train:
@@ -376,7 +376,7 @@ class _Train:
     def _middle(self, body):
         places = [point.position for point in self.mechanism.points if point.body == body]
         places += [one.center_of_mass for one in self.mechanism.bodies if one.name == body]
-        return _in_space(np.mean(places, axis=0)) if places else np.zeros(3)
+        return in_three(np.mean(places, axis=0)) if places else np.zeros(3)
 
     def _push(self, slide, hinge, radius):
         """Put a wheel on a hinge and a rack on a slide of the same body, which moves by radius."""
@@ -479,33 +479,24 @@ class _Train:
         ahead += np.arctan2(np.cross(zero, wheel.start) @ wheel.axis, zero @ wheel.start)
         pitch = 2.0 * np.pi * wheel.radius / (wheel.teeth or 36)
         moved = turn @ ([1.0, 0.0, 0.0] if slide.axis is None else slide.axis)
-        place = contact - _in_space(slide.position) - (
+        place = contact - in_three(slide.position) - (
             self.values.get(slide.name, 0.0) * moved) + (
             wheel.radius * ahead + 0.5 * pitch) * along
         place, along, normal = turn.T @ place, turn.T @ along, turn.T @ normal
-        marks = [_in_space(point.position) @ along for point in self.mechanism.points
+        marks = [in_three(point.position) @ along for point in self.mechanism.points
                  if point.body == slide.child]
-        middle = turn.T @ (contact - _in_space(slide.position)) @ along
+        middle = turn.T @ (contact - in_three(slide.position)) @ along
         reach = REACH * wheel.radius
         ends = np.array([min([middle - reach, *marks]), max([middle + reach, *marks])])
         return Rack(slide.child, place, along, -normal, pitch,
                     tuple((ends - place @ along).tolist()))
 
 
-def _in_space(place):
-    return np.append(np.array(place, dtype=float), 0.0)[:3]
-
-
 def _turn(joint):
     """Return the axes of a child in its parent at zero, shape (3, 3)."""
     if joint.axis is not None:
         return of_quaternion(joint.orientation)
-    return _about_z(joint.angle)
-
-
-def _about_z(angle):
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return about((0.0, 0.0, 1.0), joint.angle)
 
 
 def _hinges(mechanism):
@@ -514,12 +505,12 @@ def _hinges(mechanism):
         if joint.type == REVOLUTE:
             turn = _turn(joint)
             axis = upright if joint.axis is None else turn @ joint.axis
-            yield _Hinge(joint.name, joint.parent, joint.child, _in_space(joint.position),
+            yield _Hinge(joint.name, joint.parent, joint.child, in_three(joint.position),
                          np.zeros(3), axis / np.linalg.norm(axis), turn)
     for cut in mechanism.cut_joints:
         if cut.type == REVOLUTE and mechanism.planar:
-            yield _Hinge(cut.name, cut.body_b, cut.body_a, _in_space(cut.point_b),
-                         _in_space(cut.point_a), upright, _about_z(cut.angle))
+            yield _Hinge(cut.name, cut.body_b, cut.body_a, in_three(cut.point_b),
+                         in_three(cut.point_a), upright, about((0.0, 0.0, 1.0), cut.angle))
 
 
 def _values(couplings):
@@ -561,6 +552,6 @@ def _belt(place, along, side, distance, radii, crossed):
     back = np.linspace(lean, 2.0 * np.pi - lean, ROUND // 2)
     forth = np.linspace(*((np.pi - lean, lean - np.pi) if crossed else (-lean, lean)), ROUND // 2)
     places = np.vstack([
-        first * np.column_stack([np.cos(back), np.sin(back)]),
-        other * np.column_stack([np.cos(forth), np.sin(forth)]) + [distance, 0.0]])
+        first * direction(back),
+        other * direction(forth) + [distance, 0.0]])
     return place + np.vstack([places, places[:1]]) @ np.array([along, side])

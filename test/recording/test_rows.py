@@ -10,6 +10,7 @@ import json
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.command import recording_of, UsageError
+from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording import recording as recordings
 from closedloop_dynamics.recording.errors import RecordingError
@@ -17,7 +18,6 @@ from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.simulation.key_paths import changed, resolve
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
-from closedloop_dynamics.visual.trajectory import closure
 import numpy as np
 import pytest
 

@@ -8,6 +8,7 @@ import math
 from closedloop_dynamics import load_scene
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.workspace import summary
+from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, world_points
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point)
 from closedloop_dynamics.recording import workspace
@@ -17,7 +18,6 @@ from closedloop_dynamics.recording.workspace import (
 from closedloop_dynamics.simulation.pose_grid import angles_of, orientation_of
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.singular_curves import TYPE_1, TYPE_2
-from closedloop_dynamics.visual.trajectory import body_poses, pose_of, world_points
 import numpy as np
 import pytest
 

@@ -6,24 +6,21 @@
 import math
 
 from builtin_interfaces.msg import Time
+from closedloop_dynamics.mechanism.kinematics import world_points
 from closedloop_dynamics.ros.auxiliary_publishers import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text
-from closedloop_dynamics.visual.trajectory import world_points
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy
-from rclpy.qos import QoSProfile
-from std_msgs.msg import Float64MultiArray
-from std_msgs.msg import String
-from visualization_msgs.msg import Marker
-from visualization_msgs.msg import MarkerArray
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64MultiArray, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

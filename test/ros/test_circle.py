@@ -4,8 +4,8 @@
 """The joints lead the point round the circle, and their rates are those of their positions."""
 
 from closedloop_dynamics.control.references import CircularPath, PathError
+from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
 import numpy as np
 import pytest
 

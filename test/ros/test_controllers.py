@@ -6,13 +6,12 @@
 from pathlib import Path
 
 from closedloop_dynamics.control.controller import closed_loop
+from closedloop_dynamics.mechanism.kinematics import body_poses, named_point
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.trajectory import body_poses, named_point
 import numpy as np
 import pytest
-from rclpy.parameter import parameter_dict_from_yaml_file
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 

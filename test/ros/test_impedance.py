@@ -5,9 +5,9 @@
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.control.impedance import Impedance
+from closedloop_dynamics.mechanism.kinematics import wrench_in_joints
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
-from closedloop_dynamics.visual.trajectory import wrench_in_joints
 import numpy as np
 import pytest
 

@@ -6,18 +6,16 @@
 from closedloop_dynamics.control.controller import reference
 from closedloop_dynamics.control.references import (
     CircularPath, freedoms_of, PathError, PointToPointPath, solve)
+from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import Orientations
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
-from geometry_msgs.msg import Transform
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Transform, Twist
 import numpy as np
 import pytest
-from sensor_msgs.msg import JointState
-from sensor_msgs.msg import MultiDOFJointState
+from sensor_msgs.msg import JointState, MultiDOFJointState
 
 CENTER = 'platform_center'
 

@@ -11,13 +11,12 @@ Where that package is not installed, ``python test/ros/build_interfaces.py`` bui
 from types import SimpleNamespace
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.visual.trajectory import poses_in_space
+from closedloop_dynamics.mechanism.kinematics import poses_in_space
 import numpy as np
 import pytest
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 pytest.importorskip(
     'simulation_interfaces', reason='needs the package simulation_interfaces, which '

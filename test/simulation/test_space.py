@@ -15,6 +15,7 @@ from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.kinematics import body_poses
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, row, run
 from closedloop_dynamics.simulation.loop_model import independent
@@ -23,7 +24,6 @@ from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
-from closedloop_dynamics.visual.trajectory import body_poses
 import numpy as np
 import pytest
 

@@ -12,12 +12,13 @@ from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.mechanism.kinematics import (
+    body_poses, named_point, pose_of, poses_in_space)
+from closedloop_dynamics.mechanism.rotations import rotated
 from closedloop_dynamics.simulation.cognates import cognates
 from closedloop_dynamics.simulation.inversion import inverted
 from closedloop_dynamics.simulation.mirror import mirrored
 from closedloop_dynamics.simulation.scene_text import write_scene
-from closedloop_dynamics.visual.trajectory import (
-    body_poses, named_point, pose_of, poses_in_space, rotated)
 import numpy as np
 import pytest
 

@@ -8,6 +8,7 @@ import math
 
 from closedloop_dynamics import load_scene
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.kinematics import named_paths
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.scene_edit import write_with_numbers
@@ -16,7 +17,6 @@ from closedloop_dynamics.studies.optimise import (
     from_start, optimise, Optimum, OptimumFileError, problem_of, solve)
 from closedloop_dynamics.studies.quantities import (
     Driven, Infeasible, Quantities, Variable, with_values)
-from closedloop_dynamics.visual.trajectory import named_paths
 import numpy as np
 import pytest
 

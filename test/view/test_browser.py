@@ -7,12 +7,12 @@ from test.view.browser import browser, PATIENCE, program
 import time
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.page import recorded_page
-from closedloop_dynamics.visual.trajectory import body_poses, poses_in_space
 import numpy as np
 import pytest
 

@@ -6,6 +6,7 @@
 import json
 
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.coupler_curves import curves
@@ -14,7 +15,6 @@ from closedloop_dynamics.view.library import Library
 from closedloop_dynamics.view.messages import ADDITIONS
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE, Runner
-from closedloop_dynamics.visual.trajectory import body_poses, named_point, pose_of
 import numpy as np
 import pytest
 

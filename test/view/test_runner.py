@@ -6,11 +6,11 @@
 import json
 import struct
 
+from closedloop_dynamics.mechanism.kinematics import poses_in_space
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE, Runner, SAMPLES
-from closedloop_dynamics.visual.trajectory import poses_in_space
 import numpy as np
 import pytest
 

@@ -3,6 +3,7 @@
 
 """Pictures show the mechanism where it is, with units, and legends that cover nothing."""
 
+from closedloop_dynamics.mechanism import closure as closures, kinematics
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.scene import config_directory
@@ -67,25 +68,27 @@ def everything(tmp_path):
 @pytest.mark.parametrize('scene', SCENES)
 def test_bodies_are_placed_as_the_simulation_places_them(scene):
     motion, simulation = simulated(scene)
-    poses = motions.body_poses(motion.mechanism, motion.position)
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
     np.testing.assert_allclose(poses[-1], simulation.body_poses, rtol=0, atol=1e-14)
     for point in motion.mechanism.points:
-        place = motions.named_point(motion.mechanism, poses, point.name)
+        place = kinematics.named_point(motion.mechanism, poses, point.name)
         np.testing.assert_allclose(
             place[-1], simulation.point(point.name), rtol=0, atol=1e-14)
-    closure = motions.closure(motion.mechanism, motion.position)
+    closure = closures.closure(motion.mechanism, motion.position)
     assert closure[-1] == pytest.approx(simulation.closure, abs=1e-15)
     assert closure.max() < 1e-10
 
 
 def test_closure_sees_every_kind_of_loop(everything):
-    poses = motions.body_poses(everything.mechanism, everything.position)
-    closure = motions.closure(everything.mechanism, everything.position)
+    poses = kinematics.body_poses(everything.mechanism, everything.position)
+    closure = closures.closure(everything.mechanism, everything.position)
     assert closure.shape == (50,)
-    rod, plate = (motions.pose_of(everything.mechanism, poses, name) for name in ('rod', 'plate'))
-    gap = (motions.world_points(rod, (0.3, 0.0)) - motions.world_points(plate, (0.2, 0.0)))
+    rod, plate = (kinematics.pose_of(everything.mechanism, poses, name)
+                  for name in ('rod', 'plate'))
+    gap = kinematics.world_points(rod, (0.3, 0.0)) - kinematics.world_points(
+        plate, (0.2, 0.0))
     angle = plate[:, 2] - rod[:, 2] - 0.3
-    rail = motions.world_points(plate, (0.1, 0.0)) - (0.2, 0.2)
+    rail = kinematics.world_points(plate, (0.1, 0.0)) - (0.2, 0.2)
     across = rail[:, 1] * np.cos(0.5) - rail[:, 0] * np.sin(0.5)
     for error in (gap[:, 0], gap[:, 1], angle, across, plate[:, 2] - 0.5):
         assert np.all(closure >= np.abs(error))
@@ -153,8 +156,8 @@ def test_mechanism_is_drawn_to_scale_and_in_full_view():
     axes = figure.axes[0]
     drawn(figure)
     assert axes.get_aspect() == 1.0
-    poses = motions.body_poses(motion.mechanism, motion.position)
-    tool = motions.named_point(motion.mechanism, poses, 'tool')
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
+    tool = kinematics.named_point(motion.mechanism, poses, 'tool')
     path = max(axes.get_lines(), key=lambda line: len(line.get_xdata()))
     np.testing.assert_array_equal(path.get_xydata(), tool)
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
@@ -163,13 +166,13 @@ def test_mechanism_is_drawn_to_scale_and_in_full_view():
 
 def test_force_arrows_start_at_their_cuts_and_share_one_scale():
     motion, _ = simulated('three_rrr')
-    poses = motions.body_poses(motion.mechanism, motion.position)
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
     axes = Figure().add_subplot()
     artist = MechanismArtist(axes, motion.mechanism, poses)
     artist.forces(-1, np.array([[0.0, 30.0, 0.0], [0.0, 0.0, -15.0]]), 30.0)
     first, second = axes.texts
-    cut_1 = motions.world_points(
-        motions.pose_of(motion.mechanism, poses[-1], 'distal_2'), (-0.6, 0.0))
+    cut_1 = kinematics.world_points(
+        kinematics.pose_of(motion.mechanism, poses[-1], 'distal_2'), (-0.6, 0.0))
     assert first.xyann == pytest.approx(cut_1)
     length = first.xy[0] - first.xyann[0]
     assert length > 0.0 and first.xy[1] == pytest.approx(first.xyann[1])
@@ -178,7 +181,7 @@ def test_force_arrows_start_at_their_cuts_and_share_one_scale():
 
 def test_positions_are_spread_and_end_with_the_last():
     motion, _ = simulated('three_rrr', 1.0)
-    poses = motions.body_poses(motion.mechanism, motion.position)
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
     chosen = pictures.spread_positions(poses, 5)
     assert chosen == sorted(set(chosen)) and len(chosen) == 5
     assert chosen[-1] == len(poses) - 1
@@ -186,7 +189,7 @@ def test_positions_are_spread_and_end_with_the_last():
 
 def test_a_mechanism_at_rest_is_drawn_once():
     motion, _ = simulated('four_bar')
-    poses = motions.body_poses(motion.mechanism, motion.position[:1].repeat(30, axis=0))
+    poses = kinematics.body_poses(motion.mechanism, motion.position[:1].repeat(30, axis=0))
     assert pictures.spread_positions(poses, 5) == [29]
 
 

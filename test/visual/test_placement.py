@@ -4,8 +4,8 @@
 """Tests of how bodies move, and of states in which they are where they are wanted."""
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.mechanism.kinematics import poses_in_space
 from closedloop_dynamics.visual.placement import Placement, PlacementError
-from closedloop_dynamics.visual.trajectory import poses_in_space
 import numpy as np
 import pytest
 

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.mechanism import closure as closures, kinematics
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.visual import (
     animation as animations, pictures, trajectory as motions)
@@ -49,19 +50,19 @@ def test_bodies_are_placed_and_loops_seen_as_in_maximal_coordinates(seed):
     rng = np.random.default_rng(seed)
     mechanism, q, qd = spatial_linkages.random_mechanism(rng)
     expected = twin.forward(mechanism, q, qd, np.zeros(len(qd)))[0]
-    poses = motions.body_poses(mechanism, q)
+    poses = kinematics.body_poses(mechanism, q)
     for body, pose in zip(mechanism.bodies, poses):
         np.testing.assert_allclose(pose[:3], expected[body.name].origin, atol=1e-13)
         np.testing.assert_allclose(twin.matrix(pose[3:]), expected[body.name].axes, atol=1e-13)
-    assert motions.closure(mechanism, q[np.newaxis])[0] < 1e-12
+    assert closures.closure(mechanism, q[np.newaxis])[0] < 1e-12
     # The errors see whatever the cut joints forbid, and nothing else.
     rows, step = twin.closure_rates(mechanism, q), 1e-6
     moves = [joint for joint in mechanism.joints if joint.type in ('spherical', 'free')]
     if not moves:
         shifted = np.vstack([q + step * np.eye(len(q)), q - step * np.eye(len(q))])
         errors = np.array([
-            *motions.closure_errors(mechanism, motions.body_poses(mechanism, shifted)),
-            *motions.coupling_errors(mechanism, shifted)])
+            *closures.closure_errors(mechanism, kinematics.body_poses(mechanism, shifted)),
+            *closures.coupling_errors(mechanism, shifted)])
         slopes = (errors[:, :len(q)] - errors[:, len(q):]) / (2.0 * step)
         assert np.linalg.matrix_rank(slopes, 1e-7) == len(rows)
         assert np.linalg.matrix_rank(np.vstack([slopes, rows]), 1e-7) == len(rows)
@@ -71,12 +72,12 @@ def test_poses_of_many_positions_are_those_of_each():
     mechanism, _ = spatial_machines.stewart_platform()
     start = at_zero(mechanism)
     positions = start + 0.1 * np.random.default_rng(0).normal(size=(3, 5, len(start)))
-    poses = motions.body_poses(mechanism, positions)
+    poses = kinematics.body_poses(mechanism, positions)
     assert poses.shape == (3, 5, 13, 7)
-    np.testing.assert_array_equal(poses[2, 4], motions.body_poses(mechanism, positions[2, 4]))
-    ground = motions.pose_of(mechanism, poses, 'ground')
+    np.testing.assert_array_equal(poses[2, 4], kinematics.body_poses(mechanism, positions[2, 4]))
+    ground = kinematics.pose_of(mechanism, poses, 'ground')
     np.testing.assert_array_equal(
-        motions.world_points(ground, [(1.0, 2.0, 3.0)])[2, 4], [(1.0, 2.0, 3.0)])
+        kinematics.world_points(ground, [(1.0, 2.0, 3.0)])[2, 4], [(1.0, 2.0, 3.0)])
 
 
 def test_views_show_space_from_the_side_that_they_are_named_after():
@@ -112,8 +113,8 @@ def test_positions_are_seen_from_four_sides():
     assert [axes.get_title(loc='left') for axes in figure.axes] == [
         'front', 'side', 'top', 'perspective']
     drawn(figure)
-    poses = motions.body_poses(motion.mechanism, motion.position)
-    path = motions.named_point(motion.mechanism, poses, 'tip')
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
+    path = kinematics.named_point(motion.mechanism, poses, 'tip')
     everything = all_places(motion.mechanism, poses)
     for axes, view in zip(figure.axes, (FRONT, SIDE, TOP, perspective(everything))):
         assert axes.get_aspect() == 1.0
@@ -126,10 +127,10 @@ def test_positions_are_seen_from_four_sides():
 
 def test_force_arrows_are_projected():
     motion = waved('rssr_four_bar')
-    poses = motions.body_poses(motion.mechanism, motion.position)
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
     cut, = motion.mechanism.cut_joints
-    place = motions.world_points(
-        motions.pose_of(motion.mechanism, poses[3], cut.body_a), cut.point_a)
+    place = kinematics.world_points(
+        kinematics.pose_of(motion.mechanism, poses[3], cut.body_a), cut.point_a)
     for view in (FRONT, SIDE, TOP, perspective(all_places(motion.mechanism, poses))):
         artist = MechanismArtist(Figure().add_subplot(), motion.mechanism, poses, view)
         wrench = np.array([[9.0, 9.0, 9.0, 1.0, 2.0, -2.0]])
@@ -142,7 +143,7 @@ def test_force_arrows_are_projected():
 
 def test_nearer_bodies_cover_those_behind():
     motion = waved('delta_robot')
-    poses = motions.body_poses(motion.mechanism, motion.position)
+    poses = kinematics.body_poses(motion.mechanism, motion.position)
     artist = MechanismArtist(Figure().add_subplot(), motion.mechanism, poses, FRONT)
     parts = [part for part in artist.bodies(0) if part.layer is not None]
     assert len(parts) == sum(not body.massless for body in motion.mechanism.bodies)

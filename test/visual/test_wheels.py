@@ -5,10 +5,10 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, poses_in_space
 from closedloop_dynamics.mechanism.mechanism import Coupling
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.visual.trajectory import body_poses, pose_of, poses_in_space
 from closedloop_dynamics.visual.wheels import profile, rack_profile, transmissions
 from matplotlib.path import Path
 import numpy as np
