@@ -319,6 +319,51 @@ def with_entry(text, keys, name, value):
     return f'{text[:at_end]}\n{indent}{entry}{text[at_end:]}'
 
 
+def without_entry(text, keys):
+    """
+    Return YAML without an entry of a mapping, all else as it stands, comments of others too.
+
+    With it goes the comment that stands right above it or behind it in its line, and a mapping
+    that had nothing else.
+
+    Parameters
+    ----------
+    text : str
+        That ``Document`` reads.
+    keys : tuple of str
+        Of the entry.
+
+    Returns
+    -------
+    str or None
+        None where it stands nowhere in the text.
+
+    """
+    node = _node(_composed(text), keys[:-1])
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    names = [key.value for key, _ in node.value]
+    if keys[-1] not in names:
+        return None
+    if len(names) == 1 and len(keys) > 1:
+        return without_entry(text, keys[:-1])
+    index = names.index(keys[-1])
+    start, end = node.value[index][0].start_mark.index, _last_mark(node.value[index][1])
+    if not node.flow_style:
+        start = text.rfind('\n', 0, start) + 1
+        margin = ' ' * node.value[index][0].start_mark.column + '#'
+        while text[:start - 1].rpartition('\n')[2].startswith(margin):
+            start = text.rfind('\n', 0, start - 1) + 1
+        end = text.find('\n', end) + 1
+        return text[:start] + text[end:] if end else text[:start]
+    if index:
+        # With the comma before it.
+        start = _last_mark(node.value[index - 1][1])
+    elif len(names) > 1:
+        end = node.value[1][0].start_mark.index
+    return text[:start] + text[end:]
+
+
 def _last_mark(node):
     """Return where the text of a node ends; mappings' own marks reach further."""
     if isinstance(node, yaml.MappingNode) and node.value and not node.flow_style:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A scene that is edited by hand: numbers, places of pins and points, parts that are added; undone.
+A scene that is edited by hand: numbers, places of pins and points, parts added or removed; undone.
 
 A pin is moved in the position that the machine stands in: all other pins, and how bodies are
 turned, stay as they are there, so that the loops remain closed. In the frame of a body whose own
@@ -18,6 +18,7 @@ import time
 
 import numpy as np
 
+from .removing import without
 from ..mechanism.checks import number
 from ..mechanism.document import with_value
 from ..mechanism.fields import at, FieldError, shown
@@ -345,21 +346,53 @@ class Editor:
 
     def _write(self, entries, values, what):
         """Put entries and numbers into the text; read it again."""
+        def more(text):
+            text = with_entries(text, entries)
+            if what in CONSTRAINING and self.scene.initial.hold and text is not None:
+                # As many would be held as there were degrees of freedom: it is closed as it
+                # stands.
+                text = with_value(text, ('initial', 'hold'), [])
+            return text
+
+        self._rewrite(more, what, values)
+
+    def remove(self, kind, name):
+        """
+        Remove a part; return the names of what goes with it.
+
+        Parameters
+        ----------
+        kind, name : str
+            One of ``messages.REMOVALS``, and which.
+
+        Raises
+        ------
+        FieldError, MechanismError, SceneError
+            Where others need it.
+
+        """
+        also = []
+
+        def less(text):
+            text, also[:] = without(self.scene, text, kind, name)
+            return text
+
+        self._rewrite(less, kind)
+        return also
+
+    def _rewrite(self, change, what, values=None):
+        """Change the text, and numbers of the scene that is read from it."""
         text, kept = self.text()
-        more = with_entries(text, entries)
-        if more is None:
-            text, kept = scene_yaml(self.scene), False
-            more = with_entries(text, entries)
-        if what in CONSTRAINING and self.scene.initial.hold and more is not None:
-            # As many would be held as there were degrees of freedom: it is closed as it stands.
-            more = with_value(more, ('initial', 'hold'), [])
-        if more is None:
+        other = change(text)
+        if other is None:
+            kept, other = False, change(scene_yaml(self.scene))
+        if other is None:
             raise FieldError('a place for it in the file', 'none', path=(what,))
-        scene = self._read(more)
+        base = scene = self._read(other)
         if values:
             scene = changed(scene, {resolve(scene, key): value for key, value in values.items()})
         self._keep(None)
-        self._base, self._text, self.words_kept = self._read(more), more, kept
+        self._base, self._text, self.words_kept = base, other, kept
         self.scene = scene
 
     def _read(self, text):

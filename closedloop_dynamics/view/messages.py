@@ -13,6 +13,8 @@ from ..mechanism.fields import at, FieldError, mapping, shown
 # What can be added while a machine is edited; where machines come from.
 ADDITIONS = ('point', 'link', 'pin', 'rod', 'spring', 'damper', 'force', 'drive')
 SHIPPED, YOURS = 'shipped', 'yours'
+# Kinds of what can be removed.
+REMOVALS = BODY, JOINT, POINT, EFFECT = 'body', 'joint', 'point', 'effect'
 # Seconds of motion per second.
 SLOWEST, FASTEST = 0.01, 10.0
 MOST_STEPS = 1000
@@ -99,6 +101,7 @@ ASKED = {
     'move': {'kind': _word, 'name': _word, 'at': _place},
     'add': {'what': one_of(ADDITIONS), 'joint': _word, 'body_a': _word, 'a': _place,
             'body_b': _word, 'b': _place},
+    'remove': {'kind': one_of(REMOVALS), 'name': _word},
     'undo': {}, 'redo': {},
     # Files.
     'open': {'name': name, 'kind': one_of((SHIPPED, YOURS))},

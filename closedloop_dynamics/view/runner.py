@@ -23,6 +23,7 @@ from .messages import (
     require_one_number, SPEED, TORQUE)
 from .own_motion import MODES, own_motion, OwnMotion
 from .posing import felt_inertia
+from .removing import removable
 from .shown import Shown
 from .watchdog import Watchdog
 from ..control.errors import StartError
@@ -181,6 +182,8 @@ class Runner(Shown):
         self._failure, self.start_pose, self._own = None, None, motion
         self._own_due = math.inf
         self._put(hand, simulation)
+        for name in motion.starts:
+            drive_of(self.drives, name)
         self._pacer = Pacer(simulation.step_size, self._speed, self._clock)
         self._start_drives()
         self._describe()
@@ -216,6 +219,7 @@ class Runner(Shown):
             hand=True, poses=True, gravity=self._hand.gravity, own=any(
                 value is not None for _, value in self._own.starts.values()),
             handles=self.editor.handles(), sliders=self.editor.sliders(),
+            removable=removable(scene),
             curves=(curves(simulation.mechanism, simulation.position, scene.mechanism.points)
                     if self._editing else []), **CHOICES)
         time_and_row = simulation.time, self.rows.row()
@@ -236,8 +240,6 @@ class Runner(Shown):
     def _start_drives(self):
         """Let each drive do what the machine begins with."""
         self._restart_controller()
-        for name in self._own.starts:
-            drive_of(self.drives, name)
         for name, drive in self.drives.items():
             (mode, value), (time, position) = self._own.start(name), self._now_at(name)
             with at(name):
@@ -629,6 +631,14 @@ class Runner(Shown):
             raise FieldError('a machine that is edited', 'a part to add while it runs')
         self._edit(lambda: self.editor.add(what, self.simulation.position, **more))
 
+    def _do_remove(self, page, kind, name):
+        if not self._editing:
+            raise FieldError('a machine that is edited', 'a part to remove while it runs')
+        also = []
+        self._edit(lambda: also.extend(self.editor.remove(kind, name)))
+        if also:
+            self.feed.note(f'with {name} went {", ".join(also)}')
+
     def _do_undo(self, page):
         self._edit(self.editor.undo)
 
@@ -666,6 +676,9 @@ class Runner(Shown):
             mode, value = drives.get(name, (TORQUE, 0.0))
             drive.set(mode, value, *self._now_at(name))
         self._own_due = self._clock() + SETTLED
+        if old.coordinates.names != new.coordinates.names:
+            # Its states have other numbers.
+            self._renew_controller()
         self._describe()
 
     def _renew_controller(self):

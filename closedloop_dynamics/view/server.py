@@ -216,13 +216,19 @@ class _Page:
                 if self._feed.described != described:
                     described = self._feed.described
                     await self._connection.send(self._feed.description)
-                if self._feed.version != version:
-                    version = self._feed.version
-                    await self._connection.send(self._feed.controls)
+                # What belongs to a description that the page does not have yet comes after that.
+                told, controls = self._feed.version, self._feed.controls
+                if told != version and self._feed.described == described:
+                    version = told
+                    await self._connection.send(controls)
                 if self._feed.number != number and len(self._sent) < WINDOW:
-                    frame, number, sampled = self._feed.frame(sampled)
-                    self._sent.append(number)
-                    await self._connection.send(frame)
+                    frame = self._feed.frame(sampled)
+                    if self._feed.described == described:
+                        frame, number, sampled = frame
+                        self._sent.append(number)
+                        await self._connection.send(frame)
+                if self._feed.described != described:
+                    self._changed.set()
 
 
 def is_local(host):

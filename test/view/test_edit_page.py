@@ -67,6 +67,10 @@ def add(tab, what, *places):
         click(tab, place)
 
 
+def remove(tab, what):
+    tab.ask(f"""page.edit.less.value = "{what}"; page.edit.less.onchange()""")
+
+
 def test_a_machine_is_edited_saved_and_opened(tmp_path):
     with opened('four_bar', tmp_path) as (tab, runner):
         tab.click('#editing')
@@ -83,13 +87,25 @@ def test_a_machine_is_edited_saved_and_opened(tmp_path):
         assert np.abs(np.array(after) - curve).max() > 0.01
         assert (np.abs(tab.picture().astype(int) - before).max(axis=2) > 30).mean() > 0.005
         assert runner.simulation.closure < 1e-9
-        # A link from the ground to the coupler, by two clicks; the page is built again.
+        # A link from the ground to the coupler, by two clicks; the page goes on, and the camera
+        # stays where it is.
+        tab.ask('window.same = true; page.zoom(0.9); page.plots.groups[1].card.hidden')
+        seen = tab.ask('[page.picture.distance, ...page.picture.target]')
         add(tab, 'link', '[0.25, -0.02, 0]', handle('coupler_point'))
         tab.wait(f'{READY} && page.scene.bodies.length === 4 && page.edit.on')
         tab.ask('document.querySelector("[data-do=undo]").click()')
         tab.wait(f'{READY} && page.scene.bodies.length === 3 && page.edit.on')
         tab.ask('document.querySelector("[data-do=redo]").click()')
         tab.wait(f'{READY} && page.scene.bodies.length === 4 && page.edit.on')
+        # A point goes and comes back; what others hang on is not offered.
+        remove(tab, 'point coupler_point')
+        tab.wait(f'{READY} && page.scene.points.length === 0')
+        tab.ask('document.querySelector("[data-do=undo]").click()')
+        tab.wait(f'{READY} && page.scene.points.length === 1')
+        assert 'body crank' not in tab.ask(
+            '[...document.querySelectorAll("#remove option")].map((one) => one.value)')
+        assert tab.ask('window.same')
+        assert tab.ask('[page.picture.distance, ...page.picture.target]') == seen
         tab.ask('page.edit.name.value = "mine"')
         tab.click('[data-do=save]')
         tab.wait('document.getElementById("notes").textContent.includes("saved")')
@@ -105,6 +121,10 @@ def test_a_machine_is_edited_saved_and_opened(tmp_path):
         tab.ask('[...document.querySelectorAll("#machines button")].find('
                 '(one) => one.textContent.startsWith("slider_crank")).click()')
         tab.wait(f'{READY} && page.scene.title === "slider_crank" && !page.edit.on')
+        tab.wait('page.picture.row && page.history.count > 0')
+        assert tab.ask('window.same && page.edit.name.value') == 'slider_crank_edited'
+        tab.click('#play')
+        tab.wait('page.now > 0.1')
         tab.close()
 
 

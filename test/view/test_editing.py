@@ -242,3 +242,76 @@ def test_machines_are_opened_by_name_and_from_text(tmp_path):
         assert edited.runner.resource(path) is None
     told = edited.ask('open', name='no_such', kind='shipped')
     assert 'one of the machines' in told['notes'][-1]['text']
+
+
+REMOVED = [
+    ('four_bar', 'body', 'coupler', {'coupler', 'coupler_joint', 'cut_1', 'coupler_point'}),
+    ('four_bar', 'joint', 'cut_1', {'cut_1'}), ('four_bar', 'point', 'coupler_point', None),
+    ('rope_hoist', 'effect', 'buffer', {'buffer'}),
+    ('carpet_scraper_on_carpet', 'effect', 'carpet', {'carpet'}),
+    ('planetary_gear', 'body', 'planet_3', {'planet_3', 'planet_3_joint', 'sun_planet_3'}),
+    ('bricard', 'point', 'corner', {'corner'})]
+
+
+@pytest.mark.parametrize('name, kind, part, gone', REMOVED)
+def test_parts_are_removed_and_undone_to_the_letter(tmp_path, name, kind, part, gone):
+    edited = Edited(name, tmp_path)
+    edited.ask('edit', on=True)
+    text, kept = edited.runner.editor.text()
+    assert kept
+    position = dict(zip(edited.runner.simulation.joint_names, edited.runner.simulation.position))
+    told = edited.ask('remove', kind=kind, name=part)
+    assert told['undoable'] == [True, False]
+    editor, simulation = edited.runner.editor, edited.runner.simulation
+    less, kept = editor.text()
+    assert kept and simulation.closure < 1e-9
+    # Lines are gone, or shorter; none is new.
+    known = {line.strip() for line in text.split('\n')}
+    others = [line for line in less.split('\n') if line.strip() not in known]
+    assert all('hold: []' in line or any(
+        line.strip()[:12] == one[:12] and len(line.strip()) < len(one) for one in known)
+        for line in others)
+    names = {one.name for part in (
+        editor.scene.mechanism.bodies, editor.scene.mechanism.joints,
+        editor.scene.mechanism.cut_joints, editor.scene.mechanism.points,
+        editor.scene.mechanism.couplings) for one in part} | set(editor.scene.effects)
+    assert not names & (gone or {part})
+    # What stays stays where it is.
+    for joint, value in zip(simulation.joint_names, simulation.position):
+        assert value == pytest.approx(position[joint], abs=2e-3)
+    assert {one for some in edited.scene['removable'].values() for one in some} <= names
+    edited.ask('undo')
+    assert edited.runner.editor.text()[0] == text
+    edited.ask('redo')
+    assert edited.runner.editor.text()[0] == less
+    edited.ask('save', name='less')
+    assert load_scene(tmp_path / 'less.yaml').mechanism == editor.scene.mechanism
+    # What is left moves.
+    edited.ask('play', frames=20)
+    assert json.loads(edited.runner.feed.controls)['failure'] is None
+
+
+@pytest.mark.parametrize('name, kind, part, reason', [
+    ('four_bar', 'body', 'crank', 'carries coupler'),
+    ('four_bar', 'joint', 'crank_joint', 'crank hangs on'),
+    ('four_bar', 'body', 'nobody', 'a body of the machine'),
+    ('rope_hoist', 'point', 'hook', 'hook'), ('cam_follower', 'point', 'axle', 'axle')])
+def test_what_others_need_is_not_removed(name, kind, part, reason):
+    edited = Edited(name)
+    edited.ask('edit', on=True)
+    before, text = edited.scene, edited.runner.editor.text()
+    told = edited.ask('remove', kind=kind, name=part)
+    assert reason in told['notes'][-1]['text']
+    assert edited.scene == before and edited.runner.editor.text() == text
+    assert told['undoable'] == [False, False]
+
+
+def test_another_tree_is_chosen_where_joints_are_between_bodies(tmp_path):
+    edited = Edited('bricard', tmp_path)
+    edited.ask('edit', on=True)
+    before = edited.runner.editor.text()[0]
+    joint = edited.runner.editor.scene.mechanism.cut_joints[0].name
+    edited.ask('remove', kind='joint', name=joint)
+    assert not edited.runner.editor.scene.mechanism.cut_joints
+    edited.ask('undo')
+    assert edited.runner.editor.text()[0] == before

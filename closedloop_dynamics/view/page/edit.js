@@ -23,6 +23,7 @@ function structure(scene) {
   const names = (items) => items.map(({name, type, actuated}) => [name, type, actuated]);
   return JSON.stringify([scene.title, scene.planar, scene.columns, scene.plots, scene.loads,
     names(scene.bodies), names(scene.joints), names(scene.cuts), names(scene.points),
+    scene.removable?.effect,
     scene.drives?.map(({joint, modes}) => [joint, modes]), scene.own]);
 }
 
@@ -41,13 +42,11 @@ class Editing {
   ask(what, more) { this.page.ask(what, more); }
 
   build() {
-    const {planar} = this.page.scene;
     const panel = make(`<div><div class="row">
       <button data-do="undo" title="undo (Ctrl+Z)">undo</button>
       <button data-do="redo" title="redo (Ctrl+Y)">redo</button>
-      <select aria-label="add a part"><option value="">add …</option>${
-  Object.keys(ADDED).filter((what) => planar || !IN_PLANE.includes(what)).map((what) => (
-    `<option value="${what}">${ADDED[what][0]}</option>`)).join('')}</select></div>
+      <select id="add" aria-label="add a part"></select>
+      <select id="remove" aria-label="remove a part"></select></div>
       <p class="hint"></p>
       <div class="row"><input type="text" class="name" aria-label="name of the file">
       <button data-do="save" title="in the folder where closedloop view was started">save</button>
@@ -56,17 +55,20 @@ class Editing {
     const edit = byId('edit');
     this.hint = edit.querySelector('.hint');
     this.name = edit.querySelector('.name');
-    this.menu = edit.querySelector('select');
+    [this.menu, this.less] = edit.querySelectorAll('select');
     this.link = edit.querySelector('a');
-    this.name.value = `${this.page.scene.title}_edited`;
     this.name.oninput = () => { this.link.download = `${this.name.value}.yaml`; };
-    this.name.oninput();
     for (const button of edit.querySelectorAll('button')) {
       button.onclick = () => this.ask(button.dataset.do, button.dataset.do === 'save'
         ? {name: this.name.value} : {});
     }
     [this.undo, this.redo] = edit.querySelectorAll('button');
     this.menu.onchange = () => this.begin(this.menu.value || null);
+    this.less.onchange = () => {
+      const [kind, name] = this.less.value.split(' ');
+      this.less.value = '';
+      this.ask('remove', {kind, name});
+    };
     byId('editing').onclick = () => this.ask('edit', {on: true});
     addEventListener('keydown', (event) => {
       if (event.key === 'Escape') this.begin(null);
@@ -127,6 +129,12 @@ class Editing {
   // What the server tells.
 
   describe(scene) {
+    if (this.title !== scene.title) {
+      this.title = scene.title;
+      this.name.value = `${scene.title}_edited`;
+      this.name.oninput();
+    }
+    this.menus(scene);
     // Pins are seen at their upper ends.
     const pins = [...scene.joints, ...scene.cuts];
     this.handles = (scene.handles ?? []).map((handle) => {
@@ -159,6 +167,21 @@ class Editing {
     }));
   }
 
+  // What can be added, and removed.
+  menus({planar, removable = {}}) {
+    const key = JSON.stringify([planar, removable]);
+    if (key === this.offered) return;
+    this.offered = key;
+    this.menu.innerHTML = '<option value="">add …</option>'
+      + Object.keys(ADDED).filter((what) => planar || !IN_PLANE.includes(what)).map((what) => (
+        `<option value="${what}">${ADDED[what][0]}</option>`)).join('');
+    this.less.innerHTML = '<option value="">remove …</option>'
+      + Object.entries(removable).filter(([, names]) => names.length).map(([kind, names]) => (
+        `<optgroup label="${kind}">${names.map((name) => (
+          `<option value="${kind} ${escaped(name)}">${escaped(name)}</option>`)).join('')}</optgroup>`))
+        .join('');
+  }
+
   // Whole curves are seen at first; the view stays while it is edited.
   fit() {
     const {picture} = this.page;
@@ -181,14 +204,14 @@ class Editing {
       if (editing) this.fit();
     }
     this.on = editing;
-    this.menu.hidden = !editing;
+    this.menu.hidden = this.less.hidden = !editing;
     this.say();
   }
 
   say() {
     this.hint.textContent = this.adding ? ADDED[this.adding][1]
       : this.on ? 'Drag a pin or a point: the others stay. The machine stands where it starts.'
-        : 'Numbers may be changed while it moves; “edit it” moves pins and adds parts.';
+        : 'Numbers may be changed while it moves; “edit it” moves pins, adds and removes parts.';
   }
 
   begin(what) {

@@ -65,24 +65,29 @@ class Page {
     this.scene = scene;
     byId('title').textContent = scene.title;
     document.title = scene.title;
-    try {
-      this.picture = new Scene(byId('solid'), byId('lines'), scene);
-    } catch (error) {
-      this.complain(error.message);
-      throw error;
+    if (this.picture) this.picture.reshape(scene);
+    else {
+      try {
+        this.picture = new Scene(byId('solid'), byId('lines'), scene);
+      } catch (error) {
+        this.complain(error.message);
+        throw error;
+      }
+      this.handle();
+      byId('legend').open = !matchMedia('(max-width: 760px)').matches;
     }
     const columns = scene.columns;
     this.width = columns.width;
     byId('plots').replaceChildren();
     byId('choices').replaceChildren();
+    this.plots?.watch.disconnect();
     this.plots = new Plots(scene, byId('plots'), byId('choices'), COLORS.light);
     this.recolor();
-    byId('legend').open = !matchMedia('(max-width: 760px)').matches;
     this.legend();
     this.transport();
-    this.handle();
-    byId('follow').append(...scene.bodies.map(({name}, k) => make(
-      `<option value="${k}">follow ${escaped(name)}</option>`)));
+    byId('follow').replaceChildren(...['still', ...scene.bodies.map(
+      ({name}) => `follow ${escaped(name)}`)].map((text, k) => (
+      make(`<option value="${k - 1}">${text}</option>`))));
     for (const text of scene.missing) this.tell(`${text}; drawn as lines`);
   }
 
@@ -265,9 +270,7 @@ class Page {
           this.known = data;
         } else if (!this.known) {
           this.known = data;
-          this.describe(told);
-          this.history = new History(this.width, told.columns.plots);
-          this.panels();
+          this.begin(told);
         }
       } else this.follow(told);
       return;
@@ -286,9 +289,29 @@ class Page {
     }
   }
 
-  // Other numbers of the same machine; another machine is shown by another page.
+  // A machine, from its next frame on.
+  begin(told) {
+    this.history = this.shownRow = null;
+    [this.fresh, this.arrived] = [false, []];
+    this.describe(told);
+    this.history = new History(this.width, told.columns.plots);
+    this.panels();
+  }
+
+  // Other numbers of the same machine, or one with other parts, or another one. Plots that were
+  // closed stay so, and the camera stays where it is unless the machine is another.
   renew(told) {
-    if (structure(told) !== structure(this.scene)) { location.reload(); return; }
+    const {title} = this.scene;
+    if (structure(told) !== structure(this.scene)) {
+      const open = new Map(this.plots.groups.map((plot) => [plot.group, plot.open]));
+      this.begin(told);
+      this.plots.groups.forEach(({group}, k) => {
+        const box = byId('choices').querySelectorAll('input')[k];
+        if (open.has(group) && open.get(group) !== box.checked) box.click();
+      });
+      if (told.title !== title) this.picture.first();
+      return;
+    }
     this.scene = told;
     this.picture.reshape(told);
     this.drives.describe(told);
@@ -299,14 +322,16 @@ class Page {
   panels() {
     const told = this.scene, ask = (what, more) => this.ask(what, more);
     for (const panel of document.querySelectorAll('.live')) panel.hidden = false;
+    for (const id of ['drives', 'gravity', 'effects', 'method']) byId(id).replaceChildren();
     this.drives = new Drives(told, byId('drives'), ask);
     byId('drives-panel').hidden = !told.drives.length;
-    if (told.gravity) this.gravity = new Gravity(told, byId('gravity'), ask);
+    this.gravity = told.gravity ? new Gravity(told, byId('gravity'), ask) : null;
     this.effects = new Effects(told, byId('effects'), ask);
     if (told.integrators) this.method = new Method(told, byId('method'), ask);
     else byId('method-panel').hidden = true;
     byId('handle').hidden = !told.poses;
-    if (told.handles) this.edit = this.picture.above = new Editing(this);
+    if (told.handles && !this.edit) this.edit = this.picture.above = new Editing(this);
+    else this.edit?.describe(told);
     byId('edit-panel').hidden = byId('editing').hidden = !told.handles;
     byId('dynamic').onclick = () => {
       this.ask('kinematic', {on: false});

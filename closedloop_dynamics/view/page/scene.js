@@ -87,8 +87,18 @@ class Scene extends Camera {
     this.parts = new Parts(described, this.meshes);
     this.hover = this.held = null;
     if (this.measured) this.measured = [];
+    // Another number of bodies: nothing is drawn before the next frame.
+    if (described.bodies.length !== this.frames.length) [this.row, this.followed] = [null, -1];
     this.paths.begin();
     this.guides.begin();
+  }
+
+  // Another machine, seen as one is seen at first.
+  first() {
+    [this.row, this.extent] = [null, null];
+    this.followBody(-1);
+    this.forces.forceScale = 0;
+    this.view('first');
   }
 
   get trails() { return this.paths.all; }
