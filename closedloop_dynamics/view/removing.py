@@ -36,10 +36,13 @@ def without(scene, text, kind, name):
     Parameters
     ----------
     scene : simulation.scene_records.Scene
+        As it is.
     text : str
-        Of the scene.
-    kind, name : str
-        One of ``messages.REMOVALS``; the part.
+        Of it.
+    kind : str
+        One of ``messages.REMOVALS``.
+    name : str
+        Of the part.
 
     Returns
     -------

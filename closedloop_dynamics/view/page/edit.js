@@ -2,6 +2,8 @@
 
 // How near the pointer must be [CSS pixels]: a pin, with a finger, a link.
 const NEAR = 18, FINGER = 34, ON_LINK = 12;
+// Radii of the rings that are dragged [CSS pixels].
+const PIN_RING = 8, POINT_RING = 6;
 // What can be added, in words: what is clicked on.
 const ADDED = {
   link: ['link', 'Click where it begins, on a body or the ground, then where it ends: on a pin or a '
@@ -305,40 +307,34 @@ class Editing {
     this.wanted = null;
   }
 
-  draw(theme) {
-    if (!this.on) return;
+  // Curves, pins as rings and points as smaller ones, by the strokes of the picture.
+  paint(theme, strokes) {
+    const [path, accent, halo] = [theme.path, theme.accent, theme.halo].map(rgb);
+    for (const curve of this.curves) strokes.line(curve.flat(), PATH, path);
+    for (const [radius, some] of [[PIN_RING, this.handles.filter(({kind}) => kind !== 'point')],
+                                  [POINT_RING, this.handles.filter(({kind}) => kind === 'point')]]) {
+      const places = some.flatMap((handle) => this.place(handle));
+      strokes.dots(places, radius, accent);
+      strokes.dots(places, radius - 2, halo);
+    }
+    const held = this.held && this.handles.find(({name, kind}) => (
+      name === this.held.name && kind === this.held.kind));
+    if (held) strokes.dots(this.place(held), held.kind === 'point' ? POINT_RING : PIN_RING, accent);
+  }
+
+  // Whether a line leads from the first place that was clicked on to the pointer.
+  get pointing() { return this.on && Boolean(this.first && this.pointer); }
+
+  draw() {
     const {picture} = this.page, {pen} = picture;
-    const trace = (places) => {
-      pen.beginPath();
-      places.forEach((place, k) => {
-        const [x, y] = picture.project(place);
-        if (k) pen.lineTo(x, y); else pen.moveTo(x, y);
-      });
-      pen.stroke();
-    };
     pen.save();
-    pen.lineWidth = 1.8;
-    pen.strokeStyle = theme.path;
-    for (const curve of this.curves) trace(curve);
-    for (const handle of this.handles) {
-      const [x, y] = picture.project(this.place(handle));
-      const point = handle.kind === 'point';
-      const held = this.held && handle.name === this.held.name && handle.kind === this.held.kind;
-      pen.beginPath();
-      if (point) pen.rect(x - 5, y - 5, 10, 10); else pen.arc(x, y, 7, 0, 7);
-      pen.fillStyle = held ? theme.accent : theme.halo;
-      pen.strokeStyle = theme.accent;
-      pen.lineWidth = 2;
-      pen.fill();
-      pen.stroke();
-    }
-    if (this.first && this.pointer) {
-      pen.setLineDash([5, 4]);
-      pen.beginPath();
-      pen.moveTo(...picture.project(this.first.at));
-      pen.lineTo(...this.pointer);
-      pen.stroke();
-    }
+    pen.lineWidth = 2;
+    pen.strokeStyle = this.page.theme.accent;
+    pen.setLineDash([5, 4]);
+    pen.beginPath();
+    pen.moveTo(...picture.project(this.first.at));
+    pen.lineTo(...this.pointer);
+    pen.stroke();
     pen.restore();
   }
 }

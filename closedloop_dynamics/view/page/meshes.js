@@ -254,3 +254,54 @@ const pulleyMesh = () => latheMesh([
   [0.76, -0.4], [1.06, -0.5], [1.06, -0.36], [0.93, 0], [1.06, 0.36], [1.06, 0.5], [0.76, 0.4]]);
 
 const rgb = (color) => [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
+
+// The corners of a mesh, so that triangles turn left where they are seen from their normals' side.
+function leftHanded(mesh) {
+  if (mesh.around) return mesh.around;
+  const {places, normals, corners} = mesh, at = (values, k) => values.slice(3 * k, 3 * k + 3);
+  mesh.around = Uint32Array.from(corners);
+  for (let k = 0; k < corners.length; k += 3) {
+    const [a, b, c] = [0, 1, 2].map((n) => at(places, corners[k + n]));
+    if (dot(cross(minus(b, a), minus(c, a)), at(normals, corners[k])) < 0) {
+      [mesh.around[k + 1], mesh.around[k + 2]] = [corners[k + 2], corners[k + 1]];
+    }
+  }
+  return mesh.around;
+}
+
+// Put the places and normals of a mesh in a frame into arrays, from a number on.
+function place(mesh, m, places, normals, first) {
+  const {places: p, normals: n} = mesh;
+  // Normals of what is stretched: each axis by the square of its length.
+  const [sx, sy, sz] = [0, 4, 8].map((k) => 1 / (m[k] ** 2 + m[k + 1] ** 2 + m[k + 2] ** 2));
+  for (let k = 0; k < p.length; k += 3) {
+    const x = p[k], y = p[k + 1], z = p[k + 2], u = sx * n[k], v = sy * n[k + 1], w = sz * n[k + 2];
+    const a = m[0] * u + m[4] * v + m[8] * w, b = m[1] * u + m[5] * v + m[9] * w;
+    const c = m[2] * u + m[6] * v + m[10] * w, length = Math.sqrt(a * a + b * b + c * c) || 1;
+    const at = first + k;
+    places[at] = m[0] * x + m[4] * y + m[8] * z + m[12];
+    places[at + 1] = m[1] * x + m[5] * y + m[9] * z + m[13];
+    places[at + 2] = m[2] * x + m[6] * y + m[10] * z + m[14];
+    normals[at] = a / length;
+    normals[at + 1] = b / length;
+    normals[at + 2] = c / length;
+  }
+}
+
+// Meshes that are made of numbers, each once: those that were made before are the same again.
+class Made {
+  constructor() { this.known = new Map(); }
+
+  get(make, ...given) {
+    const key = make.name + JSON.stringify(given);
+    if (!this.known.has(key)) {
+      // What is edited leaves many that nobody needs any more.
+      if (this.known.size > 500) this.known.clear();
+      this.known.set(key, make(...given));
+    }
+    return this.known.get(key);
+  }
+}
+
+let meshCount = 0;
+const numbered = (mesh) => (mesh.number ??= ++meshCount);

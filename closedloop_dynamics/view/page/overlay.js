@@ -9,7 +9,7 @@ class Overlay {
   draw(theme) {
     const {pen, scene} = this, {lines, canvas, held, handAt, measured, shown, above} = scene;
     const touched = held ?? scene.hover;
-    lines.hidden = !touched && !shown.names && !measured?.length && !above?.on;
+    lines.hidden = !touched && !shown.names && !measured?.length && !above?.pointing;
     if (lines.hidden) return;
     const ratio = lines.width / canvas.clientWidth;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -30,7 +30,7 @@ class Overlay {
     if (touched) this.ring(scene.project(scene.grabbed(touched)), 9, theme.accent);
     if (measured) this.drawMeasured(theme);
     if (shown.names) this.drawNames(theme);
-    above?.draw(theme);
+    if (above?.pointing) above.draw();
   }
 
   // Distances between neighbours of the measured places, and the angle at the middle one.

@@ -13,7 +13,8 @@ class Parts {
     this.described = described;
     this.meshes = meshes;
     this.size = described.thick;
-    this.items = [];
+    // By body, -1: the ground, what it is drawn as; by all that tells it from others.
+    this.items = new Map();
     // Places on each body that the picture has to show; -1: the ground.
     this.reach = [];
     this.compose();
@@ -21,10 +22,8 @@ class Parts {
 
   // The same again is not put.
   put(body, mesh, local, color) {
-    if (!this.items.some((item) => item.body === body && item.mesh === mesh
-        && item.color.join() === color.join() && item.local.every((x, k) => x === local[k]))) {
-      this.items.push({body, mesh, local, color});
-    }
+    if (!this.items.has(body)) this.items.set(body, new Map());
+    this.items.get(body).set(`${numbered(mesh)},${color},${local}`, {mesh, local, color});
   }
 
   shows(body, places) { this.reach.push(...places.map((place) => [body, place])); }
@@ -72,7 +71,8 @@ class Parts {
     const {meshes} = this, paint = rgb(color), {kind} = shape;
     const pale = paint.map((c) => 0.45 + 0.55 * c);
     if (kind === 'plate') {
-      this.put(body, plateMesh(shape.corners, 0.7 * shape.thickness), IDENTITY, pale);
+      this.put(body, this.meshes.made.get(plateMesh, shape.corners, 0.7 * shape.thickness),
+               IDENTITY, pale);
       this.shows(body, shape.corners);
     } else if (kind === 'bar') {
       this.bar(body, shape.from, shape.to, shape.radius, paint, shape.flat);
@@ -91,18 +91,20 @@ class Parts {
       this.put(body, meshes.cylinder, local, paint);
       this.shows(body, round(local));
     } else if (kind === 'mesh') {
-      this.put(body, faceMesh(shape.triangles.map((face) => face.map((k) => shape.points[k]))),
-               IDENTITY, paint);
+      this.put(body, meshes.made.get(faceMesh, shape.triangles.map((face) => (
+        face.map((k) => shape.points[k])))), IDENTITY, paint);
       this.shows(body, box(shape.points));
-    } else if (kind === 'faces') this.put(body, faceMesh(shape.triangles), IDENTITY, pale);
-    else this.wheel(body, shape, paint);
+    } else if (kind === 'faces') {
+      this.put(body, meshes.made.get(faceMesh, shape.triangles), IDENTITY, pale);
+    } else this.wheel(body, shape, paint);
   }
 
   // Outlines, rims and spokes about an axis.
   wheel(body, {kind, x, z, origin, depth, radius = 1, ...shape}, paint) {
     const local = frame(times(radius, x), times(radius, cross(z, x)), times(depth, z), origin);
     if (kind === 'profile') {
-      this.put(body, profileMesh(shape.outline, shape.hole, shape.taper), local, paint);
+      this.put(body, this.meshes.made.get(profileMesh, shape.outline, shape.hole, shape.taper),
+               local, paint);
       const every = Math.ceil(shape.outline.length / 24);
       this.shows(body, shape.outline.filter((_, k) => k % every === 0).map(
         ([u, v]) => moved(local, [u, v, 0])));
@@ -169,8 +171,9 @@ class Parts {
       return;
     }
     const [x, y] = place, down = 0.07 * size, thick = 0.014 * size;
-    this.put(-1, plateMesh([[x, y, 0], [x - half, y - down, 0], [x + half, y - down, 0]],
-                           0.012 * size), IDENTITY, GROUND_COLOR);
+    this.put(-1, meshes.made.get(plateMesh, [[0, 0, 0], [-half, -down, 0], [half, -down, 0]],
+                                 0.012 * size), frame([1, 0, 0], [0, 1, 0], [0, 0, 1], [x, y, 0]),
+             GROUND_COLOR);
     this.put(-1, meshes.box, frame([3 * half, 0, 0], [0, thick, 0], [0, 0, 0.03 * size],
                                    [x, y - down, 0]), GROUND_COLOR);
     for (const {mesh, local, color} of hatch(meshes, [x, y - down - thick / 2, 0], [1, 0, 0],

@@ -65,7 +65,7 @@ class Scene extends Camera {
       cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(),
       // Ends of bars are small.
       knob: ballMesh(16), box: boxMesh(), spring: springMesh(), pulley: pulleyMesh(),
-      spokes: spokesMesh()};
+      spokes: spokesMesh(), made: new Made()};
     // Of the effects, as they are told: which are off, and where their anchors are.
     this.effects = {};
     [this.described, this.size] = [described, described.size];
@@ -127,41 +127,44 @@ class Scene extends Camera {
 
   // What a body is drawn as, in one piece: a driver's calls cost more than its triangles.
   load(parts, theme) {
-    const places = [], normals = [], paints = [], closed = [], open = [];
-    const place = (corner) => places.slice(3 * corner, 3 * corner + 3);
+    const count = (of) => parts.reduce((sum, {mesh}) => sum + of(mesh), 0);
+    const corners = count(({places}) => places.length / 3);
+    const shut = count((mesh) => (mesh.open ? 0 : mesh.corners.length));
+    const [places, normals, paints] = [0, 1, 2].map(() => new Float32Array(3 * corners));
+    const elements = new Uint32Array(count((mesh) => mesh.corners.length));
+    let first = 0, closed = 0, open = shut;
     for (const {mesh, local, color} of parts) {
-      const squares = [0, 4, 8].map((k) => local[k] ** 2 + local[k + 1] ** 2 + local[k + 2] ** 2);
-      const paint = color === INK ? theme.driven : color, first = places.length / 3;
-      for (let k = 0; k < mesh.places.length; k += 3) {
-        places.push(...moved(local, mesh.places.slice(k, k + 3)));
-        normals.push(...unit(turned(local, mesh.normals.slice(k, k + 3).map(
-          (value, axis) => value / squares[axis]))));
-        paints.push(...paint);
+      const paint = color === INK ? theme.driven : color, n = mesh.places.length;
+      place(mesh, local, places, normals, 3 * first);
+      for (let k = 0; k < n; k++) paints[3 * first + k] = paint[k % 3];
+      // Seen from its normal's side a triangle turns left, in a mirror right.
+      const mirrored = dot(cross(local.subarray(0, 3), local.subarray(4, 7)),
+                           local.subarray(8, 11)) < 0;
+      const around = leftHanded(mesh), size = around.length, at = mesh.open ? open : closed;
+      for (let k = 0; k < size; k += 3) {
+        elements[at + k] = first + around[k];
+        elements[at + k + 1] = first + around[k + (mirrored ? 2 : 1)];
+        elements[at + k + 2] = first + around[k + (mirrored ? 1 : 2)];
       }
-      for (let k = 0; k < mesh.corners.length; k += 3) {
-        const [a, b, c] = mesh.corners.slice(k, k + 3).map((corner) => first + corner);
-        // Seen from its normal's side a triangle turns left.
-        const out = cross(minus(place(b), place(a)), minus(place(c), place(a)));
-        const left = dot(out, normals.slice(3 * a, 3 * a + 3)) >= 0;
-        (mesh.open ? open : closed).push(a, ...(left ? [b, c] : [c, b]));
-      }
+      if (mesh.open) open += size; else closed += size;
+      first += n / 3;
     }
-    return this.stored(places, normals, paints, closed, open);
+    return this.stored(places, normals, paints, elements, closed);
   }
 
-  stored(places, normals, paints, closed, open) {
+  stored(places, normals, paints, elements, closed) {
     const gl = this.gl, array = gl.createVertexArray();
     gl.bindVertexArray(array);
     const buffers = [0, 1, 2, 3].map(() => gl.createBuffer());
     [places, normals, paints].forEach((values, number) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffers[number]);
-      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(values), gl.STATIC_DRAW);
+      gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(number);
       gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 0, 0);
     });
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers[3]);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array([...closed, ...open]), gl.STATIC_DRAW);
-    return {array, buffers, closed: closed.length, count: closed.length + open.length};
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, elements, gl.STATIC_DRAW);
+    return {array, buffers, closed, count: elements.length};
   }
 
   drop(mesh) {
@@ -172,10 +175,17 @@ class Scene extends Camera {
 
   // Everything in the colours of a theme.
   bake(theme) {
-    for (const [, mesh] of this.solids ?? []) this.drop(mesh);
-    this.baked = theme;
-    this.solids = [-1, ...this.described.bodies.keys()].map((body) => [
-      body, this.load(this.parts.items.filter((item) => item.body === body), theme)]);
+    const before = this.bakedTheme === theme ? this.solids : new Map();
+    [this.baked, this.bakedTheme] = [theme, theme];
+    this.solids = new Map([-1, ...this.described.bodies.keys()].map((body) => {
+      const parts = this.parts.items.get(body) ?? new Map(), key = [...parts.keys()].join(';');
+      const known = before.get(body);
+      if (known?.key === key) return [body, known];
+      return [body, {key, mesh: this.load([...parts.values()], theme)}];
+    }));
+    const kept = new Set(this.solids.values());
+    for (const one of this.everBaked ?? []) if (!kept.has(one)) this.drop(one.mesh);
+    this.everBaked = kept;
     if (this.stretchedTheme === theme) return;
     this.stretchedTheme = theme;
     const colors = {force: theme.force, load: this.described.colors.load, loose: '#bf4dbf',
@@ -318,7 +328,7 @@ class Scene extends Camera {
     gl.uniform1f(u.ambient, theme.ambient);
     if (this.baked !== theme) this.bake(theme);
     this.grid(theme);
-    for (const [body, mesh] of this.solids) this.mesh(mesh, this.frameOf(body));
+    for (const [body, {mesh}] of this.solids) this.mesh(mesh, this.frameOf(body));
     this.guides.draw(theme);
     this.ropes.draw();
     if (this.shown.forces) this.forces.draw();
@@ -372,7 +382,8 @@ class Scene extends Camera {
         put([x + to, y + k * step, z]);
       }
     }
-    return this.stored(places, new Array(places.length).fill(0), paints,
-                       [], [...Array(places.length / 3).keys()]);
+    return this.stored(new Float32Array(places), new Float32Array(places.length),
+                       new Float32Array(paints), new Uint32Array(places.length / 3).map((_, k) => k),
+                       0);
   }
 }

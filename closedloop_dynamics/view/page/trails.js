@@ -139,37 +139,59 @@ class Trails {
     if (!this.recorded) for (const trail of this.all) trail.forget();
   }
 
-  // Above everything, with a dot where each is now.
+  // Above everything, with a dot where each is now; and what is edited.
   draw(theme, ratio) {
-    const {gl, canvas, seen, shown} = this.scene, {program, uniforms} = this.program;
+    const {gl, canvas, seen, shown, above} = this.scene, {program, uniforms} = this.program;
+    this.ratio = ratio;
     gl.useProgram(program);
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.uniformMatrix4fv(uniforms.view, false, seen.matrix);
     gl.uniform2f(uniforms.window, canvas.width, canvas.height);
-    gl.uniform3fv(uniforms.paint, rgb(theme.path));
     gl.bindVertexArray(this.array ??= gl.createVertexArray());
-    // Pieces, each from a place to the next; a dot, from a place to itself.
-    const pieces = (first, step, count, radius) => {
-      [first, first + step].forEach((offset, number) => {
-        gl.enableVertexAttribArray(number);
-        gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
-        gl.vertexAttribDivisor(number, 1);
-      });
-      gl.uniform1f(uniforms.radius, ratio * radius);
-      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
-    };
+    const color = rgb(theme.path);
     this.all.forEach((trail, k) => {
       if (!trail.shown || !shown[k ? 'paths' : 'path']) return;
+      gl.uniform3fv(uniforms.paint, color);
       trail.bind();
-      if (trail.shown > 1) pieces(0, 12, trail.shown - 1, PATH);
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
-      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([...trail.last(), ...trail.now]),
-                    gl.STREAM_DRAW);
-      pieces(0, 12, 1, PATH);
-      pieces(12, 0, 1, DOT);
+      if (trail.shown > 1) this.pieces(0, 12, trail.shown - 1, PATH);
+      this.line([...trail.last(), ...trail.now], PATH, color);
+      this.dots(trail.now, DOT, color);
     });
+    if (above?.on) above.paint(theme, this);
     gl.disable(gl.BLEND);
+  }
+
+  // Pieces of the buffer that is bound, each from a place to one so many bytes on.
+  pieces(first, step, count, radius) {
+    const {gl} = this.scene;
+    [first, first + step].forEach((offset, number) => {
+      gl.enableVertexAttribArray(number);
+      gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
+      gl.vertexAttribDivisor(number, 1);
+    });
+    gl.uniform1f(this.program.uniforms.radius, this.ratio * radius);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+  }
+
+  // Bind a buffer with places, one number after the other, and a colour for them.
+  give(places, color) {
+    const {gl} = this.scene;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(places), gl.STREAM_DRAW);
+    gl.uniform3fv(this.program.uniforms.paint, color);
+  }
+
+  // A line through places, half as wide as so many CSS pixels.
+  line(places, radius, color) {
+    this.give(places, color);
+    if (places.length > 3) this.pieces(0, 12, places.length / 3 - 1, radius);
+  }
+
+  // Round dots, from places to themselves.
+  dots(places, radius, color) {
+    this.give(places, color);
+    if (places.length) this.pieces(0, 0, places.length / 3, radius);
   }
 }
