@@ -40,6 +40,7 @@ from ..mechanism.checks import (
     boolean, direction, list_of, name, not_negative, number, one_of, positive, text)
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector3
+from ..mechanism.rotations import direction as heading
 
 # Shape -> the keys that it needs, and those that it may have.
 IN_PLANE = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
@@ -248,32 +249,24 @@ class BodyContact(Effect):
         loss = self.damping or 0.0
         if self.restitution is not None:
             loss = damping(self.restitution, self.impact_velocity)
-        if not machine.mechanism.planar:
-            return self._in_space(machine, loss)
+        line, side = heading(self.angle or 0.0).tolist(), -1.0 if self.hollow else 1.0
         kind, one, other = {
-            'line': (LINE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
-            'circle': (CIRCLE_CONTACT, self.other_radius, -1.0 if self.hollow else 1.0),
+            'line': (LINE_CONTACT, *line), 'face': (FACE_CONTACT, *line),
+            'circle': (CIRCLE_CONTACT, self.other_radius, side),
             'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0),
-            'face': (FACE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
-        }[self.shape]
+        }[self.shape] if machine.mechanism.planar else (
+            SPATIAL_BODY_CONTACT, self.other_radius or 0.0, side)
+        places, data = (*place_a, *place_b), self._pieces
+        if not machine.mechanism.planar:
+            # A sphere has no axis.
+            along = machine.placement(machine.carrier(self.other)).axes @ np.array(
+                self.normal or self.axis or (0.0, 0.0, 0.0))
+            places, data = 4 * (0.0,), ((
+                *places, *along.tolist(), float(self.shape == 'plane'),
+                float(self.shape == 'cylinder')),)
         return ForceElement(kind, (a, b), (
-            *place_a, *place_b, self.radius, one, self.stiffness, self.exponent, loss,
-            self.friction, self.slip_velocity, other), (State(DISSIPATED),), touches=True,
-            data=self._pieces)
-
-    def _in_space(self, machine, loss):
-        """Return the effect as a row of the table in space."""
-        bodies = {point.name: point.body for point in machine.mechanism.points}
-        (a, place_a), (b, place_b) = machine.point(self.point), machine.point(self.other)
-        # A sphere has none.
-        along = machine.placement(bodies[self.other]).axes @ np.array(
-            self.normal or self.axis or (0.0, 0.0, 0.0))
-        return ForceElement(SPATIAL_BODY_CONTACT, (a, b), (
-            0.0, 0.0, 0.0, 0.0, self.radius, self.other_radius or 0.0, self.stiffness,
-            self.exponent, loss, self.friction, self.slip_velocity,
-            -1.0 if self.hollow else 1.0), (State(DISSIPATED),), touches=True,
-            data=((*place_a, *place_b, *along.tolist(), float(self.shape == 'plane'),
-                   float(self.shape == 'cylinder')),))
+            *places, self.radius, one, self.stiffness, self.exponent, loss, self.friction,
+            self.slip_velocity, other), (State(DISSIPATED),), touches=True, data=data)
 
 
 def _shapes_with(key):

@@ -23,7 +23,6 @@ a weld that gives.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Optional, Union
 
 import numpy as np
@@ -33,7 +32,7 @@ from .table import BUSHING, DISSIPATED, ForceElement, SPATIAL_BUSHING, State
 from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import direction, of_quaternion
 
 # Where a bushing's numbers in space begin: places in both bodies' frames, the axes as rows in
 # those of body a and of body b, stiffness and damping along the axes.
@@ -121,31 +120,28 @@ class Bushing(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        if not machine.mechanism.planar:
-            return self._in_space(machine)
+        planar = machine.mechanism.planar
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        values, axes = self._in_plane() if planar else self._in_space(machine)
+        along, damping = map(machine.vector, (self.stiffness, self.damping))
         return ForceElement(
-            BUSHING, (row_a, row_b), (self.turning_stiffness, self.turning_damping,
-                                      self.rest_angle, math.cos(self.angle), math.sin(self.angle)),
-            (State(DISSIPATED),), data=((*place_a, *place_b, *self.stiffness, *self.damping),))
+            BUSHING if planar else SPATIAL_BUSHING, (row_a, row_b), values, (State(DISSIPATED),),
+            data=((*place_a, *place_b, *axes, *along, *damping),))
+
+    def _in_plane(self):
+        """Return numbers of turning, which an angle tells that counts turns, and no axes."""
+        return (self.turning_stiffness, self.turning_damping, self.rest_angle,
+                *direction(self.angle).tolist()), ()
 
     def _in_space(self, machine):
-        """Return the effect as a row of the table in space."""
-        bodies = {point.name: point.body for point in machine.mechanism.points}
-        row_a, place_a = machine.point(self.point_a)
-        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        """Return numbers of turning, which is seen by the axes of both bodies, and these."""
         own, rest = (of_quaternion(one) for one in (self.orientation, self.rest_orientation))
-        axes_a = machine.placement(bodies[self.point_a]).axes @ own
-        axes_b = machine.placement(bodies.get(self.point_b, GROUND)).axes @ rest.T @ own
+        axes_a = machine.placement(machine.carrier(self.point_a)).axes @ own
+        axes_b = machine.placement(
+            machine.carrier(self.point_b) if self.point_b else GROUND).axes @ rest.T @ own
         turning, loss = (np.broadcast_to(values, 3) for values in (
             self.turning_stiffness, self.turning_damping))
         # Of the energy: half the sum of the others' less its own.
         shares = 0.5 * turning.sum() - turning
-        along, damping = (values if len(values) == 3 else 3 * (0.0,)
-                          for values in (self.stiffness, self.damping))
-        return ForceElement(
-            SPATIAL_BUSHING, (row_a, row_b), (*shares.tolist(), *loss.tolist()),
-            (State(DISSIPATED),), data=((
-                *place_a, *place_b, *axes_a.T.ravel().tolist(), *axes_b.T.ravel().tolist(),
-                *along, *damping),))
+        return (*shares.tolist(), *loss.tolist()), np.vstack([axes_a.T, axes_b.T]).ravel().tolist()

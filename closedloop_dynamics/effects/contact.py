@@ -22,7 +22,6 @@ a foot on the floor, a guide.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Optional
 
 from .effect import Effect
@@ -30,6 +29,7 @@ from .table import CONTACT, DISSIPATED, ForceElement, SPATIAL_CONTACT, State
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector, Vector3
+from ..mechanism.rotations import direction as heading
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Contact(Effect):
         states = (State(DISSIPATED),)
         if machine.mechanism.planar:
             return ForceElement(CONTACT, (row,), (
-                *place, *self.origin, math.cos(self.angle), math.sin(self.angle), *law), states,
+                *place, *self.origin, *heading(self.angle).tolist(), *law), states,
                 touches=True)
         height = sum(n * x for n, x in zip(self.normal, self.origin))
         return ForceElement(

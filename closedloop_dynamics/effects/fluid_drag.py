@@ -14,7 +14,6 @@ fly, wind, paddles and stirrers, oil baths.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Union
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..mechanism.checks import (
     name, none_negative, not_negative, number, one_or_several, orientation, vector)
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Quaternion, UNTURNED, Vector, Vector3
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import direction, of_quaternion
 
 # Numbers of an entry: an axis in the frame of the row, coefficients along and about it.
 COLUMNS = 7
@@ -91,7 +90,7 @@ class FluidDrag(Effect):
         flow = machine.vector(self.flow)
         if machine.mechanism.planar:
             return ForceElement(FLUID_DRAG, (row,), (
-                *place, math.cos(self.angle), math.sin(self.angle), *along[0], *along[1],
+                *place, *direction(self.angle).tolist(), *along[0], *along[1],
                 self.turning_linear, self.turning_quadratic, *flow), states)
         axes = machine.placement(machine.carrier(self.point)).axes @ np.array(
             of_quaternion(self.orientation))

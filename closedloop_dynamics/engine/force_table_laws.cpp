@@ -51,6 +51,20 @@ void write_readings(
   table.output(row, 1) = force;
   table.output(row, 2) = stroke;
 }
+
+template<class V>
+void pull_between(const EffectTable & table, Index row, Table body)
+{
+  const double * values = table.values.row(row);
+  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
+  const Line<V> line = line_between(
+    body, a, vector_at(values + 1, V()), b, vector_at(values + 1 + size_of(V()), V()));
+  const auto [force, energy] = look_up(table, row, line.length);
+  const double tension = line.length > 0.0 ? force + values[0] * line.rate : 0.0;
+  apply_force_at(body, a, line.start, tension * line.direction);
+  apply_force_at(body, b, line.end, -tension * line.direction);
+  write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
+}
 }  // namespace
 
 void apply_joint_force_table(
@@ -67,28 +81,13 @@ void apply_joint_force_table(
 void apply_point_force_table(
   const EffectTable & table, Index row, Table body, Values, Values, Values)
 {
-  const double * values = table.values.row(row);
-  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
-  const Vector2 point_a = vector2(values + 1), point_b = vector2(values + 3);
-  const Line<Vector2> line = line_between(body, a, point_a, b, point_b);
-  const auto [force, energy] = look_up(table, row, line.length);
-  const double tension = line.length > 0.0 ? force + values[0] * line.rate : 0.0;
-  apply_force(body, a, to_world(body, a, point_a), tension * line.direction);
-  apply_force(body, b, to_world(body, b, point_b), -tension * line.direction);
-  write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
+  pull_between<Vector2>(table, row, body);
 }
 
 void apply_spatial_force_table(
   const EffectTable & table, Index row, Table body, Values, Values, Values)
 {
-  const double * values = table.values.row(row);
-  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
-  const Line<Vector3> line = line_between(body, a, vector3(values + 1), b, vector3(values + 4));
-  const auto [force, energy] = look_up(table, row, line.length);
-  const double tension = line.length > 0.0 ? force + values[0] * line.rate : 0.0;
-  apply_force_at(body, a, line.start, tension * line.direction);
-  apply_force_at(body, b, line.end, -tension * line.direction);
-  write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
+  pull_between<Vector3>(table, row, body);
 }
 
 }  // namespace closedloop

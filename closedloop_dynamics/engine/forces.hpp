@@ -49,7 +49,8 @@ inline Vector3 operator/(Vector3 a, double divisor)
   return {a.x / divisor, a.y / divisor, a.z / divisor};
 }
 
-/// Scalar products.
+/// Scalar products; of turning in the plane, which is a number, too.
+inline double dot(double a, double b) {return a * b;}
 inline double dot(Vector2 a, Vector2 b) {return a.x * b.x + a.y * b.y;}
 inline double dot(Vector3 a, Vector3 b) {return a.x * b.x + a.y * b.y + a.z * b.z;}
 
@@ -63,6 +64,16 @@ inline Vector3 cross(Vector3 a, Vector3 b)
 /// The two or three numbers at a place, as a vector.
 inline Vector2 vector2(const double * at) {return {at[0], at[1]};}
 inline Vector3 vector3(const double * at) {return {at[0], at[1], at[2]};}
+inline Vector2 vector_at(const double * at, Vector2) {return vector2(at);}
+inline Vector3 vector_at(const double * at, Vector3) {return vector3(at);}
+/// What turns about: in the plane a number.
+inline double turning_at(const double * at, Vector2) {return at[0];}
+inline Vector3 turning_at(const double * at, Vector3) {return vector3(at);}
+/// How many numbers a vector has, and what turns.
+constexpr Index size_of(Vector2) {return 2;}
+constexpr Index size_of(Vector3) {return 3;}
+constexpr Index turning_size(Vector2) {return 1;}
+constexpr Index turning_size(Vector3) {return 3;}
 
 /// Place of a body's origin [m].
 inline Vector2 origin_in_plane(Table body, Index row)
@@ -73,14 +84,19 @@ inline Vector3 origin_in_space(Table body, Index row)
 {
   return vector3(body.row(row) + space::ORIGIN);
 }
+inline Vector2 origin(Table body, Index row, Vector2) {return origin_in_plane(body, row);}
+inline Vector3 origin(Table body, Index row, Vector3) {return origin_in_space(body, row);}
 
-/// Angular velocity of a body in space [rad/s].
+/// Angular velocity of a body [rad/s].
 inline Vector3 spin_in_space(Table body, Index row)
 {
   return vector3(body.row(row) + space::SPIN);
 }
+inline double spin(Table body, Index row, Vector2) {return body(row, plane::OMEGA);}
+inline Vector3 spin(Table body, Index row, Vector3) {return spin_in_space(body, row);}
 
-/// Rotate a vector from a body's axes to those of the world.
+/// Rotate a vector from a body's axes to those of the world; turning in the plane stays the same.
+inline double to_world(Table, Index, double a) {return a;}
 inline Vector2 to_world(Table body, Index row, Vector2 a)
 {
   const double cosine = body(row, plane::COS), sine = body(row, plane::SIN);
@@ -96,13 +112,10 @@ inline Vector3 to_world(Table body, Index row, Vector3 a)
 }
 
 /// Position in the world of a point in a body's frame [m].
-inline Vector2 position(Table body, Index row, Vector2 point)
+template<class V>
+V position(Table body, Index row, V point)
 {
-  return origin_in_plane(body, row) + to_world(body, row, point);
-}
-inline Vector3 position(Table body, Index row, Vector3 point)
-{
-  return origin_in_space(body, row) + to_world(body, row, point);
+  return origin(body, row, point) + to_world(body, row, point);
 }
 
 /// Velocity of a body's point at an offset from its origin [m, m/s].
@@ -122,13 +135,10 @@ inline Vector3 velocity_at_offset(Table body, Index row, Vector3 offset)
 }
 
 /// Velocity of a body's point at a position in the world [m, m/s].
-inline Vector2 velocity_at(Table body, Index row, Vector2 position)
+template<class V>
+V velocity_at(Table body, Index row, V position)
 {
-  return velocity_at_offset(body, row, position - origin_in_plane(body, row));
-}
-inline Vector3 velocity_at(Table body, Index row, Vector3 position)
-{
-  return velocity_at_offset(body, row, position - origin_in_space(body, row));
+  return velocity_at_offset(body, row, position - origin(body, row, position));
 }
 
 /// Apply a torque to a body [N m]: its bias force is reduced.
@@ -158,13 +168,10 @@ inline void apply_force(Table body, Index row, Vector3 offset, Vector3 force)
 }
 
 /// Apply a force to a body at a position in the world [m, N].
-inline void apply_force_at(Table body, Index row, Vector2 position, Vector2 force)
+template<class V>
+void apply_force_at(Table body, Index row, V position, V force)
 {
-  apply_force(body, row, position - origin_in_plane(body, row), force);
-}
-inline void apply_force_at(Table body, Index row, Vector3 position, Vector3 force)
-{
-  apply_force(body, row, position - origin_in_space(body, row), force);
+  apply_force(body, row, position - origin(body, row, position), force);
 }
 
 /// The line between points of two bodies, in the plane or in space.

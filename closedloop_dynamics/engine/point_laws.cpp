@@ -23,41 +23,15 @@ double spring_tension(const EffectTable & table, Index row, double length, doubl
   table.output(row, 2) = length;
   return tension;
 }
-}  // namespace
 
-void apply_point_spring(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
+template<class V>
+void pull_between(const EffectTable & table, Index row, Table body)
 {
-  const double * values = table.values.row(row);
+  const double * places = table.values.row(row) + 3;
   const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
-  const Vector2 offset_a = to_world(body, a, vector2(values + 3));
-  const Vector2 offset_b = to_world(body, b, vector2(values + 5));
-  Vector2 direction = origin_in_plane(body, b) - origin_in_plane(body, a) + offset_b - offset_a;
-  const double length = std::sqrt(dot(direction, direction));
-  double rate = 0.0;
-  if (length > 0.0) {
-    direction = direction / length;
-    const double omega_a = body(a, plane::OMEGA), omega_b = body(b, plane::OMEGA);
-    const Vector2 velocity = {
-      body(b, plane::VX) - body(a, plane::VX) - omega_b * offset_b.y + omega_a * offset_a.y,
-      body(b, plane::VY) - body(a, plane::VY) + omega_b * offset_b.x - omega_a * offset_a.x};
-    rate = dot(direction, velocity);
-  }
-  const double tension = spring_tension(table, row, length, rate);
-  if (length > 0.0) {
-    apply_force(body, a, offset_a, tension * direction);
-    apply_force(body, b, offset_b, -tension * direction);
-  }
-}
-
-void apply_spatial_point_spring(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
-{
-  const double * values = table.values.row(row);
-  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
-  const Vector3 offset_a = to_world(body, a, vector3(values + 3));
-  const Vector3 offset_b = to_world(body, b, vector3(values + 6));
-  Vector3 direction = origin_in_space(body, b) - origin_in_space(body, a) + offset_b - offset_a;
+  const V offset_a = to_world(body, a, vector_at(places, V()));
+  const V offset_b = to_world(body, b, vector_at(places + size_of(V()), V()));
+  V direction = origin(body, b, V()) - origin(body, a, V()) + offset_b - offset_a;
   const double length = std::sqrt(dot(direction, direction));
   double rate = 0.0;
   if (length > 0.0) {
@@ -73,45 +47,51 @@ void apply_spatial_point_spring(
   }
 }
 
-void apply_external_force(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
+/// A force and a torque, in the axes of the world or of the body.
+template<class V>
+void push(const EffectTable & table, Index row, Table body)
 {
   const double * values = table.values.row(row);
+  const double * torques = values + 2 * size_of(V());
   const Index i = table.index(row, effect::FIRST);
-  const Vector2 offset = to_world(body, i, vector2(values));
-  Vector2 force = vector2(values + 2);
-  const double torque = values[4];
-  if (values[5] > 0.0) {
-    force = to_world(body, i, force);
-  }
-  apply_force(body, i, offset, force);
-  double power = dot(force, velocity_at_offset(body, i, offset));
-  if (torque != 0.0) {
-    apply_torque(body, i, torque);
-    power += torque * body(i, plane::OMEGA);
-  }
-  table.rates[table.index(row, effect::STATE)] = power;
-  table.output(row, 1) = power;
-}
-
-void apply_spatial_external_force(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
-{
-  const double * values = table.values.row(row);
-  const Index i = table.index(row, effect::FIRST);
-  const Vector3 offset = to_world(body, i, vector3(values));
-  Vector3 force = vector3(values + 3), torque = vector3(values + 6);
-  if (values[9] > 0.0) {
+  const V offset = to_world(body, i, vector_at(values, V()));
+  V force = vector_at(values + size_of(V()), V());
+  auto torque = turning_at(torques, V());
+  if (torques[turning_size(V())] > 0.0) {
     force = to_world(body, i, force);
     torque = to_world(body, i, torque);
   }
   apply_force(body, i, offset, force);
   apply_torque(body, i, torque);
-  const Vector3 velocity = velocity_at_offset(body, i, offset), spin = spin_in_space(body, i);
-  const double power = force.x * velocity.x + force.y * velocity.y + force.z * velocity.z +
-    torque.x * spin.x + torque.y * spin.y + torque.z * spin.z;
+  const double power = dot(force, velocity_at_offset(body, i, offset)) +
+    dot(torque, spin(body, i, V()));
   table.rates[table.index(row, effect::STATE)] = power;
   table.output(row, 1) = power;
+}
+}  // namespace
+
+void apply_point_spring(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  pull_between<Vector2>(table, row, body);
+}
+
+void apply_spatial_point_spring(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  pull_between<Vector3>(table, row, body);
+}
+
+void apply_external_force(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  push<Vector2>(table, row, body);
+}
+
+void apply_spatial_external_force(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  push<Vector3>(table, row, body);
 }
 
 }  // namespace closedloop

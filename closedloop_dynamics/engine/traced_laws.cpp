@@ -17,8 +17,6 @@ using namespace traced;  // NOLINT: columns of one table
 /// What the routine gets before coordinates and rates: the time; 1 where the gap is less than zero.
 enum Input : Index {TIME, SIDE, COORDINATES};
 
-inline Vector2 point_of(const double * at, Vector2) {return vector2(at);}
-inline Vector3 point_of(const double * at, Vector3) {return vector3(at);}
 inline Vector2 unit(Index axis, Vector2) {return {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0};}
 inline Vector3 unit(Index axis, Vector3)
 {
@@ -56,9 +54,9 @@ void apply_law(const EffectTable & table, Index row, Table body, Values q, Value
       coordinates[2 * k] = q[first];
       coordinates[2 * k + 1] = qd[first];
     } else {
-      const V point = point_of(entry + POINT_A, V());
+      const V point = vector_at(entry + POINT_A, V());
       lines[k] = kind == COMPONENT ? component(body, first, point, unit(second, V())) :
-        line_between(body, first, point, second, point_of(entry + POINT_B, V()));
+        line_between(body, first, point, second, vector_at(entry + POINT_B, V()));
       coordinates[2 * k] = lines[k].length;
       coordinates[2 * k + 1] = lines[k].rate;
     }
