@@ -5,6 +5,7 @@
 
 #include <array>
 
+#include "branch_places.hpp"
 #include "elimination.hpp"
 #include "evaluation.hpp"
 #include "loop_closure.hpp"
@@ -107,6 +108,18 @@ bool return_to_branch(const System & system, Values q, Values qd, double pivot)
     move(system.manifold, q, correction(system, Level::POSITION), 1.0);
   }
 }
+
+/// Accelerations at the branch next to a state, which is moved there; false where none is near.
+bool accelerate_beside(const System & system, Values q, Values qd, Table added, double pivot)
+{
+  if (!return_to_branch(system, q, qd, pivot)) {
+    return false;
+  }
+  outward(system.model, q, qd, system.work);
+  add_forces(system.work, added);
+  return accelerate_refined(
+    system.model, system.work, system.applied, 0.0, system.qdd, system.lam, NEAR_PIVOT);
+}
 }  // namespace
 
 bool accelerate_on_branch(const System & system, Values q, Values qd)
@@ -114,20 +127,17 @@ bool accelerate_on_branch(const System & system, Values q, Values qd)
   const Workspace & work = system.work;
   const Values & health = work.health;
   const double pivot = health[health::SMALLEST_PIVOT];
-  const Index size = work.size(), bodies = work.body.rows;
-  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 &&
-    pivot < POOR_PIVOT && good(system.model, pivot, NEAR_PIVOT) &&
-    q.size + qd.size + 2 * work.closure.size + bodies * size <= ROOM))
+  const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
+  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && !good(system.model, pivot, POOR_PIVOT) &&
+    q.size + qd.size + bodies * size <= ROOM))
   {
     return false;
   }
   Scratch scratch;
-  const Values near = scratch.copy_of(q), near_rate = scratch.copy_of(qd);
-  outward(system.model, q, qd, work);
   // What effects add to the bodies' forces is that of the state itself.
   const Table added{scratch.take(bodies * size).data, bodies, size};
-  added.fill(0.0);
-  if (system.has_effects()) {
+  if (bodies > 0) {
+    outward(system.model, q, qd, work);
     bias_forces(work, added);
     apply_listed(system, q, qd);
     for (Index i = 0; i < bodies; ++i) {
@@ -136,24 +146,16 @@ bool accelerate_on_branch(const System & system, Values q, Values qd)
       }
     }
   }
-  update(system.model, work, Responses::NONE);
-  const Values closure = scratch.copy_of(work.closure);
-  const Values closure_rate = scratch.copy_of(work.closure_rate);
-  bool found = return_to_branch(system, near, near_rate, pivot);
-  if (found) {
-    outward(system.model, near, near_rate, work);
-    add_forces(work, added);
-    found = accelerate_refined(
-      system.model, work, system.applied, 0.0, system.qdd, system.lam, NEAR_PIVOT);
-  }
+  const bool found = good(system.model, pivot, NEAR_PIVOT) ?
+    accelerate_beside(system, scratch.copy_of(q), scratch.copy_of(qd), added, pivot) :
+    accelerate_by_places(system, q, qd, added);
   if (found) {
     health[health::RANK_REVEALING_COUNT] += 1.0;
     health[health::SINGULAR_COUNT] += 1.0;
   }
   outward(system.model, q, qd, work);
   add_forces(work, added);
-  copy(closure, work.closure);
-  copy(closure_rate, work.closure_rate);
+  update(system.model, work, Responses::NONE);
   return found;
 }
 

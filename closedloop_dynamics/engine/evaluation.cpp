@@ -36,6 +36,24 @@ void move_bodies(const System & system, Values q, Values qd)
   }
 }
 
+/// Of the multipliers that give the same motion, the least ones in all joints together.
+void minimise_multipliers(const System & system, Values q, Values qd)
+{
+  const Model & model = system.model;
+  const Workspace & work = system.work;
+  const Index independent = static_cast<Index>(work.health[health::RANK]);
+  if (!system.whole.empty() || independent == model.equations() || system.joints.body.rows == 0) {
+    return;
+  }
+  outward(model, q, qd, work);
+  apply_listed(system, q, qd);
+  bias_forces(work, work.force);
+  joint_wrenches(model, work, system.qdd, system.lam, work.force);
+  DenseMatrix jac(model.equations(), model.joints());
+  constraint_jacobian(model, work, view(jac));
+  minimise_joint_wrenches(system, model, work, jac, work.force, system.lam, independent);
+}
+
 /// Accelerations with all closure equations, of which some depend on others.
 void accelerate_with_all_equations(const System & system, Values q, Values qd)
 {
@@ -48,20 +66,22 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   accelerate_rank_revealing(
     model, work, system.applied, settings[setting::BAUMGARTE_GAIN], settings[setting::ASIDE],
     system.manifold, q, qd, system.qdd, all.empty() ? system.lam : all.lam);
-  DenseMatrix jac(model.equations(), model.joints());
   if (!all.empty()) {
+    DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));
     multipliers_of_kept(view(jac), all.lam, all.kept, system.lam);
     return;
   }
-  const Index independent = static_cast<Index>(work.health[health::RANK]);
-  if (independent < model.equations() && system.joints.body.rows > 0) {
-    outward(model, q, qd, work);
-    apply_listed(system, q, qd);
-    bias_forces(work, work.force);
-    joint_wrenches(model, work, system.qdd, system.lam, work.force);
-    constraint_jacobian(model, work, view(jac));
-    minimise_joint_wrenches(system, model, work, jac, work.force, system.lam, independent);
+  minimise_multipliers(system, q, qd);
+}
+
+/// Accelerations next to a singular position, or with equations that depend on others.
+void accelerate_near_singular(const System & system, Values q, Values qd)
+{
+  if (accelerate_on_branch(system, q, qd)) {
+    minimise_multipliers(system, q, qd);
+  } else {
+    accelerate_with_all_equations(system, q, qd);
   }
 }
 
@@ -82,10 +102,9 @@ void accelerate_by_loops(const System & system, Values q, Values qd)
   }
   move_bodies(system, q, qd);
   if (!accelerate_refined(
-      system.model, system.work, system.applied, gain, system.qdd, system.lam) &&
-    !accelerate_on_branch(system, q, qd))
+      system.model, system.work, system.applied, gain, system.qdd, system.lam))
   {
-    accelerate_with_all_equations(system, q, qd);
+    accelerate_near_singular(system, q, qd);
   }
 }
 
@@ -115,9 +134,7 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd)
       return;
     }
   }
-  if (!accelerate_on_branch(system, q, qd)) {
-    accelerate_with_all_equations(system, q, qd);
-  }
+  accelerate_near_singular(system, q, qd);
   restore_forces(system, q, qd);
 }
 
