@@ -15,7 +15,7 @@ from .command import (
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.reading import BagReadError
 from ..recording.recording import RecordingError
-from ..recording.run import columns, row
+from ..recording.run import headings, row
 from ..simulation.errors import SimulationError
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
@@ -85,7 +85,7 @@ def _opened(arguments, simulation):
         return
     with open(arguments.output, 'w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
-        writer.writerow(columns(simulation, True))
+        writer.writerow(headings(simulation, True))
         yield lambda stamp, time: writer.writerow(map(repr, row(simulation, time, True)))
 
 

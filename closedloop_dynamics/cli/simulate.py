@@ -16,7 +16,7 @@ from .command import (
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
-from ..recording.run import columns, ErrorEstimate, Report, run
+from ..recording.run import columns, ErrorEstimate, headings, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING
@@ -100,7 +100,7 @@ def _run(arguments):
         # A device or pipe has nothing beside it.
         if _is_file(arguments.output):
             write_scene(arguments.output, simulation.scene)
-        write(','.join(columns(simulation, all_forces, arguments.costs)))
+        write(','.join(headings(simulation, all_forces, arguments.costs)))
         try:
             run(simulation, arguments.duration, arguments.rate, torque, report=report,
                 on_row=on_row, keep_going=lambda: not received, all_forces=all_forces,
@@ -258,6 +258,8 @@ joint coordinate by the second run (of an orientation the angle), accuracy that
 is kept, evaluation_rate and cpu_share per simulated second since the row
 before. In space force.CUT and force.JOINT
 have .z, and .torque_x, .torque_y and .torque_z for .torque, point.NAME has .z.
+.least is behind the name of a force that is not unique, as closure equations
+repeat others: of those possible it is the least.
 SI units and radians; numbers with all their digits. An existing file is not
 replaced unless asked for. Ctrl-C leaves all rows so far. Beside FILE are written
 FILE.scene.json, the scene with all overrides, from which plot, animate and view

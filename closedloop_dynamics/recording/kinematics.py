@@ -9,7 +9,7 @@ from typing import Dict, NamedTuple
 
 import numpy as np
 
-from .run import columns, row
+from .run import headings, row
 from ..effects.prescribed_motion import PrescribedMotion
 from ..mechanism.fields import at, FieldError
 from ..simulation.assemblies import find_assemblies
@@ -18,6 +18,7 @@ from ..simulation.driven import BranchEndError, DrivenKinematics
 from ..simulation.errors import SimulationError
 from ..simulation.geometry import Geometry
 from ..simulation.motions import with_motions
+from ..visual.trajectory import without_marks
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
@@ -157,7 +158,7 @@ class DrivenRun:
                 except SimulationError as error:
                     raise SimulationError(f'pose {k}: {error}') from None
             readings = model.readings(state, torque)
-            names = names or columns(readings, True)
+            names = names or headings(readings, True)
             rows.append(row(readings, float(time), True))
             if show is not None:
                 show(k)
@@ -199,7 +200,7 @@ def _assembly(mechanism, start, values, number):
 def by_name(table) -> Dict[str, np.ndarray]:
     """Return the columns of ``DrivenRun.table`` by name."""
     names, rows = table
-    return dict(zip(names, rows.T))
+    return dict(zip(without_marks(names), rows.T))
 
 
 def torques(run, column):

@@ -21,7 +21,7 @@ from ..mechanism.closure import closure
 from ..mechanism.kinematics import body_poses, named_point
 from ..simulation.modeling import extent
 from ..simulation.scene_text import read_scene_text, scene_text
-from ..visual.trajectory import from_rows
+from ..visual.trajectory import from_rows, without_marks
 
 # Share of the mechanism's size by which points and closure may differ from the rows', and share
 # of a closure error itself: large ones depend on how directions are compared.
@@ -102,6 +102,8 @@ def read_table(path, require):
     """
     with open(path, newline='', encoding='utf-8') as file:
         names, *rows = [*csv.reader(file)] or [[]]
+    # Which of several forces is given is no matter to who reads it.
+    names = without_marks(names)
     require(names)
     try:
         table = np.array(rows, dtype=float).reshape(len(rows), len(names))

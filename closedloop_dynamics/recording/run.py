@@ -15,8 +15,9 @@ from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.budget import FINEST
 from ..simulation.errors import SimulationError
+from ..simulation.redundancy import wrench_names
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..visual.trajectory import wrench_parts
+from ..visual.trajectory import LEAST, wrench_parts
 
 # What is reported of joints, and of cut joints.
 QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
@@ -108,6 +109,23 @@ def columns(simulation, all_forces=False, costs=False):
     for quantity in QUANTITIES:
         names += simulation.mechanism.cut_coordinates.columns(quantity)
     return [*names, 'closure', 'energy', *COSTS[:len(COSTS) * costs]]
+
+
+def headings(simulation, all_forces=False, costs=False):
+    """
+    Return ``columns``, marked where a force is not unique: of those possible the least is given.
+
+    That is found where the simulation is. Of a wrench its components are marked, in world axes;
+    of couplings and prescribed motions all that belongs to them.
+
+    """
+    redundancy = simulation.redundancy()
+    parts = dict(zip(wrench_names(simulation.mechanism), wrench_parts(simulation.mechanism)))
+    least = {f'force.{name}.{parts[component]}'
+             for name, components in redundancy.components.items() for component in components}
+    least.update(f'{kind}.{name}{part}' for name in redundancy.shared for kind, part in (
+        ('coupling', ''), ('tooth_force', ''), ('motion', '.force'), ('motion', '.power')))
+    return [name + LEAST * (name in least) for name in columns(simulation, all_forces, costs)]
 
 
 def row(simulation, seconds, all_forces=False):

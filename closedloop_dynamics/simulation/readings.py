@@ -14,7 +14,7 @@ from .errors import SimulationError
 from .evaluation import Evaluation
 from .health import Health, health_of
 from .named_array import NamedArray, Place
-from .redundancy import find_redundancy
+from .redundancy import find_redundancy, Redundancy
 from .scene_records import Scene
 from .state import State
 from ..core.equations import Equations
@@ -208,10 +208,14 @@ class Readings(Data):
         self._evaluate()
         return self._equations.move(self._q, self._qd)
 
+    def redundancy(self) -> Redundancy:
+        """Find which equations repeat others in the present position, and which forces share."""
+        return find_redundancy(self.mechanism, self._q)
+
     @property
     def shared_forces(self) -> Tuple[str, ...]:
         """Names of joints and couplings whose forces are not unique: see ``multipliers``."""
-        return find_redundancy(self.mechanism, self._q).shared
+        return self.redundancy().shared
 
     @property
     def coupling_forces(self) -> np.ndarray:
@@ -510,7 +514,7 @@ class Readings(Data):
                   if record.feels_reactions and self._effects.enabled[name]}
         if not loaded:
             return []
-        components = find_redundancy(self.mechanism, self._q).components
+        components = self.redundancy().components
         return [
             f'{name} depends on the force in {joint}, which is not unique: closure equations '
             f'repeat others ({", ".join(parts)} in world axes). The friction is that of the '

@@ -47,6 +47,11 @@ class Redundancy(NamedTuple):
     components: Dict[str, Tuple[str, ...]]
 
 
+def wrench_names(mechanism):
+    """Return what the components of a wrench are called, in their order."""
+    return PLANAR_WRENCH if mechanism.planar else SPATIAL_WRENCH
+
+
 def find_redundancy(mechanism, q):
     """
     Find equations that repeat others at and near a position that closes the loops.
@@ -103,7 +108,7 @@ def _components(mechanism, geometry, q, common, extent):
         Size of the mechanism [m].
 
     """
-    names = PLANAR_WRENCH if mechanism.planar else SPATIAL_WRENCH
+    names = wrench_names(mechanism)
     moments = 1 if mechanism.planar else 3
     joints = {joint.child: joint for joint in mechanism.joints}
     origin = np.zeros(2 if mechanism.planar else 3)

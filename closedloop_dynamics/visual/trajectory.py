@@ -7,6 +7,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+# What is behind the name of a column of a force that is not unique.
+LEAST = '.least'
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -35,6 +38,11 @@ def wrench_parts(mechanism):
         'torque_x', 'torque_y', 'torque_z', 'x', 'y', 'z')
 
 
+def without_marks(names):
+    """Return the names of columns without what tells of forces that they are not unique."""
+    return [name.removesuffix(LEAST) for name in names]
+
+
 def magnitudes(wrenches):
     """Return the magnitudes of the forces in wrenches of shape (..., 3), in space (..., 6)."""
     return np.linalg.norm(force_of(wrenches), axis=-1)
@@ -47,7 +55,7 @@ def force_of(wrenches):
 
 def from_rows(mechanism, names, rows):
     """Return the motion in rows of ``recording.run``."""
-    column = dict(zip(names, np.array(rows, dtype=float).T))
+    column = dict(zip(without_marks(names), np.array(rows, dtype=float).T))
     zero = np.zeros(len(rows))
 
     def joints(quantity):

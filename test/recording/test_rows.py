@@ -14,6 +14,7 @@ from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording import recording as recordings
 from closedloop_dynamics.recording.errors import RecordingError
+from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
 from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.simulation.key_paths import changed, resolve
@@ -47,6 +48,27 @@ def test_overrides_of_the_command_line_are_drawn(rows, tmp_path):
     # Five centimetres open, had the scene's own length been drawn.
     assert closure(load_scene('four_bar').mechanism, recording.motion.position).min() > 0.04
     assert main(['plot', str(path), '--output', str(tmp_path)]) == 0
+
+
+def test_forces_that_are_not_unique_are_marked_and_read(tmp_path):
+    path, whole = tmp_path / 'bennett.csv', tmp_path / 'four_bar.csv'
+    for name, file in (('bennett', path), ('four_bar', whole)):
+        assert main(['simulate', name, '--duration', '0.02', '--rate', '50', '--forces', 'all',
+                     '--no-error-estimate', '--output', str(file)]) == 0
+    with open(path, encoding='utf-8') as file:
+        names = next(csv.reader(file))
+    scene = load_scene('bennett')
+    # A turn about joint 1's axis, z of the world, is all that a moment there would hinder.
+    assert 'force.joint_1.torque_x.least' in names and 'force.joint_1.torque_z' in names
+    assert not any(name.startswith(('position', 'point', 'closure')) for name in names
+                   if name.endswith('.least'))
+    assert 'least' not in whole.read_text()
+    motion, _ = read_rows(path)
+    cut, = scene.mechanism.cut_joints
+    assert motion.forces.shape == (2, 1, 6) and np.abs(motion.forces).max() > 0.1
+    start = scene.initial.position[0]
+    table = DrivenRun(scene, {'joint_1': Drive(start, start + 0.1)}, 2, 1.0).table()
+    assert f'force.{cut.name}.x.least' in table[0] and f'force.{cut.name}.x' in by_name(table)
 
 
 @pytest.mark.parametrize('beside', [True, False])
