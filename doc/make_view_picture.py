@@ -5,7 +5,8 @@
 Take the pictures of the page of ``closedloop view`` in ``doc/pictures``.
 
 ``view.png`` has the plots that are shown at first, ``view_accuracy.png`` those of forces, closure
-and error, ``view_edit.png`` a machine that is edited.
+and error, ``view_edit.png`` a machine that is edited; ``machines_plane.png`` and
+``machines_space.png`` have all shipped machines.
 
     python doc/make_view_picture.py          (from the checkout, which is on the PYTHONPATH)
 
@@ -24,12 +25,31 @@ from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.runner import Runner
 from closedloop_dynamics.view.server import Server
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 ROOT = Path(__file__).resolve().parents[1]
 MOVING, EDITED = 'three_rrr', 'four_bar'
 # Plots.
 ACCURACY = ['force at cut joints', 'closure error', 'angle from a singularity', 'estimated error']
+# Of each shipped mechanism a scene, and how long it has run [s].
+IN_PLANE = {
+    'four_bar': 0.8, 'slider_crank': 0.4, 'three_rrr': 1.0, 'carpet_scraper': 0.9,
+    'hoeken_pantograph_leg': 0.6, 'cam_follower': 0.1, 'geneva_drive': 0.3, 'rope_hoist': 0.4,
+    'bistable_toggle': 0.5, 'planetary_gear': 0.25, 'rack_press': 0.3, 'scissor_lift': 0.3,
+    'geared_five_bar': 0.5, 'humanoid_knee': 0.4}
+IN_SPACE = {
+    'stewart_platform': 1.0, 'delta_robot': 1.0, 'rssr_four_bar': 0.8, 'bricard': 0.5,
+    'bennett': 0.5, 'double_wishbone': 0.6, 'differential': 0.4, 'humanoid_ankle': 0.5,
+    'excavator_arm': 1.0}
+# Of a machine in a sheet of them [pixels], and how many are beside one another.
+WIDE, TALL, ACROSS = 330, 240, 3
+BARE = """(() => {
+    const style = document.createElement('style');
+    style.textContent = `header, aside, #views, #tools, #legend, #unit, #grid, #transport, #notes,
+      #message { display: none !important; }
+      #stage { position: fixed !important; inset: 0 !important; height: 100% !important; }
+      #solid, #lines { inset: 0 !important; height: 100% !important; }`;
+    document.head.append(style); })()"""
 
 
 def save(tab, name):
@@ -55,9 +75,32 @@ def page(open_page, scene, **size):
         server.close()
 
 
+def sheet(open_page, scenes, name):
+    """Save a picture of several machines as the page draws them, with their names."""
+    font = ImageFont.load_default(15)
+    tall = TALL + 26
+    whole = Image.new('RGB', (ACROSS * WIDE, -(-len(scenes) // ACROSS) * tall), 'white')
+    for number, (scene, duration) in enumerate(scenes.items()):
+        with page(open_page, scene, width=2 * WIDE, height=2 * TALL) as tab:
+            tab.ask(BARE)
+            tab.ask('page.ask("play")')
+            tab.wait(f'page.now > {duration}')
+            tab.ask('page.ask("pause")')
+            tab.wait('!page.playing')
+            tab.ask('page.picture.view("first")')
+            picture = Image.fromarray(tab.picture()).resize((WIDE, TALL), Image.Resampling.LANCZOS)
+            tab.close()
+        x, y = number % ACROSS * WIDE, number // ACROSS * tall
+        whole.paste(picture, (x, y))
+        ImageDraw.Draw(whole).text((x + WIDE // 2, y + TALL + 13), scene, 'black', font, 'mm')
+    whole.quantize(256, kmeans=2).save(ROOT / 'doc' / 'pictures' / f'{name}.png', optimize=True)
+
+
 def main():
     """Run the scene for a while, edit another one, and write the pictures."""
     with browser() as open_page:
+        sheet(open_page, IN_PLANE, 'machines_plane')
+        sheet(open_page, IN_SPACE, 'machines_space')
         with page(open_page, MOVING, width=1520, height=860) as tab:
             tab.ask('page.ask("play")')
             tab.wait('page.now > 6.0')

@@ -9,22 +9,23 @@ import re
 
 import numpy as np
 
-from .effect_shapes import wires
+from .effect_shapes import circle, effect_lines, wires
 from .messages import SHIPPED, YOURS
 from ..mechanism.checks import NAME_PATTERN
 from ..mechanism.config import shipped_path
 from ..mechanism.document import Document
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.kinematics import body_poses, pose_of, poses_in_space, world_points
+from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND, MechanismError
 from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
-from ..visual.appearance import body_colors, marked_points, solid
+from ..visual.appearance import body_colors, CONTACT_COLOR, marked_points, solid
+from ..visual.wheels import on_wheel, outlines as wheel_outlines, transmissions
 
 # Files of the user's own that are looked at.
 MOST_FILES, LARGEST_FILE = 200, 200_000
 # Of a picture, and the margin in it [pixels]; how a machine in space is looked at [rad].
-WIDTH, HEIGHT, MARGIN = 150, 100, 10
-YAW, PITCH = 0.6, 0.35
+WIDTH, HEIGHT, MARGIN, OUTLINE = 150, 100, 10, 1.2
+YAW, PITCH, GRAY = 0.6, 0.35, '#8b929c'
 PICTURE = re.compile(r'/picture/(shipped|yours)/([A-Za-z0-9][A-Za-z0-9_-]{0,60})\.svg')
 
 
@@ -144,23 +145,31 @@ def picture(scene):
     """Return a small picture of a scene where it starts, SVG."""
     mechanism = scene.mechanism
     poses = body_poses(mechanism, np.array(scene.initial.position))
+    size, wheels = 2 if mechanism.planar else 3, transmissions(mechanism)[0]
     rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
     heights, names = dict.fromkeys(rows, 0.0), {row: name for name, row in rows.items()}
-    colors, lines, places = body_colors(mechanism), [], []
+    colors, lines, joints = body_colors(mechanism), [], []
+
+    def seen(body, places):
+        return _seen(world_points(pose_of(mechanism, poses, body), np.array(places)[:, :size]))
+
     for body in mechanism.bodies:
         points = marked_points(mechanism, body.name)
-        pose = pose_of(mechanism, poses, body.name)
-        world = _seen(np.array([world_points(pose, point) for point in points]))
-        edges = solid(points)[0] if len(points) > 1 else []
+        world = seen(body.name, points)
+        edges = [] if on_wheel(wheels, body.name, points) or len(points) < 2 else solid(points)[0]
         lines += [(world[a], world[b], colors[body.name]) for a, b in edges]
-        places += list(world)
-    outlines, joints = [], list(places)
-    for wire in wires(mechanism, scene.effects, rows, heights, 0.0):
-        pose = poses_in_space(pose_of(mechanism, poses, names[wire['body']]))
-        world = _seen(world_points(pose, wire['places'])[:, :2] if mechanism.planar
-                      else world_points(pose, wire['places']))
-        outlines.append((world, colors.get(names[wire['body']], '#8b929c')))
-        places += list(world)
+        joints += list(world)
+    found = [(names[wire['body']], wire['places']) for wire in wires(
+        mechanism, scene.effects, rows, heights, 0.0)]
+    found += [(body, outline) for body, outline, _ in wheel_outlines(mechanism)]
+    outlines = [(seen(body, places), colors.get(body, GRAY)) for body, places in found]
+    for rope in effect_lines(mechanism, scene.effects, rows, heights, 0.0):
+        ends = [seen(names[row], [place])[0] for row, place in rope['ends']]
+        lines += [(start, end, CONTACT_COLOR) for start, end in zip(ends, ends[1:])]
+        outlines += [(end + circle(abs(radius)), GRAY)
+                     for end, radius in zip(ends, rope.get('radii', ())) if radius]
+    places = [*joints, *(place for world, _ in outlines for place in world),
+              *(place for line in lines for place in line[:2])]
     ground = [_seen(np.array([joint.position]))[0] for joint in mechanism.joints
               if joint.parent == GROUND]
     every = np.array([*places, *ground])
@@ -174,11 +183,12 @@ def picture(scene):
         return f'{x:.1f}', f'{y:.1f}'
 
     drawn = [f'<line x1="{a[0]}" y1="{a[1]}" x2="{b[0]}" y2="{b[1]}" stroke="{color}" '
-             'stroke-width="4" stroke-linecap="round"/>'
+             f'stroke-width="{1.6 if color == CONTACT_COLOR else 4}" stroke-linecap="round"/>'
              for a, b, color in ((at(start), at(end), color) for start, end, color in lines)]
-    drawn = [f'<polyline points="{" ".join(",".join(at(place)) for place in world)}" fill="none" '
-             f'stroke="{color}" stroke-width="2"/>' for world, color in outlines] + drawn
-    drawn += [f'<path d="M{x} {y}l-6 9h12z" fill="#8b929c"/>' for x, y in map(at, ground)]
+    drawn = [f'<polyline points="{" ".join(",".join(at(place)) for place in world)}" '
+             f'fill="{color}" fill-opacity="0.25" stroke="{color}" stroke-width="{OUTLINE}"/>'
+             for world, color in outlines] + drawn
+    drawn += [f'<path d="M{x} {y}l-6 9h12z" fill="{GRAY}"/>' for x, y in map(at, ground)]
     drawn += [f'<circle cx="{x}" cy="{y}" r="2.2" fill="#fff" stroke="#555"/>'
               for x, y in sorted(set(map(at, joints)))]
     return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}">'

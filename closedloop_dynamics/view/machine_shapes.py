@@ -17,7 +17,8 @@ from .effect_shapes import circle, outline_of
 from ..effects.body_contact import BodyContact
 from ..mechanism.mechanism import GROUND, POINT_ON_LINE, PRISMATIC
 from ..mechanism.rotations import rotated
-from ..visual.wheels import BACK, BELOW, BEVEL, profile, PULLEY, rack_profile, RING, transmissions
+from ..visual.wheels import (
+    BACK, BELOW, BEVEL, NEAR, on_wheel, profile, PULLEY, rack_profile, RING, transmissions)
 
 # As shares of the size of links: depth of wheels, and how far below its link a wheel lies.
 DEPTH, BEHIND = 0.012, 0.015
@@ -82,12 +83,10 @@ class MachineShapes:
 
     def covers(self, body, places):
         """Return whether places of a body, shape (n, 2 or 3), lie on a wheel or outline of it."""
-        found = [(wheel.center[:places.shape[1]], wheel.radius) for wheel in self.wheels
-                 if wheel.body == body]
-        found += [(center, np.linalg.norm(outline, axis=1).max())
-                  for name, center, outline, _ in self._outlines if name == body]
-        return any(np.linalg.norm(places - center, axis=1).max() < 1.05 * radius
-                   for center, radius in found)
+        return on_wheel(self.wheels, body, places) or any(
+            np.linalg.norm(places - center, axis=1).max() < NEAR * np.linalg.norm(
+                outline, axis=1).max()
+            for name, center, outline, _ in self._outlines if name == body)
 
     def height(self, heights, thick):
         """Return the layer that all wheels and racks are in [m]; zero in space."""

@@ -22,6 +22,7 @@ from .appearance import (
     PATH_COLOR, sliders)
 from .trajectory import force_of
 from .views import PLANE
+from .wheels import on_wheel, outlines, transmissions
 from ..mechanism.kinematics import named_point, pose_of, world_points
 from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
 from ..mechanism.rotations import direction
@@ -102,8 +103,13 @@ class MechanismArtist:
         self.view = view
         of_body = outline if mechanism.planar else marked_points
         self.outlines = {body.name: of_body(mechanism, body.name) for body in mechanism.bodies}
+        self.wheels, (wheels, racks, _) = outlines(mechanism), transmissions(mechanism)
+        for name, points in self.outlines.items():
+            if on_wheel(wheels, name, points):
+                # It is its wheel.
+                self.outlines[name] = points[:0]
         self.color = body_colors(mechanism)
-        self.sliders = sliders(mechanism)
+        self.sliders = sliders(mechanism) - {rack.body for rack in racks}
         self.massless = {body.name: body.massless for body in mechanism.bodies}
         everything = all_places(mechanism, poses)
         self.extent = float(np.ptp(everything, axis=0).max()) or 1.0
@@ -141,9 +147,13 @@ class MechanismArtist:
 
         """
         layer = 10.0 + 15.0 * strength
-        parts = []
+        gray = {'facecolor': '0.85', 'edgecolor': '0.55'}
+        parts = self._wheels(GROUND, gray, layer)
         for body in self.mechanism.bodies:
             parts += self._body(body.name, strength, layer)
+        parts += [Part(self.axes.plot([], [], color=mixed(INK, 0.6 * strength), linewidth=1.4,
+                                      zorder=layer - 0.3)[0], ((body, places),))
+                  for body, places, filled in self.wheels if not filled]
         for driven in (True, False):
             origin = len(self.mechanism.joints[0].position) * (0.0,)
             ends = tuple((joint.child, (origin,)) for joint in self.mechanism.joints
@@ -280,7 +290,8 @@ class MechanismArtist:
                  'edgecolor': mixed(color, 0.75 * strength), 'zorder': layer}
         parts = []
         if not self.mechanism.planar:
-            return self._spatial_body(name, style, layer)
+            return self._spatial_body(name, style, layer) + self._wheels(name, style, layer)
+        parts += self._wheels(name, style, layer)
         if len(points) > 2:
             parts.append(Part(self.axes.add_patch(Polygon(points, linewidth=2.2, **style)),
                               ((name, points),)))
@@ -295,9 +306,22 @@ class MechanismArtist:
                               ((name, block),)))
         return parts
 
+    def _wheels(self, name, style, layer):
+        """Return the wheels and racks of a body, before the rest of it."""
+        parts = []
+        for body, places, filled in self.wheels:
+            if body == name and filled:
+                shape = self.axes.add_patch(Polygon(
+                    np.zeros((1, 2)), linewidth=0.6, **{**style, 'zorder': layer + 0.2}))
+                parts.append(Part(shape, ((name, places),), layer=(
+                    None if self.mechanism.planar else layer + 0.2)))
+        return parts
+
     def _spatial_body(self, name, style, layer):
         """Return the outline of a body in space, a line, or a block that shows no turn."""
         points, slides = self.outlines[name], name in self.sliders
+        if not len(points):
+            return []
         place = ((name, points),)
         if len(points) > 2:
             shape = self.axes.add_patch(Polygon(np.zeros((1, 2)), linewidth=1.6, **style))
@@ -348,6 +372,8 @@ def all_places(mechanism, poses):
     of_body = outline if mechanism.planar else marked_points
     places = [world_points(pose_of(mechanism, poses, body.name), of_body(mechanism, body.name))
               for body in mechanism.bodies]
+    places += [world_points(pose_of(mechanism, poses, body), wheel)
+               for body, wheel, _ in outlines(mechanism)]
     return np.concatenate([each.reshape(-1, each.shape[-1]) for each in places])
 
 

@@ -34,6 +34,8 @@ RIM, BACK, REACH = 2.2, 2.5, 4.0
 # Wheels that turn the same way with about the same speed are no gear in a ring, which would be so
 # many times as large as their distance; the larger pulley of a belt without radii, in distances.
 LARGEST_RING, BELT_RADIUS = 6.0, 0.15
+# How far outside a wheel marks of its body still lie on it, in radii.
+NEAR = 1.05
 # Corners of a smooth wheel, and of half a turn of a belt.
 ROUND = 72
 
@@ -205,6 +207,38 @@ def rack_profile(rack):
     back = -(BELOW + BACK) * module
     begin, end = teeth[0, 0], teeth[-1, 0]
     return np.vstack([teeth, [[end, back], [begin, back]]])
+
+
+def outlines(mechanism):
+    """
+    Return what pictures draw of wheels, racks and belts, in the frames of bodies.
+
+    Returns
+    -------
+    list of tuple
+        Name of a body, places of a closed outline, shape (n, 2), in space (n, 3) [m], and whether
+        it is filled. That of a ring goes round its hole, too.
+
+    """
+    wheels, racks, belts = transmissions(mechanism)
+    found = []
+    for wheel in wheels:
+        outer, hole = profile(wheel)
+        if hole is not None:
+            outer = np.vstack([outer, outer[:1], hole[:1], hole[::-1]])
+        found.append((wheel.body, wheel.center + outer @ [wheel.start, wheel.side], True))
+    found += [(rack.body, rack.place + rack_profile(rack) @ [rack.along, rack.normal], True)
+              for rack in racks]
+    found += [(belt.body, belt.places, False) for belt in belts]
+    size = 2 if mechanism.planar else 3
+    return [(body, places[:, :size], filled) for body, places, filled in found]
+
+
+def on_wheel(wheels, body, places):
+    """Return whether places of a body, shape (n, 2 or 3) [m], all lie on one wheel of it."""
+    return any(
+        np.linalg.norm(places - wheel.center[:places.shape[1]], axis=1).max() < NEAR * wheel.radius
+        for wheel in wheels if wheel.body == body)
 
 
 def _tooth(pitch, module, sign):

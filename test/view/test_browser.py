@@ -376,8 +376,9 @@ def test_paths_and_plots_of_a_recording_are_of_all_its_rows(open_page, tmp_path)
     tab.close()
 
 
+@pytest.mark.parametrize('heavy', [True, False])
 @pytest.mark.parametrize('force, drawn', [(3e-8, False), (1.0, True)])
-def test_arrows_are_of_forces_that_matter(open_page, tmp_path, force, drawn):
+def test_arrows_are_of_forces_that_matter(open_page, tmp_path, force, drawn, heavy):
     scene = load_scene('four_bar')
     columns, mechanism = motion_columns(scene.mechanism), scene.mechanism
     rows = np.zeros((2, columns.width), dtype=np.float32)
@@ -386,9 +387,13 @@ def test_arrows_are_of_forces_that_matter(open_page, tmp_path, force, drawn):
     rows[:, columns.layout['columns']['forces']] = force * 9.81 * sum(
         body.mass for body in mechanism.bodies)
     path = tmp_path / 'run.html'
-    path.write_text(recorded_page('arrows', describe(
-        mechanism, columns, scene.effects, mode='recording', title='arrows'),
-        np.array([0.0, 1.0]), rows))
+    described = describe(mechanism, columns, scene.effects, mode='recording', title='arrows')
+    if not heavy:
+        # What a drive can exert tells what matters, too.
+        torque = described['weight'] * described['size']
+        described.update(weight=0.0, drives=[
+            {'joint': 'crank_joint', 'slides': False, 'torque': torque}])
+    path.write_text(recorded_page('arrows', described, np.array([0.0, 1.0]), rows))
     tab = open_page(path.as_uri())
     tab.wait('typeof page !== "undefined" && page.picture?.forces.forceScale > 0')
     longest = tab.ask('Math.max(...page.picture.forces.found().map(({along}) => norm(along)))')

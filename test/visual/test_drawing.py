@@ -226,3 +226,21 @@ def test_every_joint_has_a_row_of_its_own():
     shown = [axes for axes in figure.axes if axes.axison]
     assert len(shown) == 7 + 7 + 3
     assert all(len(axes.get_lines()) == 1 for axes in shown)
+
+
+def test_gears_are_drawn_with_their_teeth_and_belts_about_pulleys():
+    motion, _ = simulated('planetary_gear', 0.1)
+    figure = pictures.positions(motion, 'gears')
+    drawn(figure)
+    teeth = sorted(len(patch.get_xy()) // 6 for patch in figure.axes[0].patches
+                   if len(patch.get_xy()) > 50)
+    # In the strong position and in the pale ones: of the ring both edges count.
+    assert set(teeth) == {18, 108} and teeth.count(18) == 4 * teeth.count(108)
+    axes, ring = figure.axes[0], 0.09
+    assert axes.get_xlim()[0] < -ring and axes.get_ylim()[1] > ring
+    motion, _ = simulated('geared_five_bar', 0.1)
+    figure = pictures.positions(motion, 'belt')
+    belt = next(line for line in figure.axes[0].get_lines() if len(line.get_xdata()) == 73)
+    x, y = belt.get_xydata().T
+    away = np.minimum(np.hypot(x, y) / 0.02, np.hypot(x - 0.4, y) / 0.04)
+    np.testing.assert_allclose(away, 1.0, atol=1e-9)

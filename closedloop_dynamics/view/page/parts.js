@@ -57,14 +57,16 @@ class Parts {
     for (const wire of wires) this.wire(wire);
   }
 
-  // Where the ground has joints that turn.
+  // Where the ground has joints that turn, and holds cables and springs.
   pivots() {
-    const {joints, cuts} = this.described;
+    const {joints, cuts, lines} = this.described;
     return [...joints.filter(({parent, type}) => parent < 0 && type !== 'prismatic')
       .map(({place}) => place),
             ...cuts.filter(({type}) => !['prismatic', 'point_on_line'].includes(type))
               .flatMap((cut) => [[cut.body_a, cut.point_a], [cut.body_b, cut.point_b]])
-              .filter(([body]) => body < 0).map(([, place]) => place)];
+              .filter(([body]) => body < 0).map(([, place]) => place),
+            ...lines.filter(({kind, anchor}) => kind !== 'rod' && !anchor)
+              .flatMap(({ends}) => ends.filter(([body]) => body < 0).map(([, place]) => place))];
   }
 
   shape(body, shape, color) {
