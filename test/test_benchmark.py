@@ -151,7 +151,7 @@ def test_every_machine_is_measured_at_three_accuracies(benchmark, monkeypatch, t
     known['machines']['four_bar'][0]['note'] = 'kept'
     kept.write_text(json.dumps(known))
     machines.main(['four_bar', '--quick', '--output', str(tmp_path)])
-    assert report.Results(tmp_path / 'all_machines.csv').note('four_bar', 0) == 'kept'
+    assert 'kept' in [row['note'] for row in machines.read(tmp_path / 'all_machines.csv')]
 
 
 @pytest.mark.slow
