@@ -74,7 +74,7 @@ def parts(node, rate, count):
         node.live.publish()
 
     return (physics, reading, filling, publishing, companions, timed(tick, count),
-            timed(publish_objects, count), timed(node.look_after, max(count // 10, 5)))
+            timed(publish_objects, count), timed(node.publish_diagnostics, max(count // 10, 5)))
 
 
 def measure(scene, rate, count):

@@ -63,7 +63,7 @@ def _run(arguments):
         try:
             for k in forces_along(simulation, joints, times, positions, arguments.deviation):
                 write(stamps[k], float(times[k]))
-                largest.look()
+                largest.sample()
                 show(times[k])
         except SimulationError as error:
             print(f'{arguments.prog}: at {times[largest.count]:.6g} s of the recording: {error}',
@@ -98,7 +98,7 @@ class _Largest:
         self._torque = np.zeros(len(simulation.actuated_joints))
         self._force = np.zeros(len(simulation.cut_joints))
 
-    def look(self):
+    def sample(self):
         """Take the present state in."""
         simulation = self._simulation
         self.count += 1

@@ -61,7 +61,7 @@ class FixedSteps:
         """Allocate the scratch of the method."""
         self.tableau, self.stabilisation = integrator.tableau, stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
-        self.take(system)
+        self.rebind(system)
         # Steps of the latest call, and those of them that the next one need not make again.
         self.made = self._before = 0
 
@@ -70,7 +70,7 @@ class FixedSteps:
         """Return the method with its memory, for the engine."""
         return one_run(FIXED_STEPS, self.stabilisation, self.tableau, scratch=self.scratch)
 
-    def take(self, system):
+    def rebind(self, system):
         """Step with a system that works on other equations."""
         self._advance = native.bind(
             'advance_fixed', system.native, self.tableau, self.stabilisation, self.scratch)
@@ -161,7 +161,7 @@ class ErrorControlled(_Adaptive):
         self._scratch = np.zeros(
             (len(self._tableau.a) + columns.FIRST_SLOPE, self._scale.shape[1]))
         self.control = np.zeros(columns.CONTROL_COLUMNS)
-        self.take(system)
+        self.rebind(system)
 
     @property
     def stepper(self):
@@ -169,7 +169,7 @@ class ErrorControlled(_Adaptive):
         return one_run(EXPLICIT_STEPS, self._stabilisation, self._tableau, control=self.control,
                        scale=self._scale, scratch=self._scratch)
 
-    def take(self, system):
+    def rebind(self, system):
         """Step with a system that works on other equations."""
         self._system = system
         self._advance = native.bind(
@@ -214,7 +214,7 @@ class Switching(_Adaptive):
             self._tableau, number_of_states(system), weights(system.manifold, len(system.qdd)))
         self._unit = _error_scale(system, 1.0)
         self.control, self.watch = self._runs.control[RUN], self._runs.monitor
-        self.take(system)
+        self.rebind(system)
         self.rewind()
 
     @property
@@ -223,7 +223,7 @@ class Switching(_Adaptive):
         return Stepper(
             SWITCHING_STEPS, self._stabilisation, self._tableau, self._unit, self._runs)
 
-    def take(self, system):
+    def rebind(self, system):
         """Step with a system that works on other equations."""
         self._system = system
         self._advance = native.bind(
@@ -290,7 +290,7 @@ class Stiff:
         self._scratch = np.zeros((columns.STIFF_ROWS, states))
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
         self.control = np.zeros(columns.CONTROL_COLUMNS)
-        self.take(system)
+        self.rebind(system)
         # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
         self.made = self._before = 0
 
@@ -317,7 +317,7 @@ class Stiff:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - begin
 
-    def take(self, system):
+    def rebind(self, system):
         """Step with a system that works on other equations."""
         self._system = system
         method = (self._matrix, self._pivots, self._scratch)

@@ -72,7 +72,7 @@ class SciPySolver:
             return STEP_TOO_SMALL
         return DONE
 
-    def take(self, system):
+    def rebind(self, system):
         """Step with a system that works on other equations."""
         self._system = system
 

@@ -41,9 +41,9 @@ class Descriptions:
                     'joint_command', 'joint_states')), limits=stops_of(simulation.effects))))
         except ValueError as error:
             node.get_logger().warning(f'no robot_description: {error}')
-        self.follow()
+        self.on_state()
 
-    def follow(self, stamp=None):
+    def on_state(self, stamp=None):
         """Publish the scene if it has changed since the state before."""
         simulation = self._simulation
         told = simulation.scene, simulation.effects, simulation.enabled_effects
@@ -93,7 +93,7 @@ class ReplayLog:
             self._torque[:] = torque
         self._accuracy = accuracy
 
-    def follow(self, stamp):
+    def on_state(self, stamp):
         """Publish the entry of the present state."""
         self.write_row(stamp.sec, stamp.nanosec)
 

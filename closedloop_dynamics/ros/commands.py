@@ -71,7 +71,7 @@ class TorqueCommand:
                 f'expected {len(self.actuated_joints)} values '
                 f'({", ".join(self.actuated_joints)}), got {len(values)}')
         self._require_finite(self.actuated_joints, values)
-        self._follow(np.array(values, dtype=float), now)
+        self._accept(np.array(values, dtype=float), now)
 
     def accept_named(self, names, efforts, now):
         """
@@ -102,7 +102,7 @@ class TorqueCommand:
         self.counts[NOT_ACTUATED] += len(names) - len(actuated)
         torque = self.torque.copy()
         torque[[self._index[name] for name in given]] = list(given.values())
-        self._follow(torque, now)
+        self._accept(torque, now)
 
     def expire(self, now):
         """
@@ -127,7 +127,7 @@ class TorqueCommand:
         self._last_arrival = None
         self.torque[:] = 0.0
 
-    def _follow(self, torque, now):
+    def _accept(self, torque, now):
         if self._require_bearable is not None:
             try:
                 self._require_bearable(torque)

@@ -41,7 +41,7 @@ class EffectParameters:
         except (ValueError, StiffnessError) as error:
             raise StartError(str(error)) from None
         node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._follow)
+        node.add_post_set_parameters_callback(self._on_set)
         self._subscriptions = [
             node.create_subscription(
                 Vector3, f'effects/{name}/{FORCE}',
@@ -98,7 +98,7 @@ class EffectParameters:
         for name, values in self._changes(parameters).items():
             self._simulation.set_effect(name, **values)
 
-    def _follow(self, parameters):
+    def _on_set(self, parameters):
         """Let what has been checked act; effects checked one by one may be too stiff together."""
         try:
             self._apply(parameters)

@@ -48,13 +48,13 @@ class ExternalWrench:
     def accept(self, message):
         """Let a WrenchStamped act from now on; raise CommandError if it is refused."""
         try:
-            self._take(message.header.frame_id, message.wrench)
+            self._accept(message.header.frame_id, message.wrench)
         except CommandError:
             self.counts[WRENCHES_REFUSED] += 1
             raise
         self.counts[TAKEN] += 1
 
-    def _take(self, name, wrench):
+    def _accept(self, name, wrench):
         limited = [name for name, record in self._simulation.effects.items()
                    if isinstance(record, Actuator)]
         if limited:

@@ -96,7 +96,7 @@ class Frames:
             self._message = SerializedTemplate(self._build, len(frames) * [7])
             self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
 
-    def follow(self, stamp):
+    def on_state(self, stamp):
         """Broadcast the frames of the present state."""
         if self._publisher.get_subscription_count():
             self._publisher.publish(

@@ -103,7 +103,7 @@ class JointStatesNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_subscription(
             JointState, 'joint_states', self.on_joint_states, MEASURED_QOS)
-        self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
+        self.create_timer(DIAGNOSTIC_PERIOD, self.publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(
             f"completing joint states of '{simulation.scene.name}' measured at "
@@ -186,7 +186,7 @@ class JointStatesNode(Node):
         if self._complaint.ready():
             self.get_logger().warning(problem)
 
-    def look_after(self):
+    def publish_diagnostics(self):
         """Publish diagnostics."""
         news = {key: count - self._before[key] for key, count in self.counts.items()}
         self._before = dict(self.counts)

@@ -105,7 +105,7 @@ class Markers:
         middle[down] = least[down] - TEXT_BELOW * self._size
         set_pose(self._text.pose, [*middle.tolist(), 0.0, 0.0, 0.0, 1.0])
 
-    def follow(self, stamp):
+    def on_state(self, stamp):
         """Publish the markers of the present state if it is time to, and if anybody wants them."""
         if not self._publisher or (now := time.monotonic()) < self.next_due:
             return

@@ -98,12 +98,12 @@ class RealTime:
     def restart(self):
         """Begin at another state; whether time runs stays."""
 
-    def take_command(self):
+    def on_command(self):
         """Do nothing: a command acts from the next tick on."""
 
     def tick(self):
         """Advance to the present, period by period, and publish what there is to publish."""
-        missed = self._note_due() - 1
+        missed = self._ticks_due() - 1
         if not self.pacer.running:
             # What stands still is the same at every tick.
             missed = 0
@@ -115,12 +115,12 @@ class RealTime:
             if behind and budget == 0.0:
                 self.left_out += 1
                 continue
-            self._take(self._due - behind * self.tick_period, budget)
+            self._advance_to(self._due - behind * self.tick_period, budget)
             if self.pacer.behind:
                 # It is computing that takes too long: more of the same would not help.
                 budget = 0.0
 
-    def _note_due(self):
+    def _ticks_due(self):
         """Return how many ticks have become due with this one, and note when it was due."""
         now = self.pacer.clock()
         if self._due is None:
@@ -131,7 +131,7 @@ class RealTime:
         self._due = min(self._due + ticks * self.tick_period, now)
         return ticks
 
-    def _take(self, due, budget):
+    def _advance_to(self, due, budget):
         """Advance to the time at which a tick was due, and publish if it is time to."""
         pacer = self.pacer
         if pacer.running:
@@ -197,7 +197,7 @@ class AsFastAsPossible(_Periodic):
         """Begin at another state; whether time runs stays."""
         self._left = self._period
 
-    def take_command(self):
+    def on_command(self):
         """Do nothing: a command acts from the next tick on."""
 
     def tick(self):
@@ -240,13 +240,13 @@ class Lockstep(_Periodic):
         """Let commands advance the time; one that came meanwhile does so now."""
         super().start()
         if self._owed:
-            self.take_command()
+            self.on_command()
 
     def restart(self):
         """Begin at another state, which nobody has answered."""
         self._owed = self._answered = False
 
-    def take_command(self):
+    def on_command(self):
         """Advance by a period and publish what that led to."""
         self._owed = not self.running
         if self.running:

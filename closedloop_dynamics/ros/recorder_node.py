@@ -83,7 +83,7 @@ class RecorderNode(Node):
         self._bag = self._open()
         self._begin = time.monotonic()
         self.create_timer(
-            DISCOVERY_PERIOD, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            DISCOVERY_PERIOD, self.poll_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self._bag.path}'")
 
     def _open(self):
@@ -100,11 +100,11 @@ class RecorderNode(Node):
         except BagError as error:
             raise StartError(f'{error}') from None
 
-    def look(self):
+    def poll_topics(self):
         """Subscribe to topics that have appeared; end when it is time to."""
         for topic, type_names in self.get_topic_names_and_types():
             if any(fnmatchcase(topic, full) for full in self._patterns.values()):
-                self._follow(topic, type_names)
+                self._listen_to(topic, type_names)
         duration = self._values['max_duration']
         if self._bag.error is not None:
             self.exit_code = 1
@@ -113,7 +113,7 @@ class RecorderNode(Node):
 
     def close(self):
         """Take in what has arrived, close the bag and say what is in it."""
-        self._take_the_rest()
+        self._drain()
         self._bag.close()
         logger = self.get_logger()
         for topic in sorted(self._subscriptions_by_topic):
@@ -130,7 +130,7 @@ class RecorderNode(Node):
         else:
             logger.info(f"{sum(self._bag.written.values())} messages in '{self._bag.path}'")
 
-    def _follow(self, topic, type_names):
+    def _listen_to(self, topic, type_names):
         """Subscribe to a topic, again if a publisher asks for another quality of service."""
         offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
         subscription = self._subscriptions_by_topic.get(topic)
@@ -181,7 +181,7 @@ class RecorderNode(Node):
         self.received[topic] += 1
         self._bag.write(topic, nanoseconds, data)
 
-    def _take_the_rest(self):
+    def _drain(self):
         """Run callbacks until nothing more has arrived, at most for ``LAST_CALL``."""
         deadline = time.monotonic() + LAST_CALL
         idle = 0

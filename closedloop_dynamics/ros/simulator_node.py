@@ -120,7 +120,7 @@ class SimulatorNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         self.idle_states = IdleStateInhibitor()
-        self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
+        self.create_timer(DIAGNOSTIC_PERIOD, self.publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.
         self.timer = self._due = None
@@ -175,9 +175,9 @@ class SimulatorNode(Node):
         self.log = ReplayLog(self, self.simulation)
         descriptions = Descriptions(self, self.simulation, self.log)
         self.markers = Markers(self, self.simulation, lambda: self.diagnostics.summary)
-        self.live.on_published += [self._frames.follow] * self._frames.any + [
-            self.diagnostics.watch_health, descriptions.follow, self.log.follow,
-            self.markers.follow]
+        self.live.on_published += [self._frames.on_state] * self._frames.any + [
+            self.diagnostics.watch_health, descriptions.on_state, self.log.on_state,
+            self.markers.on_state]
         self.live.on_advance.append(self.log.advancing)
         self.live.on_jump.append(self.log.jumped)
 
@@ -190,10 +190,10 @@ class SimulatorNode(Node):
         for kind, topic, follow in (
                 (Float64MultiArray, 'torque_command', self.on_torque_command),
                 (JointState, 'joint_command', self.on_joint_command)):
-            subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
+            subscribe(self, kind, topic, follow, qos, partial(self._count_lost, topic))
         if self.simulation.commanded_motions:
             subscribe(self, JointTrajectory, 'motion_command', self.on_motion_command,
-                      QoSProfile(depth=COMMAND_DEPTH), self._note_lost_motion)
+                      QoSProfile(depth=COMMAND_DEPTH), self._count_lost_motion)
         # The newest counts: what is late is of no use.
         self.create_subscription(
             WrenchStamped, 'external_wrench', self.on_external_wrench,
@@ -261,27 +261,27 @@ class SimulatorNode(Node):
     def on_torque_command(self, message):
         """Follow or refuse one value per actuated joint."""
         self.do(partial(
-            self._follow, 'torque_command', self.command.accept_values, message.data,
+            self._accept, 'torque_command', self.command.accept_values, message.data,
             time.monotonic()))
 
     def on_joint_command(self, message):
         """Follow or refuse efforts by joint name."""
         self.do(partial(
-            self._follow, 'joint_command', self.command.accept_named, message.name, message.effort,
+            self._accept, 'joint_command', self.command.accept_named, message.name, message.effort,
             time.monotonic()))
         if self.command.counts[NOT_ACTUATED] and not self._told_not_actuated:
             self._told_not_actuated = True
             self.get_logger().info(
                 'joint_command names joints that are not actuated; their efforts are ignored')
 
-    def _follow(self, topic, accept, *content):
+    def _accept(self, topic, accept, *content):
         try:
             accept(*content)
         except CommandError as error:
             self.warn('rejected', f'{topic} rejected: {error}')
             return
         self._end_waiting()
-        self._guarded(self.mode.take_command)
+        self._guarded(self.mode.on_command)
 
     def do(self, action):
         """
@@ -298,9 +298,9 @@ class SimulatorNode(Node):
 
     def on_motion_command(self, message):
         """Let motions that are commanded follow a trajectory, or refuse it."""
-        self.do(partial(self._follow_motion, message))
+        self.do(partial(self._accept_motion, message))
 
-    def _follow_motion(self, message):
+    def _accept_motion(self, message):
         try:
             self.motion.accept(message)
         except CommandError as error:
@@ -310,9 +310,9 @@ class SimulatorNode(Node):
 
     def on_external_wrench(self, message):
         """Let a wrench act on a body for a while, or refuse it."""
-        self.do(partial(self._feel, message))
+        self.do(partial(self._accept_wrench, message))
 
-    def _feel(self, message):
+    def _accept_wrench(self, message):
         try:
             self.live.wrench.accept(message)
         except CommandError as error:
@@ -330,12 +330,12 @@ class SimulatorNode(Node):
             self._guarded(self.mode.start)
             self._renew_timer()
 
-    def _note_lost(self, topic, number):
+    def _count_lost(self, topic, number):
         self.command.counts['lost'] += number
         self.warn('lost', f'{topic}: {number} commands were lost on the way, or came faster '
                           'than they could be taken in')
 
-    def _note_lost_motion(self, number):
+    def _count_lost_motion(self, number):
         self.motion.counts[LOST] += number
         self.warn('lost', f'motion_command: {number} trajectories were lost on the way')
 
@@ -372,7 +372,7 @@ class SimulatorNode(Node):
             self.get_logger().error(
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
 
-    def look_after(self):
+    def publish_diagnostics(self):
         """Publish diagnostics."""
         busy = self.busy
         if busy:
@@ -385,9 +385,9 @@ class SimulatorNode(Node):
             tuple(sorted(
                 f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                 for topic in ('torque_command', 'joint_command')
-                for info in self.get_publishers_info_by_topic(topic))), self._look_around())
+                for info in self.get_publishers_info_by_topic(topic))), self._graph_finding())
 
-    def _look_around(self):
+    def _graph_finding(self):
         """Return what is found about the other nodes."""
         own = self.get_name(), self.get_namespace()
         return graph_finding(

@@ -161,10 +161,10 @@ class StandardInterfaces:
         """Return whether time runs, is paused, or is stopped at the start."""
         def action():
             response.state.state = self._state
-            response.result.error_message = self._note()
+            response.result.error_message = self._standing()
         return self._answer(response, action)
 
-    def _note(self):
+    def _standing(self):
         """Return what keeps time from running although it is not paused, or ''."""
         return '' if self._control.paused() else self._control.standing()
 
@@ -172,7 +172,7 @@ class StandardInterfaces:
         """Let time run, pause, go back to the start, or end the node."""
         def action():
             self._go_to(request.state.state)
-            response.result.error_message = self._note()
+            response.result.error_message = self._standing()
         return self._answer(response, action)
 
     def _go_to(self, state):

@@ -101,7 +101,7 @@ class Orientations:
         self._cut = mechanism.cut_coordinates.with_orientation
         self._stamp = self._state = self._waiting = None
 
-    def take(self, message):
+    def accept(self, message):
         """Keep a MultiDOFJointState; return the JointState that waited for it, or None."""
         position, velocity, _ = poses_of(
             message, self._coordinates, self._coordinates.start(), self._cut)
@@ -172,7 +172,7 @@ class TorqueSourceNode(Node):
             self._check_without_joints()
             self._create_command(by_name=False)
             self._question = JointQuestion(self, self.values['simulator'])
-            self._every(QUESTION_PERIOD, self._ask)
+            self._every(QUESTION_PERIOD, self._request_joints)
 
     def on_joint_states(self, message):
         """Answer a state with a command, when all of it has come."""
@@ -196,12 +196,12 @@ class TorqueSourceNode(Node):
         self._publish(torque, message.header.stamp)
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
         if self._points is not None:
-            self._follow(time_of_state, *state)
+            self._begin_trajectory(time_of_state, *state)
 
     def on_orientations(self, message):
         """Take the orientations of a state; answer it if the rest of it waits for them."""
         try:
-            waiting = self._orientations.take(message)
+            waiting = self._orientations.accept(message)
         except CommandError as error:
             if self._complaint.ready():
                 self.get_logger().warning(f'multi_dof_joint_states not usable: {error}')
@@ -231,7 +231,7 @@ class TorqueSourceNode(Node):
         except TrajectoryError as error:
             self.get_logger().warning(f'joint_trajectory refused: {error}')
 
-    def _follow(self, *state):
+    def _begin_trajectory(self, *state):
         points, self._points = self._points, None
         try:
             self.law.follow(points, *state)
@@ -269,7 +269,7 @@ class TorqueSourceNode(Node):
         """Say what was done."""
         self.get_logger().info(f'{self.published} commands published')
 
-    def _ask(self):
+    def _request_joints(self):
         """Begin as soon as the simulator has answered with its joints."""
         self._question.ask()
         if self._question.answer is None:

@@ -129,7 +129,7 @@ class RemoteSimulator(Shown):
         if self.feed is None:
             self._describe(scene)
         self._scene = scene
-        self._tell()
+        self._send_controls()
 
     def _describe(self, scene):
         """Subscribe to what the scene has, and describe it."""
@@ -228,11 +228,11 @@ class RemoteSimulator(Shown):
                 values[np.newaxis] for values in (
                     self._position, self._velocity, self._effort, self._forces)))
             self.feed.show(self._time, motion_rows(motion)[0])
-        self._tell()
+        self._send_controls()
 
-    def _tell(self):
+    def _send_controls(self):
         silent = time.monotonic() - self._heard > SILENCE
-        self.feed.tell(
+        self.feed.send_controls(
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
@@ -309,7 +309,7 @@ class RemoteSimulator(Shown):
         """Bring a model of the machine into its present position; find what its drives feel."""
         if self._model is None:
             self._busy = 'preparing a model of the machine'
-            self._tell()
+            self._send_controls()
             self._hand = Hand(self._scene, extent(self._mechanism))
             # Forces do not matter to it.
             self._model = Simulation(
@@ -482,7 +482,7 @@ class ViewerNode(Node):
                         if name.strip()]
         self._offered, self._shown, self._first = {}, {}, None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(LOOK_PERIOD, self.look, clock=steady)
+        self._timer = self.create_timer(LOOK_PERIOD, self.poll_simulators, clock=steady)
         self.create_timer(1.0 / RATE, self.tick, clock=steady)
         self.get_logger().info(
             f'looking for {", ".join(self._wanted) or "simulators"} ...')
@@ -491,7 +491,7 @@ class ViewerNode(Node):
         name = name.strip()
         return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
 
-    def look(self):
+    def poll_simulators(self):
         """Look for simulators until all that are wanted are known; then serve pages."""
         before, self._offered = self._offered, self._offers()
         for name, topics in self._offered.items():

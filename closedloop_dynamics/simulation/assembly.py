@@ -70,7 +70,7 @@ class Assembler:
     def __init__(self, mechanism, equations, kept=None):
         """Allocate what every assembly needs."""
         self._equations = equations
-        self.take(mechanism)
+        self.rebind(mechanism)
         self.extent = extent(mechanism)
         self._limit = LARGEST_CORRECTION * max(1.0, self.extent)
         self._coordinates = mechanism.coordinates
@@ -80,7 +80,7 @@ class Assembler:
         self.prescribed_rates = np.zeros(len(mechanism.motions))
         self.by_masses = False
 
-    def take(self, mechanism):
+    def rebind(self, mechanism):
         """Go on with a mechanism of other masses, which the equations have already."""
         self.mechanism = mechanism
         self.is_light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))

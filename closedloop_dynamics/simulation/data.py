@@ -179,7 +179,7 @@ class Data(Names):
         self.system.tau[:] = 0.0
         if others:
             was_light = self._assembler.is_light
-            self._assembler.take(mechanism)
+            self._assembler.rebind(mechanism)
             if self._by_masses or self._assembler.is_light != was_light:
                 self._assemble_start()
                 return True
@@ -491,10 +491,10 @@ class Data(Names):
 
     def exchange(self, model: t.Model) -> None:
         """Evaluate with other closure equations, from the same state."""
-        self._take(with_equations(self.system, model))
+        self._rebind(with_equations(self.system, model))
         self._fresh = False
 
-    def _take(self, system: System) -> None:
+    def _rebind(self, system: System) -> None:
         """Evaluate by a system that works on the equations that are kept."""
         self.system, self._equations = system, self._geometry.equations
         self._motions.look_up(system.model)

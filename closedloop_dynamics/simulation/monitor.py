@@ -199,9 +199,9 @@ class Monitor:
         self._sampling = wanted
         self._counts[run.TO_SAMPLE] = 0 if self._fixed and wanted else -1
 
-    def take(self, system):
+    def rebind(self, system):
         """Go on counting with a system that works on other equations."""
-        self.driver.take(system)
+        self.driver.rebind(system)
         self._system, self._probe = system, None
 
     def clear(self):

@@ -156,9 +156,9 @@ class Sensitivity:
         self._inputs = [self._names.index(name) for name in simulation.actuated_joints]
         self._arrays = parameter_arrays(simulation, tuple(parameters))
         self._lock = RLock()
-        self._take()
+        self._rebind()
 
-    def _take(self) -> None:
+    def _rebind(self) -> None:
         """Work with the system that the simulation has now."""
         simulation = self._simulation
         self._system = simulation.system
@@ -224,7 +224,7 @@ class Sensitivity:
                                      'on')
             simulation.begin_at(self.model.assemble() if state is None else state)
             if simulation.system is not self._system:
-                self._take()
+                self._rebind()
             return self._made(schedule, all_torques(simulation, given.torques))
 
     def _made(self, schedule: TimeGrid, torque: np.ndarray) -> 'Trajectory':

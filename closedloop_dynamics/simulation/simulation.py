@@ -145,9 +145,9 @@ class Simulation(Readings):
         self._draw_balance = native.bind(
             'fill_balance', engine, account, self._state, self._balance_found)
 
-    def _take(self, system: System) -> None:
+    def _rebind(self, system: System) -> None:
         """Evaluate, and draw the energy balance, by another system."""
-        super()._take(system)
+        super()._rebind(system)
         self._bind_balance()
 
     @classmethod
@@ -454,7 +454,7 @@ class Simulation(Readings):
             self._make(part, 1)
             left = 0.0 if part == left else end - self.time
         if self._effects.remembers:
-            self._look()
+            self._sample_sensors()
 
     def _command(self, tau: np.ndarray) -> None:
         """Let joint torques act from now on."""
@@ -471,12 +471,12 @@ class Simulation(Readings):
         if not self._effects.remembers:
             self._make(self.step_size, steps)
             return
-        self._look()
+        self._sample_sensors()
         for _ in range(steps):
             self._make(self.step_size, 1)
-            self._look()
+            self._sample_sensors()
 
-    def _look(self) -> None:
+    def _sample_sensors(self) -> None:
         """Let sensors that remember see the present state."""
         self.measured()
         self.measured_cut_joints()
@@ -503,11 +503,11 @@ class Simulation(Readings):
                     self._counts[guarded_run.EQUATIONS_BETWEEN] = min(
                         2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_LOOK_EVERY)
             elif pause != COMMAND:
-                self._tell(pause)
+                self._report_pause(pause)
             self._fresh = False
             pause = self._resume_run()
 
-    def _tell(self, pause: int) -> None:
+    def _report_pause(self, pause: int) -> None:
         """Warn of, or raise, what the guards have found; the latest good state is kept."""
         numbers, guard = self._numbers, self.energy_guard
         if pause == guarded_run.INACCURATE:
@@ -539,7 +539,7 @@ class Simulation(Readings):
         self._start_balance()
         pause = self._look_at_energy()
         if pause:
-            self._tell(pause)
+            self._report_pause(pause)
 
     def _set_guards(self, stiffness: StiffnessGuard, method: Method) -> None:
         """Let a run by a method be watched."""
@@ -640,7 +640,7 @@ class Simulation(Readings):
     def exchange(self, model: t.Model) -> None:
         """Let the method and the guards work on other closure equations, too."""
         super().exchange(model)
-        self._driver.take(self.system)
+        self._driver.rebind(self.system)
         self._stiffness.move(self.system)
         self._set_run()
         self.exchanges += 1
@@ -663,7 +663,7 @@ class Simulation(Readings):
         self._start_balance()
         pause = self._look_at_energy()
         if pause == guarded_run.ENERGY_LOST:
-            self._tell(pause)
+            self._report_pause(pause)
 
     def _make_portion(self, failed: bool) -> None:
         """Make steps that the engine does not: those of other solvers, or after a failure."""
@@ -912,7 +912,7 @@ class Simulation(Readings):
                 return
             if needs_all:
                 self._geometry.keep(None)
-                self._take(system)
+                self._rebind(system)
                 self.exchanges += 1
             self.system = system
             self._driver = Monitor(driver, system, method, self._numbers, self._counts)

@@ -100,7 +100,7 @@ class Feed:
         if self._samples and self._samples[-1][1] > time:
             self._samples.clear()
 
-    def tell(self, **controls):
+    def send_controls(self, **controls):
         """Send the state of the controls to the pages, if it has changed."""
         with self._lock:
             if {**self._told, **controls} == self._told and self.version:
@@ -109,7 +109,7 @@ class Feed:
             self._write()
         self._changed()
 
-    def note(self, text):
+    def log(self, text):
         """Send a note to the pages."""
         with self._lock:
             self._note += 1
@@ -120,7 +120,7 @@ class Feed:
     def refuse(self, error):
         """Count a message that is not followed, and say why."""
         self.refused += 1
-        self.note(str(error))
+        self.log(str(error))
 
     def is_waiting(self):
         """Return whether a page has asked for something since."""
@@ -173,9 +173,9 @@ class Feed:
             return (HEADER.pack(self.number, len(chosen), time) + row + b''.join(chosen),
                     self.number, self._sampled)
 
-    def take(self, page, text):
+    def accept(self, page, text):
         """
-        Check what a page, told by its identity, asks for, and hand it over.
+        Check what a page, named by its identity, asks for, and hand it over.
 
         Returns the number of the frame that it has got to, where that is what it says, or None.
 

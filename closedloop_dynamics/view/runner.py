@@ -188,7 +188,7 @@ class Runner(Shown):
         self._start_drives()
         self._describe()
         self._looked = self._clock()
-        self._tell()
+        self._send_controls()
 
     def _put(self, hand, simulation):
         """Go on with a simulation, with a hand in its scene."""
@@ -406,12 +406,12 @@ class Runner(Shown):
         else:
             self.feed.show(time_now, row)
         self._changed = False
-        self._tell()
+        self._send_controls()
 
     def _say_slow(self, elapsed):
         """Tell the pages how slow it is while a part of a step takes so long [s]."""
         share = self._part * self.simulation.step_size / elapsed
-        self.feed.tell(achieved=float(f'{share:.1g}'))
+        self.feed.send_controls(achieved=float(f'{share:.1g}'))
 
     def _real_time_share(self):
         """Return simulated seconds per second of the clock since the last call; None: unknown."""
@@ -437,9 +437,9 @@ class Runner(Shown):
             self._pacer.stop()
         self.playing, self._changed, self._single = False, True, 0.0
 
-    def _tell(self):
+    def _send_controls(self):
         simulation = self.simulation
-        self.feed.tell(
+        self.feed.send_controls(
             playing=self.playing, achieved=self._achieved,
             speed=self._pacer.real_time_factor, failure=self._failure,
             kinematic=self._kinematic, editing=self._editing,
@@ -576,7 +576,7 @@ class Runner(Shown):
         running = self.playing
         if running:
             self._pacer.stop()
-        self.feed.tell(busy=what)
+        self.feed.send_controls(busy=what)
         try:
             action()
         finally:
@@ -686,7 +686,7 @@ class Runner(Shown):
         self._own_due = math.inf
         if self._own.controller is None:
             return
-        self.feed.tell(busy='fitting the controller to the machine')
+        self.feed.send_controls(busy='fitting the controller to the machine')
         try:
             self._own = OwnMotion(self._own.controller.on(self._hand.scene), {
                 joint: start for joint, start in self._own.starts.items() if start[0] != OWN})
@@ -696,7 +696,7 @@ class Runner(Shown):
                 if drive.mode == OWN:
                     time, position = self._now_at(name)
                     drive.set(POSITION, position, time, position)
-            self.feed.note(f'The controller does not follow this machine, whose joints are held '
+            self.feed.log(f'The controller does not follow this machine, whose joints are held '
                            f'instead: {error}')
             self._describe()
             return
@@ -719,7 +719,7 @@ class Runner(Shown):
 
     def _open(self, read):
         self._stop()
-        self.feed.tell(busy='reading the machine')
+        self.feed.send_controls(busy='reading the machine')
         try:
             with self._lock:
                 self._begin(read(), own_motion)
@@ -732,7 +732,7 @@ class Runner(Shown):
         with self._lock:
             text, kept = self.editor.text()
         path = self._library.save(name, text)
-        self.feed.note(f'saved as {path}' + ('' if kept else (
+        self.feed.log(f'saved as {path}' + ('' if kept else (
             '; the words of its author could not be kept, all of it is rewritten')))
 
     # Kinematic mode.

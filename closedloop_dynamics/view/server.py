@@ -201,7 +201,7 @@ class _Page:
 
     def hear(self, text):
         """Take what the page sends."""
-        seen = self._feed.take(self, text)
+        seen = self._feed.accept(self, text)
         if seen in self._sent:
             del self._sent[:self._sent.index(seen) + 1]
             self._changed.set()

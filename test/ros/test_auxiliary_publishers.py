@@ -220,7 +220,7 @@ def test_accuracy_is_written_below_the_machine(simulator, scene):
     node = simulator(scene=scene)
     assert 'accuracy' not in by_name(node.markers.array(Time()))
     node.simulation.step(duration=0.2)
-    node.look_after()
+    node.publish_diagnostics()
     text, = by_name(node.markers.array(Time()))['accuracy']
     closure, error, energy = text.text.splitlines()
     assert float(closure.split()[1]) == pytest.approx(

@@ -354,7 +354,7 @@ def test_shipped_layout_plots_what_diagnostics_have(make_node):
     node = make_node(SimulatorNode, scene='four_bar')
     sent = []
     node.diagnostics._publisher = SimpleNamespace(publish=sent.append)
-    node.look_after()
+    node.publish_diagnostics()
     values = {status.name: {value.key for value in status.values} for status in sent[0].status}
     layout = json.loads((
         shipped_path('scenes', 'x').parents[1] / 'foxglove' / 'mechanism.json').read_text())

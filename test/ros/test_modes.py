@@ -161,7 +161,7 @@ def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine
     mode.tick()
     assert (machine.steps, machine.refreshed) == (0, [0])
     for _ in range(3):
-        mode.take_command()
+        mode.on_command()
         mode.tick()
     assert machine.published == [10, 20, 30]
     # Whoever has begun to answer states gets each of them once.
@@ -171,13 +171,13 @@ def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine
 def test_lockstep_owes_the_period_of_a_command_that_came_during_a_pause(machine):
     mode = build(Lockstep, machine, 100.0)
     mode.stop()
-    mode.take_command()
-    mode.take_command()
+    mode.on_command()
+    mode.on_command()
     assert machine.steps == 0
     mode.start()
     assert machine.published == [10]
     mode.stop()
-    mode.take_command()
+    mode.on_command()
     mode.restart()
     mode.start()
     assert machine.published == [10]

@@ -148,11 +148,11 @@ def test_both_parts_of_a_state_make_one(orientations_first):
     turned.transforms, turned.twist = [pose], [twist]
     state.header.stamp.sec = turned.header.stamp.sec = 7
     if orientations_first:
-        assert parts.take(turned) is None
+        assert parts.accept(turned) is None
         assert parts.complete(state)
     else:
         assert not parts.complete(state)
-        assert parts.take(turned) is state
+        assert parts.accept(turned) is state
         assert parts.complete(state)
     numbers = one.position[names.place[names.single]]
     position, velocity = parts.whole(numbers, np.arange(len(numbers), dtype=float))

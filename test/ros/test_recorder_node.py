@@ -104,8 +104,8 @@ def test_topic_of_two_types_is_named_and_not_recorded(make_recorder, monkeypatch
     recorder = make_recorder(topics=['double'])
     monkeypatch.setattr(recorder, 'get_topic_names_and_types', lambda: [
         ('/double', ['std_msgs/msg/Float64MultiArray', 'std_msgs/msg/String'])])
-    recorder.look()
-    recorder.look()
+    recorder.poll_topics()
+    recorder.poll_topics()
     assert not list(recorder.subscriptions)
     recorder.close()
     told = capfd.readouterr().err

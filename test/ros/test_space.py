@@ -145,7 +145,7 @@ def test_diagnostics_tell_whether_forces_are_unique(
     step(node)
     sent = []
     monkeypatch.setattr(node.diagnostics, 'report', sent.append)
-    node.look_after()
+    node.publish_diagnostics()
     findings, = sent
     messages = {key: finding.message for key, finding in findings.items()}
     assert messages['closure'] == 'closed'

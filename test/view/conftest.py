@@ -26,7 +26,7 @@ class Shown:
 
     def ask(self, what, page='page', **more):
         """Ask for something as a page does, and let it be followed."""
-        self.feed.take(page, json.dumps({'do': what, **more}))
+        self.feed.accept(page, json.dumps({'do': what, **more}))
         if not self.served:
             self.runner.tick()
 

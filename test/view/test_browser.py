@@ -176,12 +176,12 @@ def test_keys_belong_to_the_page_and_change_no_list(open_page, live):
 
 def test_refusals_from_before_a_page_was_opened_are_not_shown(open_page, live):
     for name in ('first', 'second'):
-        live.feed.note(name)
+        live.feed.log(name)
     tab = open_page(live.url)
     tab.wait(READY)
     # Notes stay.
     tab.ask('window.setTimeout = () => 0')
-    live.feed.note('third')
+    live.feed.log('third')
     tab.wait('document.querySelectorAll(".note").length > 0')
     assert tab.ask('[...document.querySelectorAll(".note")].map((e) => e.textContent)') == [
         'third']

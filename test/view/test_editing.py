@@ -27,7 +27,7 @@ class Edited:
         self.runner = Runner(load_scene(scene), lambda: self.now, own_motion, Library(folder))
 
     def ask(self, do, frames=0, **more):
-        self.runner.feed.take('page', json.dumps({'do': do, **more}))
+        self.runner.feed.accept('page', json.dumps({'do': do, **more}))
         self.runner.tick()
         self.run(frames)
         return json.loads(self.runner.feed.controls)

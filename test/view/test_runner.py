@@ -393,7 +393,7 @@ def test_a_step_that_takes_long_is_made_in_parts():
         now[0] += steps * simulation.step_size * 1000.0
 
     advance, simulation.advance, simulation.step = simulation.advance, slow_advance, slow_step
-    runner.feed.take('page', json.dumps({'do': 'play'}))
+    runner.feed.accept('page', json.dumps({'do': 'play'}))
     for _ in range(40):
         before = now[0]
         now[0] += 1.0 / RATE
@@ -404,7 +404,7 @@ def test_a_step_that_takes_long_is_made_in_parts():
     assert simulation.time == pytest.approx(sum(sizes))
     told = json.loads(runner.feed.controls)
     assert told['achieved'] < 0.05 and told['failure'] is None
-    runner.feed.take('page', json.dumps({'do': 'pause'}))
+    runner.feed.accept('page', json.dumps({'do': 'pause'}))
     runner.tick()
     assert not runner.playing
 
@@ -419,7 +419,7 @@ def test_shipped_machines_do_not_fall(name):
     assert json.loads(runner.feed.controls)['motion'] == 'own'
     size = np.ptp(runner.simulation.points, axis=0).max()
     away, start = 0.0, runner.simulation.points.copy()
-    runner.feed.take('page', json.dumps({'do': 'play'}))
+    runner.feed.accept('page', json.dumps({'do': 'play'}))
     for _ in range(240):
         now[0] += 1.0 / RATE
         runner.tick()
@@ -434,7 +434,7 @@ def test_own_motion_held_and_free():
     simulation, driven = runner.simulation, runner.simulation.actuated_in_tree
 
     def ask(what, frames=0, **more):
-        runner.feed.take('page', json.dumps({'do': what, **more}))
+        runner.feed.accept('page', json.dumps({'do': what, **more}))
         for _ in range(max(frames, 1)):
             now[0] += 1.0 / RATE
             runner.tick()

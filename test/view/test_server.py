@@ -61,7 +61,7 @@ def test_who_is_slow_gets_the_newest_and_no_queue():
             for number in range(2, 400):
                 feed.show(float(number), row)
             # What the controls say comes in any case, after the frames before it.
-            feed.tell(playing=False)
+            feed.send_controls(playing=False)
             frames = [client.number]
             while not client.controls:
                 number = client.take(seen=False)
