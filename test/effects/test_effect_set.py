@@ -3,9 +3,11 @@
 
 """Effects together: energy balance of any set, switching, inverse dynamics, none at all."""
 
+from collections import Counter
 from dataclasses import replace
 
 from closedloop_dynamics.core import cache
+from closedloop_dynamics.core.codegen import routines
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.bushing import Bushing
@@ -24,7 +26,7 @@ from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
-from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.effects.registry import effect_type, EFFECTS
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.table import LOADED
@@ -32,6 +34,7 @@ from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.effects.tendon_inertia import TendonInertia
 from closedloop_dynamics.mechanism.mechanism import Point
+from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -182,6 +185,74 @@ def test_effects_that_are_absent_or_off_leave_identical_bits():
         assert np.array_equal(expected, getattr(off, name))
         # An armature of zero is added: the sums are others, to rounding.
         np.testing.assert_allclose(getattr(with_rotors, name), expected, rtol=1e-9)
+
+
+def of_type(kind):
+    """Return a case with a start, the effects of a type among all, and the others."""
+    rng, mechanism, q, qd = drawn('three_rrr')
+    effects = all_effects(rng, mechanism, q)
+    those = {name: record for name, record in effects.items() if effect_type(record) == kind}
+    if kind == 'prescribed_motion':
+        those = {'turn': PrescribedMotion(
+            'expression', mechanism.joint_names[0], expression=f'{q[0]} + 0.1*sin(t)')}
+    return (mechanism, q, 0.3 * qd), those, {
+        name: record for name, record in effects.items() if name not in those}
+
+
+def counted(model):
+    """Return how many operations of each kind each routine of a model takes."""
+    found = {}
+    for which in (routines.EVALUATION, routines.OUTWARD, routines.ACCELERATION,
+                  routines.CORRECTION):
+        routine = routines.MechanismTrace(model).routine(which)
+        found[which] = Counter(routine.graph.operations[n][0] for n in routine.needed())
+    return found
+
+
+def rows_and_states(simulation):
+    """Return how many laws an evaluation calls, and how many states they have."""
+    table = simulation.system.effects
+    return np.array([len(table.kind), len(table.states)]) if table is not None else np.zeros(2)
+
+
+@pytest.mark.parametrize('kind', EFFECTS)
+def test_an_effect_that_is_not_listed_costs_nothing(kind):
+    case, those, others = of_type(kind)
+    expected = counted(build_model(case[0]))
+    listed, bare = (simulated(case[0], some, *case[1:]) for some in (those, {}))
+    listed.step(duration=0.002)
+    assert bare.system.effects is None
+    assert counted(bare.system.model) == expected
+    # What is listed adds rows of the table; inertia and equations are the mechanism's.
+    more = kind in ('rotor', 'prescribed_motion')
+    assert (counted(listed.system.model) != expected) == more
+    if kind != 'prescribed_motion':
+        whole, without = (rows_and_states(simulated(case[0], some, *case[1:]))
+                          for some in ({**others, **those}, others))
+        np.testing.assert_array_equal(whole - rows_and_states(listed), without)
+
+
+@pytest.mark.parametrize('kind', sorted(set(EFFECTS) - {'prescribed_motion'}))
+def test_switching_acts_within_one_step(kind):
+    case, those, others = of_type(kind)
+    few = {name: others[name] for name in ('gravity', 'spring') if name in others}
+    torque, step = [1.0, -2.0, 0.5], 2e-4
+    on, switched, off = (simulated(case[0], some, *case[1:], step_size=step)
+                         for some in ({**few, **those}, {**few, **those}, few))
+    switched.step(torque, 50 * step)
+    # Laws that follow the time see the same one.
+    on.step(torque, 51 * step)
+    for enabled, twin in ((False, off), (True, on)):
+        for name in those:
+            switched.set_effect(name, enabled=enabled)
+        q, qd, time = switched.position, switched.velocity, switched.time
+        for simulation in (switched, twin):
+            simulation.set_state(q, qd)
+            simulation.step(torque, step)
+        # A step, and no more, is what the others have made since.
+        np.testing.assert_allclose(switched.velocity, twin.velocity, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(switched.position, twin.position, rtol=1e-12, atol=1e-14)
+        assert switched.time == pytest.approx(time + step, rel=1e-9)
 
 
 def test_readings_of_all_effects_add_up_to_the_balance():
