@@ -6,13 +6,15 @@ Read the CSV file of a run, with the scene beside it.
 
 ``closedloop simulate`` writes the simulated scene, all overrides included, as
 ``RUN.csv.scene.json``. A file without it is read with a scene that the caller names; either way
-the rows have to be those of that machine: its columns, its points, its closure error.
+the rows have to be those of that machine: its columns, its points, its closure error. Pages of
+``closedloop view`` write the same columns with units behind their names.
 
 """
 
 import csv
 import json
 from pathlib import Path
+import re
 
 import numpy as np
 
@@ -26,6 +28,10 @@ from ..visual.trajectory import from_rows, without_marks
 # Share of the mechanism's size by which points and closure may differ from the rows', and share
 # of a closure error itself: large ones depend on how directions are compared.
 TOLERANCE, OF_CLOSURE = 1e-6, 0.01
+# Of single precision, which pages have: how much of a coordinate is lost at most.
+SINGLE = 2.0 ** -24
+# What may follow the name of a column.
+UNIT = re.compile(r' \[[^]]*\]$')
 # Parts of a mechanism's text that change nothing but its drawing.
 DRAWN = ('name', 'description', 'ground_visual', 'visual')
 
@@ -91,6 +97,7 @@ def read_table(path, require):
     Returns
     -------
     names : list of str
+        Without units in brackets behind them.
     table : ndarray, shape (n, number of names)
 
     Raises
@@ -103,7 +110,7 @@ def read_table(path, require):
     with open(path, newline='', encoding='utf-8') as file:
         names, *rows = [*csv.reader(file)] or [[]]
     # Which of several forces is given is no matter to who reads it.
-    names = without_marks(names)
+    names = without_marks([UNIT.sub('', name) for name in names])
     require(names)
     try:
         table = np.array(rows, dtype=float).reshape(len(rows), len(names))
@@ -171,7 +178,9 @@ def _require_geometry(path, scene, motion, columns):
     """Refuse rows whose points or closure errors are not those of the scene's mechanism."""
     mechanism = scene.mechanism
     poses = body_poses(mechanism, motion.position)
-    limit = TOLERANCE * max(extent(mechanism), np.abs(poses[..., :2]).max(initial=0.0))
+    size = max(extent(mechanism), np.abs(poses[..., :2]).max(initial=0.0))
+    # Angles of many turns are known less well.
+    limit = size * np.maximum(TOLERANCE, SINGLE * np.abs(motion.position).sum(axis=1))
     differences = {
         f'point {point.name}': np.stack(
             [columns[f'point.{point.name}.{axis}']
