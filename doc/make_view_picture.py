@@ -5,8 +5,8 @@
 Take the pictures of the page of ``closedloop view`` in ``doc/pictures``.
 
 ``view.png`` has the plots that are shown at first, ``view_accuracy.png`` those of forces, closure
-and error, ``view_edit.png`` a machine that is edited; ``machines_plane.png`` and
-``machines_space.png`` have all shipped machines.
+and error, ``view_edit.png`` a machine that is edited, ``view_time.png`` two runs over an angle;
+``machines_plane.png`` and ``machines_space.png`` have all shipped machines.
 
     python doc/make_view_picture.py          (from the checkout, which is on the PYTHONPATH)
 
@@ -54,7 +54,7 @@ BARE = """(() => {
 
 def save(tab, name):
     """Save what a tab shows now."""
-    picture = Image.fromarray(tab.picture()).quantize(128)
+    picture = Image.fromarray(tab.picture()).quantize(256)
     picture.save(ROOT / 'doc' / 'pictures' / f'{name}.png', optimize=True)
 
 
@@ -96,8 +96,39 @@ def sheet(open_page, scenes, name):
     whole.quantize(256, kmeans=2).save(ROOT / 'doc' / 'pictures' / f'{name}.png', optimize=True)
 
 
+def compare(tab):
+    """Keep a run, change the machine, go back in time; show forces of both over the crank."""
+    run_to(tab, 2.2)
+    tab.ask('document.getElementById("keep").click()')
+    tab.ask('page.ask("reset")')
+    tab.wait('page.now === 0')
+    tab.ask('page.ask("set", {key: "length.coupler.cut_1", value: 0.33})')
+    run_to(tab, 2.2)
+    tab.ask("""(() => {
+        for (const name of ["handle", "edit-panel", "drives-panel", "numbers-panel"]) {
+          document.getElementById(name).hidden = true;
+        }
+        document.getElementById("runs-panel").open = true;
+        page.plots.groups.forEach((plot) => {
+          plot.open = ["drive torque or force", "force at cut joints"].includes(plot.group);
+          plot.card.hidden = !plot.open; });
+        const over = document.getElementById("over");
+        over.value = page.scene.plots.findIndex(({name}) => name === "crank_joint");
+        over.onchange();
+        page.timeline.seek(1.53); })()""")
+    tab.wait('page.plots.visible.size >= 2 && page.now === 1.53')
+
+
+def run_to(tab, end):
+    """Run to a time, and stand still."""
+    tab.ask('page.ask("play")')
+    tab.wait(f'page.now > {end} && page.now < {2.0 * end}')
+    tab.ask('page.ask("pause")')
+    tab.wait('!page.playing')
+
+
 def main():
-    """Run the scene for a while, edit another one, and write the pictures."""
+    """Run the scene for a while, edit and compare another one, and write the pictures."""
     with browser() as open_page:
         sheet(open_page, IN_PLANE, 'machines_plane')
         sheet(open_page, IN_SPACE, 'machines_space')
@@ -120,6 +151,9 @@ def main():
                 document.getElementById("drives-panel").open = false;""")
             tab.wait('!page.edit.undo.disabled')
             save(tab, 'view_edit')
+        with page(open_page, EDITED, width=1100, height=700) as tab:
+            compare(tab)
+            save(tab, 'view_time')
 
 
 if __name__ == '__main__':

@@ -4,7 +4,6 @@
 """``closedloop view``: a mechanism in the browser, live or as it was recorded."""
 
 from importlib.util import find_spec
-import math
 import os
 from pathlib import Path
 import sys
@@ -21,18 +20,19 @@ from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.signals import program_watch
-from ..view.columns import motion_columns, motion_rows
+from ..view.columns import motion_columns
 from ..view.description import describe
 from ..view.messages import EXPRESSION, FREE, HELD, OWN, POSITION, SPEED, TORQUE
 from ..view.own_motion import chosen
 from ..view.page import live_page, recorded_page
-from ..view.saved import simulated
+from ..view.saved import recorded, simulated
 from ..visual.progress import announced, progress_to
 
 # Where nothing else is asked for, unless it is taken.
 USUAL_PORT = 8791
-# Rows per simulated second of a saved page, and the most that a page is given.
-RATE, MOST_ROWS = 240.0, 36_000
+# Rows per simulated second of a saved page, beside those that paths and plots need; and the most
+# that a page is given of a recording.
+RATE, MOST_ROWS = 60.0, 36_000
 # Options that drive a scene.
 DRIVING = 'torque', 'speed', 'position', 'motion', 'controller'
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
@@ -55,8 +55,9 @@ def _add_arguments(parser):
     parser.add_argument('--duration', metavar='SECONDS', type=positive, default=10.0,
                         help='with --save, how much of a scene is simulated (default: 10)')
     parser.add_argument('--rate', metavar='HZ', type=positive,
-                        help='with --save, rows per simulated second, of which paths and plots '
-                             f'are drawn (default: {RATE:g}, fewer beyond {MOST_ROWS} rows)')
+                        help='with --save, states per simulated second, beside those between '
+                             'that paths and plots need '
+                             f'(default: {RATE:g}, fewer beyond {MOST_ROWS} rows)')
     for name, what in (('torque', 'constant torque of an actuated joint [N m], or force of a '
                         'prismatic one [N]'),
                        ('speed', 'speed that a drive holds [rad/s or m/s]'),
@@ -200,17 +201,15 @@ def _served(arguments, pages, feeds, resource=lambda path: None):
 def _recorded_page(arguments):
     recording = recording_of(arguments, arguments.what)
     motion = since_the_last_reset(recording.motion)
-    count = len(motion.time)
-    every = math.ceil(count / MOST_ROWS)
-    if every > 1:
-        print(f'{arguments.what}: {count} states, of which every {every}th is shown',
-              file=sys.stderr)
+    times, rows = recorded(motion, MOST_ROWS)
+    if len(times) < len(motion.time):
+        print(f'{arguments.what}: {len(motion.time)} states, of which the {len(times)} are shown '
+              'that straight lines between them would miss', file=sys.stderr)
     title = recording.scene.name
     return recorded_page(
         title, _complained(describe(
             motion.mechanism, motion_columns(motion.mechanism), recording.scene.effects,
-            mode='recording', title=title)),
-        motion.time[::every], motion_rows(motion.part(slice(None, None, every))))
+            mode='recording', title=title)), times, rows)
 
 
 def _save(arguments):

@@ -186,7 +186,7 @@ def _force_parts(simulation, cut=None):
 
 
 def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=lambda: True,
-        all_forces=False, estimate=None, costs=False):
+        all_forces=False, estimate=None, costs=False, on_step=None):
     """
     Advance a simulation under constant torques, with a row at every multiple of ``1 / rate``.
 
@@ -215,6 +215,8 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
         To be run beside it.
     costs : bool
         Whether ``COSTS`` follow in each row.
+    on_step : callable, optional
+        Called after each step, for what looks at all states.
 
     Raises
     ------
@@ -228,7 +230,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     # One by one: a long run has more rows than fit into memory.
     for until in chain((index / rate for index in range(last + 1)), [None]):
         if not _reached(duration if until is None else until, simulation, torque, report,
-                        keep_going):
+                        keep_going, on_step):
             return
         if estimate is not None:
             estimate = _estimated(estimate, simulation, torque, report)
@@ -277,24 +279,27 @@ def _noted(values, report):
     return values
 
 
-def _reached(until, simulation, torque, report, keep_going):
+def _reached(until, simulation, torque, report, keep_going, on_step=None):
     """Advance to a time; return False where the run is to end before."""
     tau, size = simulation.joint_torques(torque), simulation.step_size
+    portion = LARGEST_PORTION if on_step is None else 1
     while keep_going():
         left = until - simulation.time
         steps = round(left / size)
         begin = time.process_time()
         try:
-            if steps > LARGEST_PORTION:
-                simulation.advance(tau, LARGEST_PORTION)
-                continue
+            if steps > portion:
+                simulation.advance(tau, portion)
             # Counted steps: a difference of two large times would leave crumbs of a step.
-            if abs(steps * size - left) <= TIME_ROUNDING * size + 4e-16 * until:
+            elif abs(steps * size - left) <= TIME_ROUNDING * size + 4e-16 * until:
                 simulation.advance(tau, steps)
             elif left > 0.0:
                 simulation.step(torque, left)
-            return True
         finally:
             report.cpu_time += time.process_time() - begin
             report.time = simulation.time
+        if on_step is not None:
+            on_step()
+        if steps <= portion:
+            return True
     return False

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+import math
 import time
 
 from closedloop_dynamics.effects.actuator import Actuator
@@ -29,7 +30,7 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import motion_columns, motion_rows
+from closedloop_dynamics.view.columns import motion_columns, motion_looked_at, motion_rows
 from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
@@ -37,7 +38,7 @@ from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
-from closedloop_dynamics.view.runner import Hand, round_up
+from closedloop_dynamics.view.runner import Hand, LOOKING_SHARE, round_up
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
 from closedloop_dynamics.visual.trajectory import Trajectory
@@ -102,6 +103,8 @@ class RemoteSimulator(Shown):
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
         self._time, self._fresh, self._start = 0.0, False, None
+        # When a state between frames was looked at, and how long that took [s].
+        self._looked_at, self._look_time = -math.inf, 0.0
         self._playing, self._speed = True, 1.0
         self._busy = None
         # Where what is held is pulled to.
@@ -160,8 +163,10 @@ class RemoteSimulator(Shown):
             self._wrenches = None
         gravity = next((name for name, record in scene.effects.items()
                         if isinstance(record, Gravity)), None)
+        self._columns = motion_columns(mechanism)
+        self._begin_looking(self._columns.plots, len(mechanism.points), extent(mechanism))
         described = describe(
-            mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
+            mechanism, self._columns, scene.effects, mode='node', title=self.name,
             drives=[self._drive_of(scene, name) for name in self.drives],
             hand=self._wrenches is not None, gravity=gravity, own=False,
             # Orientations have topics of their own.
@@ -195,6 +200,7 @@ class RemoteSimulator(Shown):
             self._start = stamp
         passed = stamp - self._start - self._time
         self._time, self._fresh = stamp - self._start, True
+        self._look_between()
         if passed > 0.0:
             self._passed.append(passed)
             if any(mode == POSITION for mode, *_ in self.drives.values()):
@@ -224,11 +230,27 @@ class RemoteSimulator(Shown):
         self._follow()
         if self._fresh and self.feed.pages:
             self._fresh = False
-            motion = Trajectory(self._mechanism, np.array([self._time]), *(
-                values[np.newaxis] for values in (
-                    self._position, self._velocity, self._effort, self._forces)))
-            self.feed.show(self._time, motion_rows(motion)[0])
+            row, values = self._row()
+            self._look(self._time, row, values)
+            self.feed.show(self._time, row)
+            self._thinning.keep(self._time, values)
         self._send_controls()
+
+    def _row(self):
+        """Return the row of the present state, and what is looked at of it."""
+        motion = Trajectory(self._mechanism, np.array([self._time]), *(
+            values[np.newaxis] for values in (
+                self._position, self._velocity, self._effort, self._forces)))
+        rows = motion_rows(motion)
+        return rows[0], motion_looked_at(self._columns, motion, rows)[0]
+
+    def _look_between(self):
+        """Look at a state between frames, if that takes no more than its share of the clock."""
+        begin = time.monotonic()
+        if not self.feed.pages or begin - self._looked_at < self._look_time / LOOKING_SHARE:
+            return
+        self._look(self._time, *self._row())
+        self._looked_at, self._look_time = begin, time.monotonic() - begin
 
     def _send_controls(self):
         silent = time.monotonic() - self._heard > SILENCE

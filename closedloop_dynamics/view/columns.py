@@ -21,8 +21,9 @@ from ..effects.external_force import BODY, ExternalForce
 from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
-from ..mechanism.kinematics import body_poses, body_velocities, POSE, poses_in_space
-from ..mechanism.mechanism import GROUND
+from ..mechanism.kinematics import (
+    body_poses, body_velocities, named_paths, POSE, poses_in_space)
+from ..mechanism.mechanism import GROUND, Mechanism
 from ..mechanism.rotations import of_quaternion, turned
 from ..simulation.health import WARN_BELOW
 from ..visual.trajectory import magnitudes
@@ -49,6 +50,10 @@ class Plot:
     unit: str = ''
     # Whether it is shown before anybody asks for it.
     shown: bool = True
+    # What it is called in files.
+    column: str = ''
+    # Whether its logarithm is drawn.
+    log: bool = False
 
 
 @dataclass
@@ -58,36 +63,58 @@ class Columns:
 
     Attributes
     ----------
-    bodies, cuts : int
-        Poses of the bodies; forces on body A of the cut joints, without feet.
+    mechanism : mechanism.mechanism.Mechanism
+        Poses of its bodies; forces on body A of its cut joints, without feet.
     loads : list of dict
         What effects exert: name and kind (force, normal force or friction); an arrow each.
     direction : bool
         Whether poses moved along the singular direction follow.
     plots : list of Plot
+        The state's other numbers, which are in files only, follow: those of orientations, and
+        efforts of joints that are not driven.
 
     """
 
-    bodies: int
-    cuts: int
+    mechanism: Mechanism
     loads: list = field(default_factory=list)
     direction: bool = False
     plots: list = field(default_factory=list)
 
     @property
+    def starts(self):
+        """Return the first column of each part, by its name."""
+        bodies, cuts = len(self.mechanism.bodies), len(self.mechanism.cut_joints)
+        names = self.mechanism.coordinates
+        others = np.count_nonzero(_is_other(names)[0]) + np.count_nonzero(_is_other(names)[1])
+        widths = (POSE * bodies, 3 * cuts, ARROW * len(self.loads),
+                  POSE * bodies * self.direction, len(self.plots), others)
+        return dict(zip(('poses', 'forces', 'loads', 'direction', 'plots', 'others', 'width'),
+                        np.cumsum([0, *widths]).tolist()))
+
+    @property
     def layout(self):
-        """Return the first column of each part, and what is plotted, as JSON can."""
-        widths = (POSE * self.bodies, 3 * self.cuts, ARROW * len(self.loads),
-                  POSE * self.bodies * self.direction, len(self.plots))
-        starts = np.cumsum([0, *widths]).tolist()
-        return {'columns': dict(zip(('poses', 'forces', 'loads', 'direction', 'plots', 'width'),
-                                    starts)),
-                'loads': self.loads, 'plots': [vars(plot) for plot in self.plots]}
+        """Return the first column of each part, what is plotted, and names, as JSON can."""
+        return {'columns': self.starts, 'loads': self.loads,
+                'plots': [vars(plot) for plot in self.plots], 'files': self._files()}
+
+    def _files(self):
+        """Return what the columns are called in files, with units; empty: it is in none."""
+        planar, bodies = self.mechanism.planar, self.mechanism.bodies
+        axes = ['x [m]', 'y [m]', 'z [m]']
+        found = [f'pose.{body.name}.{part}' for body in bodies for part in (
+            *axes, 'qx', 'qy', 'qz', 'qw')]
+        found += ['' if planar and axis == 'z' else f'force.{cut.name}.{axis} [N]'
+                  for cut in self.mechanism.cut_joints for axis in 'xyz']
+        found += [f'{load["kind"]}.{load["name"]}.{part}' for load in self.loads for part in (
+            *(f'at.{axis}' for axis in axes), *(f'{axis} [N]' for axis in 'xyz'))]
+        found += [''] * (POSE * len(bodies) * self.direction)
+        return [*found, *(f'{plot.column} [{plot.unit}]' for plot in self.plots),
+                *_other_columns(self.mechanism.coordinates)]
 
     @property
     def width(self):
         """Return the number of columns."""
-        return self.layout['columns']['width']
+        return self.starts['width']
 
 
 def _forces_in_space(wrenches):
@@ -101,32 +128,64 @@ def _forces_in_space(wrenches):
 def _joint_plots(mechanism):
     """Return the plots of joints and cut joints, which recordings have, too."""
     names = mechanism.coordinates
+    position, velocity, effort = map(names.columns, ('position', 'velocity', 'effort'))
     freedoms = [(name, bool(length), place in names.actuated) for place, (name, length) in (
         enumerate(zip(names.names, names.lengths)))]
     # Orientations are no numbers one by one.
-    plots = [Plot('joint position', name, ('rad', 'm')[length], driven)
+    plots = [Plot('joint position', name, ('rad', 'm')[length], driven, position[place])
              for (name, length, driven), place in zip(freedoms, names.place) if place >= 0]
-    plots += [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven)
-              for name, length, driven in freedoms]
-    plots += [Plot('drive torque or force', name, ('N m', 'N')[length])
-              for name, length, driven in freedoms if driven]
-    return plots + [Plot('force at cut joints', cut.name, 'N') for cut in mechanism.cut_joints]
+    plots += [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven, column)
+              for (name, length, driven), column in zip(freedoms, velocity)]
+    plots += [Plot('drive torque or force', name, ('N m', 'N')[length], column=column)
+              for (name, length, driven), column in zip(freedoms, effort) if driven]
+    return plots + [Plot('force at cut joints', cut.name, 'N', column=f'cut_force.{cut.name}')
+                    for cut in mechanism.cut_joints]
+
+
+def _is_other(names):
+    """Return which numbers of a position, and of its efforts, are no plot: bool."""
+    position, effort = np.ones(names.nq, dtype=bool), np.ones(names.nv, dtype=bool)
+    position[names.place[names.place >= 0]] = False
+    effort[list(names.actuated)] = False
+    return position, effort
+
+
+def _other_columns(names):
+    """Return what they are called: orientations, and efforts of joints that are not driven."""
+    position, effort = _is_other(names)
+    return [names.columns('position')[place] for place in np.flatnonzero(position)] + [
+        f'{names.columns("effort")[place]} [{("N m", "N")[bool(names.lengths[place])]}]'
+        for place in np.flatnonzero(effort)]
 
 
 def motion_columns(mechanism):
     """Return the columns of a recording or of topics."""
-    return Columns(len(mechanism.bodies), len(mechanism.cut_joints),
-                   plots=_joint_plots(mechanism))
+    return Columns(mechanism, plots=_joint_plots(mechanism))
+
+
+def motion_looked_at(columns, motion, rows):
+    """
+    Return what ``thinning.Thinning`` looks at of the rows of a motion.
+
+    Shape (n, 3 points + plots): places of the named points [m], what is plotted.
+
+    """
+    places = named_paths(motion.mechanism, motion.position).values()
+    starts = columns.starts
+    return np.hstack([*(np.pad(place, ((0, 0), (0, 3 - place.shape[1]))) for place in places),
+                      rows[:, starts['plots']:starts['others']]])
 
 
 def motion_rows(motion):
     """Return the rows of a ``Trajectory``: float32, shape (instants, width)."""
     names, count = motion.mechanism.coordinates, len(motion.time)
+    turns, undriven = _is_other(names)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
     return np.hstack([
         poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
         motion.position[:, names.place[names.place >= 0]], motion.velocity,
-        motion.effort[:, list(names.actuated)], magnitudes(motion.forces)]).astype(np.float32)
+        motion.effort[:, list(names.actuated)], magnitudes(motion.forces),
+        motion.position[:, turns], motion.effort[:, undriven]]).astype(np.float32)
 
 
 class SimulationRows:
@@ -146,8 +205,7 @@ class SimulationRows:
 
     def __init__(self, simulation, hidden=(), points=0):
         """Decide on the columns."""
-        self._simulation = simulation
-        self._paths = np.zeros((points, 3), dtype=np.float32)
+        self._simulation, self._points = simulation, points
         mechanism = simulation.mechanism
         shown = {name: record for name, record in simulation.effects.items()
                  if name not in hidden}
@@ -160,29 +218,38 @@ class SimulationRows:
         self._places = {point.name: point for point in mechanism.points}
         names = mechanism.coordinates
         self._numbers = names.place[names.place >= 0]
+        self._turns, self._undriven = _is_other(names)
         plots = _joint_plots(mechanism)
         self._read = [(name, reading) for name, record in shown.items()
                       for reading in READINGS.get(type(record), ())]
         self._telling = dict.fromkeys([*self._loads, *(name for name, _ in self._read)])
-        plots += [Plot('force of effects', f'{name}, {READINGS[type(shown[name])][reading]}', 'N')
-                  for name, reading in self._read]
-        plots += [Plot('energy', name, 'J')
+        plots += [Plot('force of effects', f'{name}, {READINGS[type(shown[name])][reading]}', 'N',
+                       column=f'effect.{name}.{reading}') for name, reading in self._read]
+        plots += [Plot('energy', name, 'J', column=f'energy.{name}')
                   for name in ('kinetic', 'stored', 'dissipated', 'work')]
-        plots += [Plot('closure error', 'largest', 'm or rad'),
-                  Plot('error of the energy balance', 'balance', 'J'),
-                  Plot('angle from a singularity', 'loops', 'sine')]
+        plots += [Plot('closure error', 'largest', 'm or rad', column='closure', log=True),
+                  Plot('error of the energy balance', 'balance', 'J', column='energy.error',
+                       log=True),
+                  Plot('angle from a singularity', 'loops', 'sine', column='singularity.loops',
+                       log=True)]
         if not np.isnan(self._sine()):
-            plots.append(Plot('angle from a singularity', 'held drives', 'sine'))
-        plots += [Plot('estimated error', 'largest of a step', 'rad or m'),
-                  Plot('estimated error', 'within a second', 'rad or m'),
-                  Plot('estimated error', 'accuracy kept', 'rad or m'),
-                  Plot('cost', 'computing', '% of real time'),
-                  Plot('evaluations', 'in a simulated second', '1/s')]
+            plots.append(Plot('angle from a singularity', 'held drives', 'sine',
+                              column='singularity.drives', log=True))
+        plots += [Plot('estimated error', 'largest of a step', 'rad or m', column='error.step',
+                       log=True),
+                  Plot('estimated error', 'within a second', 'rad or m', column='error.second',
+                       log=True),
+                  Plot('estimated error', 'accuracy kept', 'rad or m', column='error.accuracy',
+                       log=True),
+                  Plot('cost', 'computing', '% of real time', column='cost'),
+                  Plot('evaluations', 'in a simulated second', '1/s', column='evaluations')]
         self.columns = Columns(
-            len(mechanism.bodies), len(mechanism.cut_joints),
-            [{'name': name, 'kind': kind} for name, record in self._loads.items()
+            mechanism, [{'name': name, 'kind': kind} for name, record in self._loads.items()
              for kind in _kinds(record)], True, plots)
-        self._first_plot = self.columns.layout['columns']['plots']
+        starts = self.columns.starts
+        self._plotted = slice(starts['plots'], starts['others'])
+        self._looked = np.zeros(3 * points + len(plots))
+        self._has_drives = any(plot.name == 'held drives' for plot in plots)
         self._rarely = np.full(6, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
@@ -259,15 +326,16 @@ class SimulationRows:
             simulation.effort[self._actuated], magnitudes(forces), self._readings(told),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
-            [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
-            told_rarely]).astype(np.float32)
+            [abs(sine)] * self._has_drives, told_rarely, simulation.position[self._turns],
+            simulation.effort[self._undriven]]).astype(np.float32)
 
-    def sample(self):
-        """Return places of the points and what is plotted of the present state, float32."""
-        places = self._simulation.points[:len(self._paths)]
-        self._paths[:, :places.shape[1]] = places
-        return np.concatenate([
-            self._paths.ravel(), self.row()[self._first_plot:]])
+    def looked_at(self, row):
+        """Return what ``thinning.Thinning`` looks at of the present state, whose row is given."""
+        places = self._simulation.points[:self._points]
+        values = self._looked.copy()
+        values[:3 * self._points].reshape(-1, 3)[:, :places.shape[1]] = places
+        values[3 * self._points:] = row[self._plotted]
+        return values
 
     def _told(self):
         """Return the effects' own readings, by name; nothing of those switched off."""

@@ -28,8 +28,9 @@ class Feed:
     """
     One mechanism that is shown: messages to its pages, and their requests.
 
-    Of the controls and of the frames there is the newest only: a slow page misses the others.
-    States between frames, of which paths and plots are drawn, reach every page as samples.
+    Of the controls there are the newest only, and a slow page shows the newest frame only. States
+    that paths and plots need reach every page as samples: those between frames, and those of the
+    frames that it has missed.
 
     Parameters
     ----------
@@ -57,7 +58,8 @@ class Feed:
         """Begin without a frame."""
         self.description, self.described = '', 0
         self._describe(description)
-        self.controls, self._frame = '', (0.0, b'')
+        # The frame: its number among the samples, its time and its bytes.
+        self.controls, self._frame = '', (0, 0.0, b'')
         # Number of each sample since the last reset, its time and its bytes.
         self._samples, self._sampled = deque(maxlen=MOST_SAMPLES), 0
         self.number = self.version = self.pages = self.refused = 0
@@ -76,29 +78,31 @@ class Feed:
         with self._lock:
             self._describe(description)
             self._samples.clear()
-            self.number = (self.number + 1) % 2 ** 32
-            self._frame = time, row.tobytes()
+            self._put(time, row)
         self._changed()
 
     def show(self, time, row):
         """Let the pages show a row, float32, as described, of a time of the motion [s]."""
         with self._lock:
-            self._forget_after(time)
-            self.number = (self.number + 1) % 2 ** 32
-            self._frame = time, row.tobytes()
+            self._put(time, row)
         self._changed()
 
-    def sample(self, time, values):
-        """Add a state between frames: places of the points and what is plotted, float32."""
-        with self._lock:
-            self._forget_after(time)
-            self._sampled += 1
-            self._samples.append((self._sampled, time, values.tobytes()))
+    def _put(self, time, row):
+        self._add(time, row)
+        self.number = (self.number + 1) % 2 ** 32
+        self._frame = self._samples[-1]
 
-    def _forget_after(self, time):
-        """Forget the samples of another run, where time goes back."""
+    def sample(self, time, row):
+        """Add a state between frames: a row as of frames."""
+        with self._lock:
+            self._add(time, row)
+
+    def _add(self, time, row):
         if self._samples and self._samples[-1][1] > time:
+            # Those of another run, where time goes back.
             self._samples.clear()
+        self._sampled += 1
+        self._samples.append((self._sampled, time, row.tobytes()))
 
     def send_controls(self, **controls):
         """Send the state of the controls to the pages, if it has changed."""
@@ -162,16 +166,16 @@ class Feed:
         number : int
             Of the frame.
         sampled : int
-            Of the last sample.
+            Of the last sample that the page has then: the frame.
 
         """
         with self._lock:
-            time, row = self._frame
+            last, time, row = self._frame
             chosen = [] if sampled is None else [
-                np.float32(at - time).tobytes() + values
-                for number, at, values in self._samples if number > sampled]
+                np.float32(at - time).tobytes() + sample
+                for number, at, sample in self._samples if sampled < number < last]
             return (HEADER.pack(self.number, len(chosen), time) + row + b''.join(chosen),
-                    self.number, self._sampled)
+                    self.number, last)
 
     def accept(self, page, text):
         """

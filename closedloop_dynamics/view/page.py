@@ -9,9 +9,10 @@ import json
 
 import numpy as np
 
-PARTS = ('algebra.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js', 'arrows.js',
-         'overlay.js', 'camera.js', 'scene.js', 'plots.js', 'panels.js', 'edit.js', 'page.js')
-STYLES = ('page.css', 'edit.css')
+PARTS = ('algebra.js', 'history.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js',
+         'arrows.js', 'overlay.js', 'camera.js', 'scene.js', 'plot.js', 'plots.js', 'panels.js',
+         'timeline.js', 'compare.js', 'vector.js', 'export.js', 'edit.js', 'page.js')
+STYLES = ('page.css', 'edit.css', 'time.css')
 
 
 def live_page(title, others=()):

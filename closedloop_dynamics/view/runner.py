@@ -42,8 +42,9 @@ from ..simulation.simulation import Simulation
 # Frames per second; share of their period that may go into computing; between two looks at what
 # takes long [s].
 RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
-# States between two frames that paths and plots are drawn of, at most about.
-SAMPLES = 20
+# Share of the clock that may go into looking at states between frames, for paths and plots; how
+# fast the measured duration of a look follows.
+LOOKING_SHARE, FOLLOWED = 0.2, 0.05
 # A step that takes longer than the first, on the clock, is made in parts of about the second [s];
 # no part is shorter than this share of the step.
 LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
@@ -194,7 +195,7 @@ class Runner(Shown):
         """Go on with a simulation, with a hand in its scene."""
         self._hand, self.simulation = hand, simulation
         # Share of a step that is made at once, and steps that were asked for one by one.
-        self._part, self._single, self._unsampled = 1.0, 0.0, 0
+        self._part, self._single = 1.0, 0.0
         self._paced, self._findings, self._changed = (0.0, 0.0), (), True
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
@@ -202,8 +203,11 @@ class Runner(Shown):
         lengths = simulation.coordinates.lengths
         self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
                        for name, inertia in self._inertias().items()}
-        self.rows = SimulationRows(
-            simulation, [hand.spring], len(self.editor.scene.mechanism.points))
+        points = len(self.editor.scene.mechanism.points)
+        self.rows = SimulationRows(simulation, [hand.spring], points)
+        self._begin_looking(self.rows.columns.plots, points, hand.size)
+        # Steps since the last look at a state between frames, and how long one takes [s].
+        self._unseen, self._look_time = 0, 0.0
         self._before = simulation.time, self.rows.row()
 
     def _describe(self):
@@ -291,8 +295,8 @@ class Runner(Shown):
     def _advance(self, steps):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation = self.simulation
-        every = most = max(1, math.ceil(
-            self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
+        every = most = max(1, math.ceil(self._pacer.real_time_factor * self._look_time / (
+            LOOKING_SHARE * simulation.step_size)))
         modes = {drive.mode for drive in self.drives.values()} - {TORQUE}
         if modes:
             most = min(most, max(1, round((
@@ -315,11 +319,17 @@ class Runner(Shown):
                 # Those before the one that was stopped are made.
                 return wanted - steps + (simulation.time - at) / simulation.step_size
             steps -= portion
-            self._unsampled += portion
-            if self._unsampled >= every and not self._slow:
-                self._unsampled = 0
-                self.feed.sample(simulation.time, self.rows.sample())
+            self._unseen += portion
+            if self._unseen >= every and not self._slow:
+                self._look_between()
         return None
+
+    def _look_between(self):
+        """Look at the present state, noting how long that takes."""
+        begin, row = self._clock(), self.rows.row()
+        self._look(self.simulation.time, row, self.rows.looked_at(row))
+        self._unseen = 0
+        self._look_time += FOLLOWED * (self._clock() - begin - self._look_time)
 
     def _advance_a_part(self):
         """Advance by a part of a step, where one takes long; return which part."""
@@ -327,7 +337,7 @@ class Runner(Shown):
         if self._measured(lambda: simulation.step(
                 self._torques()[simulation.actuated], part * simulation.step_size), part) == 0.0:
             return 0.0
-        self.feed.sample(simulation.time, self.rows.sample())
+        self._look_between()
         return part
 
     def _measured(self, advance, steps):
@@ -397,7 +407,10 @@ class Runner(Shown):
             self._looked = now
             self._findings = self.rows.look().findings
             self._achieved = self._real_time_share()
+        if self._unseen and not self._slow:
+            self._look_between()
         time_now, row = self.simulation.time, self.rows.row()
+        self._thinning.keep(time_now, self.rows.looked_at(row))
         if self.playing and self._slow:
             begin, before = self._before
             share = self._pacer.portion_of_step

@@ -5,6 +5,7 @@
 
 from .messages import drive_of, require_kinematic
 from .posing import joint_to, point_to
+from .thinning import Thinning
 from ..mechanism.fields import FieldError, shown
 from ..simulation.errors import SimulationError
 
@@ -33,6 +34,8 @@ class Shown:
         self.feed, self.holder, self.drives = None, None, {}
         # What is held: numbers of a body and of a place of it.
         self._grabbed, self._kinematic, self._hand = None, False, None
+        # Of states between frames: which are told, and the newest.
+        self._thinning, self._newest = None, None
 
     # For each of both.
 
@@ -55,6 +58,18 @@ class Shown:
     def _release(self):
         """Pull no more."""
         raise NotImplementedError
+
+    # What pages see.
+
+    def _begin_looking(self, plots, points, size):
+        """Look for states between frames, as ``thinning.Thinning`` does."""
+        self._thinning, self._newest = Thinning(plots, points, size), None
+
+    def _look(self, time, row, values):
+        """Look at a state; tell the one before where a line to this would miss it."""
+        if self._thinning.misses(time, values):
+            self.feed.sample(*self._newest)
+        self._newest = time, row
 
     # What pages ask for.
 

@@ -6,14 +6,20 @@
 import base64
 import json
 import re
+from test.view.rows import places_of
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
 from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.view.columns import motion_rows
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.columns import motion_columns, motion_rows
 from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.view.saved import recorded
+from closedloop_dynamics.view.thinning import OF_RANGE, OF_SIZE
+from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np
 
 
@@ -37,6 +43,10 @@ def test_a_simulated_motion_is_saved_as_it_was_computed(tmp_path, capsys):
     assert page.stat().st_size < 3_000_000
     scene, times, rows = contents(page)
     motion = read_recording(table, load_scene('three_rrr')).motion
+    # Between the rows asked for are those that paths and plots need.
+    assert len(times) > 1.5 * len(motion.time) and np.diff(times).min() > 0.0
+    at_rate = np.isin(times, motion.time)
+    times, rows = times[at_rate], rows[at_rate]
     np.testing.assert_array_equal(times, motion.time)
     poses = rows[:, :scene['columns']['forces']].reshape(len(times), -1, 7)
     np.testing.assert_array_equal(poses, poses_in_space(
@@ -58,6 +68,51 @@ def test_a_simulated_motion_is_saved_as_it_was_computed(tmp_path, capsys):
     np.testing.assert_array_equal(recorded, motion_rows(motion))
     np.testing.assert_array_equal(recorded[:, :scene['columns']['forces']], rows[
         :, :scene['columns']['forces']])
+
+
+def test_a_page_with_few_rows_has_exact_curves_and_all_peaks(tmp_path, capsys):
+    path, name, rate, duration = tmp_path / 'run.html', 'four_bar', 10, 10
+    assert main(['view', name, '--duration', str(duration), '--rate', str(rate),
+                 '--save', str(path)]) == 0
+    scene, times, rows = contents(path)
+    simulation, every, forces = Simulation.from_scene(name), [], []
+    for _ in range(round(duration / simulation.step_size)):
+        simulation.step()
+        every.append(simulation.points[0])
+        forces.append(np.linalg.norm(simulation.constraint_forces[0, 1:]))
+    point, = scene['points']
+    place = places_of(point, rows)
+    column = scene['files'].index('cut_force.cut_1 [N]')
+
+    def missed(chosen):
+        """Return how far the states are from the lines between rows [m, N]."""
+        point, force = (np.transpose([np.interp(
+            np.arange(1, len(every) + 1) * simulation.step_size, times[chosen], each)
+            for each in values[chosen].T]) for values in (place[:, :2], rows[:, [column]]))
+        return np.abs(point - every).max(), np.abs(force[:, 0] - forces).max()
+
+    size, peak = extent(simulation.mechanism), max(forces)
+    away, lost = missed(np.isin(times, np.arange(duration * rate + 1) / rate))
+    assert away > 0.1 * size and lost > 0.1 * peak
+    away, lost = missed(np.ones(len(times), dtype=bool))
+    assert away < 3.0 * OF_SIZE * size and lost < 3.0 * OF_RANGE * peak
+    assert len(times) < 0.3 * len(every)
+
+
+def test_of_many_rows_those_are_shown_that_lines_would_miss():
+    scene, count = load_scene('four_bar'), 20_000
+    mechanism = scene.mechanism
+    time = np.arange(count) / 1000.0
+    position = np.tile(scene.initial.position, (count, 1))
+    forces = np.zeros((count, 1, 3))
+    # A force that is large in one row, and one that is so in another, smaller.
+    forces[7001, 0, 1], forces[15_003, 0, 2] = 50.0, -20.0
+    motion = Trajectory(mechanism, time, position, 0.0 * position, 0.0 * position, forces)
+    times, rows = recorded(motion, 2000)
+    assert len(times) <= 2000 and (times[0], times[-1]) == (time[0], time[-1])
+    column = motion_columns(mechanism).layout['files'].index('cut_force.cut_1 [N]')
+    np.testing.assert_allclose(np.interp(time, times, rows[:, column]),
+                               np.linalg.norm(forces[:, 0, 1:], axis=1), atol=0.1)
 
 
 def test_a_page_needs_nothing_from_elsewhere():

@@ -4,13 +4,15 @@
 """What a simulation does that pages take hold of."""
 
 import json
-import struct
+from test.view.rows import places_of, rows_of
 
 from closedloop_dynamics.mechanism.kinematics import poses_in_space
+from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.own_motion import own_motion
-from closedloop_dynamics.view.runner import RATE, Runner, SAMPLES
+from closedloop_dynamics.view.runner import RATE, Runner
+from closedloop_dynamics.view.thinning import OF_RANGE, OF_SIZE
 import numpy as np
 import pytest
 
@@ -314,33 +316,45 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(shown, asked):
     np.testing.assert_array_equal(shown.simulation.state, state)
 
 
-def test_states_between_frames_reach_a_page_that_misses_frames(shown):
+def test_lines_between_the_states_that_a_page_gets_miss_none(shown):
+    shown.ask('command', joint='theta_1', value=8.0)
     shown.ask('play')
     shown.run(1)
     _, _, sampled = shown.feed.frame()
     begin = shown.simulation.time
-    shown.run(12)
+    # A page that shows one frame of them all.
+    shown.run(60)
     frame, _, _ = shown.feed.frame(sampled)
-    columns, points = shown.runner.described['columns'], shown.runner.described['points']
-    number, count, time = struct.unpack('<IId', frame[:16])
-    samples = np.frombuffer(frame[16 + 4 * columns['width']:], dtype=np.float32).reshape(count, -1)
-    assert samples.shape[1] == 1 + 3 * len(points) + columns['width'] - columns['plots']
-    times = time + samples[:, 0]
-    # Every step of the simulation, at the speed of real time.
-    steps = round((time - begin) / shown.simulation.step_size)
-    assert count == steps > 150
-    np.testing.assert_allclose(np.diff(times), shown.simulation.step_size, rtol=1e-3)
-    # They are the states of a run that is not shown.
+    told = shown.runner.described
+    times, rows = rows_of(frame, told['columns']['width'])
+    assert np.diff(times).min() > 0.0
+    # They are the states of a run that is not shown, and fewer than its steps.
     alone = Simulation(load_scene('three_rrr_vertical'))
-    alone.advance(alone.joint_torques(None), round(begin / alone.step_size))
-    for k, sample in enumerate(samples[:40]):
-        alone.advance(alone.joint_torques(None), 1)
-        np.testing.assert_allclose(
-            sample[1:1 + 3 * len(points)].reshape(-1, 3)[:, :2], alone.points, atol=1e-6)
+    tau = alone.joint_torques({'theta_1': 8.0})
+    alone.advance(tau, round(begin / alone.step_size))
+    steps = round((times[-1] - begin) / alone.step_size)
+    assert steps > 900 and 60 <= len(times) < 0.5 * steps
+    every, points, forces = [], [], []
+    for _ in range(steps):
+        alone.advance(tau, 1)
+        every.append(alone.time)
+        points.append(alone.points[0])
+        forces.append(np.linalg.norm(alone.constraint_forces[:, 1:], axis=1))
+    inside = np.array(every) >= times[0]
+    first = told['columns']['plots'] + [plot['group'] for plot in told['plots']].index(
+        'force at cut joints')
+    for k, force in enumerate(np.transpose(forces)):
+        between = np.interp(every, times, rows[:, first + k])
+        # Ranges grow at the start of a run, and between frames the tolerance is that of both ends.
+        assert np.abs(between - force)[inside].max() < 4.0 * OF_RANGE * np.ptp(forces)
+    between = np.transpose([np.interp(every, times, place) for place in (
+        places_of(told['points'][0], rows)[:, :2].T)])
+    assert np.abs(between - points)[inside].max() < 4.0 * OF_SIZE * extent(alone.mechanism)
     # A page that has them gets none again, nor those of another run.
-    assert len(shown.feed.frame(shown.feed.frame()[2])[0]) == 16 + 4 * columns['width']
+    width = told['columns']['width']
+    assert len(shown.feed.frame(shown.feed.frame()[2])[0]) == 16 + 4 * width
     shown.ask('reset')
-    assert len(shown.feed.frame(0)[0]) == 16 + 4 * columns['width']
+    assert len(shown.feed.frame(0)[0]) == 16 + 4 * width
 
 
 @pytest.mark.parametrize('speed', [0.01, 0.3, 10.0])
@@ -351,10 +365,10 @@ def test_samples_are_few_and_time_never_goes_back(shown, speed):
     last, sampled = 0.0, shown.feed.frame()[2]
     for _ in range(20):
         shown.run(1)
-        frame, _, after = shown.feed.frame(sampled)
-        _, count, time = struct.unpack('<IId', frame[:16])
-        assert time >= last and count <= 2 * SAMPLES
-        last, sampled = time, after
+        frame, _, sampled = shown.feed.frame(sampled)
+        times, _ = rows_of(frame, shown.runner.described['columns']['width'])
+        assert times[0] >= last and (np.diff(times) > 0.0).all() and len(times) < 60
+        last = times[-1]
 
 
 def test_a_machine_that_is_too_slow_says_how_fast_it_is(shown, monkeypatch):

@@ -51,7 +51,7 @@ def test_a_message_that_is_too_long_ends_that_page_alone(live):
 
 
 def test_who_is_slow_gets_the_newest_and_no_queue():
-    feed = Feed({'name': 'test'})
+    feed = Feed({'name': 'test', 'columns': {'width': 500}})
     server = Server(['page'], [feed])
     row = np.zeros(500, dtype=np.float32)
     try:

@@ -6,9 +6,9 @@ const COLORS = {
   dark: ['#56A8E0', '#F28A3C', '#3CC79A', '#E39BC6', '#8FD0F5', '#D9C84A', '#D0D4DA']};
 const THEMES = {
   light: {ink: '#1d2127', muted: '#5b6470', line: '#e3e6ea', accent: '#0b62b0', path: '#6A3D9A',
-          force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', paper: rgb('#f4f5f7'), driven: [0.16, 0.18, 0.2], ambient: 0.3},
+          force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', paper: rgb('#f4f5f7'), card: rgb('#ffffff'), driven: [0.16, 0.18, 0.2], ambient: 0.3},
   dark: {ink: '#e8ebef', muted: '#a2abb7', line: '#333944', accent: '#6cb2f5', path: '#b48ee6',
-         force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
+         force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), card: rgb('#1e2228'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
 // Words of the legend, explained where the pointer rests on them.
 const MEANINGS = {
   subsystem: 'A part of the spanning tree that hangs on the ground by one joint; the equations of '
@@ -16,6 +16,7 @@ const MEANINGS = {
   driven: 'A joint that takes a torque or force.',
   cut: 'A joint that closes a loop: the spanning tree is cut there, and an equation keeps it closed.',
   force: 'The force that body B of a cut joint exerts on its body A; the other one is opposite.',
+  ghost: 'Another run at the same time: pale in the picture, dotted in the plots.',
   direction: 'The machine is next to a singular configuration: loops, or held drives, hardly '
     + 'prevent this motion.'};
 // Plots and the clock are drawn so often while time runs [ms]: nobody reads faster.
@@ -76,13 +77,15 @@ class Page {
       this.handle();
       byId('legend').open = !matchMedia('(max-width: 760px)').matches;
     }
-    const columns = scene.columns;
-    this.width = columns.width;
+    this.width = scene.columns.width;
     byId('plots').replaceChildren();
     byId('choices').replaceChildren();
     this.plots?.watch.disconnect();
-    this.plots = new Plots(scene, byId('plots'), byId('choices'), COLORS.light);
+    this.plots = new Plots(scene, byId('plots'), byId('choices'), byId('over'));
     this.recolor();
+    this.comparison ??= new Comparison(this);
+    this.files ??= new Files(this);
+    this.comparison.renew();
     this.legend();
     this.transport();
     byId('follow').replaceChildren(...['still', ...scene.bodies.map(
@@ -91,15 +94,7 @@ class Page {
     for (const text of scene.missing) this.tell(`${text}; drawn as lines`);
   }
 
-  recolor() {
-    const colors = COLORS[this.dark ? 'dark' : 'light'];
-    for (const plot of this.plots.groups) {
-      plot.series.forEach((one, k) => {
-        one.color = colors[k % colors.length];
-        plot.chips.children[k].querySelector('i').style.background = one.color;
-      });
-    }
-  }
+  recolor() { this.plots.recolor(COLORS[this.dark ? 'dark' : 'light']); }
 
   legend() {
     const {bodies, subsystems, colors, cuts, points, loads, columns, joints, lines: drawn,
@@ -134,6 +129,10 @@ class Page {
       lines.push(['<i style="background:#bf4dbf"></i>nearly unconstrained direction', null, 'direction',
                   MEANINGS.direction]);
     }
+    const {ghost} = this.picture;
+    if (ghost) {
+      lines.push([`<i class="ghost"></i>${escaped(ghost.name)}`, null, null, MEANINGS.ghost]);
+    }
     lines.push(['<i style="background:currentColor;height:2px"></i>names', 'names']);
     byId('keys').replaceChildren(...lines.map(([html, key, id, meaning = '']) => {
       const line = make(`<label title="${escaped(meaning)}">${
@@ -154,6 +153,7 @@ class Page {
     byId('play').onclick = () => this.toggle();
     byId('reset').onclick = () => this.reset();
     byId('step').onclick = () => this.step();
+    this.timeline = new Timeline(this);
     this.speedSlider = new Slider({
       label: 'speed', unit: '×', low: 0.01, high: 10, value: 1, log: true, reset: 1,
       onchange: (value) => {
@@ -220,12 +220,14 @@ class Page {
 
   reset() {
     this.picture?.forget();
+    this.timeline?.present();
     if (this.live) this.ask('reset');
     else [this.now, this.playing] = [this.begin, false];
   }
 
   step() {
     const count = Number(byId('count').value);
+    this.timeline.present();
     if (this.live) this.ask('step', {count});
     else {
       this.playing = false;
@@ -279,22 +281,21 @@ class Page {
     const time = view.getFloat64(8, true), row = numbers.subarray(0, this.width);
     this.frame = {number: view.getUint32(0, true), time, row};
     this.fresh = true;
-    if (time < this.heard) this.arrived = [{again: true}];
-    this.heard = time;
-    const count = view.getUint32(4, true), each = (numbers.length - this.width) / count;
+    const count = view.getUint32(4, true), each = this.width + 1;
     for (let k = 0; k < count; k++) {
       const first = this.width + k * each;
       this.arrived.push({time: time + numbers[first],
-                         values: numbers.subarray(first + 1, first + each)});
+                         row: numbers.subarray(first + 1, first + each)});
     }
+    this.arrived.push({time, row, frame: true});
   }
 
   // A machine, from its next frame on.
   begin(told) {
-    this.history = this.shownRow = null;
-    [this.fresh, this.arrived] = [false, []];
+    [this.fresh, this.arrived, this.shownRow] = [false, [], null];
+    this.history = new History(told);
     this.describe(told);
-    this.history = new History(this.width, told.columns.plots);
+    this.timeline.past = null;
     this.panels();
   }
 
@@ -309,7 +310,10 @@ class Page {
         const box = byId('choices').querySelectorAll('input')[k];
         if (open.has(group) && open.get(group) !== box.checked) box.click();
       });
-      if (told.title !== title) this.picture.first();
+      if (told.title !== title) {
+        this.picture.first();
+        this.comparison.take(null);
+      }
       return;
     }
     this.scene = told;
@@ -359,6 +363,7 @@ class Page {
     }
     if (this.method) this.method.follow(told);
     this.edit?.follow(told);
+    if (told.kinematic || told.editing) this.timeline.present();
     byId('dynamic').setAttribute('aria-pressed', !told.kinematic && !told.editing);
     byId('kinematic').setAttribute('aria-pressed', told.kinematic);
     byId('hint').textContent = told.kinematic
@@ -396,49 +401,15 @@ class Page {
   // Out of itself.
 
   startRecorded() {
-    const unpack = (text, Kind) => {
-      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-      return new Kind(bytes.buffer);
-    };
     this.live = false;
-    this.describe(this.data.scene);
-    this.history = new History(this.width, this.scene.columns.plots,
-                               unpack(this.data.times, Float64Array),
-                               unpack(this.data.rows, Float32Array));
+    const {scene, times, rows} = this.data;
+    this.history = new History(scene, unpacked(times, Float64Array), unpacked(rows, Float32Array));
+    this.describe(scene);
     this.picture.record(this.history);
-    [this.begin, this.end] = [this.history.time(0), this.history.time(this.history.count - 1)];
+    [this.begin, this.end] = [this.history.begin, this.history.end];
     this.now = this.begin;
-    byId('time').hidden = false;
-    byId('time').oninput = () => {
-      this.now = this.begin + byId('time').valueAsNumber / 1000 * (this.end - this.begin);
-      this.picture.forget();
-    };
     this.last = performance.now();
     this.playing = true;
-  }
-
-  // The row of a time, between the two next to it.
-  at(time) {
-    const {times, rows, count, width} = this.history;
-    const k = this.history.before(time), first = k * width;
-    const row = rows.slice(first, first + width);
-    if (k + 1 < count && time > times[k]) {
-      const share = (time - times[k]) / (times[k + 1] - times[k]);
-      // Quaternions of one pose have two signs; the two of neighbours are to agree.
-      const poses = this.scene.columns.poses, last = this.scene.columns.plots;
-      for (let i = 0; i < last; i++) row[i] += share * (rows[first + width + i] - row[i]);
-      for (let b = 0; b < this.scene.bodies.length; b++) {
-        const q = first + poses + 7 * b + 3;
-        let same = 0;
-        for (let i = 0; i < 4; i++) same += rows[q + i] * rows[q + width + i];
-        if (same < 0) {
-          for (let i = 0; i < 4; i++) {
-            row[q - first + i] = (1 - share) * rows[q + i] - share * rows[q + width + i];
-          }
-        }
-      }
-    }
-    return row;
   }
 
   // The mouse: the camera, and points that are taken hold of.
@@ -450,7 +421,7 @@ class Page {
       const box = solid.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
     };
-    const may = () => this.live && !this.edit?.on && (this.scene.hand || this.told?.kinematic);
+    const may = () => this.live && this.timeline.past === null && !this.edit?.on && (this.scene.hand || this.told?.kinematic);
     solid.onpointerdown = (event) => {
       solid.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, local(event));
@@ -550,6 +521,8 @@ class Page {
     if (this.live) this.takeFrame();
     else this.play();
     if (!this.shownRow) return;
+    if (this.timeline.past !== null) this.timeline.show();
+    this.comparison.show(this.now);
     if (this.pulled) {
       this.pulled = false;
       this.ask('pull', {at: this.picture.handAt});
@@ -578,18 +551,18 @@ class Page {
       this.waiting = false;
       byId('message').hidden = true;
     }
-    const {number, time, row} = this.frame, points = 3 * this.scene.points.length;
-    for (const sample of this.arrived.splice(0)) {
-      if (sample.again) this.picture.forget();
-      else {
-        this.picture.trace(sample.values);
-        this.history.add(sample.time, sample.values.subarray(points));
+    const {number, time, row} = this.frame;
+    for (const one of this.arrived.splice(0)) {
+      if (this.history.add(one.time, one.row, one.frame)) {
+        this.picture.forget();
+        this.timeline.past = null;
       }
+      this.picture.extend(one.row, one.time);
     }
-    this.now = time;
-    this.history.add(time, row.subarray(this.scene.columns.plots), true);
-    this.picture.show(row);
-    this.shownRow = row;
+    if (this.timeline.past === null) {
+      [this.now, this.shownRow] = [time, row];
+      this.picture.show(row, time);
+    }
     this.count = (this.count ?? 0) + 1;
     this.ask('seen', {frame: number});
     if (this.told?.kinematic) this.drives.follow(this.told, (joint) => this.position(joint));
@@ -602,15 +575,13 @@ class Page {
       if (this.now >= this.end) [this.now, this.playing] = [this.end, false];
     }
     this.last = now;
-    this.shownRow = this.at(this.now);
-    this.picture.show(this.shownRow, this.history.before(this.now));
-    const share = (this.now - this.begin) / (this.end - this.begin || 1);
-    byId('time').value = Math.round(1000 * share);
-    byId('time').style.setProperty('--to', `${100 * share}%`);
+    this.shownRow = this.history.at(this.now);
+    this.picture.show(this.shownRow, this.now);
   }
 
   state() {
     const play = byId('play');
+    this.timeline.draw();
     play.classList.toggle('playing', this.playing);
     play.setAttribute('aria-label', this.playing ? 'pause' : 'play');
     byId('clock').textContent = `${this.now.toFixed(this.speed < 0.1 ? 4 : 3)} s`;
@@ -626,6 +597,9 @@ class Page {
       const cost = this.shownRow[plot('cost')];
       parts.push(`<span class="${this.lost ? 'bad' : ''}">${
         this.lost ? 'no connection' : this.playing ? 'running' : told?.kinematic ? 'posing' : 'paused'}</span>`);
+      if (this.timeline.past !== null) {
+        parts.push(`<span class="wide">shown: <b>${short(this.history.end - this.now, 3)} s</b> ago</span>`);
+      }
       const slow = this.playing && told?.achieved !== null && told?.achieved < LAGS * told?.speed;
       if (slow) {
         parts.push(`<span class="bad">${Number.isFinite(this.shownRow[columns.direction])

@@ -53,8 +53,8 @@ class Scene extends Camera {
     // Places that are measured, each a body and the number of a place of it; null: none is.
     this.measured = null;
     this.followed = -1;
-    // What is drawn above everything else.
-    this.above = null;
+    // What is drawn above everything else; a machine that is compared.
+    this.above = this.ghost = null;
     this.shown = {forces: true, names: false, path: true, paths: false};
     // Where the processor draws, smooth edges would cost half of the frames; pictures may ask.
     const smooth = location.search.includes('smooth') || !drawnByProcessor();
@@ -200,8 +200,8 @@ class Scene extends Camera {
 
   // Where things are.
 
-  // ``reached``: of a recording, the number of the last row that is not after it.
-  show(row, reached) {
+  // A state; of paths what was up to its time.
+  show(row, time) {
     this.row = row;
     const first = this.described.columns.poses;
     this.frames = this.described.bodies.map((_, k) => ofPose(row, first + 7 * k));
@@ -214,7 +214,7 @@ class Scene extends Camera {
       if (this.followedAt) this.target = add(this.target, minus(place, this.followedAt));
       this.followedAt = place;
     } else if (!this.touched) this.fit();
-    this.paths.follow(reached);
+    this.paths.follow(time);
   }
 
   // The box about what is seen and was lately.
@@ -240,8 +240,8 @@ class Scene extends Camera {
 
   frameOf(body) { return body < 0 ? IDENTITY : this.frames[body]; }
 
-  // Places of the points at an instant between two frames.
-  trace(places) { this.paths.trace(places); }
+  // Lengthen the paths to a state that has come.
+  extend(row, time) { this.paths.extend(row, time); }
 
   // The paths of a recording.
   record(history) { this.paths.record(history); }
@@ -249,8 +249,10 @@ class Scene extends Camera {
   forget() {
     this.paths.forget();
     this.guides.begin();
-    this.forces.forcePeak = 0;
+    this.forgetPeaks();
   }
+
+  forgetPeaks() { this.forces.forcePeak = 0; }
 
   // The body and the place of it next to the pointer, by their numbers; null if none is near.
   nearest(x, y, reach, withGround = false) {
@@ -328,6 +330,7 @@ class Scene extends Camera {
     gl.uniform1f(u.ambient, theme.ambient);
     if (this.baked !== theme) this.bake(theme);
     this.grid(theme);
+    this.ghost?.draw(theme, ratio);
     for (const [body, {mesh}] of this.solids) this.mesh(mesh, this.frameOf(body));
     this.guides.draw(theme);
     this.ropes.draw();

@@ -37,29 +37,49 @@ void main() {
 // a live one are kept, and forgotten at once; how far they are apart at least, in sizes.
 const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 8000, FORGOTTEN = 1000, SPACING = 0.001;
 
-// The places of a point, in a buffer that grows by what is new; of a recording those of all rows.
+// The places of a point and their times, in a buffer that grows by what is new; of a recording those of
+// all rows.
 class Trail {
   constructor(gl, capacity = PATH_LENGTH) {
     this.gl = gl;
     this.buffer = gl.createBuffer();
     this.places = new Float32Array(3 * capacity);
+    this.times = new Float64Array(capacity);
     // How many there are, are drawn, and are in the buffer; -1: none, and it has no size yet.
     this.count = this.shown = 0;
     this.sent = -1;
     this.now = null;
   }
 
-  push(place) {
-    if (3 * this.count === this.places.length) {
+  push(place, time) {
+    if (this.count === this.times.length) {
       this.places.copyWithin(0, 3 * FORGOTTEN);
+      this.times.copyWithin(0, FORGOTTEN);
       this.count -= FORGOTTEN;
       this.sent = 0;
     }
     this.places.set(place, 3 * this.count);
+    this.times[this.count] = time;
     this.count += 1;
   }
 
-  forget() { this.count = this.sent = 0; }
+  // A place of a live path, if it is far enough from the one before.
+  lengthen(place, time, spacing) {
+    const before = this.places.subarray(3 * this.count - 3, 3 * this.count);
+    if (!this.count || norm(minus(place, before)) > spacing) this.push(place, time);
+  }
+
+  // Draw what was up to a time, and where the point is then.
+  showTo(time, now) {
+    let low = 0, high = this.count;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.times[middle] <= time) low = middle + 1; else high = middle;
+    }
+    [this.shown, this.now] = [low, now];
+  }
+
+  forget() { this.count = this.sent = this.shown = 0; }
 
   last() { return this.places.subarray(3 * this.shown - 3, 3 * this.shown); }
 
@@ -97,42 +117,34 @@ class Trails {
     this.all = this.scene.described.points.map(() => new Trail(this.scene.gl));
   }
 
-  // Where the points are; ``reached``: of a recording, the number of the last row before that.
-  follow(reached) {
+  // Where the points are in the state that is shown, of a time.
+  follow(time) {
     const {scene} = this;
     scene.described.points.forEach((point, k) => {
-      const trail = this.all[k];
-      trail.now = moved(scene.frameOf(point.body), point.place);
-      if (this.recorded) trail.shown = reached + 1;
-      else this.lengthen(trail, trail.now);
+      this.all[k].showTo(time, moved(scene.frameOf(point.body), point.place));
     });
   }
 
-  // Places of the points at an instant between two frames.
-  trace(places) {
-    this.all.forEach((trail, k) => this.lengthen(trail, places.subarray(3 * k, 3 * k + 3)));
+  // Where they are in a row.
+  places(row) {
+    const {points, columns} = this.scene.described;
+    return points.map(({body, place}) => moved(
+      body < 0 ? IDENTITY : ofPose(row, columns.poses + 7 * body), place));
   }
 
-  lengthen(trail, place) {
-    trail.shown = trail.count;
-    if (!trail.count || norm(minus(place, trail.last())) > SPACING * this.scene.size) {
-      trail.push(place);
-      trail.shown = trail.count;
-    }
+  // Lengthen the paths to a state that has come.
+  extend(row, time) {
+    this.places(row).forEach((place, k) => (
+      this.all[k].lengthen(place, time, SPACING * this.scene.size)));
   }
 
   // The paths of a recording are those of all its rows, whichever of them are shown.
-  record({rows, width, count}) {
+  record(history) {
     this.recorded = true;
-    const {points, columns: {poses}} = this.scene.described;
-    this.all = points.map((point) => {
-      const trail = new Trail(this.scene.gl, count);
-      for (let row = 0; row < count; row++) {
-        trail.push(moved(point.body < 0 ? IDENTITY
-          : ofPose(rows, row * width + poses + 7 * point.body), point.place));
-      }
-      return trail;
-    });
+    this.all = this.scene.described.points.map(() => new Trail(this.scene.gl, history.count));
+    for (let k = 0; k < history.count; k++) {
+      this.places(history.row(k)).forEach((place, n) => this.all[n].push(place, history.time(k)));
+    }
   }
 
   forget() {

@@ -1,0 +1,230 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Time in a real browser: the past of a run, two runs, plots over an angle, files that open."""
+
+import base64
+import io
+from test.view.browser import browser, program
+from test.view.test_browser import on_screen, pause, READY, stage
+from test.view.test_page import contents
+from xml.etree import ElementTree
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+from PIL import Image
+import pytest
+
+pytestmark = pytest.mark.skipif(
+    program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
+SVG = '{http://www.w3.org/2000/svg}'
+
+
+@pytest.fixture(scope='module')
+def open_page():
+    with browser() as open_page:
+        yield open_page
+
+
+def run_to(tab, live, end, torque=0.0):
+    """Run from the start to a time, and stand still."""
+    live.ask('reset')
+    tab.wait('page.frame.time === 0 && !page.playing')
+    live.ask('command', joint='theta_1', value=torque)
+    live.end = end
+    live.ask('play')
+    tab.wait(f'page.frame.time >= {end} - 0.02 && page.frame.time < {end} + 0.2')
+    pause(tab, live, lambda: live.ask('pause'))
+
+
+def changed(one, other):
+    """Return the share of pixels that differ."""
+    return (np.abs(one - other).max(axis=2) > 25).mean()
+
+
+def drag(tab, selector, begin, end):
+    """Drag the mouse over an element, from one share of its width to another."""
+    x, y, width, height = tab.ask(f"""(() => {{
+        const e = document.querySelector({selector!r});
+        e.scrollIntoView({{block: "center"}});
+        const box = e.getBoundingClientRect();
+        return [box.x, box.y, box.width, box.height]; }})()""")
+    y += height / 2
+    tab.mouse('mouseMoved', x + begin * width, y)
+    tab.mouse('mousePressed', x + begin * width, y, 1)
+    for share in np.linspace(begin, end, 5):
+        tab.mouse('mouseMoved', x + share * width, y, 1)
+    tab.mouse('mouseReleased', x + end * width, y)
+
+
+def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    run_to(tab, live, 0.8)
+    present = stage(tab)
+    assert 'kept' in tab.ask('document.getElementById("kept").textContent')
+    live.end = 1.2
+    live.ask('play')
+    drag(tab, '#time', 0.97, 0.3)
+    tab.wait('page.timeline.past !== null && page.now === page.timeline.past')
+    past = tab.ask('page.now')
+    assert 0.1 < past < 0.6
+    # The run has gone on; what is seen has not.
+    tab.wait('page.history.end > 1.15 && page.frame.time > 1.15')
+    assert tab.ask('page.now') == past
+    alone = Simulation(load_scene('three_rrr_vertical'))
+    alone.advance(alone.joint_torques(None), round(past / alone.step_size))
+    first = tab.ask('page.scene.columns.plots')
+    shown = tab.ask('[...page.shownRow]')[first:first + 3]
+    expected = alone.coordinates.by_freedom(alone.position)[:3]
+    np.testing.assert_allclose(shown, expected, atol=2e-2)
+    np.testing.assert_allclose(
+        tab.ask('page.picture.trails[0].now.slice(0, 2)'), alone.points[0], atol=2e-3)
+    assert changed(stage(tab), present) > 0.005
+    # What is taken hold of would be of another time.
+    tab.mouse('mouseMoved', *on_screen(tab, 0, 0))
+    assert tab.ask('page.picture.hover') is None
+    tab.click('#live')
+    tab.wait('page.timeline.past === null && page.now === page.frame.time')
+    live.ask('pause')
+    assert not tab.errors
+    tab.close()
+
+
+def test_a_run_is_kept_beside_the_next_one(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    run_to(tab, live, 0.5)
+    tab.click('#runs-panel summary')
+    tab.click('#keep')
+    tab.ask('page.plots.groups[0].canvas.scrollIntoView()')
+    run_to(tab, live, 0.5, torque=20.0)
+    tab.wait('document.querySelector("#plots .chip .value").textContent.includes("|")')
+    two, lines = stage(tab), tab.ask('document.querySelector("#plots canvas").toDataURL()')
+    assert 'kept' in tab.ask('document.getElementById("keys").textContent')
+    assert tab.ask('!document.getElementById("other").hidden')
+    # Pale, at the place of the first run at this time.
+    alone = Simulation(load_scene('three_rrr_vertical'))
+    now = tab.ask('Math.min(page.now, page.comparison.ghost.history.end)')
+    alone.advance(alone.joint_torques(None), round(now / alone.step_size))
+    np.testing.assert_allclose(
+        np.array(tab.ask('[...page.comparison.ghost.pale.trails[0].now]'))[:2],
+        alone.points[0], atol=2e-3)
+    tab.click('#drop')
+    tab.wait('page.picture.ghost === null')
+    tab.ask('page.plots.groups[0].canvas.scrollIntoView()')
+    assert changed(stage(tab), two) > 0.01
+    tab.wait('!document.querySelector("#plots .chip .value").textContent.includes("|")')
+    assert tab.ask('document.querySelector("#plots canvas").toDataURL()') != lines
+    assert not tab.errors
+    tab.close()
+
+
+def test_plots_over_an_angle_are_looked_at_closely(open_page, tmp_path, capsys):
+    path = tmp_path / 'run.html'
+    assert main(['view', 'four_bar', '--motion', 'crank_joint=1+6*t', '--duration', '3',
+                 '--save', str(path)]) == 0
+    tab = open_page(path.as_uri(), height=1600)
+    tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
+    tab.ask('page.playing = false; page.timeline.seek(2)')
+    force = 'page.plots.groups.find((one) => one.group === "force at cut joints")'
+    tab.wait(f'{force}.seen?.to === 3')
+    column = tab.ask('page.scene.plots.findIndex((one) => one.name === "crank_joint")')
+    tab.ask(f"""(() => {{
+        const over = document.getElementById("over");
+        over.value = "{column}";
+        over.onchange(); }})()""")
+    # Turns lie above one another: the force is the same in each.
+    tab.wait(f'{force}.seen.to > 6')
+    seen = np.array(tab.ask(f'{force}.seen.runs[0].places'))
+    assert 0.0 <= seen[:, 0].min() < 0.1 and 6.2 < seen[:, 0].max() < 2.0 * np.pi
+    turn = 2.0 * np.pi / 6.0
+    times = np.array(tab.ask('[...page.history.times]'))
+    middle = (times > 0.3) & (times < 3.0 - turn - 0.3)
+    series = np.array(tab.ask(f"""[...Array(page.history.count).keys()].map(
+        (k) => page.history.value(k, {force}.series[0].column))"""))
+    np.testing.assert_allclose(np.interp(times[middle] + turn, times, series), series[middle],
+                               atol=0.02 * series.max())
+    # A drag looks closer, the pointer tells, a double click shows all again.
+    tab.ask(f'{force}.canvas.id = "force"')
+    before = tab.ask(f'{force}.canvas.toDataURL()')
+    drag(tab, '#force', 0.4, 0.6)
+    tab.wait(f'page.plots.zoom && {force}.seen.to - {force}.seen.from < 2')
+    tab.wait(f'{force}.at.textContent.startsWith("t = ")')
+    assert 'rad' in tab.ask(f'{force}.at.textContent')
+    assert tab.ask(f'{force}.canvas.toDataURL()') != before
+    tab.ask('document.getElementById("force").dispatchEvent(new MouseEvent("dblclick"))')
+    tab.wait(f'page.plots.zoom === null && {force}.seen.to > 6')
+    assert not tab.errors
+    tab.close()
+
+
+def file_of(tab, what):
+    """Return the name and the content of a file that the page makes."""
+    name, content = tab.ask(f"""(async () => {{
+        const [name, blob] = await page.files.make({what!r});
+        return [name, await new Promise((done) => {{
+            const reader = new FileReader();
+            reader.onload = () => done(reader.result.split(",")[1]);
+            reader.readAsDataURL(blob); }})]; }})()""")
+    return name, base64.b64decode(content)
+
+
+def test_files_of_the_page_open_again(open_page, live, tmp_path):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    run_to(tab, live, 0.5, torque=5.0)
+    tab.click('#runs-panel summary')
+    # Each has a button.
+    assert set(tab.ask('[...document.querySelectorAll("#files button")].map('
+                       '(one) => one.dataset.file)')) == {
+        'picture.png', 'picture.svg', 'plots.png', 'plots.svg', 'csv', 'html'}
+    tab.ask('page.files.give = (name) => { window.given = name; }')
+    tab.click('[data-file="picture.png"]')
+    tab.wait('window.given === "three_rrr_vertical.png"')
+    seen = stage(tab)
+    with Image.open(io.BytesIO(file_of(tab, 'picture.png')[1])) as picture:
+        pixels = np.asarray(picture.convert('RGB')).astype(int)
+    # Without what lies above it in the page.
+    assert changed(pixels, seen[:pixels.shape[0], :pixels.shape[1]]) < 0.08
+    with Image.open(io.BytesIO(file_of(tab, 'plots.png')[1])) as picture:
+        assert np.asarray(picture.convert('L')).std() > 5.0
+    drawing = ElementTree.fromstring(file_of(tab, 'picture.svg')[1])
+    blue = [path for path in drawing.iter(f'{SVG}path') if (color := path.get('fill', '#'))[1:]
+            and color.startswith('#') and int(color[5:], 16) > int(color[1:3], 16) + 40]
+    assert len(blue) > 50
+    words = {text.text for text in ElementTree.fromstring(
+        file_of(tab, 'plots.svg')[1]).iter(f'{SVG}text')}
+    assert {'energy [J] over time', 'kinetic'} <= words
+    # The table is read by this package, and is the motion.
+    table = tmp_path / 'run.csv'
+    table.write_bytes(file_of(tab, 'csv')[1])
+    assert 'position.theta_1 [rad]' in table.read_text().split('\n')[0].split(',')
+    motion = read_recording(table, load_scene('three_rrr_vertical')).motion
+    alone = Simulation(load_scene('three_rrr_vertical'))
+    alone.advance(alone.joint_torques({'theta_1': 5.0}), round(motion.time[-1] / alone.step_size))
+    np.testing.assert_allclose(motion.position[-1], alone.position, atol=1e-5)
+    np.testing.assert_allclose(motion.forces[-1], alone.constraint_forces, rtol=1e-3, atol=1e-3)
+    # The page plays what was seen, and can be opened beside a run.
+    saved = tmp_path / 'run.html'
+    saved.write_bytes(file_of(tab, 'html')[1])
+    _, times, rows = contents(saved)
+    np.testing.assert_allclose(times, motion.time)
+    again = open_page(saved.as_uri())
+    again.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
+    assert again.ask('page.history.count') == len(times) and not again.errors
+    again.close()
+    run_to(tab, live, 0.3)
+    before = stage(tab)
+    tab.ask(f"""(() => {{
+        const files = new DataTransfer();
+        files.items.add(new File([{saved.read_text()!r}], "run.html"));
+        document.getElementById("beside").files = files.files;
+        document.getElementById("beside").dispatchEvent(new Event("change")); }})()""")
+    tab.wait('page.picture.ghost?.name === "run.html"')
+    assert changed(stage(tab), before) > 0.001
+    assert not tab.errors
+    tab.close()
