@@ -42,7 +42,7 @@ constexpr double FEWER_FOR_SLOPE[SLOPED_PLACES] = {45.0 / 57.0, -45.0 / 57.0, 0.
 constexpr double FEWER_SLOPES[SLOPED_PLACES] = {
   -17.0 / 57.0, -17.0 / 57.0, 0.5 / 57.0, 0.5 / 57.0};
 // Distance of the places that are four, against that of eight.
-constexpr double SLOPED_ASIDE = 1.5;
+constexpr double SLOPED_ASIDE = 2.0;
 // Corrections that bring a place onto the branch: the first one from a line takes the most.
 constexpr Index MOST_CORRECTIONS = 6;
 // Closure error, against the size of the mechanism, that counts as on the branch.
@@ -58,8 +58,14 @@ constexpr double BESIDE = 0.1, OTHER_RATE = 0.01, APART = 1e-6;
 // Pivots at the state, against the largest, below which an equation is not worth its multiplier:
 // the rounding of positions on the branch is as large.
 constexpr double VANISHED = 1e-7;
-// Numbers and counts that find room on the stack.
-constexpr Index NUMBERS = 2048, COUNTS = 64;
+// Smallest pivot of equations that are looked at nowhere but at the state.
+constexpr double REGULAR = 0.02;
+// Entries of the scaled J that are none, as much as closure errors of a stage make of them.
+constexpr double FOREIGN = 1e-6;
+// A component is at rest where it takes so long to turn by a radian [s].
+constexpr double RESTING = 1e6;
+// Numbers, counts and components that find room on the stack.
+constexpr Index NUMBERS = 2048, COUNTS = 64, MOST_PARTS = 8;
 
 /// Arrays that live as long as an evaluation, out of one block.
 template<class Number, Index ROOM>
@@ -190,44 +196,138 @@ void solve_positive(Table factor, Values right)
   }
 }
 
-/// The branch through a state on which some coordinates, the independent ones, go on evenly, and
-/// the closure equations decide the others. Its parameter counts places.
+/// Equations that share coordinates, and these, by places in the lists of a Branch: of the
+/// coordinates those that the equations decide come first, as many as there are equations, then the
+/// independent ones, first those of them that the equations know.
+struct Component
+{
+  Index row = 0, rows = 0, column = 0, columns = 0;
+  Index moving = 0;  ///< Number of independent coordinates that the equations know
+  bool regular = false;  ///< Whether the equations are independent at the state itself
+};
+
+/// The branch through a state. In each component of the mechanism the independent coordinates go on
+/// evenly, and the closure equations decide the others. The parameter counts places.
 class Branch
 {
 public:
   Branch(const System & system, Values q, Values qd, Table added)
   : system_(system), model_(system.model), work_(system.work), q_(q), qd_(qd), added_(added),
     nv_(qd.size), nc_(system.lam.size), free_(nv_ - nc_),
-    scratch_(room(q.size)), jac_(scratch_.take(nc_, nv_)), factor_(scratch_.take(nc_, nv_)),
-    row_scale_(scratch_.take(nc_)), column_scale_(scratch_.take(nv_)),
-    right_(scratch_.take(nc_)), change_(scratch_.take(nv_)),
+    scratch_(
+      2 * nc_ * nv_ + 3 * nc_ + 6 * nv_ + MOST_PLACES * (q.size + 2 * nv_) + 3 * nv_ * nv_ +
+      q.size + free_ * (nv_ + free_ + 1)),
+    jac_(scratch_.take(nc_, nv_)), factor_(scratch_.take(nc_, nv_)),
+    row_scale_(scratch_.take(nc_)), right_(scratch_.take(nc_)), ordered_(scratch_.take(nc_)),
+    column_scale_(scratch_.take(nv_)), change_(scratch_.take(nv_)),
     places_(scratch_.take(MOST_PLACES, q.size)), rates_(scratch_.take(MOST_PLACES, nv_)),
-    bends_(scratch_.take(MOST_PLACES, nv_)), tangents_(scratch_.take(free_, nv_)),
-    tangents_of_fewer_(scratch_.take(free_, nv_)), near_(scratch_.take(q.size)),
+    bends_(scratch_.take(MOST_PLACES, nv_)), tangents_(scratch_.take(nv_, nv_)),
+    tangents_of_fewer_(scratch_.take(nv_, nv_)), near_(scratch_.take(q.size)),
     rate_(scratch_.take(nv_)), bend_(scratch_.take(nv_)), other_(scratch_.take(nv_)),
-    gim_(scratch_.take(nv_, nv_)), carried_(scratch_.take(free_, nv_)),
-    inertia_(scratch_.take(free_, free_)), push_(scratch_.take(free_)),
-    counts_(2 * nv_ + nc_), order_(counts_.take(nv_)), column_(counts_.take(nv_)),
-    row_(counts_.take(nc_))
+    force_(scratch_.take(nv_)), gim_(scratch_.take(nv_, nv_)),
+    carried_(scratch_.take(free_, nv_)), inertia_(scratch_.take(free_, free_)),
+    push_(scratch_.take(free_)), counts_(4 * nv_ + 2 * nc_), order_(counts_.take(nv_)),
+    root_(counts_.take(nv_)), column_(counts_.take(nv_)), free_column_(counts_.take(nv_)),
+    row_(counts_.take(nc_)), pivot_row_(counts_.take(nc_)), parts_(nc_),
+    components_(parts_.take(nc_))
   {
   }
 
   /// As `accelerate_by_places`.
-  bool accelerate(double speed)
+  bool accelerate()
   {
-    return find_first(speed) && find_others() && meet_state() && move_there();
+    copy(q_, near_);
+    copy(qd_, rate_);
+    bend_.fill(0.0);
+    tangents_.fill(0.0);
+    look(q_, qd_);
+    scales(model_, jac_, row_scale_, column_scale_);
+    if (!find_components()) {
+      return false;
+    }
+    bool regular = true;
+    for (Component & part : components_) {
+      part.regular = choose(part, REGULAR) > 0.0;
+      regular = regular && part.regular;
+    }
+    for (const Component & part : components_) {
+      if (!part.regular && !trace(part)) {
+        return false;
+      }
+    }
+    return !regular && move_there();
   }
 
 private:
-  Index room(Index nq) const
+  static Index find(Indices root, Index j)
   {
-    return nc_ * nv_ * 2 + 2 * nc_ + 2 * nv_ + MOST_PLACES * (nq + 2 * nv_) + 3 * free_ * nv_ +
-           nq + 3 * nv_ + nv_ * nv_ + free_ * (free_ + 1);
+    while (root[j] != j) {
+      j = root[j] = root[root[j]];
+    }
+    return j;
   }
+  double entry(Index i, Index j) const {return jac_(i, j) * row_scale_[i] * column_scale_[j];}
+  Index row(const Component & part, Index i) const {return row_[part.row + i];}
+  Index column(const Component & part, Index k) const {return order_[part.column + k];}
+  Index independent(const Component & part, Index k) const {return column(part, part.rows + k);}
 
-  Index dependent(Index k) const {return order_[k];}
-  Index independent(Index k) const {return order_[nc_ + k];}
-  Table square() const {return {factor_.data, nc_, nc_};}
+  /// Group equations and coordinates: those of a cut joint belong together, with all that the
+  /// equations know. False where one knows nothing.
+  bool find_components()
+  {
+    const Indexes & cut = model_.cut;
+    for (Index j = 0; j < nv_; ++j) {
+      root_[j] = j;
+    }
+    for (Index a = 0; a < cut.rows; ++a) {
+      Index known = -1;
+      for (Index i = cut(a, cut::CUT_ROW); i < cut(a, cut::CUT_ROW) + cut(a, cut::ROWS); ++i) {
+        for (Index j = 0; j < nv_; ++j) {
+          if (std::abs(entry(i, j)) > FOREIGN) {
+            known = known < 0 ? find(root_, j) : known;
+            root_[find(root_, j)] = known;
+          }
+        }
+        pivot_row_[i] = known;
+      }
+      for (Index i = cut(a, cut::CUT_ROW); i < cut(a, cut::CUT_ROW) + cut(a, cut::ROWS); ++i) {
+        if (known < 0) {
+          return false;
+        }
+        pivot_row_[i] = known;
+      }
+    }
+    Index rows = 0, columns = 0, count = 0;
+    for (Index first = 0; first < nv_ && rows < nc_; ++first) {
+      if (find(root_, first) != first) {
+        continue;
+      }
+      Component part;
+      part.row = rows;
+      part.column = columns;
+      for (Index i = 0; i < nc_; ++i) {
+        if (find(root_, pivot_row_[i]) == first) {
+          row_[rows++] = i;
+        }
+      }
+      part.rows = rows - part.row;
+      if (part.rows == 0) {
+        continue;
+      }
+      for (Index j = 0; j < nv_; ++j) {
+        if (find(root_, j) == first) {
+          order_[columns++] = j;
+        }
+      }
+      part.columns = columns - part.column;
+      components_[count++] = part;
+      if (part.columns < part.rows) {
+        return false;
+      }
+    }
+    components_.size = count;
+    return true;
+  }
 
   /// Closure errors, J and what the rates add to accelerations of closure, at a place.
   void look(Values q, Values rates)
@@ -237,204 +337,264 @@ private:
     constraint_jacobian(model_, work_, jac_);
   }
 
-  /// Factor the columns of J of the dependent coordinates; return the ratio of its pivots.
-  double factor()
-  {
-    const Table matrix = square();
-    for (Index i = 0; i < nc_; ++i) {
-      for (Index k = 0; k < nc_; ++k) {
-        matrix(i, k) = jac_(i, dependent(k)) * row_scale_[i] * column_scale_[dependent(k)];
-      }
-    }
-    return factorize(matrix, row_);
-  }
-
-  /// Changes of the dependent coordinates that change the closure equations by `right_`.
-  void solve_dependent(Values out)
-  {
-    for (Index i = 0; i < nc_; ++i) {
-      right_[i] *= row_scale_[i];
-    }
-    solve(square(), row_, right_);
-    for (Index k = 0; k < nc_; ++k) {
-      out[dependent(k)] = right_[k] * column_scale_[dependent(k)];
-    }
-  }
-
   /// Choose the coordinates that the closure equations decide best at a place; return their
-  /// smallest pivot against the largest, 0 where there are too few.
-  double choose()
+  /// smallest pivot against the largest, 0 where it is less than a share.
+  double choose(Component & part, double share)
   {
-    scales(model_, jac_, row_scale_, column_scale_);
-    for (Index i = 0; i < nc_; ++i) {
-      for (Index j = 0; j < nv_; ++j) {
-        factor_(i, j) = jac_(i, j) * row_scale_[i] * column_scale_[j];
+    const Table matrix{factor_.data, part.rows, part.columns};
+    for (Index i = 0; i < part.rows; ++i) {
+      for (Index k = 0; k < part.columns; ++k) {
+        matrix(i, k) = entry(row(part, i), column(part, k));
       }
     }
-    if (factorize_fully(factor_, row_, order_, LEAST) < nc_) {
+    const Indices columns = column_.part(0, part.columns), order{
+      order_.data + part.column, part.columns};
+    const bool enough =
+      factorize_fully(matrix, pivot_row_.part(0, part.rows), columns, share) == part.rows;
+    for (Index & each : columns) {
+      each = order[each];
+    }
+    std::copy(columns.begin(), columns.end(), order.begin());
+    if (!enough || !keeps_balls(part)) {
       return 0.0;
     }
-    const double ratio = nc_ > 0 ? std::abs(factor_(nc_ - 1, nc_ - 1) / factor_(0, 0)) : 1.0;
-    // A quaternion goes on evenly as a whole, or not at all.
-    for (Index k = 0; k < nv_; ++k) {
-      column_[order_[k]] = k < nc_ ? 1 : 0;
-    }
-    for (Index i = 1; i < model_.tree.rows; ++i) {
-      const Index first = model_.tree(i, tree::DOF) - 2;
-      if (model_.tree(i, tree::TYPE) == tree::BALL && model_.tree(i, tree::AXIS) == 2 &&
-        (column_[first] != column_[first + 1] || column_[first] != column_[first + 2]))
-      {
-        return 0.0;
-      }
-    }
-    // Independent coordinates that no equation knows need no looking after.
-    moving_ = 0;
-    for (Index k = 0; k < free_; ++k) {
-      const Index j = independent(k);
+    part.moving = 0;
+    for (Index k = 0; k < part.columns - part.rows; ++k) {
+      const Index j = independent(part, k);
       double most = 0.0;
-      for (Index i = 0; i < nc_; ++i) {
-        most = std::max(most, std::abs(jac_(i, j)) * row_scale_[i] * column_scale_[j]);
+      for (Index i = 0; i < part.rows; ++i) {
+        most = std::max(most, std::abs(entry(row(part, i), j)));
       }
       if (most > ROUNDING) {
-        std::swap(order_[nc_ + k], order_[nc_ + moving_]);
-        ++moving_;
+        std::swap(order[part.rows + k], order[part.rows + part.moving]);
+        ++part.moving;
       }
     }
-    return ratio;
+    return std::abs(matrix(part.rows - 1, part.rows - 1) / matrix(0, 0));
+  }
+
+  /// Whether each quaternion is decided as a whole, or goes on evenly as a whole.
+  bool keeps_balls(const Component & part)
+  {
+    column_.fill(0);
+    for (Index k = 0; k < part.rows; ++k) {
+      column_[column(part, k)] = 1;
+    }
+    for (Index i = 1; i < model_.tree.rows; ++i) {
+      if (model_.tree(i, tree::TYPE) == tree::BALL) {
+        const Index last = model_.tree(i, tree::DOF), first = last - model_.tree(i, tree::AXIS);
+        if (column_[first] != column_[last]) {
+          return false;
+        }
+      }
+    }
+    return true;
+  }
+
+  /// Factor what the equations say of the coordinates that they decide; return the ratio of pivots.
+  double factor(const Component & part)
+  {
+    for (Index i = 0; i < part.rows; ++i) {
+      for (Index k = 0; k < part.rows; ++k) {
+        square(part)(i, k) = entry(row(part, i), column(part, k));
+      }
+    }
+    return factorize(square(part), pivot_row_.part(0, part.rows));
+  }
+  Table square(const Component & part) const {return {factor_.data, part.rows, part.rows};}
+
+  /// Changes of the decided coordinates that change the equations by `right_`, in user order.
+  void solve_decided(const Component & part, Values out)
+  {
+    const Values local = ordered_.part(0, part.rows);
+    for (Index i = 0; i < part.rows; ++i) {
+      local[i] = right_[row(part, i)] * row_scale_[row(part, i)];
+    }
+    solve(square(part), pivot_row_.part(0, part.rows), local);
+    for (Index k = 0; k < part.rows; ++k) {
+      out[column(part, k)] = local[k] * column_scale_[column(part, k)];
+    }
   }
 
   /// Bring a place onto the branch, in place; return whether it is there, with J.
-  bool settle(Values q)
+  bool settle(const Component & part, Values q)
   {
     const double size = system_.settings[setting::SIZE];
     double before = 0.0;
     for (Index count = 0; ; ++count) {
       look(q, rate_);
-      const double error = largest(work_.closure);
-      const bool settled = error <= SETTLED * size, shrinks = count == 0 || error < 0.5 * before;
-      if (error <= ROUNDING * size || !shrinks || count == MOST_CORRECTIONS) {
-        return settled;
-      }
-      before = error;
-      factor();
       to_user_order(model_, work_.closure, right_);
-      for (double & each : right_) {
+      double error = 0.0;
+      for (Index i = 0; i < part.rows; ++i) {
+        double & each = right_[row(part, i)];
+        error = std::abs(each) <= error ? error : std::abs(each);
         each = -each;
       }
+      const bool shrinks = count == 0 || error < 0.5 * before;
+      if (error <= ROUNDING * size || !shrinks || count == MOST_CORRECTIONS) {
+        return error <= SETTLED * size;
+      }
+      before = error;
+      factor(part);
       change_.fill(0.0);
-      solve_dependent(change_);
+      solve_decided(part, change_);
       move(system_.manifold, q, change_, 1.0);
     }
   }
 
-  /// Settle a place; keep it, the rates along the branch, how they change, and the tangents.
-  bool keep(Index n)
+  /// Whether the equations know no coordinate but their own.
+  bool stands_alone(const Component & part)
   {
-    const Values q = places_[n], rates = rates_[n], bends = bends_[n];
-    for (Index k = 0; k < free_; ++k) {
-      rate_[independent(k)] = rates[independent(k)] = step_ * qd_[independent(k)];
-      bends[independent(k)] = 0.0;
+    column_.fill(0);
+    for (Index k = 0; k < part.columns; ++k) {
+      column_[column(part, k)] = 1;
     }
-    if (!settle(q)) {
-      return false;
-    }
-    const double pivot = factor();
-    if (n == 0) {
-      pivot_ = pivot;
-    } else if (!(pivot >= SMALLER * pivot_)) {
-      return false;
-    }
-    for (Index i = 0; i < nc_; ++i) {
-      right_[i] = 0.0;
-      for (Index k = 0; k < moving_; ++k) {
-        right_[i] -= jac_(i, independent(k)) * rates[independent(k)];
+    for (Index i = 0; i < part.rows; ++i) {
+      for (Index j = 0; j < nv_; ++j) {
+        if (column_[j] == 0 && std::abs(entry(row(part, i), j)) > FOREIGN) {
+          return false;
+        }
       }
     }
-    solve_dependent(rates);
-    if (moving_ > 1) {
-      add_tangents(n);
+    return true;
+  }
+
+  /// Settle a place; keep it, the rates along the branch, how they change, and the tangents.
+  bool keep(const Component & part, Index n)
+  {
+    const Values q = places_[n], rates = rates_[n], bends = bends_[n];
+    if (!settle(part, q)) {
+      return false;
+    }
+    const double pivot = factor(part);
+    if (n == 0) {
+      pivot_ = pivot;
+    }
+    if (!(pivot >= SMALLER * pivot_) || (n == 0 && !stands_alone(part))) {
+      return false;
+    }
+    rates.fill(0.0);
+    bends.fill(0.0);
+    for (Index k = 0; k < part.columns - part.rows; ++k) {
+      const Index j = independent(part, k);
+      rates[j] = step_ * qd_[j];
+    }
+    for (Index i = 0; i < part.rows; ++i) {
+      double & total = right_[row(part, i)];
+      total = 0.0;
+      for (Index k = 0; k < part.moving; ++k) {
+        total -= jac_(row(part, i), independent(part, k)) * rates[independent(part, k)];
+      }
+    }
+    solve_decided(part, rates);
+    if (part.moving > 1) {
+      add_tangents(part, tangents_, VALUE[n]);
+      add_tangents(part, tangents_of_fewer_, FEWER_VALUES[n]);
     }
     outward(model_, q, rates, work_);
     update(model_, work_, Responses::NONE);
+    negate_bias();
+    solve_decided(part, bends);
+    return true;
+  }
+
+  void negate_bias()
+  {
     to_user_order(model_, work_.bias, right_);
     for (double & each : right_) {
       each = -each;
     }
-    solve_dependent(bends);
-    return true;
   }
 
-  /// Add what a place tells of the changes of all coordinates with each independent one.
-  void add_tangents(Index n)
+  /// Add a share of what the decided coordinates change by with each independent one.
+  void add_tangents(const Component & part, Table out, double share)
   {
-    for (Index k = 0; k < moving_; ++k) {
-      for (Index i = 0; i < nc_; ++i) {
-        right_[i] = -jac_(i, independent(k));
+    for (Index k = 0; k < part.moving && share != 0.0; ++k) {
+      const Index j = independent(part, k);
+      for (Index i = 0; i < part.rows; ++i) {
+        right_[row(part, i)] = -jac_(row(part, i), j);
       }
-      solve_dependent(change_);
-      for (Index m = 0; m < nc_; ++m) {
-        const Index j = dependent(m);
-        tangents_(k, j) += VALUE[n] * change_[j];
-        tangents_of_fewer_(k, j) += FEWER_VALUES[n] * change_[j];
+      solve_decided(part, change_);
+      for (Index m = 0; m < part.rows; ++m) {
+        out(j, column(part, m)) += share * change_[column(part, m)];
       }
     }
+  }
+
+  /// Find what is asked of a component at the state by the places around it.
+  bool trace(Component part)
+  {
+    return find_first(part) && find_others(part) && meet_state(part) && finish_tangents(part);
+  }
+
+  /// Put a place where the rates lead to.
+  void go_straight(const Component & part, Index n)
+  {
+    change_.fill(0.0);
+    for (Index k = 0; k < part.columns; ++k) {
+      change_[column(part, k)] = qd_[column(part, k)];
+    }
+    copy(q_, places_[n]);
+    move(system_.manifold, places_[n], change_, step_);
   }
 
   /// Find the first place, far enough from the state that the equations are independent there.
-  bool find_first(double speed)
+  bool find_first(Component & part)
   {
-    const double aside = system_.settings[setting::ASIDE] / speed;
-    double farther = 1.0;
-    for (int attempt = 0; ; ++attempt) {
-      step_ = farther * aside;
-      copy(q_, places_[0]);
-      move(system_.manifold, places_[0], qd_, step_);
-      copy(qd_, rate_);
-      look(places_[0], rate_);
-      const double pivot = choose();
-      if (pivot == 0.0 || (attempt > 0 && pivot < LEAST)) {
-        return false;
-      }
-      if (pivot >= ENOUGH || attempt > 0) {
-        break;
-      }
-      farther = std::min(FARTHEST, 1.5 * ENOUGH / pivot);
+    double fastest = 0.0, longest = 0.0;
+    for (Index k = 0; k < part.columns; ++k) {
+      const Index j = column(part, k);
+      fastest = std::max(fastest, std::abs(qd_[j]) / column_scale_[j]);
+      longest = std::max(longest, 1.0 / column_scale_[j]);
     }
-    if (moving_ == 0 || (moving_ == 1 && qd_[independent(0)] == 0.0)) {
+    // As if the longest lever turned.
+    step_ = system_.settings[setting::ASIDE] * longest / fastest;
+    if (!(step_ < RESTING * system_.settings[setting::ASIDE])) {
       return false;
     }
-    if (moving_ == 1) {
+    for (int attempt = 0; ; ++attempt) {
+      go_straight(part, 0);
+      look(places_[0], qd_);
+      const double pivot = choose(part, LEAST);
+      if (pivot >= ENOUGH || (pivot > 0.0 && attempt > 0)) {
+        break;
+      }
+      if (attempt > 0) {
+        return false;
+      }
+      step_ *= pivot > 0.0 ? std::min(FARTHEST, 1.5 * ENOUGH / pivot) : FARTHEST;
+    }
+    if (part.moving == 0 || (part.moving == 1 && qd_[independent(part, 0)] == 0.0)) {
+      return false;
+    }
+    if (part.moving == 1) {
       step_ *= SLOPED_ASIDE;
-      copy(q_, places_[0]);
-      move(system_.manifold, places_[0], qd_, step_);
+      go_straight(part, 0);
+    } else {
+      for (Index k = 0; k < part.moving; ++k) {
+        tangents_of_fewer_[independent(part, k)].fill(0.0);
+      }
     }
-    for (Index j = 0; j < nv_; ++j) {
-      rate_[j] = step_ * qd_[j];
-    }
-    tangents_.fill(0.0);
-    tangents_of_fewer_.fill(0.0);
-    return keep(0);
+    return keep(part, 0);
   }
 
   /// Find the other places, each from two that are known.
-  bool find_others()
+  bool find_others(const Component & part)
   {
-    count_ = moving_ == 1 ? SLOPED_PLACES : MOST_PLACES;
+    count_ = part.moving == 1 ? SLOPED_PLACES : MOST_PLACES;
     for (Index n = 1; n < count_; ++n) {
-      const Values q = places_[n];
       if (n == 1) {
-        copy(q_, q);
+        step_ = -step_;
+        go_straight(part, n);
+        step_ = -step_;
         for (Index j = 0; j < nv_; ++j) {
-          change_[j] = 0.5 * bends_(0, j) - step_ * qd_[j];
-        }
-        for (Index k = 0; k < nc_; ++k) {
-          rate_[dependent(k)] = rates_(0, dependent(k)) - 2.0 * bends_(0, dependent(k));
+          change_[j] = 0.5 * bends_(0, j);
         }
       } else {
-        predict(n, n < 4 ? 3 - n : n - 4, n - 2);
+        predict(part, n, n < 4 ? 3 - n : n - 4, n - 2);
       }
-      move(system_.manifold, q, change_, 1.0);
-      if (!keep(n)) {
+      move(system_.manifold, places_[n], change_, 1.0);
+      if (!keep(part, n)) {
         return false;
       }
     }
@@ -442,147 +602,151 @@ private:
   }
 
   /// Go on from a place by the cubic that has the rates of this and of another one.
-  void predict(Index n, Index other, Index from)
+  void predict(const Component & part, Index n, Index other, Index from)
   {
     const double width = PLACES[from] - PLACES[other], s = (PLACES[n] - PLACES[from]) / width;
-    copy(places_[from], places_[n]);
     const double s2 = s * s, s3 = s2 * s, s4 = s2 * s2;
     // Integrals of Hermite's polynomials in s, from 0 at `from` to s; -1 is the other place.
     const double value = s - s3 - 0.5 * s4, slope = 0.5 * s2 + 2.0 / 3.0 * s3 + 0.25 * s4;
     const double other_value = s3 + 0.5 * s4, other_slope = s3 / 3.0 + 0.25 * s4;
-    for (Index j = 0; j < nv_; ++j) {
+    copy(places_[from], places_[n]);
+    change_.fill(0.0);
+    for (Index k = 0; k < part.columns; ++k) {
+      const Index j = column(part, k);
       change_[j] = width * (
         value * rates_(from, j) + other_value * rates_(other, j) +
         width * (slope * bends_(from, j) + other_slope * bends_(other, j)));
-      rate_[j] = rates_(from, j);
     }
-    for (Index k = 0; k < free_; ++k) {
-      const Index j = independent(k);
-      change_[j] = (PLACES[n] - PLACES[from]) * step_ * qd_[j];
+    for (Index k = 0; k < part.columns - part.rows; ++k) {
+      const Index j = independent(part, k);
+      change_[j] = (PLACES[n] - PLACES[from]) * rates_(from, j);
     }
   }
 
-  /// Largest of the dependent coordinates, as lengths.
-  double most(Values values) const
+  /// Largest of the decided coordinates, as lengths.
+  double most(const Component & part, Values values) const
   {
     double found = 0.0;
-    for (Index k = 0; k < nc_; ++k) {
-      found = std::max(found, std::abs(values[dependent(k)]) / column_scale_[dependent(k)]);
+    for (Index k = 0; k < part.rows; ++k) {
+      const double size = std::abs(values[column(part, k)]) / column_scale_[column(part, k)];
+      found = size <= found ? found : size;
     }
     return found;
   }
 
   /// Position, rates and what they change by on the branch at the state; false where that is not
   /// on the branch, or where what the places say does not agree.
-  bool meet_state()
+  bool meet_state(const Component & part)
   {
-    const bool sloped = count_ == SLOPED_PLACES;
-    const bool whole = system_.manifold.empty();
-    double fastest = 0.0, sharpest = 0.0;
-    copy(q_, near_);
-    copy(qd_, rate_);
-    bend_.fill(0.0);
-    for (Index k = 0; k < nc_; ++k) {
-      const Index j = dependent(k);
+    const bool sloped = count_ == SLOPED_PLACES, whole = system_.manifold.empty();
+    double fastest = 0.0, sharpest = 0.0, longest = 0.0;
+    for (Index k = 0; k < part.rows; ++k) {
+      const Index j = column(part, k);
       double place = 0.0, rate = 0.0, bend = 0.0, fewer = 0.0;
       for (Index n = 0; n < count_; ++n) {
         const double along = rates_(n, j), across = bends_(n, j);
-        if (sloped) {
-          place += SLOPE_FOR_VALUE[n] * along;
-          rate += VALUE_BY_SLOPES[n] * along + SLOPE_FOR_VALUE[n] * across;
-          bend += VALUE_FOR_SLOPE[n] * along + SLOPE_BY_VALUES[n] * across;
-          fewer += FEWER_FOR_SLOPE[n] * along + FEWER_SLOPES[n] * across;
-        } else {
-          rate += VALUE[n] * along;
-          bend += VALUE[n] * across;
-          fewer += FEWER_VALUES[n] * across;
-        }
-        if (whole) {
-          place += (sloped ? VALUE_BY_SLOPES[n] : VALUE[n]) * (places_(n, j) - q_[j]);
-        }
+        const double value = sloped ? VALUE_BY_SLOPES[n] : VALUE[n];
+        const double slope = sloped ? SLOPE_FOR_VALUE[n] : 0.0;
+        place += whole ? value * (places_(n, j) - q_[j]) + slope * along : 0.0;
+        rate += value * along + slope * across;
+        bend += sloped ? VALUE_FOR_SLOPE[n] * along + SLOPE_BY_VALUES[n] * across : value * across;
+        fewer += sloped ? FEWER_FOR_SLOPE[n] * along + FEWER_SLOPES[n] * across :
+          FEWER_VALUES[n] * across;
         fastest = std::max(fastest, std::abs(along) / column_scale_[j]);
         sharpest = std::max(sharpest, std::abs(across) / column_scale_[j]);
       }
-      near_[j] = q_[j] + (whole ? place : 0.0);
+      longest = std::max(longest, 1.0 / column_scale_[j]);
+      near_[j] += place;
       rate_[j] = rate / step_;
       bend_[j] = bend / (step_ * step_);
-      change_[j] = whole ? place : 0.0;
+      change_[j] = place;
       other_[j] = fewer - bend;
+      force_[j] = rate - step_ * qd_[j];
     }
-    sharpest = std::max(sharpest, fastest * fastest * smallest_scale());
-    if (!(most(change_) <= BESIDE * fastest && most(other_) <= APART * sharpest)) {
-      return false;
-    }
-    for (Index k = 0; k < nc_; ++k) {
-      const Index j = dependent(k);
-      other_[j] = step_ * (rate_[j] - qd_[j]);
-    }
-    if (!(most(other_) <= OTHER_RATE * fastest)) {
-      return false;
-    }
-    return finish_tangents();
+    return most(part, change_) <= BESIDE * fastest && most(part, force_) <= OTHER_RATE * fastest &&
+           most(part, other_) <= APART * std::max(sharpest, fastest * fastest / longest);
   }
 
-  double smallest_scale() const
+  /// What the decided coordinates change by with each independent one, at the state.
+  bool finish_tangents(const Component & part)
   {
-    double found = column_scale_[0];
-    for (double each : column_scale_) {
-      found = std::min(found, each);
+    if (part.moving == 1) {
+      const Index j = independent(part, 0);
+      for (Index m = 0; m < part.rows; ++m) {
+        tangents_(j, column(part, m)) = rate_[column(part, m)] / qd_[j];
+      }
+      return true;
     }
-    return found;
-  }
-
-  /// What all coordinates change by with each independent one, at the state.
-  bool finish_tangents()
-  {
-    for (Index k = 0; k < free_; ++k) {
-      const Values tangent = tangents_[k];
-      if (k == 0 && moving_ == 1) {
-        for (Index m = 0; m < nc_; ++m) {
-          tangent[dependent(m)] = rate_[dependent(m)] / qd_[independent(0)];
-        }
+    for (Index k = 0; k < part.moving; ++k) {
+      const Index j = independent(part, k);
+      const Values tangent = tangents_[j], fewer = tangents_of_fewer_[j];
+      for (Index m = 0; m < part.rows; ++m) {
+        fewer[column(part, m)] -= tangent[column(part, m)];
       }
-      if (moving_ > 1) {
-        for (Index m = 0; m < nc_; ++m) {
-          other_[dependent(m)] = tangent[dependent(m)] - tangents_of_fewer_(k, dependent(m));
-        }
-        if (!(most(other_) <= APART * (most(tangent) + 1.0 / column_scale_[independent(k)]))) {
-          return false;
-        }
+      if (!(most(part, fewer) <= APART * (most(part, tangent) + 1.0 / column_scale_[j]))) {
+        return false;
       }
-      tangent[independent(k)] = 1.0;
     }
     return true;
+  }
+
+  /// What regular components do at the state that the others have moved to their branches.
+  void finish_regular()
+  {
+    look(near_, rate_);
+    for (const Component & part : components_) {
+      if (part.regular) {
+        factor(part);
+        negate_bias();
+        solve_decided(part, bend_);
+        add_tangents(part, tangents_, 1.0);
+      }
+    }
   }
 
   /// Equations of motion along the tangents, then the multipliers.
   bool move_there()
   {
-    outward(model_, near_, rate_, work_);
+    finish_regular();
     for (Index i = 0; i < added_.rows; ++i) {
       for (Index n = 0; n < added_.columns; ++n) {
         work_.body(i, work_.first_force() + n) += added_(i, n);
       }
     }
+    column_.fill(0);
+    for (const Component & part : components_) {
+      for (Index k = 0; k < part.rows; ++k) {
+        column_[column(part, k)] = 1;
+      }
+    }
+    for (Index j = 0, k = 0; j < nv_; ++j) {
+      if (column_[j] == 0) {
+        tangents_(j, j) = 1.0;
+        free_column_[k++] = j;
+      }
+    }
     generalized_inertia_matrix(model_, work_, gim_);
-    tree_torque(model_, work_, bend_, other_);
+    tree_torque(model_, work_, bend_, force_);
     for (Index i = 0; i < nv_; ++i) {
-      other_[i] -= system_.applied[i];
+      force_[i] -= system_.applied[i];
     }
     for (Index k = 0; k < free_; ++k) {
+      const Values tangent = tangents_[free_column_[k]], carried = carried_[k];
       push_[k] = 0.0;
+      carried.fill(0.0);
       for (Index i = 0; i < nv_; ++i) {
-        double total = 0.0;
-        for (Index j = 0; j < nv_; ++j) {
-          total += gim_(i, j) * tangents_(k, j);
+        if (tangent[i] != 0.0) {
+          push_[k] -= tangent[i] * force_[i];
+          for (Index j = 0; j < nv_; ++j) {
+            carried[j] += tangent[i] * gim_(i, j);
+          }
         }
-        carried_(k, i) = total;
-        push_[k] -= tangents_(k, i) * other_[i];
       }
       for (Index m = 0; m <= k; ++m) {
+        const Values other = tangents_[free_column_[m]];
         double total = 0.0;
         for (Index i = 0; i < nv_; ++i) {
-          total += tangents_(m, i) * carried_(k, i);
+          total += other[i] * carried[i];
         }
         inertia_(k, m) = total;
       }
@@ -591,72 +755,81 @@ private:
       return false;
     }
     solve_positive(inertia_, push_);
-    for (Index i = 0; i < nv_; ++i) {
-      for (Index k = 0; k < free_; ++k) {
-        bend_[i] += push_[k] * tangents_(k, i);
-        other_[i] += push_[k] * carried_(k, i);
+    for (Index k = 0; k < free_; ++k) {
+      const Values tangent = tangents_[free_column_[k]];
+      for (Index i = 0; i < nv_; ++i) {
+        bend_[i] += push_[k] * tangent[i];
+        force_[i] += push_[k] * carried_(k, i);
       }
     }
     copy(bend_, system_.qdd);
-    find_multipliers();
+    Index rank = 0;
+    for (const Component & part : components_) {
+      rank += find_multipliers(part);
+    }
+    work_.health[health::RANK] = static_cast<double>(rank);
     return true;
   }
 
-  /// The multipliers that give the joint forces in `other_`; where an equation vanishes the least.
-  void find_multipliers()
+  /// The multipliers that give the joint forces in `force_`; return the rank of the equations.
+  Index find_multipliers(const Component & part)
   {
-    constraint_jacobian(model_, work_, jac_);
-    scales(model_, jac_, row_scale_, column_scale_);
-    for (Index i = 0; i < nc_; ++i) {
-      for (Index j = 0; j < nv_; ++j) {
-        factor_(i, j) = jac_(i, j) * row_scale_[i] * column_scale_[j];
+    const Values local = ordered_.part(0, part.rows);
+    for (Index i = 0; i < part.rows; ++i) {
+      for (Index k = 0; k < part.rows; ++k) {
+        square(part)(k, i) = entry(row(part, i), column(part, k));
+      }
+      local[i] = force_[column(part, i)] * column_scale_[column(part, i)];
+    }
+    if (!(factorize(square(part), pivot_row_.part(0, part.rows)) > VANISHED)) {
+      return find_least_multipliers(part);
+    }
+    solve(square(part), pivot_row_.part(0, part.rows), local);
+    for (Index i = 0; i < part.rows; ++i) {
+      system_.lam[row(part, i)] = local[i] * row_scale_[row(part, i)];
+    }
+    return part.rows;
+  }
+
+  /// The same where equations vanish: in the least squares, and of all such the least.
+  Index find_least_multipliers(const Component & part)
+  {
+    const Table matrix{factor_.data, part.rows, part.columns};
+    for (Index i = 0; i < part.rows; ++i) {
+      for (Index k = 0; k < part.columns; ++k) {
+        matrix(i, k) = entry(row(part, i), column(part, k));
       }
     }
-    const Index rank = factorize_fully(factor_, row_, column_, VANISHED);
-    work_.health[health::RANK] = static_cast<double>(rank);
-    const Values & lam = system_.lam, & share = right_;
-    const auto needed = [&](Index k) {return other_[column_[k]] * column_scale_[column_[k]];};
-    if (rank == nc_) {
-      for (Index k = 0; k < nc_; ++k) {
-        share[k] = needed(k);
-        for (Index i = 0; i < k; ++i) {
-          share[k] -= factor_(i, k) * share[i];
-        }
-        share[k] /= factor_(k, k);
-      }
-      for (Index k = nc_ - 1; k >= 0; --k) {
-        for (Index i = k + 1; i < nc_; ++i) {
-          share[k] -= factor_(i, k) * share[i];
-        }
-        lam[row_[k]] = share[k] * row_scale_[row_[k]];
-      }
-      return;
-    }
-    // Least squares, then the least solution: the factors are of full rank.
-    const auto upper = [&](Index k, Index j) {return j >= k ? factor_(k, j) : 0.0;};
-    const auto lower = [&](Index i, Index k) {
-        return (i == k ? 1.0 : i > k ? factor_(i, k) : 0.0) / row_scale_[row_[i]];
+    const Indices columns = column_.part(0, part.columns);
+    const Index rank =
+      factorize_fully(matrix, pivot_row_.part(0, part.rows), columns, VANISHED);
+    const auto upper = [&](Index k, Index j) {return j >= k ? matrix(k, j) : 0.0;};
+    const auto lower = [&](Index k, Index i) {
+        return (i == k ? 1.0 : i > k ? matrix(i, k) : 0.0) / row_scale_[row(part, pivot_row_[i])];
       };
-    const Table square{gim_.data, rank, rank};
+    const Table products{gim_.data, rank, rank};
+    const Values share = ordered_.part(0, rank);
     for (Index k = 0; k < rank; ++k) {
       share[k] = 0.0;
-      for (Index j = k; j < nv_; ++j) {
-        share[k] += upper(k, j) * needed(j);
+      for (Index j = k; j < part.columns; ++j) {
+        const Index from = column(part, columns[j]);
+        share[k] += matrix(k, j) * force_[from] * column_scale_[from];
       }
     }
-    fill_products(square, upper, nv_);
-    factorize_positive(square);
-    solve_positive(square, share.part(0, rank));
-    fill_products(square, [&](Index k, Index i) {return lower(i, k);}, nc_);
-    factorize_positive(square);
-    solve_positive(square, share.part(0, rank));
-    for (Index i = 0; i < nc_; ++i) {
+    fill_products(products, upper, part.columns);
+    factorize_positive(products);
+    solve_positive(products, share);
+    fill_products(products, lower, part.rows);
+    factorize_positive(products);
+    solve_positive(products, share);
+    for (Index i = 0; i < part.rows; ++i) {
       double total = 0.0;
       for (Index k = 0; k < rank; ++k) {
-        total += lower(i, k) * share[k];
+        total += lower(k, i) * share[k];
       }
-      lam[row_[i]] = total;
+      system_.lam[row(part, pivot_row_[i])] = total;
     }
+    return rank;
   }
 
   const System & system_;
@@ -667,27 +840,25 @@ private:
   const Index nv_, nc_, free_;
   Scratch<double, NUMBERS> scratch_;
   const Table jac_, factor_;
-  const Values row_scale_, column_scale_, right_, change_;
+  const Values row_scale_, right_, ordered_, column_scale_, change_;
   const Table places_, rates_, bends_, tangents_, tangents_of_fewer_;
-  const Values near_, rate_, bend_, other_;
+  const Values near_, rate_, bend_, other_, force_;
   const Table gim_, carried_, inertia_;
   const Values push_;
   Scratch<Index, COUNTS> counts_;
-  // Dependent coordinates, then independent ones, those that an equation knows first.
-  const Indices order_, column_, row_;
+  // Coordinates and equations, component by component.
+  const Indices order_, root_, column_, free_column_, row_, pivot_row_;
+  Scratch<Component, MOST_PARTS> parts_;
+  Vector<Component> components_;
   double step_ = 0.0, pivot_ = 0.0;
-  Index moving_ = 0, count_ = 0;
+  Index count_ = 0;
 };
 }  // namespace
 
 bool accelerate_by_places(const System & system, Values q, Values qd, Table added)
 {
-  const double speed = fastest_turn(system.work);
   const bool driven = system.has_effects() && system.effects.motions.rows > 0;
-  if (!(speed > 0.0) || driven || system.lam.size >= qd.size) {
-    return false;
-  }
-  return Branch(system, q, qd, added).accelerate(speed);
+  return !driven && system.lam.size < qd.size && Branch(system, q, qd, added).accelerate();
 }
 
 }  // namespace closedloop

@@ -38,6 +38,22 @@ constexpr int PLACES = 8;
 constexpr double ENOUGH = 2.0 * CLOSE, LEAST_ENOUGH = 0.1 * CLOSE;
 constexpr double FARTHEST = 8.0, BETTER = 2.0, APART = 1e-6, NOISE = 1e-18;
 
+/// Largest angular velocity of any body [rad/s].
+double fastest(const Workspace & work)
+{
+  double most = 0.0;
+  for (Index i = 1; i < work.body.rows; ++i) {
+    if (work.planar()) {
+      most = std::max(most, std::abs(work.body(i, plane::OMEGA)));
+    } else {
+      const double * spin = work.body.row(i) + space::SPIN;
+      most = std::max(
+        most, std::sqrt(spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2]));
+    }
+  }
+  return most;
+}
+
 /// Where the k-th place around a state is, in units of the distance `aside`.
 double place_of(int k)
 {
@@ -79,7 +95,7 @@ public:
     measure();
     equations_.right = -(level == Level::POSITION ? equations_.psi : equations_.rate);
     equations_.force.setZero();
-    solve(place_, equations_, fastest_turn(work_), level, out, {});
+    solve(place_, equations_, fastest(work_), level, out, {});
   }
 
   /// As `accelerate_rank_revealing`.
@@ -125,7 +141,7 @@ private:
     to_user_order(model_, work_.right, view(equations_.right));
     equations_.right += beside;
     return solve(
-      place_, equations_, fastest_turn(work_), Level::ACCELERATION, view(qdd), view(lam));
+      place_, equations_, fastest(work_), Level::ACCELERATION, view(qdd), view(lam));
   }
 
   /// Bring a state onto the branch next to it, in place; return the closure error that is left.
@@ -198,7 +214,7 @@ void Solver<Most>::accelerate(
   to_user_order(model_, work_.right, view(beside));
   Matrix applied = forces_on_bodies();
   health[health::RANK_REVEALING_COUNT] += 1.0;
-  const double speed = fastest_turn(work_);
+  const double speed = fastest(work_);
   Rank rank = solve_here(tau, beside, found, forces);
   const double size = place_.largest;
   const Index here = rank.distinct;

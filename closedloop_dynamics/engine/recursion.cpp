@@ -3,9 +3,6 @@
 
 #include "recursion.hpp"
 
-#include <algorithm>
-#include <cmath>
-
 #include "loop_closure.hpp"
 #include "routines.hpp"
 
@@ -88,21 +85,6 @@ void energies(const Model & model, const Workspace & work, Values qd, Values out
       out[1] -= model.gravity[k] * moment[1 + k];
     }
   }
-}
-
-double fastest_turn(const Workspace & work)
-{
-  double most = 0.0;
-  for (Index i = 1; i < work.body.rows; ++i) {
-    if (work.planar()) {
-      most = std::max(most, std::abs(work.body(i, plane::OMEGA)));
-    } else {
-      const double * spin = work.body.row(i) + space::SPIN;
-      most = std::max(
-        most, std::sqrt(spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2]));
-    }
-  }
-  return most;
 }
 
 void bias_forces(const Workspace & work, Table out)

@@ -27,9 +27,6 @@ void turn_spherical(
 /// Kinetic energy and potential energy in gravity [J], of a state whose motion is in `work`.
 void energies(const Model &, const Workspace &, Values qd, Values out);
 
-/// Largest angular velocity of any body [rad/s], after `outward`.
-double fastest_turn(const Workspace &);
-
 /// Copy the bodies' bias forces into the first columns of `out`, shape (nb + 1, 3 or more).
 void bias_forces(const Workspace &, Table out);
 
