@@ -27,6 +27,8 @@ BLOCK, BLOCK_WIDTH, SLOT = 0.05, 0.03, 0.024
 # Of a bevel gear: its width in radii; the holes of wheels, as shares of the circle at the roots of
 # teeth; how far from its roller a follower has its block, in sizes of links.
 BEVEL_WIDTH, HOLE, SHAFT, STEM = 0.4, 0.8, 0.25, 0.6
+# The size that links are drawn by at least, as a share of that of the mechanism.
+THINNEST = 0.25
 # How far outside its outline a cam with a path inside ends, as a share of its size.
 COLLAR = 1.25
 BELT_COLOR = '#6f7681'
@@ -78,8 +80,8 @@ class MachineShapes:
         return max(spans, default=0.0)
 
     def thickness(self, size, share):
-        """Return the size that links are drawn by: so that bars are thinner than any wheel."""
-        return min([size, *(share * wheel.radius for wheel in self.wheels)])
+        """Return the size that links are drawn by: bars are thinner than wheels, within reason."""
+        return max(THINNEST * size, min([size, *(share * wheel.radius for wheel in self.wheels)]))
 
     def covers(self, body, places):
         """Return whether places of a body, shape (n, 2 or 3), lie on a wheel or outline of it."""

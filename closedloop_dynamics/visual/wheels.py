@@ -161,7 +161,9 @@ def transmissions(mechanism):
     """
     Return the wheels, racks and belts of the couplings of a mechanism.
 
-    Couplings whose wheels would not touch, are on one axis or on skew ones have none.
+    Couplings whose wheels would not touch, are on one axis or on skew ones have none; neither
+    have those without a ``radius`` between bodies with shapes of their own, as joints of robots
+    that mimic others.
 
     Returns
     -------
@@ -270,11 +272,16 @@ class _Train:
         self.hinges = {hinge.name: hinge for hinge in _hinges(mechanism)}
         self.slides = {joint.name: joint for joint in mechanism.joints
                        if joint.type == PRISMATIC}
+        self.shaped = {body.name for body in mechanism.bodies if body.visual}
         self.values = _values(mechanism.couplings)
         self.wheels, self.meshes, self.racks, self.belts, self._known = [], [], [], [], {}
 
     def add(self, coupling):
         """Add the wheels of a coupling, if it has any."""
+        if coupling.radius is None and any(
+                joint.name in coupling.joints and joint.child in self.shaped
+                for joint in self.mechanism.joints):
+            return
         if all(name in self.hinges for name in coupling.joints):
             carrier, seats, factors = self._rolling(coupling)
             if carrier is not None:

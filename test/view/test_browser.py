@@ -193,7 +193,7 @@ def test_nothing_sticks_out_or_is_cut_off(open_page, live, width):
     tab = open_page(live.url, width=width, height=800)
     tab.wait(READY)
     assert tab.ask("""[...document.querySelectorAll(
-        "#transport *, #views, #tools, #runs-panel button, .drive > *, " +
+        "#transport *, #bar, #views, #tools, #runs-panel button, .drive > *, " +
         ".entry, .plot canvas, .effect input")]
         .filter((e) => e.getBoundingClientRect().width).filter((e) => {
           const box = e.getBoundingClientRect();
@@ -203,6 +203,12 @@ def test_nothing_sticks_out_or_is_cut_off(open_page, live, width):
     assert tab.ask("""[...document.querySelectorAll(".drive b, button")].filter(
         (e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.outerHTML)""") == []
     assert tab.ask('document.getElementById("solid").clientWidth') > 300
+    # Nor do the buttons lie on the machine.
+    assert tab.ask("""page.picture.parts.reach.every(([body, place]) => {
+        const bar = document.getElementById("bar").getBoundingClientRect();
+        const picture = document.getElementById("solid").getBoundingClientRect();
+        return page.picture.project(moved(page.picture.frameOf(body), place))[1]
+          > bar.bottom - picture.top; })""")
     tab.close()
 
 

@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, poses_in_space
-from closedloop_dynamics.mechanism.mechanism import Coupling
+from closedloop_dynamics.mechanism.mechanism import Coupling, Visual
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.visual.wheels import profile, rack_profile, transmissions
@@ -159,6 +159,16 @@ def test_wheels_that_are_too_small_to_touch_have_a_belt():
     # Too large to be anything: nothing is drawn.
     assert transmissions(four_bar({'crank_joint': 1.0, 'rocker_joint': 2.0}, radius=0.3)) == (
         [], [], [])
+
+
+def test_joints_of_robots_that_mimic_others_have_no_wheels():
+    mechanism = four_bar({'crank_joint': 1.0, 'rocker_joint': 3.0})
+    crank, *others = mechanism.bodies
+    crank = replace(crank, visual=(Visual('sphere', (0.1,)),))
+    shaped = replace(mechanism, bodies=(crank, *others))
+    assert transmissions(shaped) == ([], [], [])
+    gear, = (replace(coupling, radius=0.1) for coupling in mechanism.couplings)
+    assert len(transmissions(replace(shaped, couplings=(gear,)))[0]) == 2
 
 
 def test_numbers_of_teeth_are_whole_or_none():

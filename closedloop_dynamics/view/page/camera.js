@@ -15,19 +15,26 @@ class Camera {
     if (this.extent) this.fit();
   }
 
+  // Which share of the picture lies behind the buttons at its upper end.
+  covered() {
+    const [bar, picture] = [byId('bar'), this.canvas].map((one) => one.getBoundingClientRect());
+    return Math.max(0, Math.min(0.3, (bar.bottom - picture.top) / (picture.height || 1)));
+  }
+
   // As near as all of the box about what has been seen allows, with room for arrows.
   fit() {
     const {low, high} = this.extent, {right, top, out} = this.axes();
     const margin = (this.described.planar ? 0.1 : 0.16) * this.size, wide = minus(high, low);
-    this.target = times(0.5, add(low, high));
+    const middle = times(0.5, add(low, high)), covered = this.covered();
     const aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1) || 1;
     const slope = Math.tan(FIELD_OF_VIEW / 2);
     this.distance = Math.max(...[0, 1, 2, 3, 4, 5, 6, 7].map((k) => {
       const corner = wide.map((side, axis) => ((k >> axis) & 1 ? 0.5 : -0.5) * side);
       return dot(corner, out) + Math.max(
         (Math.abs(dot(corner, right)) + margin) / (slope * aspect),
-        (Math.abs(dot(corner, top)) + margin) / slope);
+        (Math.abs(dot(corner, top)) + margin) / (slope * (1 - covered)));
     }));
+    this.target = add(middle, times(covered * slope * this.distance, top));
   }
 
   // Directions to the right, upwards and to the eye, of length one.

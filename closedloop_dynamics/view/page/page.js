@@ -24,6 +24,8 @@ const READING = 45;
 // A page that hears nothing for so long is not connected any more; one that gets no states for so
 // long while time runs says so [ms].
 const PATIENCE = 1000, STILL = 1500;
+// Width of the picture from which on it has room for the legend beside the machine [CSS pixels].
+const LEGEND_ROOM = 800;
 // Share of the speed asked for below which the page says how fast it is.
 const LAGS = 0.8;
 
@@ -75,7 +77,7 @@ class Page {
         throw error;
       }
       this.handle();
-      byId('legend').open = !matchMedia('(max-width: 760px)').matches;
+      byId('legend').open = byId('stage').clientWidth > LEGEND_ROOM;
     }
     this.width = scene.columns.width;
     byId('plots').replaceChildren();
@@ -91,6 +93,7 @@ class Page {
     byId('follow').replaceChildren(...['still', ...scene.bodies.map(
       ({name}) => `follow ${escaped(name)}`)].map((text, k) => (
       make(`<option value="${k - 1}">${text}</option>`))));
+    byId('follow').value = this.picture.followed;
     for (const text of scene.missing) this.tell(`${text}; drawn as lines`);
   }
 
