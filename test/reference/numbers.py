@@ -10,7 +10,7 @@ motion and least forces from equations that may depend on one another.
 """
 
 from closedloop_dynamics.core.codegen import space
-from closedloop_dynamics.core.codegen.rows import by_column, six
+from closedloop_dynamics.core.codegen.rows import by_column, columns_of, six
 from closedloop_dynamics.core.codegen.spatial import at_parent, Recursion
 from closedloop_dynamics.core.codegen.vectors import (
     add, cross, dot, scale, subtract, times, transpose, ZERO)
@@ -212,7 +212,7 @@ class Numbers:
     def write(self, body):
         """Write motion and forces into rows as those of ``Workspace.body``."""
         for row, motion, force in zip(body, self.recursion.motion, self.recursion.force):
-            columns = space.columns_of(motion)
+            columns = columns_of(motion, space.MOTION)
             if force is not None:
                 columns.update(by_column(force, space.FORCES))
             for place, value in columns.items():

@@ -15,7 +15,7 @@ import numpy as np
 from . import plane, space
 from .expression_graph import ExpressionGraph, LOAD, Routine
 from .machine_code import machine_code, PIECE
-from .rows import by_column, matrix, six
+from .rows import by_column, columns_of, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
@@ -183,7 +183,7 @@ class _Body:
             one.spherical_kinematics(_BODY, _PARENT, first, second) if body.ball
             else one.joint_kinematics(_BODY, _PARENT, first[0], second[2]))
         inertia, force = rigid(body, motion)
-        sketch.store(OWN, {**self.arrays.columns_of(motion),
+        sketch.store(OWN, {**columns_of(motion, self.arrays.MOTION),
                            **by_column(inertia, self.arrays.INERTIAS),
                            **by_column(force, self.arrays.FORCES)})
         if self.arrays is space:

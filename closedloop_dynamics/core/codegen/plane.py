@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from . import space
+from . import rows, space
 from .space import coupling, CUT_TYPES, prescribed
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
@@ -23,6 +23,10 @@ FORCES = {2: FZ, 3: FX, 4: FY}
 SHARES = {2: UZ, 3: UX, 4: UY}
 CHANGES = {2: DZ, 3: DX, 4: DY}
 INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4): MYY}
+# Where a body's motion is, as ``space.MOTION``.
+MOTION = {'angle': (ALPHA,), 'frame': (COS, None, None, SIN), 'origin': (PX, PY),
+          'offset': (RX, RY), 'spin': (None, None, OMEGA), 'velocity': (VX, VY),
+          'acceleration': (AX, AY), 'axis': (None, None, None, SX, SY)}
 # Where the factors of a coupling begin that has columns of its own before them.
 _COUPLED = CUT_POINT_COLUMNS + FACTORS
 # What the cut joints hold, as ``space.HELD``: axes of body B, and pairs of axes that stay
@@ -208,50 +212,9 @@ def _sum(model, one, values, row):
 
 
 def motion_of(row, body, ground):
-    """
-    Return the motion that a row of ``Workspace.body`` tells.
-
-    Parameters
-    ----------
-    row : ndarray, shape (WORK_COLUMNS,)
-        Of symbols.
-    body : Body
-        Of this row.
-    ground : BodyKinematics
-        Of the ground.
-
-    Returns
-    -------
-    BodyKinematics
-
-    """
+    """Return the motion that a row of ``Workspace.body`` tells, as ``space.motion_of``."""
     cos, sin = row[COS], row[SIN]
-    return ground._replace(
-        angle=row[ALPHA], frame=((cos, 0.0 - sin, 0.0), (sin, cos, 0.0), IDENTITY[2]),
-        origin=(*row[[PX, PY]], 0.0), offset=(*row[[RX, RY]], 0.0),
-        spin=(0.0, 0.0, row[OMEGA]), velocity=(*row[[VX, VY]], 0.0),
-        acceleration=(*row[[AX, AY]], 0.0),
-        axis=(0.0, 0.0, body.turns) + ((0.0,) * 3 if body.turns else (*row[[SX, SY]], 0.0)))
-
-
-def columns_of(motion):
-    """
-    Return what ``motion_of`` reads, by column.
-
-    Parameters
-    ----------
-    motion : BodyKinematics
-        Of a body.
-
-    Returns
-    -------
-    dict of int to number
-
-    """
-    columns = {ALPHA: motion.angle, COS: motion.frame[0][0], SIN: motion.frame[1][0],
-               OMEGA: motion.spin[2]}
-    for places, vector in (((PX, PY), motion.origin), ((RX, RY), motion.offset),
-                           ((VX, VY), motion.velocity), ((AX, AY), motion.acceleration),
-                           ((SX, SY), motion.axis[3:])):
-        columns.update(zip(places, vector))
-    return columns
+    motion = rows.motion_of(row, MOTION, ground)
+    return motion._replace(
+        frame=((cos, 0.0 - sin, 0.0), (sin, cos, 0.0), IDENTITY[2]),
+        axis=(0.0, 0.0, body.turns) + (ZERO if body.turns else motion.axis[3:]))

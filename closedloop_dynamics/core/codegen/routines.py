@@ -13,7 +13,7 @@ from .function_table import (
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
     REFINED_CORRECTION, TAU, WORK_BODY)
 from .machine_code import machine_code, PACKED, SCALAR
-from .rows import by_column, matrix, six
+from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion, rigid
 from .vectors import add, scale, subtract, times, ZERO
 from .workspace import unconnected
@@ -169,7 +169,7 @@ class MechanismTrace:
         one, arrays = self.recursion, self.arrays
         for row, motion, inertia, force in zip(
                 self.work.body, one.motion, one.inertia, one.force):
-            columns = arrays.columns_of(motion)
+            columns = columns_of(motion, arrays.MOTION)
             if force is not None:
                 columns.update(by_column(force, arrays.FORCES))
             if arrays is plane and inertia is not None:

@@ -68,3 +68,59 @@ def by_column(values, columns):
     """
     return {place: values[at[0]][at[1]] if isinstance(at, tuple) else values[at]
             for at, place in columns.items()}
+
+
+def motion_of(row, columns, ground):
+    """
+    Return the motion that a row of ``Workspace.body`` tells.
+
+    Parameters
+    ----------
+    row : ndarray, shape (WORK_COLUMNS,)
+        Of symbols.
+    columns : dict of str to tuple
+        Where the components of each part are, rows of the frame one after the other: ``MOTION``.
+    ground : BodyKinematics
+        Of the ground: what the row does not tell is as there.
+
+    Returns
+    -------
+    BodyKinematics
+        Components that are not kept are zero.
+
+    """
+    found = {}
+    for part, places in columns.items():
+        values = tuple(0.0 if place is None else row[place] for place in places)
+        if part == 'angle':
+            found[part], = values
+            continue
+        size = len(_flat(part, getattr(ground, part)))
+        values += (size - len(values)) * (0.0,)
+        found[part] = (values[:3], values[3:6], values[6:]) if part == 'frame' else values
+    return ground._replace(**found)
+
+
+def columns_of(motion, columns):
+    """
+    Return the parts of a motion by column.
+
+    Parameters
+    ----------
+    motion : BodyKinematics
+        Of a body.
+    columns : dict of str to tuple
+        As for ``motion_of``.
+
+    Returns
+    -------
+    dict of int to number
+
+    """
+    return {place: value for part, places in columns.items()
+            for place, value in zip(places, _flat(part, getattr(motion, part)))
+            if place is not None}
+
+
+def _flat(part, value):
+    return (value,) if part == 'angle' else sum(value, ()) if part == 'frame' else value

@@ -12,6 +12,7 @@ them go the terms that they multiply.
 
 import numpy as np
 
+from . import rows
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
@@ -43,6 +44,11 @@ WORK_ROTOR, ROTOR_BIAS, WORK_COLUMNS = 77, 80, 81
 # Where the components of a wrench, of a motion and of an inertia are, as in ``plane``.
 FORCES, SHARES, CHANGES = (
     {n: first + n for n in range(6)} for first in (FORCE, SHARE, CHANGE))
+# Where the components of each part of a body's motion are, None where one is not kept.
+MOTION = {part: tuple(range(first, first + size)) for part, first, size in (
+    ('origin', ORIGIN, 3), ('frame', FRAME, 9), ('spin', SPIN, 3), ('velocity', VELOCITY, 3),
+    ('offset', OFFSET, 3), ('spin_rate', SPIN_RATE, 3), ('acceleration', ACCELERATION, 3),
+    ('axis', JOINT_AXIS, 6))}
 INERTIAS = {pair: WORK_INERTIA + n for n, pair in enumerate(
     (m, n) for m in range(6) for n in range(m, 6))}
 
@@ -486,14 +492,8 @@ def motion_of(row, body, ground):
     BodyKinematics
 
     """
-    frame = _matrix(row[FRAME:])
-    origin, spin, velocity, offset, spin_rate, acceleration = (
-        tuple(row[first:first + 3])
-        for first in (ORIGIN, SPIN, VELOCITY, OFFSET, SPIN_RATE, ACCELERATION))
-    return ground._replace(
-        base=frame, frame=frame, origin=origin, offset=offset, spin=spin, velocity=velocity,
-        spin_rate=spin_rate, acceleration=acceleration,
-        axis=_axis(body, row[JOINT_AXIS:JOINT_AXIS + 6]))
+    motion = rows.motion_of(row, MOTION, ground)
+    return motion._replace(base=motion.frame, axis=_axis(body, motion.axis))
 
 
 def _axis(body, symbols):
@@ -501,29 +501,6 @@ def _axis(body, symbols):
     turn, slide = (symbols[first:first + 3] if not is_zero((rate,)) else ZERO
                    for first, rate in ((0, body.turns), (3, body.slides)))
     return IDENTITY[body.axis] + ZERO if body.ball else (*turn, *slide)
-
-
-def columns_of(motion):
-    """
-    Return what ``motion_of`` reads, by column.
-
-    Parameters
-    ----------
-    motion : BodyKinematics
-        Of a body.
-
-    Returns
-    -------
-    dict of int to number
-
-    """
-    columns = {}
-    for first, values in ((ORIGIN, motion.origin), (FRAME, sum(motion.frame, ())),
-                          (SPIN, motion.spin), (VELOCITY, motion.velocity),
-                          (OFFSET, motion.offset), (SPIN_RATE, motion.spin_rate),
-                          (ACCELERATION, motion.acceleration), (JOINT_AXIS, motion.axis)):
-        columns.update(enumerate(values, start=first))
-    return columns
 
 
 def number_equations(cut):
