@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .effect_shapes import face_normal, normal_in_space, normal_of, outline_of
+from .effect_shapes import face_normal, normal_of, outline_of
 from ..core.types import SMALLEST_PIVOT
 from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
@@ -24,9 +24,9 @@ from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.kinematics import (
     body_poses, body_velocities, named_paths, POSE, poses_in_space)
 from ..mechanism.mechanism import GROUND, Mechanism
-from ..mechanism.rotations import of_quaternion, turned
+from ..mechanism.rotations import in_three, of_quaternion, turned
 from ..simulation.health import WARN_BELOW
-from ..visual.trajectory import magnitudes
+from ..visual.trajectory import force_of, magnitudes
 
 # Numbers of an arrow: its foot [m], its force [N].
 ARROW = 6
@@ -117,14 +117,6 @@ class Columns:
         return self.starts['width']
 
 
-def _forces_in_space(wrenches):
-    """Return the forces of wrenches of shape (..., 3) or (..., 6), as (..., 3)."""
-    forces = wrenches[..., wrenches.shape[-1] // 2:]
-    if forces.shape[-1] == 3:
-        return forces
-    return np.concatenate([forces, np.zeros((*forces.shape[:-1], 1))], axis=-1)
-
-
 def _joint_plots(mechanism):
     """Return the plots of joints and cut joints, which recordings have, too."""
     names = mechanism.coordinates
@@ -182,7 +174,7 @@ def motion_rows(motion):
     turns, undriven = _is_other(names)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
     return np.hstack([
-        poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
+        poses.reshape(count, -1), in_three(force_of(motion.forces)).reshape(count, -1),
         motion.position[:, names.place[names.place >= 0]], motion.velocity,
         motion.effort[:, list(names.actuated)], magnitudes(motion.forces),
         motion.position[:, turns], motion.effort[:, undriven]]).astype(np.float32)
@@ -320,7 +312,7 @@ class SimulationRows:
         pivot = max(self._pivot(), 0.0)
         sine, *told_rarely = self._rarely
         return np.concatenate([
-            poses.ravel(), _forces_in_space(forces).ravel(), self._arrows(told).ravel(),
+            poses.ravel(), in_three(force_of(forces)).ravel(), self._arrows(told).ravel(),
             self._direction, simulation.position[self._numbers],
             simulation.velocity,
             simulation.effort[self._actuated], magnitudes(forces), self._readings(told),
@@ -408,7 +400,7 @@ class SimulationRows:
         other = self._places[record.other]
         turn, away = self._turn(other.body), center - self._simulation.point(record.other)
         if not self._simulation.mechanism.planar:
-            out = turn @ normal_in_space(record, turn.T @ away)
+            out = turn @ normal_of(record, turn.T @ away)
             foot, friction = center - record.radius * out, np.zeros(3)
             if readings['friction_force']:
                 friction = readings['friction_force'] * self._sliding(
@@ -421,7 +413,7 @@ class SimulationRows:
             foot = center - away + outline[np.argmin(outline @ out)]
             out = -out
         else:
-            out = turn @ normal_of(record, self._outlines[name], turn.T @ away)
+            out = turn @ normal_of(record, turn.T @ away, self._outlines[name])
             foot = center - record.radius * out
         return foot, np.array([
             readings['normal_force'] * out, readings['friction_force'] * out[::-1] * (1.0, -1.0)])

@@ -147,28 +147,22 @@ def _ball(radius):
     return [circle(radius) @ np.delete(np.eye(3), k, axis=0) for k in range(3) if radius]
 
 
-def normal_in_space(contact, place):
-    """Return ``normal_of`` for contacts in space, of three numbers."""
+def normal_of(contact, place, outline=None):
+    """
+    Return the direction in which a body contact pushes its roller, in the other body.
+
+    ``place``, shape (2,) or (3,), is the roller's centre from the other point on [m], along the
+    other body's axes; ``outline``, of a curve, is by ``outline_of``.
+
+    """
     if contact.shape == 'plane':
         return np.array(contact.normal)
-    out = -place if contact.hollow else place
-    if contact.axis is not None:
-        out = out - (out @ contact.axis) * np.array(contact.axis)
-    return out / (np.linalg.norm(out) or 1.0)
-
-
-def normal_of(contact, outline, place):
-    """
-    Return the direction in which a body contact pushes its roller, shape (2,), in the other body.
-
-    ``outline`` is by ``outline_of``; ``place``, shape (2,), is the roller's centre from the other
-    point on [m]. Both are along the other body's axes.
-
-    """
     if contact.shape == 'line':
         return face_normal(contact)
-    if contact.shape == 'circle':
+    if contact.shape != 'curve':
         out = -place if contact.hollow else place
+        if contact.axis is not None:
+            out = out - (out @ contact.axis) * np.array(contact.axis)
         return out / (np.linalg.norm(out) or 1.0)
     starts, along = outline[:-1], np.diff(outline, axis=0)
     share = np.clip(np.sum((place - starts) * along, axis=1) / np.sum(along ** 2, axis=1), 0, 1)

@@ -73,7 +73,7 @@ def test_an_outline_leads_the_roller_that_it_touches():
     outline = outline_of(contact)
     for angle in np.linspace(0.0, 6.0, 13):
         place = 0.07 * np.array([np.cos(angle), np.sin(angle)])
-        normal = normal_of(contact, outline, place)
+        normal = normal_of(contact, place, outline)
         # Outwards, and no more aslant than the cam rises.
         assert normal @ place / 0.07 > 0.8
 
