@@ -52,9 +52,10 @@ def in_order(files):
     kinds = {}
     for file in sorted(files, key=lambda file: (-file.stat().st_size, file)):
         kinds.setdefault(file.relative_to(ROOT / 'test').parts[0] in WAITING, []).append(file)
-    return sorted(files, key=lambda file: next(
-        place for kind in kinds.values() if file in kind
-        for place in [(kind.index(file) + 0.5) / len(kind)]))
+    # The name decides between equal places: all processes have to find the same order.
+    places = {file: ((k + 0.5) / len(kind), file) for kind in kinds.values()
+              for k, file in enumerate(kind)}
+    return sorted(files, key=places.get)
 
 
 def pytest_collection_modifyitems(config, items):

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of scripts/_setup.sh: which Python environments are made from."""
+"""What scripts do: the Python that environments are made from, the order of the tests."""
 
 import os
 import subprocess
 import sys
+from test.conftest import in_order
 from test.packaging.package import ROOT
 
 
@@ -26,3 +27,9 @@ def test_an_active_environment_is_not_taken_for_the_python_to_make_it_from(tmp_p
     assert python == base
     # Nothing would be made again, either.
     assert [name, python, digest] == chosen(os.path.dirname(base))
+
+
+def test_every_process_gets_the_tests_in_the_same_order():
+    # One that waits and one that computes: both have the middle for their place.
+    files = [ROOT / 'test' / name for name in ('ros/test_messages.py', 'core/test_codegen.py')]
+    assert in_order(files) == in_order(files[::-1])
