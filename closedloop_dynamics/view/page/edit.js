@@ -174,10 +174,10 @@ class Editing {
     const key = JSON.stringify([planar, removable]);
     if (key === this.offered) return;
     this.offered = key;
-    this.menu.innerHTML = '<option value="">add …</option>'
+    this.menu.innerHTML = '<option value="">add</option>'
       + Object.keys(ADDED).filter((what) => planar || !IN_PLANE.includes(what)).map((what) => (
         `<option value="${what}">${ADDED[what][0]}</option>`)).join('');
-    this.less.innerHTML = '<option value="">remove …</option>'
+    this.less.innerHTML = '<option value="">remove</option>'
       + Object.entries(removable).filter(([, names]) => names.length).map(([kind, names]) => (
         `<optgroup label="${kind}">${names.map((name) => (
           `<option value="${kind} ${escaped(name)}">${escaped(name)}</option>`)).join('')}</optgroup>`))

@@ -107,9 +107,7 @@ class Parts {
     if (kind === 'profile') {
       this.put(body, this.meshes.made.get(profileMesh, shape.outline, shape.hole, shape.taper),
                local, paint);
-      const every = Math.ceil(shape.outline.length / 24);
-      this.shows(body, shape.outline.filter((_, k) => k % every === 0).map(
-        ([u, v]) => moved(local, [u, v, 0])));
+      this.shows(body, few(shape.outline).map(([u, v]) => moved(local, [u, v, 0])));
     } else if (kind === 'spokes') this.put(body, this.meshes.spokes, local, paint);
     else {
       this.put(body, this.meshes.pulley, local, paint);
@@ -199,8 +197,14 @@ class Parts {
   wire({body, places, color = this.described.colors.load, width = 0.004 * this.size}) {
     places.slice(1).forEach((place, k) => this.put(body, this.meshes.cylinder, between(
       places[k], place, width), rgb(color)));
-    this.shows(body, box(places));
+    this.shows(body, few(places));
   }
+}
+
+// Some of the places along an outline, about evenly.
+function few(places) {
+  const every = Math.ceil(places.length / 24);
+  return places.filter((_, k) => k % every === 0);
 }
 
 // Corners of a box, by its middle and its sides.
