@@ -140,10 +140,10 @@ class Rotor(Effect):
 
     def _spin(self, model, machine, row):
         """Return its axis in the frame of the row that carries it; 0 where that does not turn."""
-        joint = machine.description(self.joint)
         if (self.joint in machine.mechanism.coordinates.with_orientation
                 or model.tree[row, PARENT] == 0 or abs(self.gear_ratio) > ENDLESS):
             return np.zeros(3)
+        joint = machine.description(self.joint)
         axis = self.axis or of_quaternion(joint.orientation) @ joint.axis
         return space.snapped(machine.placement(joint.parent).axes @ axis)
 
