@@ -19,6 +19,7 @@ from .model import Connection, free_name, NO_LIMIT, Omission
 from .pose import IDENTITY, Pose, unturned
 from .visuals import placed
 from ..mechanism.fields import FieldError
+from ..mechanism.inertia import moments_in
 from ..mechanism.mechanism import (
     Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
@@ -676,5 +677,5 @@ def _orientation(rotation):
 
 
 def _inertia(about):
-    values = _vector(about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)])
+    values = _vector(moments_in(about))
     return values if any(values[3:]) else values[:3]

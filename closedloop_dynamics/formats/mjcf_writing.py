@@ -9,11 +9,11 @@ import numpy as np
 
 from .in_space import in_space
 from .mjcf import START
-from .model import inertia_matrix
 from .pose import IDENTITY, joint_frame, Pose
 from .writing import (
     Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, reflected,
     Single, written)
+from ..mechanism.inertia import inertia_matrix, moments_in
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import of_quaternion, quaternion_of
@@ -250,7 +250,7 @@ def _moments(body):
     if np.array_equal(grown, moments):
         return moments_of(body)
     whole = axes @ np.diag(grown) @ axes.T
-    return whole[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+    return moments_in(whole)
 
 
 def _acting_on(single, acting):

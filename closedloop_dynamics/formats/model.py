@@ -40,12 +40,6 @@ def free_name(name, taken):
     return name
 
 
-def inertia_matrix(moments):
-    """Return the matrix of six moments of inertia in the order of ``MOMENTS``, shape (3, 3)."""
-    xx, yy, zz, xy, xz, yz = moments
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
 @dataclass
 class Link:
     """

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .model import (
-    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, NO_CONTACTS, Omission,
+    Asked, Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Omission,
     Relation)
 from .pose import IDENTITY, Pose, unturned
 from .sdf_parts import (
@@ -24,6 +24,7 @@ from .visuals import color_in, placed, visuals
 from .xml_file import read_xml
 from .xml_omissions import leave_out
 from ..mechanism.fields import among, nearest
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import of_angles, of_quaternion
@@ -464,9 +465,9 @@ def _link(name, element, pose_of):
             raise mass.error('a mass that is zero or more', f'{link.mass:g}')
 
     link.center = pose.position
-    link.inertia = pose.rotation @ inertia_matrix(
+    link.inertia = pose.rotation @ inertia_matrix([
         _value(inertia, tag, default) for tag, default in zip(MOMENTS, 3 * [1.0] + 3 * [0.0])
-    ) @ pose.rotation.T
+    ]) @ pose.rotation.T
     return link
 
 

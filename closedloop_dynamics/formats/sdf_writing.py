@@ -13,11 +13,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import in_space
-from .model import inertia_matrix, MOMENTS, NO_LIMIT
+from .model import MOMENTS, NO_LIMIT
 from .pose import IDENTITY, joint_frame, poses_at, unturned
 from .writing import (
     Acting, APART, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of,
     numbers, reflected, Single, written)
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import quaternion_of

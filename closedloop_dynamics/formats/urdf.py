@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .model import (
-    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, NO_CONTACTS, Relation)
+    Asked, Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Relation)
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, Pose, unturned
 from .sdf import add_joints
@@ -25,6 +25,7 @@ from .visuals import color_in, places_of_packages, SEARCHED, visuals
 from .xml_file import read_xml
 from .xml_omissions import leave_out
 from ..mechanism.fields import among, nearest
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
     UNIVERSAL)
@@ -163,7 +164,7 @@ def _link(element):
     inertia = inertial.required('inertia')
     link.center = pose.position
     link.inertia = pose.rotation @ inertia_matrix(
-        inertia.number(key, 0.0) for key in MOMENTS) @ pose.rotation.T
+        [inertia.number(key, 0.0) for key in MOMENTS]) @ pose.rotation.T
     return link
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from .checks import (
     direction, not_negative, numbers, orientation, positive, text, vector2, vector3)
 from .fields import among, at, FieldError, mapping, shown
+from .inertia import moments_in
 from .mechanism import BOX, CYLINDER, MESH, SPHERE, UNTURNED, Visual
 
 # Shape -> required and optional keys.
@@ -86,7 +87,7 @@ def with_shape(values, spatial):
     with np.errstate(over='ignore'):
         inertia = mass * inertia
     return {**values, 'center_of_mass': tuple(center.tolist()), 'inertia': (
-        tuple(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()) if spatial
+        tuple(moments_in(inertia).tolist()) if spatial
         else float(inertia[2, 2]))}
 
 

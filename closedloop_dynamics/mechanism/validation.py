@@ -17,6 +17,7 @@ from .checks import (
     text, vector2, vector3)
 from .couplings import in_tree, measured
 from .fields import among, at, FieldError, mapping, nearest, normalise, shown
+from .inertia import inertia_matrix
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
     CUT_WITH_ZERO, CutJoint, CYLINDRICAL, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS,
@@ -89,8 +90,7 @@ def spatial_inertia(value):
                 'centre of mass')
     items = listed(value, expected)
     found = numbers(items, 6 if len(items) == 6 else 3, expected)
-    xx, yy, zz, xy, xz, yz = (*found, 0.0, 0.0, 0.0)[:6]
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(inertia_matrix(found))
     if not possible(moments):
         raise FieldError(POSSIBLE, f'principal moments {moments_text(moments)}')
     return found

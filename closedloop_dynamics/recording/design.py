@@ -11,6 +11,7 @@ import numpy as np
 from .kinematics import by_name, Drive, DrivenRun
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
@@ -226,8 +227,7 @@ def _point_masses(body, size):
     if len(center) == 2:
         second = 0.5 * body.inertia * np.eye(2)
     else:
-        xx, yy, zz, xy, xz, yz = (*body.inertia, *3 * (0.0,))[:6]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        inertia = inertia_matrix(body.inertia)
         second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
     moments, axes = np.linalg.eigh(second)
     pairs = np.repeat(0.5 * moments / size ** 2, 2)

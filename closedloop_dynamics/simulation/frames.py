@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..formats.pose import joint_frame
+from ..mechanism.inertia import inertia_matrix, moments_in
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, DISTANCE, GROUND, MechanismError, POINT_ON_LINE, PRISMATIC, UNTURNED)
 from ..mechanism.rotations import angle_of, in_three, of_quaternion, quaternion_of
 
 # Sine of an angle that is rounding.
 ROUNDING = 1e-12
-# Places of xx, yy, zz, xy, xz, yz in a matrix.
-_MOMENTS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 def moved_place(pose, place):
@@ -28,10 +27,8 @@ def moved_inertia(pose, inertia):
     """Return moments of inertia about a body's centre of mass along the axes of another frame."""
     if not isinstance(inertia, tuple):
         return inertia
-    matrix = np.zeros((3, 3))
-    matrix[_MOMENTS] = (*inertia, 0.0, 0.0, 0.0)[:6]
-    matrix = np.triu(matrix) + np.triu(matrix, 1).T
-    return tuple((pose.rotation.T @ matrix @ pose.rotation)[_MOMENTS].tolist())
+    turned = pose.rotation.T @ inertia_matrix(inertia) @ pose.rotation
+    return tuple(moments_in(turned).tolist())
 
 
 def reframed(mechanism, frames):

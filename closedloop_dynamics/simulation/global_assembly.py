@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .assembly import rank_of
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, GROUND, HELICAL, PLANAR,
@@ -299,12 +300,8 @@ class ClosureProblem:
             center = origins[body.name] + frames[body.name] @ body.center_of_mass
             shift = moments[chain] + np.cross(spins[chain], center)
             turn = spins[chain] @ frames[body.name]
-            values = np.zeros(6)
-            values[:np.size(body.inertia)] = body.inertia
-            xx, yy, zz, xy, xz, yz = values
-            about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             inertia[np.ix_(chain, chain)] += (
-                body.mass * shift @ shift.T + turn @ about @ turn.T)
+                body.mass * shift @ shift.T + turn @ inertia_matrix(body.inertia) @ turn.T)
         scaled = inertia * np.outer(self.scale, self.scale)
         largest = np.diag(scaled).max(initial=0.0) or 1.0
         scaled = scaled / largest + LEAST_INERTIA * np.eye(self.nv)

@@ -20,6 +20,7 @@ from ..core import types as t
 from ..core.codegen import plane, space
 from ..core.codegen.space import cleared, snapped
 from ..core.codegen.spatial import X, Y, Z
+from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
     FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -78,7 +79,7 @@ class Placement(NamedTuple):
             plane.weigh(constants[self.row], mass, self.place(center), inertia)
             return
         space.weigh(constants[self.row], mass, self.place(center),
-                    self.axes @ space.inertia_matrix(inertia) @ self.axes.T)
+                    self.axes @ inertia_matrix(inertia) @ self.axes.T)
 
 
 class TreeRows:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.codegen import space
+from ..mechanism.inertia import inertia_matrix
 
 AXES = 'xyz'
 # Elements of an inertia in the order of their keys.
@@ -81,7 +81,7 @@ class BodyParameters:
             body.center_of_mass)
         # The inertia of the plane is that about z.
         self._inertia = np.diag((0.0, 0.0, body.inertia)) if self._planar else (
-            space.inertia_matrix(body.inertia))
+            inertia_matrix(body.inertia))
         self._elements = {'inertia': (2, 2)} if self._planar else {
             f'inertia.{n}': pair for n, pair in enumerate(PAIRS[:len(body.inertia)])}
         centers = [f'center_of_mass.{n}' for n in range(len(body.center_of_mass))]
@@ -188,7 +188,7 @@ def numbers_of(body) -> np.ndarray:
     if len(center) == 2:
         return np.array([body.mass, *(body.mass * center),
                          body.inertia + body.mass * (center @ center)])
-    about = space.inertia_matrix(body.inertia) + body.mass * _shifted(center)
+    about = inertia_matrix(body.inertia) + body.mass * _shifted(center)
     return np.array([body.mass, *(body.mass * center), *(about[pair] for pair in PAIRS)])
 
 
@@ -213,7 +213,7 @@ def pseudo_inertia(body) -> np.ndarray:
     if len(center) == 2:
         second = 0.5 * body.inertia * np.eye(2)
     else:
-        about = space.inertia_matrix(body.inertia)
+        about = inertia_matrix(body.inertia)
         second = 0.5 * np.trace(about) * np.eye(3) - about
     moment = body.mass * center
     return np.block([[second + np.outer(moment, center), moment[:, np.newaxis]],
@@ -242,7 +242,7 @@ def unit_rows(placement, planar):
         return np.eye(4)
     axes, origin, found = placement.axes, placement.origin, []
     for mass, *numbers in np.eye(10):
-        moment, inertia = axes @ numbers[:3], space.inertia_matrix(numbers[3:])
+        moment, inertia = axes @ numbers[:3], inertia_matrix(numbers[3:])
         second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         second = axes @ second @ axes.T + np.outer(moment, origin) + np.outer(origin, moment) + (
             mass * np.outer(origin, origin))

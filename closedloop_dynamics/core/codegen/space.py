@@ -152,26 +152,6 @@ def weigh(constant, mass, center, about):
     constant[INERTIA:INERTIA + 6] += found
 
 
-def inertia_matrix(inertia):
-    """
-    Return an inertia as a matrix.
-
-    Parameters
-    ----------
-    inertia : float or tuple of 3 or 6
-        As ``mechanism.Body`` has it.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-
-    """
-    values = np.zeros(6)
-    values[:np.size(inertia)] = inertia
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
 _TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning about z',
           (X, Z): 'angle of the axes'}
 

@@ -1,0 +1,35 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Moments of inertia as users write them, and as a matrix."""
+
+import numpy as np
+
+# Where xx, yy, zz, xy, xz, yz are in the matrix.
+_PLACES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+
+
+def inertia_matrix(inertia):
+    """
+    Return an inertia as a matrix.
+
+    Parameters
+    ----------
+    inertia : float, or sequence of 3 or 6 floats
+        As ``Body`` has it in space: xx, yy, zz, xy, xz, yz, the elements of the matrix; what is
+        not given is zero [kg m^2].
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    """
+    values = np.zeros(6)
+    values[:np.size(inertia)] = inertia
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def moments_in(matrix):
+    """Return xx, yy, zz, xy, xz, yz of a matrix, shape (6,)."""
+    return matrix[_PLACES]
