@@ -650,7 +650,7 @@ class Runner(Shown):
         also = []
         self._edit(lambda: also.extend(self.editor.remove(kind, name)))
         if also:
-            self.feed.note(f'with {name} went {", ".join(also)}')
+            self.feed.log(f'with {name} went {", ".join(also)}')
 
     def _do_undo(self, page):
         self._edit(self.editor.undo)
