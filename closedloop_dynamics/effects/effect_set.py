@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from . import live_laws
 from .sensor import Chain
 from .table import (
     build_table, DATA, DISSIPATED, ENTRIES, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
@@ -20,6 +21,7 @@ from .table import (
 from .traced_effect import TracedEffect
 from ..core import codegen
 from ..core.codegen import pieces
+from ..core.codegen.function_table import EVALUATION
 from ..core.types import TYPE, VARIES
 from ..engine import native
 from ..mechanism.checks import boolean, one_of
@@ -145,6 +147,7 @@ class EffectSet:
         """Write the present parameters of an effect, and whether it acts, into the table."""
         table, name = self._table, self._rows[row]
         fill_row(table, row, self.records[name].element(self._machine))
+        live_laws.update(self._model, table, self._system.table)
         table.enabled[row] = self.enabled[name]
         if not self.enabled[name]:
             table.output[row] = 0.0
@@ -194,8 +197,11 @@ class EffectSet:
         if structure == self._linked:
             return
         pieces.connect(self._model, self._system.work.piece, self._system.work.cut_piece)
-        if self._system.is_unrolled:
+        if self._system.is_unrolled and self._system.effects is None:
             codegen.relink(self._model, self._system.table)
+        elif self._system.is_unrolled:
+            codegen.relink(self._model, self._system.table, (EVALUATION,))
+            live_laws.link(self._model, self._table, self._system.table)
         self._linked = structure
 
     def vary(self, mechanism, records, weigh):

@@ -49,6 +49,11 @@ LEVELS = 8
 LOW, HIGH, TOP, SUSPECTED, REFINED, PASSED, SHARES = range(7)
 NODE_LEVELS = SHARES + LEVELS + 3
 SEARCH_LENGTH = NODE_LEVELS + LEVELS + 3
+# Columns of SceneCode.present: the number of the piece of a course that it holds, NaN where none
+# is known; when the present period and, in it, the piece began [s]; its coefficients c0 to c5, a,
+# w and p, of an expression its value and its derivatives.
+NUMBER, PERIOD_START, PIECE_START, COEFFICIENTS = range(4)
+PRESENT_COLUMNS = 12
 VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11
@@ -152,6 +157,16 @@ class CutCoordinates(NamedTuple):
     scratch: np.ndarray  # Shape (nb + 1, 6 or 12): of ``accelerations``
 
 
+class SceneCode(NamedTuple):
+    """What the code of a scene reads beside the table."""
+
+    # Shape (1,): whether the evaluation that was generated has the laws of all effects, as they
+    # are but for numbers that it reads.
+    fits: np.ndarray
+    present: np.ndarray  # Shape (ne, PRESENT_COLUMNS): pieces of courses that are in force
+    sides: np.ndarray  # Shape (ne,): modes of contacts
+
+
 class EffectTable(NamedTuple):
     """The listed effects, as the kernels read them."""
 
@@ -179,6 +194,7 @@ class EffectTable(NamedTuple):
     # are none.
     motions: np.ndarray
     cuts: CutCoordinates  # Freedoms of cut joints that anything acts in, nk of them
+    code: SceneCode
 
 
 def _allocate_cuts(index, values, nv, bodies):
@@ -253,7 +269,9 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
             nodes=np.zeros((LEVELS + 3, count, NODE_COLUMNS)), search=np.zeros(SEARCH_LENGTH)),
         motions=cut_point if any(
             element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
-        cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies))
+        cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies),
+        code=SceneCode(fits=np.zeros(1, dtype=np.int64),
+                       present=np.full((count, PRESENT_COLUMNS), np.nan), sides=np.zeros(count)))
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin
@@ -300,6 +318,7 @@ def fill_row(table, row, element):
     begin = table.index[row, DATA]
     table.data[begin:begin + size_of_data(element)] = [
         number for entry in element.data for number in entry]
+    table.code.present[row, NUMBER] = np.nan
     table.index[row, ENTRIES] = len(element.data)
     table.index[row, LOADED] = element.loaded
     table.loaded[0] = table.index[:, LOADED].sum()

@@ -171,7 +171,9 @@ def _line(forces, bodies, places):
 
 
 def _joint_damping(forces, joint, _, values, __):
-    forces.twist(joint, -(values[0] * forces.rate(joint)))
+    torque = -(values[0] * forces.rate(joint))
+    forces.twist(joint, torque)
+    forces.flow(-(torque * forces.rate(joint)))
 
 
 def _joint_spring(forces, joint, _, values, __):
@@ -189,6 +191,7 @@ def _point_spring(size):
         stretch = length - free
         _push_apart(forces, bodies, offsets, direction, -(stiffness * stretch + damping * rate))
         forces.store(0.5 * (stiffness * (stretch * stretch)))
+        forces.flow(damping * rate * rate)
     return law
 
 
@@ -207,18 +210,22 @@ def _constant(forces, body, point, force, moment, turns):
     force, moment = (
         tuple(x if one is x else chosen(turned, x, one) for x, one in zip(
             forces.turned(body, vector), vector)) for vector in (force, moment))
-    forces.push(body, offset, force, add(moment, ZERO))
+    moment = add(moment, ZERO)
+    forces.push(body, offset, force, moment)
+    forces.flow(dot(force, forces.place(body, offset)[1]) + dot(moment, forces.spin(body)))
 
 
 def _end_stop(forces, joint, _, values, __):
     stiffness, lower, upper, damping = values[:4]
     above, below = forces.coordinate(joint) - upper, lower - forces.coordinate(joint)
     low = below > above
-    sign, depth = chosen(low, -1.0, 1.0), larger(chosen(low, below, above), 0.0)
-    elastic = stiffness * depth
-    push = elastic * larger(1.0 + damping * (sign * forces.rate(joint)), 0.0)
+    sign, depth = chosen(low, -1.0, 1.0), chosen(low, below, above)
+    rate = sign * forces.rate(joint)
+    elastic = stiffness * chosen(forces.touches(-depth, -rate), depth, 0.0)
+    push = elastic * larger(1.0 + damping * rate, 0.0)
     forces.twist(joint, -(sign * push))
     forces.store(0.5 * elastic * depth)
+    forces.flow((push - elastic) * rate)
 
 
 def _tendon(forces, _, __, values, constants):
@@ -233,13 +240,14 @@ def _tendon(forces, _, __, values, constants):
         tension = tension + stiffness * power
         power = power * stretch
         stored = stored + stiffness / exponent * power
-    power = rate
+    power, viscous = rate, 0.0
     for damping in coefficients[springs:]:
-        tension = tension + damping * power
+        viscous = viscous + damping * power
         power = power * abs(rate)
     for joint, arm in arms:
-        forces.twist(joint, -(arm * tension))
+        forces.twist(joint, -(arm * (tension + viscous)))
     forces.store(stored)
+    forces.flow(viscous * rate)
 
 
 def _fluid_drag(forces, body, _, values, __):
@@ -267,6 +275,7 @@ def _drag(forces, body, point, flow, entries):
                 (*coefficients[:2], dot(axis, velocity)), (*coefficients[2:], dot(axis, spin))))
         force, moment = add(force, scale(axis, along)), add(moment, scale(axis, about))
     forces.push(body, offset, force, moment)
+    forces.flow(-dot(force, velocity) - dot(moment, spin), dot(force, flow))
 
 
 def _bushing(forces, first, second, values, constants):
@@ -275,38 +284,49 @@ def _bushing(forces, first, second, values, constants):
     spin = subtract(forces.spin(second), forces.spin(first))[2]
     moment = 0.0, 0.0, -(values[0] * turn + values[1] * spin)
     forces.store(0.5 * (values[0] * (turn * turn)))
-    _hold(forces, (first, second), (constants[:2], constants[2:4]), (
+    lost = _hold(forces, (first, second), (constants[:2], constants[2:4]), (
         (forces.turned(first, axis), stiffness_1, damping_1),
         (forces.turned(first, (-axis[1], axis[0])), stiffness_2, damping_2)), moment)
+    forces.flow(lost + values[1] * spin * spin)
 
 
 def _spatial_bushing(forces, first, second, values, constants):
     turning, along, moment = subtract(forces.spin(second), forces.spin(first)), [], ZERO
+    lost = 0.0
     for k, (share, loss) in enumerate(zip(values[:3], values[3:6])):
         axis, other = (forces.turned(body, constants[n + 3 * k:n + 3 * k + 3])
                        for body, n in ((first, 6), (second, 15)))
         along.append((axis, constants[24 + k], constants[27 + k]))
+        spin = dot(axis, turning)
         moment = add(moment, subtract(scale(cross(other, axis), share),
-                                      scale(axis, loss * dot(axis, turning))))
+                                      scale(axis, loss * spin)))
+        lost = lost + loss * spin * spin
         forces.store(share * (1.0 - dot(axis, other)))
-    _hold(forces, (first, second), (constants[:3], constants[3:6]), along, moment)
+    forces.flow(lost + _hold(
+        forces, (first, second), (constants[:3], constants[3:6]), along, moment))
 
 
 def _hold(forces, bodies, places, axes, moment):
-    """Join points of two bodies by springs and dampers along axes of the first; and a moment."""
+    """
+    Join points of two bodies by springs and dampers along axes of the first; and a moment.
+
+    Returns what the dampers dissipate [W].
+    """
     start, end = (forces.turned(body, place) for body, place in zip(bodies, places))
     (place_a, _), (place_b, rate_b) = (
         forces.place(body, offset) for body, offset in zip(bodies, (start, end)))
     apart, force = subtract(place_b, place_a), ZERO
     # Against what of the first body would be at the second point: so the axes' turning is seen.
     lever = add(start, apart)
-    rate = subtract(rate_b, forces.place(bodies[0], lever)[1])
+    rate, lost = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0
     for axis, stiffness, damping in axes:
-        along = dot(axis, apart)
-        force = subtract(force, scale(axis, stiffness * along + damping * dot(axis, rate)))
+        along, speed = dot(axis, apart), dot(axis, rate)
+        force = subtract(force, scale(axis, stiffness * along + damping * speed))
+        lost = lost + damping * speed * speed
         forces.store(0.5 * stiffness * (along * along))
     forces.push(bodies[1], end, force, moment)
     forces.push(bodies[0], lever, scale(force, -1.0), scale(moment, -1.0))
+    return lost
 
 
 LAWS = {BUSHING: _bushing, END_STOP: _end_stop, EXTERNAL_FORCE: _external_force,

@@ -12,8 +12,6 @@ namespace closedloop
 
 namespace
 {
-// Numbers of a piece: its start [s], c0 to c5, a, w, p.
-constexpr Index COLUMNS = 10;
 // More pieces than any run passes.
 constexpr double MOST_PIECES = 1e15;
 
@@ -25,13 +23,6 @@ enum Operation : Index
   ADD, SUB, MUL, DIV, POW, ATAN2, HYPOT, MIN, MAX
 };
 
-/// The present piece of a course, and the time since it began.
-struct PresentPiece
-{
-  const double * piece;
-  double u;
-};
-
 /// Quotient of whole numbers, the divisor positive, rounded down.
 Index floor_divide(Index number, Index divisor)
 {
@@ -39,21 +30,10 @@ Index floor_divide(Index number, Index divisor)
   return number % divisor < 0 ? quotient - 1 : quotient;
 }
 
-PresentPiece present_piece(const EffectTable & table, Index row, double period)
+/// Time since the present piece of a course began [s].
+double since(const EffectTable & table, Index row, const PresentPiece & present)
 {
-  const Index state = table.index(row, effect::STATE), count = table.index(row, effect::ENTRIES);
-  Index number = piece_number(table.states[state + 1]), cycle = 0;
-  double time = table.states[state];
-  if (period > 0.0) {
-    cycle = floor_divide(number, count);
-    time -= cycle * period;
-  } else {
-    // A state that has diverged must not read beyond the pieces.
-    number = std::max<Index>(0, std::min(number, count - 1));
-  }
-  const Index at = table.index(row, effect::DATA) + COLUMNS * (number - cycle * count);
-  const double * piece = table.data.data + at;
-  return {piece, time - piece[0]};
+  return table.states[table.index(row, effect::STATE)] - present.period_start - present.piece[0];
 }
 
 double of_one(Index operation, double x)
@@ -99,9 +79,25 @@ Index piece_number(double state)
   return std::fabs(state) < MOST_PIECES ? static_cast<Index>(std::floor(state + 0.5)) : 0;
 }
 
+PresentPiece present_piece(const EffectTable & table, Index row, double period)
+{
+  const Index state = table.index(row, effect::STATE), count = table.index(row, effect::ENTRIES);
+  Index number = piece_number(table.states[state + 1]), cycle = 0;
+  if (period > 0.0) {
+    cycle = floor_divide(number, count);
+  } else {
+    // A state that has diverged must not read beyond the pieces.
+    number = std::max<Index>(0, std::min(number, count - 1));
+  }
+  const Index at = table.index(row, effect::DATA) + course::COLUMNS * (number - cycle * count);
+  return {table.data.data + at, period > 0.0 ? cycle * period : 0.0};
+}
+
 double course_value(const EffectTable & table, Index row, double period)
 {
-  const auto [c, u] = present_piece(table, row, period);
+  const PresentPiece present = present_piece(table, row, period);
+  const double * c = present.piece;
+  const double u = since(table, row, present);
   double y = c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * (c[5] + u * c[6]))));
   if (c[7] != 0.0) {
     y += c[7] * std::sin(c[8] * u + c[9]);
@@ -111,7 +107,9 @@ double course_value(const EffectTable & table, Index row, double period)
 
 CourseDerivatives course_derivatives(const EffectTable & table, Index row, double period)
 {
-  const auto [c, u] = present_piece(table, row, period);
+  const PresentPiece present = present_piece(table, row, period);
+  const double * c = present.piece;
+  const double u = since(table, row, present);
   const double fourth = c[5], fifth = c[6];
   double rate = c[2] + u * (2.0 * c[3] + 3.0 * u * c[4]);
   double change = 2.0 * c[3] + 6.0 * u * c[4];
@@ -136,7 +134,7 @@ double end_of_piece(const EffectTable & table, Index row, double period, Index p
   } else if (following >= count) {
     return std::numeric_limits<double>::infinity();
   }
-  const Index at = table.index(row, effect::DATA) + COLUMNS * (following - cycle * count);
+  const Index at = table.index(row, effect::DATA) + course::COLUMNS * (following - cycle * count);
   return table.data[at] + cycle * period;
 }
 

@@ -26,6 +26,22 @@ struct CourseDerivatives
   double change;
 };
 
+namespace course
+{
+/// Numbers of a piece: its start [s], c0 to c5, a, w, p.
+constexpr Index COLUMNS = 10;
+}
+
+/// The present piece of a course, and when its period began [s].
+struct PresentPiece
+{
+  const double * piece;
+  double period_start;
+};
+
+/// The piece of an effect's course that its states tell; `period` [s]: zero without.
+PresentPiece present_piece(const EffectTable &, Index row, double period);
+
 /// Number of a piece from the state that counts them: whole but for the differences that stiff
 /// methods take.
 Index piece_number(double state);

@@ -54,6 +54,15 @@ enum Value : Index
 };
 }
 
+/// Columns of SceneCode.present.
+namespace present
+{
+enum : Index
+{
+  NUMBER, PERIOD_START, PIECE_START, COEFFICIENTS, PRESENT_COLUMNS = 12
+};
+}
+
 /// Data of laws that were traced on symbols (effects/traced_effect.py).
 namespace traced
 {
@@ -124,6 +133,17 @@ struct CutCoordinates
   void fields(Visitor && visit) {visit(index, values, q, qd, before, qdd, scratch);}
 };
 
+/// What the code of a scene reads beside the table of effects.
+struct SceneCode
+{
+  Indices fits;
+  Table present;
+  Values sides;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(fits, present, sides);}
+};
+
 /// The listed effects.
 struct EffectTable
 {
@@ -143,6 +163,7 @@ struct EffectTable
   Contacts contacts;
   Table motions;
   CutCoordinates cuts;
+  SceneCode code;
 
   Index count() const {return kind.size;}
 
@@ -150,7 +171,7 @@ struct EffectTable
   void fields(Visitor && visit)
   {
     visit(kind, enabled, index, values, output, states, rates, scale, loaded, applied, reaction,
-      sticking, data, contacts, motions, cuts);
+      sticking, data, contacts, motions, cuts, code);
   }
 };
 

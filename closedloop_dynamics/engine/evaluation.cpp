@@ -19,6 +19,7 @@
 #include "recursion.hpp"
 #include "refinement.hpp"
 #include "routines.hpp"
+#include "scene_code.hpp"
 #include "sticking.hpp"
 
 namespace closedloop
@@ -294,7 +295,9 @@ void evaluate_state(const System & system, Values state)
   const Values q = system.q(state), qd = system.qd(state);
   if (system.has_effects()) {
     take_states(system, state);
-    evaluate(system, q, qd);
+    if (!prepare_code(system.effects) || !call(system.table, routine::EVALUATION, q, qd)) {
+      evaluate(system, q, qd);
+    }
   } else if (!system.is_unrolled()) {
     accelerate_by_loops(system, q, qd);
   } else if (!call(system.table, routine::EVALUATION, q, qd)) {

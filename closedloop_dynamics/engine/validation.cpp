@@ -516,6 +516,8 @@ const char * misfit(const EffectTable & effects, Index nv, Index bodies, bool pl
     effects.applied.size == nv + effects.cuts.index.rows &&
     misfit(effects.cuts, nv, bodies, planar, effects.states.size) == nullptr &&
     fits(effects.sticking, count, effects.applied.size) && fits(effects.contacts, count) &&
+    effects.code.fits.size == 1 && effects.code.sides.size == count &&
+    has_shape(effects.code.present, count, present::PRESENT_COLUMNS) &&
     (effects.reaction.rows == 0 || has_shape(effects.reaction, bodies, planar ? 6 : 12));
   if (!arrays) {
     return "effects";
@@ -602,11 +604,22 @@ bool is_linked(const System & system)
     {routine::CLOSURE, system.work.closure.data, system.lam.size},
     {routine::CLOSURE_RATE, system.work.closure_rate.data, system.lam.size},
     {routine::CORRECTIONS, system.corrections.data, system.corrections.columns},
-    {routine::REACTION, system.effects.reaction.data, system.effects.reaction.rows}};
+    {routine::REACTION, system.effects.reaction.data, system.effects.reaction.rows},
+    {routine::COMMAND, system.tau.data, system.has_effects() ? system.tau.size : 0},
+    {routine::VALUES, system.effects.values.data, system.effects.count()},
+    {routine::ENTRIES, system.effects.data.data, system.effects.data.size},
+    {routine::CUT_VALUES, system.effects.cuts.values.data, system.effects.cuts.values.rows},
+    {routine::PRESENT, system.effects.code.present.data, system.effects.count()},
+    {routine::SIDES, system.effects.code.sides.data, system.effects.count()},
+    {routine::GAPS, system.effects.contacts.now.data, system.effects.count()},
+    {routine::TRIALS, system.effects.contacts.trial.data, system.effects.count()},
+    {routine::RATES, system.effects.rates.data, system.effects.rates.size}};
   const Index * routines = system.table.data;
   const bool feels = system.has_effects() && system.effects.loaded[0] != 0;
+  const bool whole = !system.has_effects() || system.effects.code.fits[0] != 0;
   if (system.is_unrolled() && (!std::all_of(
-      routines, routines + routine::CORRECTION + 1, [](Index address) {return address != 0;}) ||
+      routines + (whole ? routine::EVALUATION : routine::OUTWARD),
+      routines + routine::CORRECTION + 1, [](Index address) {return address != 0;}) ||
     (feels && system.whole.empty() && routines[routine::REACTIONS] == 0)))
   {
     return false;

@@ -17,6 +17,7 @@ from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
 from ..core.types import (
     KEPT, Model, PATH_A, PATH_END, POSSIBLE, RANK_REVEALING_COUNT, ROWS, Workspace)
+from ..effects import live_laws
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 
@@ -232,10 +233,18 @@ def _linked(system, routines):
          calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
-         calls.CORRECTIONS: system.corrections,
-         **({} if effects is None else {calls.REACTION: effects.reaction})})
-    if system.is_unrolled:
+         calls.CORRECTIONS: system.corrections, **({} if effects is None else {
+             calls.REACTION: effects.reaction, calls.COMMAND: system.tau,
+             calls.VALUES: effects.values, calls.ENTRIES: effects.data,
+             calls.CUT_VALUES: effects.cuts.values, calls.PRESENT: effects.code.present,
+             calls.SIDES: effects.code.sides, calls.GAPS: effects.contacts.now,
+             calls.TRIALS: effects.contacts.trial, calls.RATES: effects.rates})})
+    if system.is_unrolled and effects is None:
         codegen.link(model, table, routines)
+    elif system.is_unrolled:
+        codegen.link(model, table, tuple(
+            one for one in routines if one != calls.EVALUATION))
+        live_laws.link(model, effects, table)
     return _bound(system._replace(table=table, whole=all_equations(model, work, system.whole)))
 
 

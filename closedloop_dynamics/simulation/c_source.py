@@ -19,9 +19,8 @@ from ..core.codegen.derivatives import (
     DERIVATIVE, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU)
-from ..core.codegen.scene_routines import (
-    ENERGY, PLACE, PLACE_RATE, POINT, SceneTrace, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU, VALUES)
+from ..core.codegen.scene_routines import ENERGY, PLACE, PLACE_RATE, POINT, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act

@@ -13,7 +13,7 @@ from .errors import AssemblyError
 from .key_paths import changed, numbers, resolve
 from .modeling import extent
 from ..core.codegen import function_table as calls
-from ..core.codegen.scene_routines import POINT, VALUES
+from ..core.codegen.scene_routines import POINT
 from ..core.codegen.space import is_spatial, PARALLEL
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
@@ -108,7 +108,7 @@ def _arrays(data):
     """Return the arrays that code reads, by their places in the function table."""
     model, effects = data.system.model, data.system.effects
     return {calls.BODY: model.body, calls.GRAVITY: model.gravity, calls.CUT_POINT: model.cut_point,
-            VALUES: np.zeros(0) if effects is None else finite(effects.values),
+            calls.VALUES: np.zeros(0) if effects is None else finite(effects.values),
             POINT: data.carried[1]}
 
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
-from ..core.codegen.scene_routines import VALUES
 from ..effects.table import ENTRIES, FIRST, SECOND, VALUE_COLUMNS
 from ..effects.traced_laws import act, constants_of, refused
 
@@ -106,7 +105,7 @@ class TracedScene:
         """
         table = np.zeros(columns, dtype=np.int64)
         for place, array in {calls.BODY: self._model.body, calls.GRAVITY: self._model.gravity,
-                             calls.CUT_POINT: self._model.cut_point, VALUES: self.values,
+                             calls.CUT_POINT: self._model.cut_point, calls.VALUES: self.values,
                              **arrays}.items():
             table[place] = array.ctypes.data
         return table

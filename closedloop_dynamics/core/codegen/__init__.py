@@ -38,7 +38,7 @@ def link(model, table, which=ALWAYS):
         table[place] = address
 
 
-def relink(model, table):
+def relink(model, table, but=()):
     """
     Replace the routines of a function table, when the structure of the model has changed.
 
@@ -46,6 +46,9 @@ def relink(model, table):
     ----------
     model, table
         As for ``link``.
+    but : tuple of int
+        Places of those that are left as they are.
 
     """
-    link(model, table, tuple(np.flatnonzero(table[:BODY]).tolist()))
+    link(model, table, tuple(
+        one for one in np.flatnonzero(table[:BODY]).tolist() if one not in but))

@@ -7,7 +7,8 @@ Where the engine finds the routines of one mechanism.
 A function table is an array of integers: the addresses of the routines, zero for those that are
 not there, then those of the arrays that they work on. A routine is called with the table and a
 state, and returns whether its results are good; the places of the routines are those of
-``engine/columns.hpp``.
+``engine/columns.hpp``. Where effects are listed, the evaluation is that of the scene, with their
+laws (``live_scene``), or there is none.
 
 """
 
@@ -20,10 +21,11 @@ import numpy as np
  REACTIONS) = range(7)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
-# Addresses of arrays.
+# Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
- CORRECTIONS, REACTION) = range(10, 23)
-TABLE_COLUMNS = 23
+ CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
+ RATES) = range(10, 32)
+TABLE_COLUMNS = 32
 # Address of results of one routine that another one of the same table works on, for all its lanes.
 SHARED = 52
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
@@ -37,7 +39,7 @@ def connect(arrays):
     Parameters
     ----------
     arrays : dict of int to ndarray
-        By the places BODY to REACTION; the table does not keep them.
+        By the places BODY to RATES; the table does not keep them.
 
     Returns
     -------

@@ -69,14 +69,18 @@ def addresses(model, which, form=SCALAR):
     dict of int to int
 
     """
-    if form is SCALAR and space.is_spatial(model):
-        form = PACKED
+    form = form_for(model, form)
     key = topology(model), which, form
     if key not in _addresses:
         find = machine_code(
             key, lambda: [MechanismTrace(model).routine(one) for one in which], form, len(which))
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
+
+
+def form_for(model, form=SCALAR):
+    """Return the form of the routines of a mechanism: single states in space are packed."""
+    return PACKED if form is SCALAR and space.is_spatial(model) else form
 
 
 def operations(model):
@@ -118,7 +122,7 @@ class MechanismTrace:
         self.model = model._replace(
             body=self.symbols(BODY, model.body.shape),
             gravity=self.symbols(GRAVITY, model.gravity.shape),
-            cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
+            cut_point=self.cut_points())
         work = Workspace(*(zeros(*array.shape) for array in unconnected(model)))
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
         self.q = self.symbols(Q, (number_of_coordinates(model),))
@@ -131,6 +135,10 @@ class MechanismTrace:
         self.recursion = Recursion(
             bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
+
+    def cut_points(self):
+        """Return what stands for ``Model.cut_point``."""
+        return self.symbols(CUT_POINT, self.constant.cut_point.shape)
 
     def symbols(self, source, shape):
         """Return an array of numbers to be read from an input."""
@@ -210,16 +218,34 @@ class MechanismTrace:
         """Return whether loops close on bodies: they are eliminated there."""
         return any(embedding.closing_bodies(self.recursion, self.constant))
 
-    def accelerate(self, by=None):
-        """Unroll the forward dynamics of one of the modules, by what takes less where not said."""
+    def accelerate(self, by=None, tau=None):
+        """
+        Unroll the forward dynamics.
+
+        Parameters
+        ----------
+        by : module, optional
+            What takes less where not said.
+        tau : ndarray, shape (nv,), optional
+            Torques in the joints; an input where not said.
+
+        Returns
+        -------
+        ndarray, shape (nc,)
+            Multipliers.
+
+        """
         if by is None:
             by = embedding if self.embeds() else forward_dynamics
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
-        tau, qdd, lam = self.symbols(TAU, (self.nv,)), zeros(self.nv), zeros(self.nc)
+        qdd, lam = zeros(self.nv), zeros(self.nc)
+        if tau is None:
+            tau = self.symbols(TAU, (self.nv,))
         bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(QDD, qdd)
         self.store(LAM, lam)
         self.store(HEALTH, self.work.health)
+        return lam
 
     def reactions(self):
         """Sum up the forces in the joints of the trees, by Newton, after the accelerations."""

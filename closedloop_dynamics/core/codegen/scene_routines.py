@@ -11,15 +11,15 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 
 from . import forward_dynamics
 from .expression_graph import Routine
-from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU
+from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU, VALUES
 from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
-# Inputs and outputs beside those of a function table: numbers of effects and of points; energies,
-# places and their rates.
-VALUES, POINT, ENERGY, PLACE = range(40, 44)
+# Inputs and outputs beside those of a function table: numbers of points; energies, places and
+# their rates.
+POINT, ENERGY, PLACE = range(41, 44)
 PLACE_RATE = 47
 
 
@@ -152,6 +152,10 @@ class Forces:
         """Return the angle of a body, in the plane."""
         return self._one.motion[body].angle
 
+    def origin(self, body):
+        """Return the place of a body's origin."""
+        return self._one.motion[body].origin
+
     def spin(self, body):
         """Return the angular velocity of a body in world axes."""
         return self._one.motion[body].spin
@@ -170,3 +174,10 @@ class Forces:
     def store(self, energy):
         """Add to the energy stored."""
         self.stored = self.stored + energy
+
+    def flow(self, *rates):
+        """Take note of the rates of the effect's states, such as losses; here nobody asks."""
+
+    def touches(self, gap, rate):
+        """Return whether a contact acts whose gap, and its rate, is told."""
+        return gap < 0.0

@@ -1,0 +1,281 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The evaluation of a scene as the engine runs it: a mechanism with the laws of its effects.
+
+Laws are traced into the one routine between the motion of the bodies and their accelerations.
+Their numbers, states and what was decided about them are loads, so that a change of these compiles
+nothing. What the laws say of themselves beside the rates of their states, such as what they store,
+is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
+
+"""
+
+from .expression_graph import arctangent, chosen, larger, LOAD, QD
+from .function_table import (
+    COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
+from .machine_code import machine_code, SCALAR
+from .routines import form_for, MechanismTrace, topology, zeros
+from .scene_routines import Forces
+from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
+
+# Addresses of what was compiled, by what it depends on.
+_addresses = {}
+# Added and subtracted, it rounds to a whole number.
+_ROUNDER = 6755399441055744.0
+_TURN = 6.283185307179586
+
+
+def address_of_scene(model, structure, laws, form=SCALAR):
+    """
+    Return the address of the evaluation of a scene, compiled where nobody has before.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    structure : tuple
+        What the code depends on beside the mechanism.
+    laws : callable
+        Returns the laws for ``LiveTrace``.
+    form : tuple
+        Of ``machine_code``.
+
+    Returns
+    -------
+    int
+
+    """
+    form = form_for(model, form)
+    key = topology(model), structure, form
+    if key not in _addresses:
+        find = machine_code(
+            key, lambda: [LiveTrace(model, laws()).routine(EVALUATION)], form)
+        _addresses[key] = find('evaluation')
+    return _addresses[key]
+
+
+class LiveTrace(MechanismTrace):
+    """
+    One mechanism and what acts on it, with symbols in the place of all numbers that may change.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    laws : object
+        ``effects.live_laws.LiveLaws``: ``act(forces)`` lets the effects act, ``motions(trace)``
+        returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
+        tells how many numbers the rows of arrays have, by their places; ``states`` how many states
+        the effects have, ``cuts`` the table of the cut joints that anything acts in.
+
+    """
+
+    def __init__(self, model, laws):
+        """Make the symbols of all inputs."""
+        self.laws, self.first = laws, len(model.tree) - 1
+        super().__init__(model)
+
+    def cut_points(self):
+        """Return what stands for ``Model.cut_point``: motions follow the time."""
+        found = super().cut_points()
+        for (row, column), values in self.laws.motions(self).items():
+            found[row, column:column + len(values)] = values
+        return found
+
+    def state(self, place):
+        """Return one of the effects' states."""
+        return self.graph.put(LOAD, QD, self.first + place)
+
+    def entry(self, place):
+        """Return one of the numbers of the effects' entries."""
+        return self.graph.put(LOAD, ENTRIES, place)
+
+    def at(self, source, row, column):
+        """Return a number of a row of an array of the effects."""
+        return self.graph.put(LOAD, source, row * self.laws.columns[source] + column)
+
+    def evaluation(self):
+        """Accelerations, multipliers and rates of the effects' states."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        forces = LiveForces(self)
+        self.laws.act(forces)
+        torque = self.symbols(COMMAND, (self.nv,)) + forces.torque
+        forces.exert()
+        lam = self.accelerate(tau=torque)
+        for place, multiplier, factor in forces.driven:
+            forces.rates[place] = lam[multiplier] * factor
+        self.store(RATES, forces.rates)
+        self.outputs += forces.outputs
+
+
+class LiveForces(Forces):
+    """
+    What laws of force see and do while they are traced for the engine.
+
+    Attributes
+    ----------
+    row : int
+        Of the effect whose turn it is, in the table.
+    first : int
+        Its first state.
+    rates : ndarray, shape (states,)
+        Of the effects' states.
+    driven : list of (int, int, Symbol)
+        States whose rates are multipliers times something.
+    outputs : list
+        As of ``Routine``.
+
+    """
+
+    def __init__(self, trace):
+        """Begin without forces."""
+        trace.values = None
+        super().__init__(trace)
+        self.trace, self.nv = trace, trace.nv
+        self.efforts = zeros(len(trace.laws.cuts))
+        self.row = self.first = 0
+        self.rates, self.driven, self.outputs = zeros(trace.laws.states), [], []
+
+    def numbers(self, row):
+        """Return the numbers of a row of the table of effects."""
+        return [self.trace.at(VALUES, row, n) for n in range(self.trace.laws.columns[VALUES])]
+
+    def state(self, number):
+        """Return a state of the effect."""
+        return self.trace.state(self.first + number)
+
+    def flow(self, *rates, first=0):
+        """Take note of the rates of the effect's states, from one on."""
+        for place, rate in enumerate(rates, start=self.first + first):
+            self.rates[place] = rate
+
+    def command(self, joint):
+        """Return the commanded torque of a joint."""
+        return self.trace.graph.put(LOAD, COMMAND, joint)
+
+    def coordinate(self, joint):
+        """Return the coordinate of a joint of one freedom, of cut joints behind."""
+        return super().coordinate(joint) if joint < self.nv else self._cut(joint - self.nv).value
+
+    def rate(self, joint):
+        """Return the rate of a joint."""
+        return super().rate(joint) if joint < self.nv else self._cut(joint - self.nv).rate
+
+    def twist(self, joint, torque):
+        """Apply a torque or force in a joint."""
+        if joint < self.nv:
+            super().twist(joint, torque)
+        else:
+            self.efforts[joint - self.nv] = self.efforts[joint - self.nv] + torque
+
+    def touches(self, gap, rate):
+        """Store a gap and its rate; return whether the contact acts, as decided or by the gap."""
+        trace = self.trace
+        side = trace.at(SIDES, self.row, 0)
+        fastest, wrong = (trace.at(TRIALS, self.row, n) for n in (0, 2))
+        touching = side > 1.5
+        self.note(GAPS, 0, gap, rate)
+        self.note(TRIALS, 0, larger(fastest, abs(rate)))
+        self.note(TRIALS, 2, larger(wrong, chosen(touching, gap, -gap)))
+        return chosen(side > 0.5, touching, gap < 0.0)
+
+    def pass_by(self, place, speed):
+        """Store the path of a roller beside a body that it may pass; see ``store_path``."""
+        self.note(GAPS, 2, *place)
+        self.note(TRIALS, 1, larger(self.trace.at(TRIALS, self.row, 1), speed))
+
+    def note(self, source, column, *values):
+        """Store numbers of the effect's row."""
+        first = self.row * self.trace.laws.columns[source] + column
+        self.outputs += [(source, first + n, value) for n, value in enumerate(values)]
+
+    def exert(self):
+        """Apply the efforts along cut joints, commanded ones too, and follow their angles."""
+        for k in range(len(self.efforts)):
+            self._cut(k).exert(self.efforts[k] + self.command(self.nv + k))
+
+    def _cut(self, k):
+        return CutFreedom(self, k)
+
+
+class CutFreedom:
+    """
+    One coordinate of a cut joint, as of ``engine/cut_coordinates.cpp``.
+
+    Parameters
+    ----------
+    forces : LiveForces
+        After the outward recursion.
+    k : int
+        Its row of the table of cut joints.
+
+    """
+
+    def __init__(self, forces, k):
+        """Look it up."""
+        self._forces, self._one, self._number = forces, forces.trace.laws.cuts[k], k
+
+    def _vector(self, first):
+        return [self._forces.trace.at(CUT_VALUES, self._number, first + n) for n in range(3)]
+
+    @property
+    def _scale(self):
+        return self._forces.trace.at(CUT_VALUES, self._number, self._one.columns['SCALE'])
+
+    def _turned(self, body, name):
+        vector = self._vector(self._one.columns[name])
+        return self._forces.turned(body, vector[:2] if self._one.in_plane else vector)
+
+    @property
+    def _axis(self):
+        if self._one.in_plane and not self._one.slides:
+            return IDENTITY[2]
+        return self._turned(self._one.row_b, 'AXIS')
+
+    def _place(self, body, name):
+        return add(self._forces.origin(body), self._turned(body, name))
+
+    @property
+    def value(self):
+        """Return the coordinate [rad, m]."""
+        forces, one = self._forces, self._one
+        if one.slides:
+            apart = subtract(self._place(one.row_a, 'POINT_A'), self._place(one.row_b, 'POINT_B'))
+            return self._scale * dot(self._axis, apart)
+        if one.in_plane:
+            return forces.angle(one.row_a) - forces.angle(one.row_b) - forces.trace.at(
+                CUT_VALUES, self._number, one.columns['ZERO'])
+        followed = forces.trace.state(one.followed) if one.followed >= 0 else None
+        if one.rate_only:
+            return 0.0 if followed is None else followed
+        side = self._turned(one.row_a, 'SIDE_A')
+        found = arctangent(*(dot(side, self._turned(one.row_b, name))
+                             for name in ('ACROSS_B', 'SIDE_B')))
+        if followed is not None:
+            found = found + ((followed - found) / _TURN + _ROUNDER - _ROUNDER) * _TURN
+        return found
+
+    @property
+    def rate(self):
+        """Return its rate."""
+        forces, one = self._forces, self._one
+        a, b = one.row_a, one.row_b
+        if not one.slides:
+            return self._scale * dot(self._axis, subtract(forces.spin(a), forces.spin(b)))
+        place = self._place(a, 'POINT_A')
+        rates = [forces.place(body, subtract(place, forces.origin(body)))[1] for body in (a, b)]
+        return self._scale * dot(self._axis, subtract(*rates))
+
+    def exert(self, effort):
+        """Apply an effort along it."""
+        forces, one = self._forces, self._one
+        if one.followed >= 0:
+            forces.rates[one.followed] = self.rate
+        along = scale(self._axis, self._scale * effort)
+        place = self._place(one.row_a, 'POINT_A') if one.slides else None
+        for body, push in ((one.row_a, along), (one.row_b, negate(along))):
+            if one.slides:
+                forces.push(body, subtract(place, forces.origin(body)), push)
+            else:
+                forces.push(body, ZERO, ZERO, push)

@@ -1,0 +1,73 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "scene_code.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "course.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+/// Bring the present piece of a course up to the time.
+void take_piece(const EffectTable & table, Index row)
+{
+  const Values values = table.values[row], held = table.code.present[row];
+  const Index state = table.index(row, effect::STATE);
+  const bool written = values[1] == 1.0;
+  if (written) {
+    const Index at = table.index(row, effect::DATA);
+    const double time = table.states[state];
+    held[present::COEFFICIENTS] = expression_value(table, at, time);
+    if (table.kind[row] == effect::PRESCRIBED_MOTION) {
+      for (Index k = 1; k < 3; ++k) {
+        held[present::COEFFICIENTS + k] =
+          expression_value(table, at + static_cast<Index>(values[3 + k]), time);
+      }
+    }
+  } else if (!(held[present::NUMBER] == table.states[state + 1])) {
+    const PresentPiece found = present_piece(table, row, values[0]);
+    held[present::NUMBER] = table.states[state + 1];
+    held[present::PERIOD_START] = found.period_start;
+    std::copy(found.piece, found.piece + course::COLUMNS, &held[present::PIECE_START]);
+  }
+}
+}  // namespace
+
+bool prepare_code(const EffectTable & table)
+{
+  if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
+    return false;
+  }
+  for (Index row = 0; row < table.count(); ++row) {
+    if (table.enabled[row] != 1) {
+      return false;
+    }
+    switch (table.kind[row]) {
+      case effect::JOINT_FRICTION:
+        if (std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5) {
+          return false;
+        }
+        break;
+      case effect::PRESCRIBED_TORQUE:
+      case effect::PRESCRIBED_FORCE:
+      case effect::SPATIAL_PRESCRIBED_FORCE:
+      case effect::PRESCRIBED_MOTION:
+        take_piece(table, row);
+        break;
+      default:
+        break;
+    }
+  }
+  for (Index row : table.contacts.rows) {
+    table.code.sides[row] = static_cast<double>(table.contacts.mode[row]);
+  }
+  table.sticking.rows[0] = 0;
+  return true;
+}
+
+}  // namespace closedloop

@@ -1,0 +1,225 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The evaluation of a scene as one routine, beside the one in parts with the engine's own laws."""
+
+from dataclasses import replace
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.effects.table import FASTEST, GAP, PLACE, RATE, SPEED, WRONG
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.system import parts_of_state
+from closedloop_dynamics.mechanism.mechanism import Point
+from closedloop_dynamics.simulation.scene import load_scene
+import numpy as np
+import pytest
+
+CRANK = 'crank_joint'
+TIMES, VALUES = (0.0, 0.4, 1.0), (0.2, -0.3, 0.5)
+IN_PLANE = {
+    'springs': [
+        ('joint_spring', {'joint': CRANK, 'stiffness': 1.37, 'rest': 0.2}),
+        ('joint_spring', {'joint': 'CUT', 'stiffness': 0.7}),
+        ('joint_damping', {'joint': CRANK, 'coefficient': 0.13}),
+        ('joint_damping', {'joint': 'CUT', 'coefficient': 0.21}),
+        ('point_spring', {'point_a': 'ONE', 'anchor': (0.3, 0.4), 'stiffness': 21.0,
+                          'damping': 1.3, 'free_length': 0.1})],
+    'bushing and drag': [
+        ('bushing', {'point_a': 'ONE', 'anchor': (0.1, 0.2), 'stiffness': (11.0, 17.0),
+                     'damping': (0.4, 0.7), 'turning_stiffness': 0.3, 'turning_damping': 0.2,
+                     'angle': 0.3}),
+        ('fluid_drag', {'point': 'ONE', 'linear': (0.3, 0.4), 'quadratic': (0.5, 0.1),
+                        'turning_linear': 0.2, 'turning_quadratic': 0.1, 'flow': (0.4, -0.2)}),
+        ('tendon', {'arms': {CRANK: 0.3, 'slider_joint': -0.2}, 'stiffness': (3.0, 2.0),
+                    'damping': (0.5, 0.2), 'rest': 0.1})],
+    'forces over time': [
+        ('external_force', {'point': 'ONE', 'force': (1.0, -2.0), 'torque': 0.3,
+                            'axes': 'body'}),
+        ('prescribed_force', {'joint': CRANK, 'shape': 'sine', 'amplitude': 0.3,
+                              'frequency': 2.0, 'offset': 0.1}),
+        ('prescribed_force', {'joint': 'CUT', 'shape': 'expression', 'expression': 'sin(3 * t)'}),
+        ('prescribed_force', {'point': 'ONE', 'direction': (0.6, 0.8), 'axes': 'body',
+                              'shape': 'table', 'times': TIMES, 'values': VALUES})],
+    'motion': [
+        ('prescribed_motion', {'joint': CRANK, 'shape': 'sine', 'amplitude': 0.2,
+                               'frequency': 1.0, 'offset': 0.3})],
+    'motion as an expression': [
+        ('prescribed_motion', {'joint': CRANK, 'shape': 'expression',
+                               'expression': '0.3 + 0.2 * sin(2 * t)'})],
+    'stop, friction, drive': [
+        ('end_stop', {'joint': CRANK, 'stiffness': 50.0, 'lower': 0.9, 'upper': 1.2,
+                      'damping': 0.3}),
+        ('joint_friction', {'joint': CRANK, 'coulomb': 0.3, 'static_ratio': 1.5}),
+        ('joint_friction', {'joint': 'CUT', 'coulomb': 0.1}),
+        ('actuator', {'joint': CRANK, 'max_torque': 1.5, 'max_speed': 20.0, 'lag': 0.02})],
+    'contacts': [
+        ('contact', {'point': 'ONE', 'origin': (0.0, 0.1), 'angle': 0.1, 'stiffness': 300.0,
+                     'exponent': 1.5, 'damping': 0.2, 'friction': 0.3, 'scraping': 2.0}),
+        ('body_contact', {'point': 'ONE', 'other': 'TWO', 'shape': 'line', 'angle': 0.2,
+                          'radius': 0.05, 'stiffness': 200.0, 'friction': 0.2}),
+        ('body_contact', {'point': 'ONE', 'other': 'TWO', 'shape': 'circle', 'radius': 0.03,
+                          'other_radius': 0.2, 'stiffness': 200.0, 'exponent': 1.3,
+                          'damping': 0.1})],
+    'cable': [
+        ('cable', {'points': ('ONE', 'TWO', 'THREE'), 'radii': (0.0, -0.02, 0.0),
+                   'stiffness': 80.0, 'free_length': 0.4, 'damping': 0.2})]}
+IN_SPACE = {
+    'springs in space': [
+        ('joint_damping', {'joint': 'crank', 'coefficient': 0.13}),
+        ('point_spring', {'point_a': 'ONE', 'anchor': (0.3, 0.4, 0.1), 'stiffness': 21.0,
+                          'damping': 1.3, 'free_length': 0.1}),
+        ('external_force', {'point': 'ONE', 'force': (1.0, -2.0, 0.5),
+                            'torque': (0.1, 0.2, 0.3), 'axes': 'body'}),
+        ('prescribed_force', {'point': 'ONE', 'direction': (0.6, 0.0, 0.8), 'axes': 'body',
+                              'shape': 'sine', 'amplitude': 1.0, 'frequency': 2.0})],
+    'bushing and drag in space': [
+        ('bushing', {'point_a': 'ONE', 'anchor': (0.1, 0.2, 0.3), 'stiffness': (11.0, 17.0, 5.0),
+                     'damping': (0.4, 0.7, 0.1), 'turning_stiffness': (0.3, 0.2, 0.1),
+                     'turning_damping': (0.2, 0.1, 0.3)}),
+        ('fluid_drag', {'point': 'ONE', 'linear': (0.3, 0.4, 0.2), 'quadratic': (0.5, 0.1, 0.2),
+                        'turning_linear': (0.2, 0.1, 0.1), 'turning_quadratic': (0.1, 0.1, 0.2),
+                        'flow': (0.4, -0.2, 0.1)})],
+    'contact in space': [
+        ('contact', {'point': 'ONE', 'origin': (0.0, 0.0, 0.525), 'normal': (0.0, 0.6, 0.8),
+                     'stiffness': 300.0, 'exponent': 1.5, 'damping': 0.2, 'friction': 0.3}),
+        ('body_contact', {'point': 'ONE', 'other': 'TWO', 'shape': 'sphere', 'radius': 0.03,
+                          'other_radius': 0.6, 'stiffness': 200.0, 'damping': 0.1,
+                          'friction': 0.2}),
+        ('joint_friction', {'joint': 'crank', 'coulomb': 0.3})],
+    'motion in space': [
+        ('prescribed_motion', {'joint': 'crank', 'shape': 'constant_speed', 'speed': 2.0})]}
+# A cut joint that turns, whose angle is followed, in space.
+AT_A_CUT = {'cut joint in space': [
+    ('joint_spring', {'joint': 'joint_4', 'stiffness': 1.37, 'rest': 0.2}),
+    ('joint_damping', {'joint': 'joint_4', 'coefficient': 0.3})]}
+CASES = {**{name: ('slider_crank', one) for name, one in IN_PLANE.items()},
+         **{name: ('rssr_four_bar', one) for name, one in IN_SPACE.items()},
+         **{name: ('bennett', one) for name, one in AT_A_CUT.items()}}
+
+
+def simulated(name):
+    """Return a simulation of a shipped machine under some effects and no others."""
+    machine, effects = CASES[name]
+    scene = load_scene(machine)
+    mechanism = scene.mechanism
+    if mechanism.planar:
+        mechanism = replace(mechanism, points=(
+            Point('on_rod', 'rod', (0.1, 0.02)), *mechanism.points))
+    elif mechanism.points[0].body == 'rocker':
+        mechanism = replace(mechanism, points=(
+            mechanism.points[0], Point('on_crank', 'crank', (0.1, 0.0, 0.0))))
+    points = [point.name for point in mechanism.points]
+    names = {'ONE': points[0], 'TWO': points[1], 'THREE': points[-1],
+             'CUT': mechanism.cut_joints[0].name}
+
+    def known(value):
+        if isinstance(value, dict):
+            return {known(key): known(one) for key, one in value.items()}
+        if isinstance(value, tuple):
+            return tuple(map(known, value))
+        return names.get(value, value) if isinstance(value, str) else value
+
+    return Simulation(replace(scene, mechanism=mechanism, effects={
+        f'{kind}_{number}': EFFECTS[kind](**known(keys))
+        for number, (kind, keys) in enumerate(effects)}))
+
+
+def found(system, state):
+    """Return all that steps ask for of an evaluation of a state."""
+    contacts = system.effects.contacts
+    contacts.trial[:] = 0.0
+    native.evaluate_state(system.native, state)
+    gaps, trials = contacts.now[contacts.rows], contacts.trial[contacts.rows]
+    return [each.copy() for each in (
+        system.qdd, system.lam, system.effects.rates, gaps[:, [GAP, RATE, PLACE, PLACE + 1]],
+        trials[:, [FASTEST, SPEED, WRONG]])]
+
+
+def in_parts(system, state):
+    """Return the same where the engine's own laws act between two routines."""
+    fits = system.effects.code.fits
+    fits[0] = 0
+    expected = found(system, state)
+    fits[0] = 1
+    return expected
+
+
+@pytest.mark.parametrize('name', CASES)
+def test_one_routine_does_what_the_parts_do(name):
+    simulation = simulated(name)
+    system, random = simulation.system, np.random.default_rng(5)
+    assert system.effects.code.fits[0] == 1
+    q, qd, own, _ = parts_of_state(system)
+    kinds = set()
+    for _ in range(12):
+        state = simulation.integrated.copy()
+        # In space the first joints are revolute ones, and quaternions behind.
+        moved = state[q] if system.manifold is None else state[q][:2]
+        moved += random.normal(scale=0.2, size=moved.shape)
+        state[qd] += random.normal(scale=2.0, size=state[qd].shape)
+        simulation.effect_set.follow(state[own], simulation.effect_set.rates(
+            state[q], state[qd]))
+        before = system.work.health.copy()
+        ours, theirs = found(system, state), in_parts(system, state)
+        system.work.health[:] = before
+        kinds.update((theirs[3][:, 0] < 0.0).tolist())
+        for one, other in zip(ours, theirs):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
+                1.0 + np.abs(other).max(initial=0.0)))
+    # Contacts were there and not.
+    assert not kinds or len(kinds) == 2
+
+
+def test_what_changes_is_read():
+    simulation = simulated('springs')
+    system = simulation.system
+    state = simulation.integrated.copy()
+    before = found(system, state)[0]
+    simulation.set_effect('joint_spring_0', stiffness=200.0)
+    assert system.effects.code.fits[0] == 1
+    after = found(system, state)[0]
+    assert np.abs(after - before).max() > 1.0
+    np.testing.assert_allclose(after, in_parts(system, state)[0], rtol=1e-9)
+
+
+def test_an_effect_that_is_off_does_not_act():
+    simulation = simulated('springs')
+    state = simulation.integrated.copy()
+    simulation.set_effect('joint_spring_0', stiffness=200.0, enabled=False)
+    off = found(simulation.system, state)[0]
+    simulation.set_effect('joint_spring_0', stiffness=0.0, enabled=True)
+    np.testing.assert_allclose(off, found(simulation.system, state)[0], rtol=1e-9)
+
+
+def test_a_term_that_the_code_does_not_have_acts():
+    """Nothing is compiled in a run: what would be another code is evaluated in parts."""
+    simulation = simulated('stop, friction, drive')
+    system, state = simulation.system, simulation.integrated.copy()
+    state[parts_of_state(system)[1]] = 1e-3
+    simulation.set_effect('joint_friction_2', static_ratio=1.4, stribeck_velocity=5.0)
+    assert system.effects.code.fits[0] == 0
+    changed = found(system, state)[0]
+    simulation.set_effect('joint_friction_2', static_ratio=1.0)
+    assert system.effects.code.fits[0] == 1
+    assert np.abs(changed - found(system, state)[0]).max() > 1e-3
+
+
+def test_friction_at_rest_is_evaluated_in_parts():
+    simulation = simulated('stop, friction, drive')
+    system = simulation.system
+    state = simulation.integrated.copy()
+    q, qd, own, _ = parts_of_state(system)
+    state[qd] = 0.0
+    simulation.effect_set.follow(state[own], simulation.effect_set.rates(state[q], state[qd]))
+    assert all(np.array_equal(one, other) for one, other in zip(
+        found(system, state), in_parts(system, state)))
+    assert system.effects.sticking.rows[0] > 0
+
+
+def test_what_has_no_law_in_code_is_evaluated_in_parts():
+    simulation = Simulation.from_scene('four_bar')
+    scene = replace(simulation.scene, effects={'inertia': EFFECTS['tendon_inertia'](
+        arms={simulation.joint_names[0]: 0.3}, inertia=0.5)})
+    system = Simulation(scene).system
+    assert system.effects.code.fits[0] == 0
