@@ -24,8 +24,6 @@ POLAR_POINTS = 360
 MOST_POINTS, FINENESS = 2000, 8
 # An area between places in one line, beside the square of how far they are apart.
 TOUCHING = 1e-12
-# Newton steps to the nearest point of a piece; they stop when they are as short as this.
-MOST_STEPS, SHORT = 30, 1e-15
 # A valley of less than this below an end of a path is no other place than that end [m].
 SHALLOW = 1e-9
 

@@ -16,21 +16,24 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from . import cable, course
+from . import cable, course, curve, force_table
 from .actuator import FADING
 from .table import (
-    ACROSS_B, ACTUATOR, AXIS, CABLE, CIRCLE_CONTACT, CONTACT, CUT_VALUE_COLUMNS, DATA, END_STOP,
-    ENTRIES, FIRST, FOLLOWED, IN_PLANE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT, NODE_COLUMNS,
-    POINT_A, POINT_B, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, PRESENT_COLUMNS,
-    RATE_ONLY, ROW_A, ROW_B, SCALE, SECOND, SIDE_A, SIDE_B, SLIDES, SPATIAL_BODY_CONTACT,
-    SPATIAL_CONTACT, SPATIAL_PRESCRIBED_FORCE, STATE, TENDON, TRIAL_COLUMNS, VALUE_COLUMNS, ZERO)
-from .traced_laws import LAWS as SMOOTH
+    ACROSS_B, ACTUATOR, AXIS, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, CUT_VALUE_COLUMNS,
+    DATA, END_STOP, ENTRIES, FACE_CONTACT, FIRST, FOLLOWED, IN_PLANE, JOINT_FORCE_TABLE,
+    JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT, NODE_COLUMNS, POINT_A, POINT_B, POINT_FORCE_TABLE,
+    PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, PRESENT_COLUMNS, RATE_ONLY, ROW_A,
+    ROW_B, SCALE, SECOND, SIDE_A, SIDE_B, SLIDES, SPATIAL_BODY_CONTACT, SPATIAL_CONTACT,
+    SPATIAL_FORCE_TABLE, SPATIAL_PRESCRIBED_FORCE, STATE, TENDON, TRIAL_COLUMNS, VALUE_COLUMNS,
+    ZERO)
+from .traced_laws import LAWS as SMOOTH, line_between, push_apart
 from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
 from ..core.codegen.live_scene import address_of_scene
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract
 from ..core.types import BALL, DOF, TYPE
+from ..engine import native
 
 # Columns of EffectTable.values that only the code may depend on, of an effect's kind.
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
@@ -135,6 +138,7 @@ def link(model, table, functions):
         address = address_of_scene(model, key, lambda: LiveLaws(table))
         _known[address] = key
     functions[calls.EVALUATION] = address
+    functions[list(calls.FUNCTIONS)] = list(map(native.library_function, calls.FUNCTIONS))
     update(model, table, functions)
 
 
@@ -412,6 +416,64 @@ def _circle_contact(forces, table, row, values):
     _press(forces, table, row, values, center, out, side * (between - values[5]))
 
 
+def _seen_from(forces, body, vector):
+    """Return a vector of the plane in the axes of a body."""
+    cosine, sine, _ = forces.turned(body, (1.0, 0.0))
+    return cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0]
+
+
+def _pieces(columns, table, row):
+    """Return where the pieces of a curve or table begin, and how many numbers they are."""
+    return int(table.index[row, DATA]), columns * int(table.index[row, ENTRIES])
+
+
+def _curve_contact(forces, table, row, values):
+    bodies = _bodies(table, row)
+    center, apart = _centers(forces, table, row, values)
+    in_body = _seen_from(forces, bodies[1], apart)
+    forces.pass_by((*in_body, 0.0), _speed_apart(forces, bodies, center))
+    distance, x, y = forces.ask(
+        calls.NEAREST, *_pieces(curve.COLUMNS, table, row), values[5], *in_body, results=2)
+    _press(forces, table, row, values, center, forces.turned(bodies[1], (x, y)), distance)
+
+
+def _face_contact(forces, table, row, values):
+    a, b = _bodies(table, row)
+    # The face is a line of the first body; its normal points away from that.
+    line = forces.turned(a, (values[5], values[11]))
+    out = -line[1], line[0], 0.0
+    deepest = forces.ask(calls.FURTHEST, *_pieces(curve.COLUMNS, table, row), 0.0, *(
+        -one for one in _seen_from(forces, b, out)), results=1)
+    other, _ = forces.place(b, forces.turned(b, values[2:4]))
+    place = add(other, forces.turned(b, deepest))
+    roller, _ = forces.place(a, forces.turned(a, values[:2]))
+    _press(forces, table, row, values, place, scale(out, -1.0), dot(out, subtract(place, roller)))
+
+
+def _look_up(forces, table, row, stroke):
+    return forces.ask(calls.LOOK_UP, *_pieces(force_table.COLUMNS, table, row), 0.0, stroke)
+
+
+def _joint_force_table(forces, table, row, values):
+    joint = int(table.index[row, FIRST])
+    rate = forces.rate(joint)
+    force, = _look_up(forces, table, row, forces.coordinate(joint))
+    loss = values[0] * rate
+    forces.twist(joint, force - loss)
+    forces.flow(loss * rate)
+
+
+def _point_force_table(size):
+    def law(forces, table, row, values):
+        bodies = _bodies(table, row)
+        offsets, direction, length, rate = line_between(
+            forces, bodies, (values[1:1 + size], values[1 + size:1 + 2 * size]))
+        force, = _look_up(forces, table, row, length)
+        push_apart(forces, bodies, offsets, direction, -(force + values[0] * rate))
+        forces.flow(values[0] * rate * rate)
+    return law
+
+
 def _spatial_body_contact(forces, table, row, values):
     bodies, (a, b) = _bodies(table, row), _bodies(table, row)
     begin = int(table.index[row, DATA])
@@ -474,9 +536,13 @@ def _cable(forces, table, row, values):
 
 
 LAWS = {**SMOOTH, ACTUATOR: _actuator, CABLE: _cable, CIRCLE_CONTACT: _circle_contact,
-        CONTACT: _point_contact, JOINT_FRICTION: _joint_friction, LINE_CONTACT: _line_contact,
+        CONTACT: _point_contact, CURVE_CONTACT: _curve_contact, FACE_CONTACT: _face_contact,
+        JOINT_FORCE_TABLE: _joint_force_table, JOINT_FRICTION: _joint_friction,
+        LINE_CONTACT: _line_contact, POINT_FORCE_TABLE: _point_force_table(2),
         PRESCRIBED_FORCE: _prescribed_force(2), PRESCRIBED_MOTION: _prescribed_motion,
         PRESCRIBED_TORQUE: _prescribed_torque, SPATIAL_BODY_CONTACT: _spatial_body_contact,
-        SPATIAL_CONTACT: _spatial_point_contact, SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
-_IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FRICTION, JOINT_SPRING, TENDON)
-_TOUCHING = (CONTACT, SPATIAL_CONTACT, LINE_CONTACT, CIRCLE_CONTACT, SPATIAL_BODY_CONTACT)
+        SPATIAL_CONTACT: _spatial_point_contact, SPATIAL_FORCE_TABLE: _point_force_table(3),
+        SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
+_IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, TENDON)
+_TOUCHING = (CONTACT, SPATIAL_CONTACT, LINE_CONTACT, CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT,
+             SPATIAL_BODY_CONTACT)

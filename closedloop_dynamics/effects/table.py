@@ -12,6 +12,7 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
+from ..core.codegen.function_table import PRESENT_COLUMNS
 
 # Which law a row of the table obeys.
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
@@ -51,9 +52,8 @@ NODE_LEVELS = SHARES + LEVELS + 3
 SEARCH_LENGTH = NODE_LEVELS + LEVELS + 3
 # Columns of SceneCode.present: the number of the piece of a course that it holds, NaN where none
 # is known; when the present period and, in it, the piece began [s]; its coefficients c0 to c5, a,
-# w and p, of an expression its value and its derivatives.
+# w and p, of an expression its value and its derivatives. Of a curve: ``engine/curve.hpp``.
 NUMBER, PERIOD_START, PIECE_START, COEFFICIENTS = range(4)
-PRESENT_COLUMNS = 12
 VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11

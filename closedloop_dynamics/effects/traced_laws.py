@@ -139,10 +139,10 @@ def _of_user(forces, law, entries, values):
             measured += [each[second] for each in forces.place(first, offset)]
             pushes.append(partial(_push_along, forces, second, first, offset))
         else:
-            offsets, direction, length, rate = _line(
+            offsets, direction, length, rate = line_between(
                 forces, (first, second), (places[:3], places[3:]))
             measured += [length, rate]
-            pushes.append(partial(_push_apart, forces, (first, second), offsets, direction))
+            pushes.append(partial(push_apart, forces, (first, second), offsets, direction))
     inputs = {PARAMETERS: values, MEASURED: measured}
     results = replayed(law.graph, law.results, lambda source, place: inputs[source][place])
     for push, force in zip(pushes, results):
@@ -154,12 +154,13 @@ def _push_along(forces, axis, body, offset, force):
     forces.push(body, offset, tuple(force if k == axis else 0.0 for k in range(3)))
 
 
-def _push_apart(forces, bodies, offsets, direction, force):
+def push_apart(forces, bodies, offsets, direction, force):
+    """Push two bodies apart, along the line between two of their points."""
     for body, offset, sign in zip(bodies, offsets, (-1.0, 1.0)):
         forces.push(body, offset, scale(direction, sign * force))
 
 
-def _line(forces, bodies, places):
+def line_between(forces, bodies, places):
     """Return offsets of two points, the direction from one to the other, length and its rate."""
     offsets = [forces.turned(body, place) for body, place in zip(bodies, places)]
     (place_a, rate_a), (place_b, rate_b) = map(forces.place, bodies, offsets)
@@ -186,10 +187,10 @@ def _point_spring(size):
     def law(forces, first, second, values, _):
         stiffness, damping, free = values[:3]
         bodies = first, second
-        offsets, direction, length, rate = _line(
+        offsets, direction, length, rate = line_between(
             forces, bodies, (values[3:3 + size], values[3 + size:3 + 2 * size]))
         stretch = length - free
-        _push_apart(forces, bodies, offsets, direction, -(stiffness * stretch + damping * rate))
+        push_apart(forces, bodies, offsets, direction, -(stiffness * stretch + damping * rate))
         forces.store(0.5 * (stiffness * (stretch * stretch)))
         forces.flow(damping * rate * rate)
     return law

@@ -26,6 +26,7 @@
 #include "joint_reaction.hpp"
 #include "laws.hpp"
 #include "left_out.hpp"
+#include "library.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
@@ -53,6 +54,12 @@ double factorize_constraints(const Model & model, const Workspace & work)
 void move_coordinates(const Manifold & manifold, Values q, Values change, double share)
 {
   move(manifold, q, change, share);
+}
+
+Vector3 curve_distance(Values pieces, bool closed, Values memory, double x, double y)
+{
+  const CurveDistance found = distance_from_curve(pieces, {x, y}, closed, memory.data);
+  return {found.normal.x, found.normal.y, found.distance};
 }
 
 void numbers_of_coordinates(const Manifold & manifold, Values q)
@@ -236,6 +243,11 @@ const Entry entries[] = {
     "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
+  entry<library_function>(
+    "library_function", "library_function(which): address of a function for generated code"),
+  entry<curve_distance>(
+    "curve_distance",
+    "curve_distance(pieces, closed, memory, x, y): normal to the free side, and the distance"),
   entry<nearest_to_path>(
     "nearest_to_path",
     "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),

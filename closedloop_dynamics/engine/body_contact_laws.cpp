@@ -114,8 +114,9 @@ void apply_curve_contact(
   const Vector2 in_body = {
     cosine * apart.x + sine * apart.y, cosine * apart.y - sine * apart.x};
   store_path_in_plane(table, row, body, center, in_body);
-  const CurveDistance found =
-    distance_from_curve(table, row, in_body, table.values(row, 5) == 1.0);
+  const CurveDistance found = distance_from_curve(
+    pieces_of_curve(table, row), in_body, table.values(row, 5) == 1.0,
+    table.code.present.row(row));
   press(table, row, body, center, to_world(body, b, found.normal), found.distance);
 }
 
@@ -130,7 +131,7 @@ void apply_face_contact(
   const Vector2 out = {-line.y, line.x};
   const double cosine = body(b, plane::COS), sine = body(b, plane::SIN);
   const Vector2 deepest = furthest_of_curve(
-    table, row, {-cosine * out.x - sine * out.y, sine * out.x - cosine * out.y});
+    pieces_of_curve(table, row), {-cosine * out.x - sine * out.y, sine * out.x - cosine * out.y});
   const Vector2 place = other_point(table, row, body) + to_world(body, b, deepest);
   press(
     table, row, body, place, -out, dot(out, place - roller_center(table, row, body)));

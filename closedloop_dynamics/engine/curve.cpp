@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace closedloop
 {
@@ -14,9 +15,13 @@ namespace
 {
 // Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
 constexpr Index COLUMNS = 8;
-// Newton steps to the nearest point of a piece; they stop when they are as short as this.
+// Newton steps to the nearest point of a piece; they stop when they are as short as this, those of
+// Newton's method earlier: the next one would be the square.
 constexpr int MOST_STEPS = 30;
-constexpr double SHORT = 1e-15;
+constexpr double SHORT = 1e-15, SHORT_OF_NEWTON = 3e-8;
+// Pieces on either side of a known one that are looked at first; and a little less than one.
+constexpr Index BESIDE = 3;
+constexpr double SURELY = 1.0 - 1e-12;
 // A valley of less than this below an end of a path is no other place than that end [m].
 constexpr double SHALLOW = 1e-9;
 
@@ -68,56 +73,122 @@ Nearest nearest_on_piece(const double * piece, Vector2 point)
   // The chord's nearest place to begin with.
   const Vector2 whole = chord(piece), start = {piece[0], piece[4]};
   double u = within_piece(dot(point - start, whole) / dot(whole, whole));
+  CurvePoint at = evaluate(piece, u);
   for (int step = 0; step < MOST_STEPS; ++step) {
-    const CurvePoint at = evaluate(piece, u);
     const Vector2 apart = at.place - point;
     const double slope = dot(apart, at.tangent);
-    double bend = at.tangent.x * at.tangent.x + at.tangent.y * at.tangent.y +
-      apart.x * at.bend.x + apart.y * at.bend.y;
+    if (u == (slope > 0.0 ? 0.0 : 1.0)) {
+      // Away from the piece.
+      break;
+    }
+    const double square = dot(at.tangent, at.tangent);
+    double bend = square + apart.x * at.bend.x + apart.y * at.bend.y;
     // Where the distance is no valley, as if the piece were straight.
-    if (!(bend > 0.25 * dot(at.tangent, at.tangent))) {
-      bend = dot(at.tangent, at.tangent);
+    const bool is_valley = bend > 0.25 * square;
+    if (!is_valley) {
+      bend = square;
     }
     const double better = within_piece(u - slope / bend);
     const double move = std::fabs(better - u);
     u = better;
-    if (move <= SHORT) {
+    at = evaluate(piece, u);
+    if (move <= (is_valley ? SHORT_OF_NEWTON : SHORT)) {
       break;
     }
   }
-  const Vector2 place = evaluate(piece, u).place, apart = place - point;
-  return {place, u, dot(apart, apart)};
+  const Vector2 apart = at.place - point;
+  return {at.place, u, dot(apart, apart)};
+}
+
+/// Square of the distance of a point from the chord of a piece.
+double square_to_chord(const double * piece, Vector2 point)
+{
+  const Vector2 apart = point - Vector2{piece[0], piece[4]}, whole = chord(piece);
+  const double along = dot(apart, whole), square = dot(whole, whole);
+  if (!(along > 0.0)) {
+    return dot(apart, apart);
+  }
+  if (along < square) {
+    const double across = cross(whole, apart);
+    return across * across / square;
+  }
+  const Vector2 past = apart - whole;
+  return dot(past, past);
+}
+
+/// A piece of a curve, and the square of the distance of its chord.
+struct NearestChord
+{
+  Index piece;
+  double square;
+};
+
+/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed curve
+/// its pieces go on.
+NearestChord nearest_of(
+  const double * pieces, Index count, Index first, Index length, Vector2 point)
+{
+  NearestChord nearest = {0, std::numeric_limits<double>::infinity()};
+  Index k = (first + count) % count;
+  for (Index n = 0; n < length; ++n) {
+    const double found = square_to_chord(pieces + COLUMNS * k, point);
+    if (found < nearest.square) {
+      nearest = {k, found};
+    }
+    k = k + 1 == count ? 0 : k + 1;
+  }
+  return nearest;
 }
 
 /// The piece whose chord is nearest: it and its neighbours come into question.
-Index nearest_chord(const double * pieces, Index count, Vector2 point)
+///
+/// Looked for beside the one that was nearest when all were looked at. All others were at least
+/// `BEYOND` away then, and are at most nearer by as far as the point has moved since.
+Index nearest_chord(
+  const double * pieces, Index count, bool closed, Vector2 point, double * memory)
 {
-  double least = std::numeric_limits<double>::infinity();
-  Index best = 0;
-  for (Index k = 0; k < count; ++k) {
-    const double * piece = pieces + COLUMNS * k;
-    const Vector2 apart = point - Vector2{piece[0], piece[4]}, whole = chord(piece);
-    const double along = dot(apart, whole), square = dot(whole, whole);
-    double found;
-    if (!(along > 0.0)) {
-      found = dot(apart, apart);
-    } else if (along < square) {
-      // Divided by only where it is nearer: this runs over all pieces in every evaluation.
-      const double across = cross(whole, apart);
-      if (!(across * across < least * square)) {
-        continue;
-      }
-      found = across * across / square;
-    } else {
-      const Vector2 past = apart - whole;
-      found = dot(past, past);
-    }
-    if (found < least) {
-      least = found;
-      best = k;
+  using namespace nearby;  // NOLINT: columns of one array
+  const Vector2 moved_by = point - vector2(memory + PLACE);
+  const double moved = std::sqrt(dot(moved_by, moved_by));
+  const auto beside = [&](Index piece) {
+      const Index first = piece - BESIDE, last = piece + BESIDE;
+      return closed ? std::pair{first, std::min(count, last - first + 1)} :
+             std::pair{
+        std::max<Index>(0, first), std::min(count - 1, last) - std::max<Index>(0, first) + 1};
+    };
+  const double known = memory[PIECE];
+  if (known >= 0.0 && known < static_cast<double>(count)) {
+    const auto [first, length] = beside(static_cast<Index>(known));
+    const NearestChord found = nearest_of(pieces, count, first, length, point);
+    if (std::sqrt(found.square) + moved < SURELY * memory[BEYOND]) {
+      return found.piece;
     }
   }
-  return best;
+  const NearestChord found = nearest_of(pieces, count, 0, count, point);
+  // Not worth while where the point leaves the reach of what is known at once.
+  const bool leaps = known >= 0.0 && !(2.0 * moved < memory[REACH]);
+  const double distance = std::sqrt(found.square);
+  memory[PIECE] = static_cast<double>(found.piece);
+  memory[PLACE] = point.x;
+  memory[PLACE + 1] = point.y;
+  memory[BEYOND] = 0.0;
+  if (!leaps) {
+    const auto [first, length] = beside(found.piece);
+    memory[BEYOND] = std::sqrt(
+      closed ? nearest_of(pieces, count, first + length, count - length, point).square :
+      std::min(
+        nearest_of(pieces, count, 0, first, point).square,
+        nearest_of(pieces, count, first + length, count - first - length, point).square));
+    memory[REACH] = memory[BEYOND] - distance;
+  }
+  return found.piece;
+}
+
+/// The tangent of a piece, of length 1.
+Vector2 unit_tangent(const double * piece, double u)
+{
+  const Vector2 tangent = evaluate(piece, u).tangent;
+  return tangent / std::sqrt(dot(tangent, tangent));
 }
 }  // namespace
 
@@ -127,11 +198,11 @@ Values pieces_of_curve(const EffectTable & table, Index row)
     table.index(row, effect::DATA), COLUMNS * table.index(row, effect::ENTRIES));
 }
 
-CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 point, bool closed)
+CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, double * memory)
 {
-  const double * pieces = pieces_of_curve(table, row).data;
-  const Index count = table.index(row, effect::ENTRIES);
-  const Index best = nearest_chord(pieces, count, point);
+  const double * pieces = curve.data;
+  const Index count = curve.size / COLUMNS;
+  const Index best = nearest_chord(pieces, count, closed, point, memory);
   Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
   Index piece = best;
   for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
@@ -144,8 +215,7 @@ CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 
       }
     }
   }
-  Vector2 tangent = evaluate(pieces + COLUMNS * piece, nearest.u).tangent;
-  tangent = tangent / std::sqrt(dot(tangent, tangent));
+  Vector2 tangent = unit_tangent(pieces + COLUMNS * piece, nearest.u);
   // At a corner, the direction half way round it.
   Index beside = piece;
   if (nearest.u == 0.0) {
@@ -157,8 +227,7 @@ CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 
     beside = (beside + count) % count;
   }
   if (beside != piece && 0 <= beside && beside < count) {
-    const Vector2 other = evaluate(pieces + COLUMNS * beside, 1.0 - nearest.u).tangent;
-    tangent = tangent + other / std::sqrt(dot(other, other));
+    tangent = tangent + unit_tangent(pieces + COLUMNS * beside, 1.0 - nearest.u);
   }
   const double distance = std::sqrt(nearest.square);
   if (distance > 0.0) {
@@ -172,9 +241,8 @@ CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 
   return {{-tangent.y / length, tangent.x / length}, 0.0};
 }
 
-Vector2 furthest_of_curve(const EffectTable & table, Index row, Vector2 direction)
+Vector2 furthest_of_curve(Values pieces, Vector2 direction)
 {
-  const Values pieces = pieces_of_curve(table, row);
   double furthest = -std::numeric_limits<double>::infinity(), place = 0.0;
   const double * best = pieces.data;
   for (const double * c = pieces.data; c < pieces.data + pieces.size; c += COLUMNS) {

@@ -25,14 +25,22 @@ struct CurveDistance
   double distance;
 };
 
-/// Distance of a point, in the frame of the curve's body [m], from the curve of an effect;
-/// `closed`: the curve ends where it begins.
-CurveDistance distance_from_curve(
-  const EffectTable &, Index row, Vector2 point, bool closed);
+/// What is remembered of a search for the nearest piece, in a row of SceneCode.present: that piece,
+/// not a number where none is known; where the point was [m]; how far the pieces were from it that
+/// are not beside that one, and how much farther than the nearest [m].
+namespace nearby
+{
+enum : Index {PIECE, PLACE, BEYOND = 3, REACH};
+}
 
-/// The place of the curve of an effect that lies furthest in a direction, in the frame of the
+/// Distance of a point, in the frame of the curve's body [m], from a curve of some pieces;
+/// `closed`: the curve ends where it begins. What is remembered does not change the result.
+CurveDistance distance_from_curve(
+  Values pieces, Vector2 point, bool closed, double * memory);
+
+/// The place of a curve of some pieces that lies furthest in a direction, in the frame of the
 /// curve's body [m].
-Vector2 furthest_of_curve(const EffectTable &, Index row, Vector2 direction);
+Vector2 furthest_of_curve(Values pieces, Vector2 direction);
 
 /// How near a straight path comes to a curve between its ends. Along a straight path the distance
 /// from a straight piece has one valley: it counts where its lowest place is between the ends.

@@ -1,6 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
+#include "force_table.hpp"
 #include "forces.hpp"
 #include "laws.hpp"
 
@@ -12,34 +13,12 @@ namespace
 // Numbers of an entry: stroke at which a piece begins, coefficients, energy there.
 constexpr Index COLUMNS = 6;
 
-struct ForceAndEnergy
-{
-  double force;
-  double energy;
-};
-
 /// Force and energy at a stroke.
 ForceAndEnergy look_up(const EffectTable & table, Index row, double stroke)
 {
-  const double * pieces = table.data.data + table.index(row, effect::DATA);
-  // The piece before the table begins where its first one does.
-  Index low = 0, high = table.index(row, effect::ENTRIES) - 1;
-  if (stroke < pieces[0]) {
-    high = 0;
-  }
-  while (high - low > 0) {
-    const Index middle = (low + high + 1) / 2;
-    if (pieces[COLUMNS * middle] <= stroke) {
-      low = middle;
-    } else {
-      high = middle - 1;
-    }
-  }
-  const double * c = pieces + COLUMNS * low;
-  const double u = stroke - c[0];
-  return {
-    c[1] + u * (c[2] + u * (c[3] + u * c[4])),
-    c[5] + u * (c[1] + u * (c[2] / 2.0 + u * (c[3] / 3.0 + u * c[4] / 4.0)))};
+  return look_up_force(
+    table.data.part(table.index(row, effect::DATA), COLUMNS * table.index(row, effect::ENTRIES)),
+    stroke);
 }
 
 void write_readings(
@@ -66,6 +45,28 @@ void pull_between(const EffectTable & table, Index row, Table body)
   write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
 }
 }  // namespace
+
+ForceAndEnergy look_up_force(Values pieces, double stroke)
+{
+  // The piece before the table begins where its first one does.
+  Index low = 0, high = pieces.size / COLUMNS - 1;
+  if (stroke < pieces[0]) {
+    high = 0;
+  }
+  while (high - low > 0) {
+    const Index middle = (low + high + 1) / 2;
+    if (pieces[COLUMNS * middle] <= stroke) {
+      low = middle;
+    } else {
+      high = middle - 1;
+    }
+  }
+  const double * c = pieces.data + COLUMNS * low;
+  const double u = stroke - c[0];
+  return {
+    c[1] + u * (c[2] + u * (c[3] + u * c[4])),
+    c[5] + u * (c[1] + u * (c[2] / 2.0 + u * (c[3] / 3.0 + u * c[4] / 4.0)))};
+}
 
 void apply_joint_force_table(
   const EffectTable & table, Index row, Table, Values q, Values qd, Values)

@@ -19,7 +19,7 @@ from ..core.codegen.derivatives import (
     DERIVATIVE, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, TAU, VALUES)
 from ..core.codegen.scene_routines import ENERGY, PLACE, PLACE_RATE, POINT, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
@@ -85,7 +85,7 @@ def _require_good_start(simulation):
     """Refuse a state that the elimination alone, which is what C has, cannot evaluate."""
     system = simulation.system
     before = system.work.health.copy()
-    good = native.call(system.table, EVALUATION, simulation.position, simulation.velocity)
+    good = native.is_regular(system.native, simulation.position, simulation.velocity)
     system.work.health[:] = before
     simulation.touch()
     if not good:

@@ -50,6 +50,7 @@ ENUMS = {
     'contact.Search': (table, {}),
     'cut_coordinate': (table, {}),
     'present': (table, {}),
+    'library.Function': (function_table, {}),
     'cut_coordinate.Value': (table, {}),
     'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
     'switching': (control, {'COLUMNS': 'SWITCHING_COLUMNS'}),
@@ -78,7 +79,7 @@ ENUMS = {
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
          'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head',
-         'traced_laws.cpp: Input'}
+         'traced_laws.cpp: Input', 'nearby'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
@@ -92,7 +93,7 @@ CONSTANTS = {
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
     'manifold.cpp': (manifold, ('HALF',)),
     'course.hpp': (course, ('SAME_TIME', 'COLUMNS')),
-    'curve.cpp': (curve, ('COLUMNS', 'MOST_STEPS', 'SHORT')),
+    'curve.cpp': (curve, ('COLUMNS',)),
     'cable_laws.cpp': (cable, ('COLUMNS', 'SPATIAL_COLUMNS', 'CARRIER', 'AXIS')),
     'force_table_laws.cpp': (force_table, ('COLUMNS',)),
     'body_contact_laws.cpp': (body_contact, ('PLACE_B', 'DIRECTION', 'FLAT', 'ROUND')),

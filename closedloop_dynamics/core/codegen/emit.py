@@ -7,8 +7,9 @@ from llvmlite import ir
 
 from . import sincos
 from .expression_graph import (
-    ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
-    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT)
+    ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
+    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
+from .function_table import ENTRIES, PRESENT, PRESENT_COLUMNS
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
@@ -17,6 +18,10 @@ _FLAGS = ('contract',)
 # Functions of the C library, of laws of force.
 _LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', ARCTANGENT: 'atan2',
             POWER: 'pow'}
+# A function of the engine: see ``engine/library.cpp``.
+_ASKED = ir.FunctionType(_DOUBLE, 2 * [_DOUBLE.as_pointer()] + 4 * [_DOUBLE] + [
+    _DOUBLE.as_pointer()])
+_MOST_RESULTS = 3
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 
 
@@ -40,7 +45,7 @@ class Writer:
         self.routine = routine
         self.function = ir.Function(module, self.TYPE, routine.name)
         self.builder = ir.IRBuilder(self.function.append_basic_block())
-        self.values, self.pointers = {}, {}
+        self.values, self.pointers, self.asked = {}, {}, {}
 
     def number(self, operand):
         """Return the value of an operand."""
@@ -99,7 +104,26 @@ class Writer:
         builder = self.builder
         if kind == LOAD:
             return builder.load(self.address(*operands))
+        if kind == CALL:
+            return self.ask(*map(int, operands[:4]), *map(self.number, operands[4:]))
+        if kind == TAKE:
+            call, number = operands
+            return builder.load(builder.gep(
+                self.asked[self.values[call]], [_WORD(int(number))]))
         return self.arithmetic(kind, *(self.number(operand) for operand in operands))
+
+    def ask(self, function, effect, begin, length, *numbers):
+        """Return what a function of the engine finds among the entries of an effect."""
+        builder, (table, _, _) = self.builder, self.function.args
+        with builder.goto_entry_block():
+            results = builder.alloca(_DOUBLE, _MOST_RESULTS)
+        address = builder.inttoptr(
+            builder.load(builder.gep(table, [_WORD(function)])), _ASKED.as_pointer())
+        found = builder.call(address, [
+            self.address(ENTRIES, begin), self.address(PRESENT, effect * PRESENT_COLUMNS),
+            ir.Constant(_DOUBLE, float(length)), *numbers, results])
+        self.asked[found] = results
+        return found
 
     def arithmetic(self, kind, *numbers):
         """Return the result of an operation on values."""

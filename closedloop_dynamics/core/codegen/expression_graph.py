@@ -13,10 +13,12 @@ added.
 import math
 import operator
 
-# Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle. The last
-# four are in laws of force alone.
+# Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle. Those
+# from the square root on are in laws of force alone. A CALL asks a function of the engine: it
+# names its place in the function table, the effect, where its entries begin and how many numbers
+# they are, a flag and two numbers; a TAKE is a further result of such a call.
 (LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
- BOTH, SQUARE_ROOT, EXPONENTIAL, LOGARITHM, ARCTANGENT, POWER) = range(17)
+ BOTH, SQUARE_ROOT, EXPONENTIAL, LOGARITHM, ARCTANGENT, POWER, CALL, TAKE) = range(19)
 # Whole exponents up to this one are multiplications.
 LARGEST_PRODUCT = 16
 # Inputs beside those of a function table: coordinates and rates.

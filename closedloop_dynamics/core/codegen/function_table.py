@@ -25,7 +25,11 @@ REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
  RATES) = range(10, 32)
-TABLE_COLUMNS = 32
+# Addresses of functions of the engine (``engine/library.hpp``).
+LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(32, 35)
+TABLE_COLUMNS = 35
+# Numbers of a row of PRESENT (``effects/table.py``).
+PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.
 SHARED = 52
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.

@@ -11,7 +11,7 @@ is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
 
 """
 
-from .expression_graph import arctangent, chosen, larger, LOAD, QD
+from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, TAKE
 from .function_table import (
     COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
@@ -189,6 +189,13 @@ class LiveForces(Forces):
         """Store numbers of the effect's row."""
         first = self.row * self.trace.laws.columns[source] + column
         self.outputs += [(source, first + n, value) for n, value in enumerate(values)]
+
+    def ask(self, function, begin, length, flag, x, y=0.0, results=0):
+        """Ask a function of the engine about entries of the effect; see ``expression_graph``."""
+        graph = self.trace.graph
+        found = graph.put(CALL, *map(float, (function, self.row, begin, length)), *(
+            one.place if hasattr(one, 'place') else float(one) for one in (flag, x, y)))
+        return [found, *(graph.put(TAKE, found.place, float(n)) for n in range(results))]
 
     def exert(self):
         """Apply the efforts along cut joints, commanded ones too, and follow their angles."""

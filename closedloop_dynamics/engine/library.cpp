@@ -1,0 +1,62 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "library.hpp"
+
+#include "curve.hpp"
+#include "force_table.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+/// `entries`: of the effect, so many numbers; `memory`: its row of SceneCode.present; `flag`, `x`,
+/// `y`: what is asked; `results`: three numbers at most, behind the one that is returned.
+using Function = double (
+  const double * entries, double * memory, double length, double flag, double x, double y,
+  double * results);
+
+Values as_values(const double * entries, double length)
+{
+  // Nothing writes there.
+  return {const_cast<double *>(entries), static_cast<Index>(length)};
+}
+
+/// Force at a stroke, x.
+double look_up(
+  const double * entries, double *, double length, double, double x, double, double *)
+{
+  return look_up_force(as_values(entries, length), x).force;
+}
+
+/// Distance of a point (x, y) from a curve, closed where the flag is one, and the normal.
+double nearest(
+  const double * entries, double * memory, double length, double flag, double x, double y,
+  double * results)
+{
+  const CurveDistance found =
+    distance_from_curve(as_values(entries, length), {x, y}, flag == 1.0, memory);
+  results[0] = found.normal.x;
+  results[1] = found.normal.y;
+  return found.distance;
+}
+
+/// The place of a curve that lies furthest in a direction (x, y).
+double furthest(
+  const double * entries, double *, double length, double, double x, double y, double * results)
+{
+  const Vector2 found = furthest_of_curve(as_values(entries, length), {x, y});
+  results[0] = found.y;
+  return found.x;
+}
+}  // namespace
+
+Index library_function(Index which)
+{
+  const Function * found = which == library::LOOK_UP ? look_up :
+    which == library::NEAREST ? nearest : which == library::FURTHEST ? furthest : nullptr;
+  return reinterpret_cast<Index>(found);
+}
+
+}  // namespace closedloop
