@@ -380,7 +380,7 @@ class Runner(Shown):
         """Follow what was asked for, advance to the present, show it."""
         if self._follow():
             self._changed = True
-        if self._clock() >= self._own_due:
+        if self._clock() >= self._own_due and not self._editing:
             self._renew_controller()
         if self.playing or self._single > 0.0:
             self._guarded(self._take)
@@ -688,10 +688,9 @@ class Runner(Shown):
         for name, drive in self.drives.items():
             mode, value = drives.get(name, (TORQUE, 0.0))
             drive.set(mode, value, *self._now_at(name))
-        self._own_due = self._clock() + SETTLED
-        if old.coordinates.names != new.coordinates.names:
-            # Its states have other numbers.
-            self._renew_controller()
+        same = old.coordinates.names == new.coordinates.names
+        # What has other coordinates cannot wait.
+        self._own_due = self._clock() + SETTLED * same
         self._describe()
 
     def _renew_controller(self):

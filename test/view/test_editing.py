@@ -5,6 +5,7 @@
 
 import json
 
+from closedloop_dynamics.control.files import Controller as OwnController
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
@@ -315,3 +316,28 @@ def test_another_tree_is_chosen_where_joints_are_between_bodies(tmp_path):
     assert not edited.runner.editor.scene.mechanism.cut_joints
     edited.ask('undo')
     assert edited.runner.editor.text()[0] == before
+
+
+def test_a_controller_is_fitted_once_what_is_edited_moves_again(monkeypatch):
+    fitted, fit = [], OwnController.on
+
+    def on(controller, scene):
+        fitted.append(scene)
+        return fit(controller, scene)
+
+    monkeypatch.setattr(OwnController, 'on', on)
+    edited = Edited('three_rrr')
+    edited.ask('edit', on=True)
+    for k in range(1, 4):
+        # Longer than a change settles, as where a hand rests.
+        edited.ask('move', frames=30, kind='joint', name='theta_2',
+                   at=[0.2 + 0.001 * k, 0.346, 0.0])
+    assert not fitted
+    told = edited.ask('play', frames=20)
+    assert len(fitted) == 1 and told['failure'] is None
+    assert told['drives']['theta_1']['mode'] == 'own'
+    # Other coordinates: it is fitted before the next step.
+    edited.ask('edit', on=True)
+    edited.ask('add', what='link', body_a='ground', a=[2.0, 0.0, 0.0], b=[2.0, 0.3, 0.0])
+    told = edited.ask('play', frames=5)
+    assert len(fitted) == 2 and told['failure'] is None
