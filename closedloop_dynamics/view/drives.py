@@ -24,7 +24,7 @@ class Drive:
     joint : str
         The name of its freedom.
     inertia : float
-        That the drive feels at the start [kg m^2; kg].
+        That the drive feels; to be renewed as the machine moves [kg m^2; kg].
     slides : bool
         Whether the freedom is a length.
 

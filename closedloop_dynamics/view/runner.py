@@ -56,6 +56,9 @@ TOGETHER = 10
 # Simulated time after which drives that track something, and controllers, find their torques again
 # [s].
 DRIVE_PERIOD, OWN_PERIOD = 0.002, 0.005
+# Motion of a joint after which drives that track something find the inertia that they feel again
+# [rad, m].
+FELT_AFTER = 0.02
 # Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
 REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
@@ -201,6 +204,7 @@ class Runner(Shown):
         self._places = {simulation.joint_names[place]: place
                         for place in simulation.actuated_in_tree.tolist()}
         lengths = simulation.coordinates.lengths
+        self._felt_at = self._positions()
         self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
                        for name, inertia in self._inertias().items()}
         points = len(self.editor.scene.mechanism.points)
@@ -255,7 +259,7 @@ class Runner(Shown):
             self._own.controller.restart()
 
     def _inertias(self):
-        """Return, by actuated joint, the inertia that its drive feels at the start."""
+        """Return, by actuated joint, the inertia that its drive feels now."""
         simulation = self.simulation
         felt = felt_inertia(simulation)[list(self._places.values())]
         return {name: float(inertia) if math.isfinite(inertia) else 1.0
@@ -277,6 +281,11 @@ class Runner(Shown):
         """Return the joint torques that the drives give now, shape (nv,)."""
         simulation = self.simulation
         tau, position = simulation.joint_torques(None), self._positions()
+        if np.abs(position - self._felt_at).max() > FELT_AFTER and any(
+                drive.mode not in (TORQUE, OWN) for drive in self.drives.values()):
+            self._felt_at = position
+            for name, inertia in self._inertias().items():
+                self.drives[name].inertia = inertia
         for name, place in self._places.items():
             drive = self.drives[name]
             tau[place] = self._controlled()[name] if drive.mode == OWN else drive.torque(

@@ -442,6 +442,23 @@ def test_shipped_machines_do_not_fall(name):
     assert json.loads(runner.feed.controls)['failure'] is None
 
 
+def test_a_drive_follows_a_speed_where_the_inertia_it_feels_changes():
+    now = [0.0]
+    # Its crank feels a tenth of the inertia in another position.
+    runner = Runner(load_scene('hoeken_pantograph_leg'), lambda: now[0], own_motion)
+    runner.feed.accept('page', json.dumps({'do': 'play'}))
+    simulation = runner.simulation
+    wanted, off = runner.drives['theta_1'].value, 0.0
+    for _ in range(90):
+        now[0] += 1.0 / RATE
+        runner.tick()
+        if simulation.time > 0.3:
+            off = max(off, abs(simulation.velocity[0] - wanted))
+    assert simulation.time > 1.4 and off < 0.6 * wanted
+    # Its weight drives it off, never for long.
+    assert simulation.position[0] == pytest.approx(wanted * simulation.time, abs=0.1)
+
+
 def test_own_motion_held_and_free():
     now = [0.0]
     runner = Runner(load_scene('excavator_arm'), lambda: now[0], own_motion)
