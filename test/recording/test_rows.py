@@ -50,6 +50,27 @@ def test_overrides_of_the_command_line_are_drawn(rows, tmp_path):
     assert main(['plot', str(path), '--output', str(tmp_path)]) == 0
 
 
+def test_columns_with_units_are_read_in_single_precision(rows, tmp_path):
+    path, scene = rows
+    known = read_recording(path).motion
+    with open(path, newline='', encoding='utf-8') as file:
+        names, *table = csv.reader(file)
+    values = np.array(table, dtype=float)
+    # As after a thousand turns, which leaves few digits of where in the turn it is.
+    crank = names.index('position.crank_joint')
+    values[:, crank] += 2000.0 * np.pi
+    marked = tmp_path / 'page.csv'
+    with open(marked, 'w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow([f'{name} [unit]' for name in names])
+        writer.writerows([values[k, 0], *np.float32(values[k, 1:]).tolist()]
+                         for k in range(len(values)))
+    motion = read_recording(marked, scene).motion
+    assert np.abs(motion.position[:, 1:] - known.position[:, 1:]).max() < 1e-6
+    with pytest.raises(RecordingError, match='another'):
+        read_recording(marked, load_scene('four_bar'))
+
+
 def test_forces_that_are_not_unique_are_marked_and_read(tmp_path):
     path, whole = tmp_path / 'bennett.csv', tmp_path / 'four_bar.csv'
     for name, file in (('bennett', path), ('four_bar', whole)):

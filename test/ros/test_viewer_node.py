@@ -58,6 +58,9 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
     with Client(served(viewer)) as client:
         assert client.scene['title'] == '/closedloop_simulator'
         client.until(lambda client: client.row is not None and np.isfinite(client.row).all())
+        # States between frames come, too, as rows.
+        client.until(lambda client: client.samples)
+        assert client.samples[-1][1].shape == client.row.shape
         client.ask('effect', name='gravity', enabled=False)
         client.until(lambda client: not client.controls['effects']['gravity']['enabled'])
         client.ask('command', joint='theta_1', value=7.5)

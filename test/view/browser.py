@@ -123,11 +123,12 @@ class Tab:
         data = self._do('Page.captureScreenshot', format='png')['data']
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert('RGB'))
 
-    def mouse(self, kind, x, y, buttons=0):
+    def mouse(self, kind, x, y, buttons=0, modifiers=0):
         """Let the mouse do something: ``mousePressed``, ``mouseMoved``, ``mouseReleased``."""
         self._input(
             {'mousePressed': 'pointerdown', 'mouseReleased': 'pointerup'}.get(kind),
             'Input.dispatchMouseEvent', type=kind, x=x, y=y, buttons=buttons,
+            modifiers=modifiers,
             button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
 
     def _input(self, event, method, **parameters):

@@ -14,12 +14,15 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.page import live_page
 import numpy as np
 from PIL import Image
 import pytest
 
 pytestmark = pytest.mark.skipif(
     program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
+# The key of the keyboard, as the browser has it.
+SHIFT = 8
 SVG = '{http://www.w3.org/2000/svg}'
 
 
@@ -45,7 +48,7 @@ def changed(one, other):
     return (np.abs(one - other).max(axis=2) > 25).mean()
 
 
-def drag(tab, selector, begin, end):
+def drag(tab, selector, begin, end, modifiers=0):
     """Drag the mouse over an element, from one share of its width to another."""
     x, y, width, height = tab.ask(f"""(() => {{
         const e = document.querySelector({selector!r});
@@ -54,10 +57,10 @@ def drag(tab, selector, begin, end):
         return [box.x, box.y, box.width, box.height]; }})()""")
     y += height / 2
     tab.mouse('mouseMoved', x + begin * width, y)
-    tab.mouse('mousePressed', x + begin * width, y, 1)
+    tab.mouse('mousePressed', x + begin * width, y, 1, modifiers)
     for share in np.linspace(begin, end, 5):
-        tab.mouse('mouseMoved', x + share * width, y, 1)
-    tab.mouse('mouseReleased', x + end * width, y)
+        tab.mouse('mouseMoved', x + share * width, y, 1, modifiers)
+    tab.mouse('mouseReleased', x + end * width, y, 0, modifiers)
 
 
 def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
@@ -91,6 +94,24 @@ def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
     tab.wait('page.timeline.past === null && page.now === page.frame.time')
     live.ask('pause')
     assert not tab.errors
+    tab.close()
+
+
+def test_what_is_kept_of_a_run_is_bounded(open_page, tmp_path):
+    path = tmp_path / 'empty.html'
+    path.write_text(live_page('empty'))
+    tab = open_page(path.as_uri())
+    tab.wait('typeof History.prototype.makeRoom === "function"')
+    # More rows than there is room for, and then another run.
+    kept = tab.ask("""(() => {
+        const history = new History({columns: {width: 2, plots: 0}, bodies: []});
+        history.most = 1500;
+        for (let k = 0; k < 4000; k++) history.add(0.5 * k, [k, -k]);
+        const {count, begin, end} = history, at = history.before(1600.2);
+        const kept = [count, begin, end, history.time(at), ...history.row(at),
+                      history.valueAt(1600.25, 0)];
+        return [...kept, history.add(0, [7, 7]), history.count, history.value(0, 1)]; })()""")
+    assert kept == [1500, 1250.0, 1999.5, 1600.0, 3200, -3200, 3200.5, True, 1, 7]
     tab.close()
 
 
@@ -156,6 +177,13 @@ def test_plots_over_an_angle_are_looked_at_closely(open_page, tmp_path, capsys):
     tab.wait(f'{force}.at.textContent.startsWith("t = ")')
     assert 'rad' in tab.ask(f'{force}.at.textContent')
     assert tab.ask(f'{force}.canvas.toDataURL()') != before
+    begin, end = tab.ask('page.plots.zoom')
+    drag(tab, '#force', 0.7, 0.5, SHIFT)
+    tab.wait(f'page.plots.zoom[0] > {begin} + 0.1')
+    assert tab.ask('page.plots.zoom[1] - page.plots.zoom[0]') == pytest.approx(end - begin)
+    tab.ask("""document.getElementById("force").dispatchEvent(new WheelEvent("wheel", {
+        ctrlKey: true, deltaY: -200, cancelable: true}))""")
+    tab.wait(f'page.plots.zoom[1] - page.plots.zoom[0] < {0.8 * (end - begin)}')
     tab.ask('document.getElementById("force").dispatchEvent(new MouseEvent("dblclick"))')
     tab.wait(f'page.plots.zoom === null && {force}.seen.to > 6')
     assert not tab.errors
