@@ -61,7 +61,18 @@ Vector3 curve_distance(Values pieces, bool closed, Values memory, double x, doub
   const CurveDistance found = distance_from_curve(pieces, {x, y}, closed, memory.data);
   return {found.normal.x, found.normal.y, found.distance};
 }
+}  // namespace
 
+template<>
+inline constexpr auto precondition<curve_distance> =
+  [](Values pieces, bool, Values memory, double, double) {
+    return expected::unless(
+      pieces.size > 0 && pieces.size % CURVE_COLUMNS == 0 &&
+      memory.size >= present::PRESENT_COLUMNS);
+  };
+
+namespace
+{
 void numbers_of_coordinates(const Manifold & manifold, Values q)
 {
   fill_numbers(manifold, q);

@@ -42,7 +42,7 @@ constexpr double FEWER_FOR_SLOPE[SLOPED_PLACES] = {45.0 / 57.0, -45.0 / 57.0, 0.
 constexpr double FEWER_SLOPES[SLOPED_PLACES] = {
   -17.0 / 57.0, -17.0 / 57.0, 0.5 / 57.0, 0.5 / 57.0};
 // Distance of the places that are four, against that of eight.
-constexpr double SLOPED_ASIDE = 2.0;
+constexpr double SLOPED_ASIDE = 1.5;
 // Corrections that bring a place onto the branch: the first one from a line takes the most.
 constexpr Index MOST_CORRECTIONS = 6;
 // Closure error, against the size of the mechanism, that counts as on the branch.

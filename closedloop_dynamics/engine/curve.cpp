@@ -13,8 +13,6 @@ namespace closedloop
 
 namespace
 {
-// Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
-constexpr Index COLUMNS = 8;
 // Newton steps to the nearest point of a piece; they stop when they are as short as this, those of
 // Newton's method earlier: the next one would be the square.
 constexpr int MOST_STEPS = 30;
@@ -131,7 +129,7 @@ NearestChord nearest_of(
   NearestChord nearest = {0, std::numeric_limits<double>::infinity()};
   Index k = (first + count) % count;
   for (Index n = 0; n < length; ++n) {
-    const double found = square_to_chord(pieces + COLUMNS * k, point);
+    const double found = square_to_chord(pieces + CURVE_COLUMNS * k, point);
     if (found < nearest.square) {
       nearest = {k, found};
     }
@@ -195,27 +193,27 @@ Vector2 unit_tangent(const double * piece, double u)
 Values pieces_of_curve(const EffectTable & table, Index row)
 {
   return table.data.part(
-    table.index(row, effect::DATA), COLUMNS * table.index(row, effect::ENTRIES));
+    table.index(row, effect::DATA), CURVE_COLUMNS * table.index(row, effect::ENTRIES));
 }
 
 CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, double * memory)
 {
   const double * pieces = curve.data;
-  const Index count = curve.size / COLUMNS;
+  const Index count = curve.size / CURVE_COLUMNS;
   const Index best = nearest_chord(pieces, count, closed, point, memory);
   Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
   Index piece = best;
   for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
     const Index k = closed ? (neighbour + count) % count : neighbour;
     if (0 <= k && k < count) {
-      const Nearest found = nearest_on_piece(pieces + COLUMNS * k, point);
+      const Nearest found = nearest_on_piece(pieces + CURVE_COLUMNS * k, point);
       if (found.square < nearest.square) {
         nearest = found;
         piece = k;
       }
     }
   }
-  Vector2 tangent = unit_tangent(pieces + COLUMNS * piece, nearest.u);
+  Vector2 tangent = unit_tangent(pieces + CURVE_COLUMNS * piece, nearest.u);
   // At a corner, the direction half way round it.
   Index beside = piece;
   if (nearest.u == 0.0) {
@@ -227,7 +225,7 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
     beside = (beside + count) % count;
   }
   if (beside != piece && 0 <= beside && beside < count) {
-    tangent = tangent + unit_tangent(pieces + COLUMNS * beside, 1.0 - nearest.u);
+    tangent = tangent + unit_tangent(pieces + CURVE_COLUMNS * beside, 1.0 - nearest.u);
   }
   const double distance = std::sqrt(nearest.square);
   if (distance > 0.0) {
@@ -245,7 +243,7 @@ Vector2 furthest_of_curve(Values pieces, Vector2 direction)
 {
   double furthest = -std::numeric_limits<double>::infinity(), place = 0.0;
   const double * best = pieces.data;
-  for (const double * c = pieces.data; c < pieces.data + pieces.size; c += COLUMNS) {
+  for (const double * c = pieces.data; c < pieces.data + pieces.size; c += CURVE_COLUMNS) {
     // The height of a piece is a cubic, which never leaves the span of its Bezier coefficients.
     double height[4];
     for (int k = 0; k < 4; ++k) {
@@ -276,13 +274,13 @@ Vector2 furthest_of_curve(Values pieces, Vector2 direction)
 
 ChordDistance nearest_to_chord(Values pieces, Vector2 start, Vector2 end)
 {
-  const Index count = pieces.size / COLUMNS;
+  const Index count = pieces.size / CURVE_COLUMNS;
   const Vector2 path = end - start;
   const double square = dot(path, path);
   double least = std::numeric_limits<double>::infinity(), along = 0.5;
   double entry = 2.0, way_out = 2.0;
   for (Index k = 0; k < (square > 0.0 ? count : 0); ++k) {
-    const double * piece = pieces.data + COLUMNS * k;
+    const double * piece = pieces.data + CURVE_COLUMNS * k;
     const Vector2 first = {piece[0], piece[4]}, whole = chord(piece);
     Vector2 apart = from_straight(start, first, whole);
     if (!(dot(apart, path) < 0.0)) {

@@ -27,7 +27,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from ..effects import test_cut_freedoms, test_effect_set, test_joint_spring, test_space
+from ..effects import (
+    test_curve_search, test_cut_freedoms, test_effect_set, test_joint_spring, test_space)
 from ..effects.machines import simulated
 from ..simulation import test_driven
 
@@ -225,6 +226,8 @@ def calls(tmp_path_factory):
             for name, place in zip('xy', platform.place)], workers=1)
         grid.start_from(platform.start)
         grid.spread()
+        pieces = test_curve_search.curve(np.random.default_rng(0), True, 'cubic')
+        native.curve_distance(pieces.ravel(), True, test_curve_search.forgotten(), 0.05, 0.01)
     for simulation in simulations:
         use_kernels(simulation, recorder.note)
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):
