@@ -117,10 +117,12 @@ MOTION_COLUMNS = 3
 # path, since the last reset; position corrections of the latest projection and the largest
 # closure error it left; evaluations next to a singular configuration since the last reset; the
 # most closure equations that were ever distinct, and whether that was looked for beside a place
-# where some were not.
+# where some were not; whether the rows of the bodies have the motion and forces of the latest
+# evaluation, as routines leave them.
 (SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
- PROJECTION_ITERATIONS, CLOSURE, SINGULAR_COUNT, MOST_DISTINCT, LOOKED_BESIDE) = range(10)
-HEALTH_COLUMNS = 10
+ PROJECTION_ITERATIONS, CLOSURE, SINGULAR_COUNT, MOST_DISTINCT, LOOKED_BESIDE,
+ WRITTEN) = range(11)
+HEALTH_COLUMNS = 11
 
 
 class Model(NamedTuple):

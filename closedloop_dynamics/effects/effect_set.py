@@ -198,9 +198,10 @@ class EffectSet:
             return
         pieces.connect(self._model, self._system.work.piece, self._system.work.cut_piece)
         if self._system.is_unrolled and self._system.effects is None:
-            codegen.relink(self._model, self._system.table)
+            codegen.relink(self._model, self._system.table, self._system.joints)
         elif self._system.is_unrolled:
-            codegen.relink(self._model, self._system.table, (EVALUATION,))
+            codegen.relink(
+                self._model, self._system.table, self._system.joints, (EVALUATION,))
             live_laws.link(self._model, self._table, self._system.table)
         self._linked = structure
 

@@ -256,13 +256,17 @@ void apply_listed(const System & system, Values q, Values qd)
 
 void evaluate_in_parts(const System & system, Values q, Values qd)
 {
+  double & written = system.work.health[health::WRITTEN];
+  written = 0.0;
   if (!system.is_unrolled()) {
     accelerate_by_loops(system, q, qd);
     return;
   }
   call(system.table, routine::OUTWARD, q, qd);
   apply_listed(system, q, qd);
-  if (!call(system.table, routine::ACCELERATION, q, qd)) {
+  if (call(system.table, routine::ACCELERATION, q, qd)) {
+    written = system.has_cut_coordinates() ? 0.0 : 1.0;
+  } else {
     accelerate_beyond_elimination(system, q, qd);
   }
 }
@@ -293,6 +297,7 @@ bool is_regular(const System & system, Values q, Values qd)
 void evaluate_state(const System & system, Values state)
 {
   const Values q = system.q(state), qd = system.qd(state);
+  system.work.health[health::WRITTEN] = 0.0;
   if (system.has_effects()) {
     take_states(system, state);
     if (!prepare_code(system.effects) || !call(system.table, routine::EVALUATION, q, qd)) {

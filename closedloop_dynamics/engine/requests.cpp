@@ -15,6 +15,7 @@
 #include "null_space.hpp"
 #include "projection.hpp"
 #include "recursion.hpp"
+#include "routines.hpp"
 #include "stick_slip.hpp"
 
 namespace closedloop
@@ -68,8 +69,10 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
     if (system.has_effects()) {
       begin_effects(system, request);
     }
-    evaluate_state(system, request.state);
-    if (!system.whole.empty()) {
+    if (system.whole.empty()) {
+      evaluate_state(system, request.state);
+    } else {
+      evaluate_with_poses(system, request.state);
       serves = find_all_multipliers(system, q, qd, request.lam);
       if (!serves && whole != nullptr) {
         evaluate_state(*whole, request.state);
@@ -81,6 +84,13 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
   copy(request.held, system.tau);
   return serves;
 }
+
+/// Whether a routine can go on from what the latest evaluation has left.
+bool is_left_to(const System & system, Index which)
+{
+  return system.table[which] != 0 && system.work.health[health::WRITTEN] == 1.0;
+}
+
 /// Let friction at rest at cut joints act as in the latest evaluation.
 void hold_as_evaluated(const EffectTable & effects)
 {
@@ -186,6 +196,12 @@ bool fulfil(Table jac, Values bias, Values qdd)
 bool find_all_multipliers(const System & system, Values q, Values qd, Values lam)
 {
   const AllEquations & all = system.whole;
+  if (is_left_to(system, routine::LEAST_FORCES) &&
+    call(system.table, routine::LEAST_FORCES, q, qd))
+  {
+    copy(all.lam, lam);
+    return true;
+  }
   const Model & model = all.model;
   const Workspace & work = all.own;
   outward(model, q, qd, work);
@@ -222,7 +238,7 @@ void place_points(Table body, Indices row, Table point, Table out)
   }
 }
 
-void find_joint_forces(
+bool find_joint_forces(
   const System & system, Values state, Values lam, Indices row, Table point, Table scratch,
   Table out)
 {
@@ -230,22 +246,29 @@ void find_joint_forces(
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
   const Values q = system.q(state), qd = system.qd(state);
-  take_states(system, state);
-  outward(model, q, qd, work);
-  if (system.has_cut_coordinates()) {
-    hold_as_evaluated(system.effects);
+  const bool leaves = is_left_to(system, routine::WRENCHES);
+  if (leaves) {
+    copy(lam, all.empty() ? system.lam : all.lam);
+    call(system.table, routine::WRENCHES, q, qd);
+  } else {
+    take_states(system, state);
+    outward(model, q, qd, work);
+    if (system.has_cut_coordinates()) {
+      hold_as_evaluated(system.effects);
+    }
+    apply_listed(system, q, qd);
+    system.effects.sticking.hold.fill(0.0);
+    bias_forces(work, scratch);
+    joint_wrenches(model, work, system.qdd, lam, scratch);
   }
-  apply_listed(system, q, qd);
-  system.effects.sticking.hold.fill(0.0);
-  bias_forces(work, scratch);
-  joint_wrenches(model, work, system.qdd, lam, scratch);
+  const Table & wrench = leaves ? system.work.force : scratch;
   for (Index k = 0; k < row.size; ++k) {
     const Index i = row[k];
     if (i == 0) {
       out[k].fill(std::numeric_limits<double>::quiet_NaN());
       continue;
     }
-    copy(scratch[i], out[k]);
+    copy(wrench[i], out[k]);
     // In the plane rows begin where the joints are.
     if (!work.planar()) {
       const Vector3 moment = cross(
@@ -255,6 +278,7 @@ void find_joint_forces(
       out(k, 2) -= moment.z;
     }
   }
+  return leaves;
 }
 
 }  // namespace closedloop

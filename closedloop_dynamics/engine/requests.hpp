@@ -69,8 +69,9 @@ void place_points(Table body, Indices row, Table point, Table out);
 
 /// Wrenches in the joints of an evaluated state, with multipliers of all equations: moments and
 /// forces at points of the bodies `row`, NaN where that is 0; `scratch` has the shape of
-/// Workspace.force. A `point` of no rows is the bodies' own origins.
-void find_joint_forces(
+/// Workspace.force. A `point` of no rows is the bodies' own origins. Returns whether the state is
+/// still evaluated then.
+bool find_joint_forces(
   const System &, Values state, Values lam, Indices row, Table point, Table scratch, Table out);
 
 }  // namespace closedloop

@@ -12,7 +12,7 @@ namespace closedloop
 
 namespace
 {
-constexpr Index TREE_COLUMNS = 7, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10;
+constexpr Index TREE_COLUMNS = 7, CUT_COLUMNS = 14, HEALTH_COLUMNS = 11;
 constexpr Index BODY_STAGES = 13;
 constexpr Index INDEX_COLUMNS = 6, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
 constexpr Index CUT_INDEX_COLUMNS = 8, CUT_VALUE_COLUMNS = 20;
@@ -613,7 +613,10 @@ bool is_linked(const System & system)
     {routine::SIDES, system.effects.code.sides.data, system.effects.count()},
     {routine::GAPS, system.effects.contacts.now.data, system.effects.count()},
     {routine::TRIALS, system.effects.contacts.trial.data, system.effects.count()},
-    {routine::RATES, system.effects.rates.data, system.effects.rates.size}};
+    {routine::RATES, system.effects.rates.data, system.effects.rates.size},
+    {routine::WRENCH, system.work.force.data, 1},
+    {routine::JOINT_POINT, system.joints.point.data, system.joints.point.rows},
+    {routine::LAM_OF_ALL, system.whole.lam.data, system.whole.lam.size}};
   const Index * routines = system.table.data;
   const bool feels = system.has_effects() && system.effects.loaded[0] != 0;
   const bool whole = !system.has_effects() || system.effects.code.fits[0] != 0;

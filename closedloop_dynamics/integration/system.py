@@ -27,6 +27,8 @@ from ..engine import native
 # compile, once. Of more freedoms than these there is one set of routines: equations that are left
 # out are exchanged in a run, which must not wait for others, and those for light links are larger.
 MOST_UNROLLED_BODIES, MOST_UNROLLED_OPERATIONS, MOST_IN_VARIANTS = 24, 50_000, 40
+# Equations that are left out, up to which multipliers of all are found by a routine.
+MOST_LEFT_OUT = 12
 # Operations of a body; of a multiplier that passes a joint.
 _OF_BODY, _OF_PASSAGE = 350, 25
 # Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
@@ -203,7 +205,17 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         whole=None, joints=joints, native=None)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
-    return _linked(system, (*codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ())))
+    return _linked(system, (*codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ()),
+                            *_routines_of_forces(model, joints)))
+
+
+def _routines_of_forces(model, joints):
+    """Return which routines of forces in joints pay: loops over bodies do the same."""
+    left_out = len(with_all_equations(model).column) - len(model.column)
+    if left_out and (joints is None or left_out > MOST_LEFT_OUT):
+        return ()
+    least = (codegen.LEAST_FORCES,) if left_out else ()
+    return (codegen.WRENCHES, *least) if left_out or space.is_spatial(model) else ()
 
 
 def _can_be_unrolled(model):
@@ -227,25 +239,29 @@ def _linked(system, routines):
     if effects is not None:
         # Of a copy, too, what laws write is what routines read.
         system = system._replace(applied=effects.applied[:len(system.qdd)])
+    whole = all_equations(model, work, system.whole)
     table = calls.connect(
         {calls.BODY: model.body, calls.GRAVITY: model.gravity,
          calls.CUT_POINT: model.cut_point, calls.TAU: system.applied, calls.QDD: system.qdd,
          calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
-         calls.CORRECTIONS: system.corrections, **({} if effects is None else {
+         calls.CORRECTIONS: system.corrections, calls.WRENCH: work.force,
+         **({} if system.joints is None else {calls.JOINT_POINT: system.joints.point}),
+         **({} if whole is None else {calls.LAM_OF_ALL: whole.lam}),
+         **({} if effects is None else {
              calls.REACTION: effects.reaction, calls.COMMAND: system.tau,
              calls.VALUES: effects.values, calls.ENTRIES: effects.data,
              calls.CUT_VALUES: effects.cuts.values, calls.PRESENT: effects.code.present,
              calls.SIDES: effects.code.sides, calls.GAPS: effects.contacts.now,
              calls.TRIALS: effects.contacts.trial, calls.RATES: effects.rates})})
     if system.is_unrolled and effects is None:
-        codegen.link(model, table, routines)
+        codegen.link(model, table, routines, system.joints)
     elif system.is_unrolled:
         codegen.link(model, table, tuple(
-            one for one in routines if one != calls.EVALUATION))
+            one for one in routines if one != calls.EVALUATION), system.joints)
         live_laws.link(model, effects, table)
-    return _bound(system._replace(table=table, whole=all_equations(model, work, system.whole)))
+    return _bound(system._replace(table=table, whole=whole))
 
 
 def _bound(system):
@@ -323,6 +339,7 @@ def with_equations(system, model):
     Returns
     -------
     System
+        Without routines of forces in joints, for which a run should not wait.
 
     """
     work = unconnected(model)
@@ -330,7 +347,8 @@ def with_equations(system, model):
     return _linked(system._replace(
         model=model, work=work, whole=None, lam=np.zeros(len(work.closure)),
         dense=allocate_dense(model, int(system.settings[FORMULATION])),
-        partition=allocate_partition(model, system.is_independent)), system.routines)
+        partition=allocate_partition(model, system.is_independent)), tuple(
+            one for one in system.routines if one not in codegen.OF_FORCES))
 
 
 def with_partition(system, used):
@@ -365,8 +383,8 @@ class Probe:
     ----------
     q, qd, own : ndarray, shape (nq,), (nv,), (nz,)
         Coordinates, rates and effects' states that are evaluated: views of a state vector.
-    evaluate, evaluate_only : callable
-        As of the engine; the latter leaves nothing else behind where that is quicker.
+    evaluate : callable
+        As ``evaluate_with_poses`` of the engine.
 
     """
 
@@ -376,4 +394,3 @@ class Probe:
         state = np.zeros(count) if state is None else state
         self.q, self.qd, self.own = (state[part] for part in parts)
         self.evaluate = native.bind('evaluate_with_poses', system.native, state)
-        self.evaluate_only = native.bind('evaluate_state', system.native, state)

@@ -572,7 +572,7 @@ class Data(Names):
         self._table.states[:] = self._own
         self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
         probe.own[:] = self._table.states
-        probe.evaluate_only()
+        probe.evaluate()
         lam = system.lam
         if self.leaves_out:
             lam = self._multipliers_elsewhere(probe)
@@ -629,7 +629,7 @@ class Data(Names):
         whole = with_equations(self.system, self._geometry.of(None)[0])
         other = Probe(whole)
         other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own
-        other.evaluate_only()
+        other.evaluate()
         return whole.lam
 
     def inverse_dynamics(

@@ -292,8 +292,7 @@ class Readings(Data):
 
         """
         self._all_multipliers()
-        self._find_joint_forces()
-        self._fresh = False
+        self._fresh = self._find_joint_forces()
         found = self._joint_forces_found.copy()
         if self._couples:
             found[:, 0] += self._coupled[1] @ self.coupling_forces

@@ -3,8 +3,12 @@
 
 """Forces that are not unique: those chosen do not depend on which joints are cut."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from closedloop_dynamics.core.codegen.function_table import OF_FORCES, WRENCHES
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.rotations import of_angles
 from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import load_scene
@@ -12,6 +16,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 import yaml
+
+from ..reference.compare import assert_agree, SOLVE
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 DRY = {'type': 'joint_friction', 'friction_coefficient': 0.2, 'radius': 0.02}
@@ -177,3 +183,29 @@ def test_forces_are_least_in_all_joints_together(tmp_path):
              + wrenches[name][:3] @ (moment - np.cross(place, force)) / size ** 2
              for name, (place, _) in PINS.items()]
     assert abs(sum(terms)) < 1e-9 * np.abs(terms).max()
+
+
+@pytest.mark.parametrize('name, joint', [
+    ('bennett', 'joint_2'), ('rssr_four_bar', 'rocker'),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('bricard', 'joint_2'), ('excavator_arm', 'stick_pin'), ('delta_robot', 'hip_1')))])
+def test_routines_find_the_forces_that_loops_over_bodies_do(name, joint):
+    scene, rng = load_scene(name), np.random.default_rng(3)
+    scene = replace(scene, effects={
+        **scene.effects, 'rotor': Rotor(joint, 1e-3, 20.0),
+        'spring': PointSpring(scene.mechanism.points[0].name, None, (0.1, 0.2, 0.3), 200.0)})
+    for one in (Simulation(scene), Simulation(replace(scene, effects={}))):
+        own, by_loops = one.position, Simulation(one.scene)
+        assert one.system.table[WRENCHES]
+        by_loops.system.table[list(OF_FORCES)] = 0
+        for _ in range(3):
+            one.set_state(one.coordinates.moved(own, rng.uniform(-0.05, 0.05, one.coordinates.nv)),
+                          rng.uniform(-1.0, 1.0, one.coordinates.nv))
+            by_loops.set_state(one.position, one.velocity)
+            torque = rng.normal(0.0, 1.0, len(one.actuated_joints))
+            found, expected = (each.forward_dynamics(one.position, one.velocity, torque)
+                               for each in (one, by_loops))
+            assert_agree(found[1], expected[1], SOLVE)
+            one.step(torque, 0.0)
+            by_loops.step(torque, 0.0)
+            assert_agree(one.joint_forces, by_loops.joint_forces, SOLVE)

@@ -14,13 +14,14 @@ stages for each kind of body, which the engine's loops over bodies call (``piece
 
 import numpy as np
 
-from .function_table import ALWAYS, BODY, REACTIONS, REFINED
+from .function_table import ALWAYS, BODY, LEAST_FORCES, OF_FORCES, REACTIONS, REFINED, WRENCHES
 from .routines import addresses
 
-__all__ = ['ALWAYS', 'link', 'REACTIONS', 'REFINED', 'relink']
+__all__ = ['ALWAYS', 'LEAST_FORCES', 'link', 'OF_FORCES', 'REACTIONS', 'REFINED', 'relink',
+           'WRENCHES']
 
 
-def link(model, table, which=ALWAYS):
+def link(model, table, which=ALWAYS, joints=None):
     """
     Give a function table routines of a model.
 
@@ -32,23 +33,25 @@ def link(model, table, which=ALWAYS):
         Changed in place.
     which : tuple of int
         Places of the routines in it.
+    joints : integration.system.JointPlaces, optional
+        For LEAST_FORCES.
 
     """
-    for place, address in addresses(model, which).items():
+    for place, address in addresses(model, which, joints=joints).items():
         table[place] = address
 
 
-def relink(model, table, but=()):
+def relink(model, table, joints=None, but=()):
     """
     Replace the routines of a function table, when the structure of the model has changed.
 
     Parameters
     ----------
-    model, table
+    model, table, joints
         As for ``link``.
     but : tuple of int
         Places of those that are left as they are.
 
     """
     link(model, table, tuple(
-        one for one in np.flatnonzero(table[:BODY]).tolist() if one not in but))
+        one for one in np.flatnonzero(table[:BODY]).tolist() if one not in but), joints)

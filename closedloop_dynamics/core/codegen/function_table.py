@@ -15,19 +15,23 @@ laws (``live_scene``), or there is none.
 import numpy as np
 
 # Addresses of routines: of a state the accelerations and multipliers; the outward recursion alone,
-# and what follows it; the corrections that close the loops; the latter two with refinement; the
-# forces in joints after them.
+# and what follows it; the corrections that close the loops; the latter two with refinement. After
+# them the forces in joints, or the wrenches; before that, where equations are left out, the
+# multipliers of all.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
- REACTIONS) = range(7)
+ REACTIONS, WRENCHES, LEAST_FORCES) = range(9)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
+OF_FORCES = (WRENCHES, LEAST_FORCES)
 # Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
  RATES) = range(10, 32)
 # Addresses of functions of the engine (``engine/library.hpp``).
 LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(32, 35)
-TABLE_COLUMNS = 35
+# Addresses of what the routines of forces read and write.
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(35, 38)
+TABLE_COLUMNS = 38
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.
@@ -43,7 +47,7 @@ def connect(arrays):
     Parameters
     ----------
     arrays : dict of int to ndarray
-        By the places BODY to RATES; the table does not keep them.
+        By the places BODY to LAM_OF_ALL; the table does not keep them.
 
     Returns
     -------

@@ -5,25 +5,25 @@
 
 import numpy as np
 
-from . import elimination, embedding, forward_dynamics, plane, refinement, space
+from . import elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space
 from .expression_graph import (
     ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Q, QD, Routine, SUBTRACT)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
-    REFINED_CORRECTION, TAU, WORK_BODY)
+    EVALUATION, GRAVITY, HEALTH, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, OUTWARD, QDD,
+    REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION, TAU, WORK_BODY, WRENCH,
+    WRENCHES)
 from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, columns_of, matrix, six
-from .spatial import Recursion, rigid
-from .vectors import add, scale, subtract, times, ZERO
+from .spatial import Recursion
+from .vectors import in_space, times
 from .workspace import unconnected
-from ..types import (
-    BODY_A, BODY_B, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PARENT, RHS, TYPE,
-    Workspace)
+from ..types import NO_RESPONSES, number_of_coordinates, RHS, TYPE, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
-         REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions'}
+         REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
+         WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces'}
 
 
 def topology(model):
@@ -48,10 +48,12 @@ def topology(model):
     return tuple((array.shape, array.tobytes()) for array in arrays)
 
 
+# Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
+_SIZE = 4
 _addresses = {}
 
 
-def addresses(model, which, form=SCALAR):
+def addresses(model, which, form=SCALAR, joints=None):
     """
     Return the addresses of a mechanism's routines, compiled where nobody has before.
 
@@ -63,6 +65,8 @@ def addresses(model, which, form=SCALAR):
         Places in the function table.
     form : tuple
         Of ``machine_code``; single states of a mechanism in space are packed.
+    joints : integration.system.JointPlaces, optional
+        Of which least forces are found.
 
     Returns
     -------
@@ -71,9 +75,12 @@ def addresses(model, which, form=SCALAR):
     """
     form = form_for(model, form)
     key = topology(model), which, form
+    if LEAST_FORCES in which:
+        key = *key, joint_forces.structure(model, joints)
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [MechanismTrace(model).routine(one) for one in which], form, len(which))
+            key, lambda: [MechanismTrace(model, joints).routine(one) for one in which], form,
+            len(which))
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
@@ -111,12 +118,14 @@ class MechanismTrace:
     ----------
     model : Model
         Constant arrays of the mechanism.
+    joints : integration.system.JointPlaces, optional
+        Of which ``least_forces`` are found.
 
     """
 
-    def __init__(self, model):
+    def __init__(self, model, joints=None):
         """Make the symbols of all inputs."""
-        self.graph = ExpressionGraph()
+        self.graph, self.joints = ExpressionGraph(), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
         self.model = model._replace(
@@ -193,13 +202,25 @@ class MechanismTrace:
         if arrays is space:
             # Less is read than is computed again.
             one.outward(self.model, self.q, self.qd, self.work)
+            one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
+            return
+        self.read_motion()
+        one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
+
+    def read_motion(self):
+        """Take motion and forces as ``write`` has written them, but for inertias."""
+        one, arrays, body = self.recursion, self.arrays, self.symbols(
+            WORK_BODY, self.work.body.shape)
+        one.hinges = ()
+        if arrays is space:
+            one.outward(self.model, self.q, self.qd, self.work,
+                        lambda i, motion: space.with_written(motion, body[i]))
         else:
             one.take(self.model, self.q, self.qd)
             one.ground = one.ground._replace(
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
                                         for row, each in zip(body[1:], one.bodies[1:]))]
-            one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
         one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
 
     def acceleration(self, by=None):
@@ -248,30 +269,55 @@ class MechanismTrace:
         return lam
 
     def reactions(self):
-        """Sum up the forces in the joints of the trees, by Newton, after the accelerations."""
+        """Sum up the forces in the joints of the trees, after the accelerations."""
         self.recursion.hinges = ()
         self.read()
-        one, tree, width = self.recursion, self.constant.tree, 2 * len(self.arrays.FORCES)
-        qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
-        for frame, turns in one.balls(self.constant):
-            qdd[turns] = times(frame, qdd[turns])
-        after, forces = [2 * ZERO], [ZERO]
-        for i in range(1, len(tree)):
-            after.append(one.follow(i, after[tree[i, PARENT]], qdd[tree[i, DOF]]))
-            inertia, _ = rigid(one.bodies[i], one.motion[i])
-            forces.append(add(one.force[i], times(inertia, after[i]))[3:])
-        for a, cut in enumerate(self.constant.cut):
-            for row, closure in enumerate(
-                    one.closures(self.model, a), start=cut[CUT_ROW]):
-                for body, unit in ((BODY_A, closure.on_a), (BODY_B, closure.on_b)):
-                    forces[cut[body]] = subtract(forces[cut[body]], scale(unit[3:], lam[row]))
-        for i in range(len(tree) - 1, 0, -1):
-            parent = tree[i, PARENT]
-            forces[parent] = add(forces[parent], forces[i])
+        found = joint_forces.wrenches(
+            self, self.world_accelerations(), self.symbols(LAM, (self.nc,)),
+            joint_forces.closures_of(self, False))
+        self.store_wrenches(REACTION, found, first=3)
+
+    def wrenches(self):
+        """Sum up the whole wrenches, with the multipliers of all equations."""
+        self.read_motion()
+        closures = joint_forces.closures_of(self, True)
+        lam = self.symbols(LAM if len(closures) == self.nc else LAM_OF_ALL, (len(closures),))
+        found = joint_forces.wrenches(self, self.world_accelerations(), lam, closures)
+        self.store_wrenches(WRENCH, found)
+
+    def store_wrenches(self, source, found, first=0):
+        """Note that wrenches in the joints go to an output, or their components from one on."""
+        width = 2 * len(self.arrays.FORCES)
+        for i, wrench in enumerate(found):
             for place, component in enumerate(self.arrays.FORCES):
-                if component > 2:
-                    self.outputs.append((
-                        REACTION, i * width + place, forces[i][component - 3]))
+                if i > 0 and component >= first:
+                    self.outputs.append((source, i * width + place, wrench[component]))
+
+    def world_accelerations(self):
+        """Return the accelerations, those of spherical joints about the world's axes."""
+        qdd = self.symbols(QDD, (self.nv,))
+        for frame, turns in self.recursion.balls(self.constant):
+            qdd[turns] = times(frame, qdd[turns])
+        return qdd
+
+    def least_forces(self):
+        """Find the multipliers of all equations, after the accelerations."""
+        self.read_motion()
+        found = joint_forces.least_forces(
+            self, self.world_accelerations(), self.symbols(LAM, (self.nc,)))
+        self.outputs += [(LAM_OF_ALL, n, value) for n, value in enumerate(found)]
+
+    @property
+    def size(self):
+        """Size of the mechanism [m]."""
+        return self.graph.put(LOAD, BAUMGARTE, _SIZE)
+
+    def joint_point(self, n):
+        """Return a joint's point in the frame of a body's row."""
+        point = self.joints.point[n]
+        return in_space(tuple(
+            self.graph.put(LOAD, JOINT_POINT, n * len(point) + k) if value != 0.0 else 0.0
+            for k, value in enumerate(point)))
 
     def refined_correction(self):
         """Corrections with iterative refinement, for links much lighter than others."""

@@ -476,6 +476,13 @@ def motion_of(row, body, ground):
     return motion._replace(base=motion.frame, axis=_axis(body, motion.axis))
 
 
+def with_written(motion, row):
+    """Return a motion with what routines write of it into a row of ``Workspace.body``."""
+    origin, spin, velocity = (
+        tuple(row[first:first + 3]) for first in (ORIGIN, SPIN, VELOCITY))
+    return motion._replace(frame=_matrix(row[FRAME:]), origin=origin, spin=spin, velocity=velocity)
+
+
 def _axis(body, symbols):
     """Return the axis of a joint, zeros where a kind of joint has them."""
     turn, slide = (symbols[first:first + 3] if not is_zero((rate,)) else ZERO

@@ -279,14 +279,16 @@ class Recursion:
         for i in range(1, len(self.bodies)):
             self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
 
-    def outward(self, model, q, qd, work):
-        """Outward kinematics, traced."""
+    def outward(self, model, q, qd, work, written=None):
+        """Outward kinematics, traced; ``written`` has another motion for a row and its own."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
         self.take(model, q, qd)
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
             motion = (self.spherical_kinematics(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
                       if self.bodies[i].ball else self.joint_kinematics(i, p, q[first], qd[dof]))
+            if written is not None:
+                motion = written(i, motion)
             inertia, force = rigid(self.bodies[i], motion)
             self.motion.append(motion)
             self.inertia.append(inertia)
