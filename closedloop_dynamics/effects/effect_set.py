@@ -90,6 +90,8 @@ class EffectSet:
         Whether what is measured depends on the states in between.
     attends : bool
         Whether either is so: commands that are late, or sensors that remember.
+    follows_time : bool
+        Whether any effect has states that ``follow_time`` sets.
     cuts : tuple of 2 ndarrays or None
         Of the cut joints that anything acts in, as for ``table.build_table``.
 
@@ -188,6 +190,7 @@ class EffectSet:
                 self.drives[self._machine.joint(joint)] = delay
         self._timed = [row for row, name in enumerate(self._rows)
                        if self.records[name].clock(0.0) is not None]
+        self.follows_time, self._clocks = bool(self._timed), (None, None, None)
         self.delays = any(self.drives.values())
         self.attends = self.delays or self.remembers
 
@@ -417,10 +420,14 @@ class EffectSet:
 
     def follow_time(self, states, time):
         """Let the own states of effects that follow the time begin at a time [s], in place."""
-        for row in self._timed:
-            clock = self.records[self._rows[row]].clock(time)
-            first = self._table.index[row, STATE]
-            states[first:first + len(clock)] = clock
+        if self._clocks[0] != time:
+            clocks = {self._table.index[row, STATE]: self.records[self._rows[row]].clock(time)
+                      for row in self._timed}
+            self._clocks = time, np.array([
+                first + k for first, clock in clocks.items() for k in range(len(clock))],
+                dtype=int), np.array([value for clock in clocks.values() for value in clock])
+        _, places, values = self._clocks
+        states[places] = values
 
     def energies(self):
         """

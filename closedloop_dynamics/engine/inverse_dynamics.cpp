@@ -148,9 +148,16 @@ public:
       pivots_.clear();
     }
     if (levers.size() > 0) {
-      of_passive_.compute(levers, CLEAR);
+      is_small_ = std::max(levers.rows(), levers.cols()) <= FEW;
+      if (is_small_) {
+        of_few_.setThreshold(CLEAR);
+        of_few_.compute(levers);
+      } else {
+        of_passive_.compute(levers, CLEAR);
+      }
     }
-    unique_ = jac.rows() == 0 || (levers.size() > 0 && of_passive_.rank() == jac.rows());
+    unique_ = jac.rows() == 0 || (levers.size() > 0 && jac.rows() == (
+        is_small_ ? of_few_.rank() : of_passive_.rank()));
     if (!unique_) {
       Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(nv, actuated.size + jac.rows());
       for (Index n = 0; n < actuated.size; ++n) {
@@ -179,7 +186,9 @@ public:
         for (std::size_t i = 0; i < passive_.size(); ++i) {
           at_passive[i] = need[passive_[i]];
         }
-        if (pivots_.empty()) {
+        if (pivots_.empty() && is_small_) {
+          lam = of_few_.solve(at_passive);
+        } else if (pivots_.empty()) {
           lam = of_passive_.solve(at_passive);
         } else {
           lam = at_passive;
@@ -220,6 +229,9 @@ private:
   // LU factors of the passive joints' levers, with their pivots; none where these are not square.
   DenseMatrix square_;
   std::vector<Index> pivots_;
+  // Of the passive joints' levers otherwise, on the stack where they are few; of all unknowns.
+  bool is_small_ = false;
+  Eigen::ColPivHouseholderQR<Sized<FEW>::ByColumn> of_few_;
   LeastSquares of_passive_, of_all_;
   Eigen::MatrixXd nothing_;
   LargeSingular of_nothing_;

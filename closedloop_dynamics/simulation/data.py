@@ -662,7 +662,8 @@ class Data(Names):
 
         """
         self._fresh = False
-        self._effects.follow_time(self._table.states, self.time)
+        if self._effects.follows_time:
+            self._effects.follow_time(self._table.states, self.time)
         found = self.inverse.solve_given(position, velocity, acceleration)
         if found is not None:
             return found
@@ -693,7 +694,8 @@ class Data(Names):
 
         """
         self._fresh = False
-        self._effects.follow_time(self._table.states, self.time)
+        if self._effects.follows_time:
+            self._effects.follow_time(self._table.states, self.time)
         return self.inverse.needed(position, velocity, acceleration)
 
 

@@ -26,10 +26,11 @@ class InverseDynamics:
         known = mechanism.cut_coordinates
         self._driven = [known.names[place] for place in known.actuated]
         self._passive = np.setdiff1d(np.arange(nv), self._actuated)
-        self._found = np.zeros(len(actuated) + equations.nc)
+        found = np.zeros(len(actuated) + equations.nc)
+        self._torque, self._lam = found[:len(actuated)], found[len(actuated):]
         self._find = native.bind(
             'find_torques', system.native, self._actuated.astype(np.int64),
-            equations.nc - len(mechanism.motions), self._found)
+            equations.nc - len(mechanism.motions), found)
 
     def solve_given(self, q, qd, qdd):
         """
@@ -46,10 +47,9 @@ class InverseDynamics:
             None for both, as one, where ``solve`` is to be asked.
 
         """
-        if not self._find(q, qd, qdd):
-            return None
-        found, count = self._found.copy(), len(self._actuated)
-        return found[:count], found[count:]
+        if self._find(q, qd, qdd):
+            return self._torque.copy(), self._lam.copy()
+        return None
 
     def solve(self, q, qd, qdd):
         """
