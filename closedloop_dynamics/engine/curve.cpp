@@ -13,10 +13,10 @@ namespace closedloop
 
 namespace
 {
-// Newton steps to the nearest point of a piece; they stop when they are as short as this, those of
-// Newton's method earlier: the next one would be the square.
+// Steps to the nearest point of a piece; they stop when they are as short as this, those of Halley's
+// method earlier: the next one would be of the order of the cube.
 constexpr int MOST_STEPS = 30;
-constexpr double SHORT = 1e-15, SHORT_OF_NEWTON = 3e-8;
+constexpr double SHORT = 1e-15, SHORT_OF_HALLEY = 1e-6;
 // Pieces on either side of a known one that are looked at first; and a little less than one.
 constexpr Index BESIDE = 3;
 constexpr double SURELY = 1.0 - 1e-12;
@@ -39,7 +39,7 @@ struct Nearest
   double square;
 };
 
-CurvePoint evaluate(const double * c, double u)
+inline CurvePoint evaluate(const double * c, double u)
 {
   return {
     {c[0] + u * (c[1] + u * (c[2] + u * c[3])), c[4] + u * (c[5] + u * (c[6] + u * c[7]))},
@@ -79,18 +79,22 @@ Nearest nearest_on_piece(const double * piece, Vector2 point)
       // Away from the piece.
       break;
     }
-    const double square = dot(at.tangent, at.tangent);
-    double bend = square + apart.x * at.bend.x + apart.y * at.bend.y;
+    const double square = dot(at.tangent, at.tangent), bend = square + dot(apart, at.bend);
     // Where the distance is no valley, as if the piece were straight.
     const bool is_valley = bend > 0.25 * square;
-    if (!is_valley) {
-      bend = square;
+    double change = slope / square;
+    if (is_valley) {
+      const Vector2 twist = {6.0 * piece[3], 6.0 * piece[7]};
+      const double third = 3.0 * dot(at.tangent, at.bend) + dot(apart, twist);
+      const double divisor = bend * bend - 0.5 * slope * third;
+      // Halley's method, Newton's far from the place.
+      change = divisor > 0.5 * bend * bend ? slope * bend / divisor : slope / bend;
     }
-    const double better = within_piece(u - slope / bend);
+    const double better = within_piece(u - change);
     const double move = std::fabs(better - u);
     u = better;
     at = evaluate(piece, u);
-    if (move <= (is_valley ? SHORT_OF_NEWTON : SHORT)) {
+    if (move <= (is_valley ? SHORT_OF_HALLEY : SHORT)) {
       break;
     }
   }
@@ -121,13 +125,19 @@ struct NearestChord
   double square;
 };
 
+/// Number of a piece of a closed curve, at most one time round away. A division takes longer.
+inline Index around(Index piece, Index count)
+{
+  return piece < 0 ? piece + count : piece >= count ? piece - count : piece;
+}
+
 /// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed curve
 /// its pieces go on.
 NearestChord nearest_of(
   const double * pieces, Index count, Index first, Index length, Vector2 point)
 {
   NearestChord nearest = {0, std::numeric_limits<double>::infinity()};
-  Index k = (first + count) % count;
+  Index k = around(first, count);
   for (Index n = 0; n < length; ++n) {
     const double found = square_to_chord(pieces + CURVE_COLUMNS * k, point);
     if (found < nearest.square) {
@@ -149,10 +159,12 @@ Index nearest_chord(
   const Vector2 moved_by = point - vector2(memory + PLACE);
   const double moved = std::sqrt(dot(moved_by, moved_by));
   const auto beside = [&](Index piece) {
-      const Index first = piece - BESIDE, last = piece + BESIDE;
-      return closed ? std::pair{first, std::min(count, last - first + 1)} :
-             std::pair{
-        std::max<Index>(0, first), std::min(count - 1, last) - std::max<Index>(0, first) + 1};
+      const Index first = piece - BESIDE, length = 2 * BESIDE + 1;
+      if (closed || count <= length) {
+        return count <= length ? std::pair{Index{0}, count} : std::pair{first, length};
+      }
+      const Index begin = std::max<Index>(0, first);
+      return std::pair{begin, std::min(count, first + length) - begin};
     };
   const double known = memory[PIECE];
   if (known >= 0.0 && known < static_cast<double>(count)) {
@@ -182,11 +194,9 @@ Index nearest_chord(
   return found.piece;
 }
 
-/// The tangent of a piece, of length 1.
-Vector2 unit_tangent(const double * piece, double u)
+inline Vector2 unit(Vector2 a)
 {
-  const Vector2 tangent = evaluate(piece, u).tangent;
-  return tangent / std::sqrt(dot(tangent, tangent));
+  return a / std::sqrt(dot(a, a));
 }
 }  // namespace
 
@@ -196,7 +206,9 @@ Values pieces_of_curve(const EffectTable & table, Index row)
     table.index(row, effect::DATA), CURVE_COLUMNS * table.index(row, effect::ENTRIES));
 }
 
-CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, double * memory)
+namespace
+{
+CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * memory)
 {
   const double * pieces = curve.data;
   const Index count = curve.size / CURVE_COLUMNS;
@@ -204,7 +216,7 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
   Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
   Index piece = best;
   for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
-    const Index k = closed ? (neighbour + count) % count : neighbour;
+    const Index k = closed ? around(neighbour, count) : neighbour;
     if (0 <= k && k < count) {
       const Nearest found = nearest_on_piece(pieces + CURVE_COLUMNS * k, point);
       if (found.square < nearest.square) {
@@ -213,7 +225,7 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
       }
     }
   }
-  Vector2 tangent = unit_tangent(pieces + CURVE_COLUMNS * piece, nearest.u);
+  Vector2 tangent = evaluate(pieces + CURVE_COLUMNS * piece, nearest.u).tangent;
   // At a corner, the direction half way round it.
   Index beside = piece;
   if (nearest.u == 0.0) {
@@ -222,10 +234,11 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
     beside = piece + 1;
   }
   if (closed) {
-    beside = (beside + count) % count;
+    beside = around(beside, count);
   }
   if (beside != piece && 0 <= beside && beside < count) {
-    tangent = tangent + unit_tangent(pieces + CURVE_COLUMNS * beside, 1.0 - nearest.u);
+    const Vector2 other = evaluate(pieces + CURVE_COLUMNS * beside, 1.0 - nearest.u).tangent;
+    tangent = unit(tangent) + unit(other);
   }
   const double distance = std::sqrt(nearest.square);
   if (distance > 0.0) {
@@ -235,8 +248,23 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
     const double sign = past ? 1.0 : std::copysign(1.0, cross(tangent, apart));
     return {(sign * apart) / distance, sign * distance};
   }
-  const double length = std::sqrt(dot(tangent, tangent));
-  return {{-tangent.y / length, tangent.x / length}, 0.0};
+  tangent = unit(tangent);
+  return {{-tangent.y, tangent.x}, 0.0};
+}
+}  // namespace
+
+CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, double * memory)
+{
+  double * last = memory + nearby::LAST;
+  // Friction at rest has a state evaluated several times.
+  if (memory[nearby::PIECE] >= 0.0 && last[0] == point.x && last[1] == point.y) {
+    return {{last[2], last[3]}, last[4]};
+  }
+  const CurveDistance found = find_distance(curve, point, closed, memory);
+  for (double number : {point.x, point.y, found.normal.x, found.normal.y, found.distance}) {
+    *last++ = number;
+  }
+  return found;
 }
 
 Vector2 furthest_of_curve(Values pieces, Vector2 direction)

@@ -30,10 +30,11 @@ struct CurveDistance
 
 /// What is remembered of a search for the nearest piece, in a row of SceneCode.present: that piece,
 /// not a number where none is known; where the point was [m]; how far the pieces were from it that
-/// are not beside that one, and how much farther than the nearest [m].
+/// are not beside that one, and how much farther than the nearest [m]; the latest point, and what
+/// was found for it, normal and distance.
 namespace nearby
 {
-enum : Index {PIECE, PLACE, BEYOND = 3, REACH};
+enum : Index {PIECE, PLACE, BEYOND = 3, REACH, LAST};
 }
 
 /// Distance of a point, in the frame of the curve's body [m], from a curve of some pieces;

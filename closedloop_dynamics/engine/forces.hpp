@@ -113,7 +113,7 @@ inline Vector3 to_world(Table body, Index row, Vector3 a)
 
 /// Position in the world of a point in a body's frame [m].
 template<class V>
-V position(Table body, Index row, V point)
+inline V position(Table body, Index row, V point)
 {
   return origin(body, row, point) + to_world(body, row, point);
 }
@@ -136,7 +136,7 @@ inline Vector3 velocity_at_offset(Table body, Index row, Vector3 offset)
 
 /// Velocity of a body's point at a position in the world [m, m/s].
 template<class V>
-V velocity_at(Table body, Index row, V position)
+inline V velocity_at(Table body, Index row, V position)
 {
   return velocity_at_offset(body, row, position - origin(body, row, position));
 }
@@ -169,7 +169,7 @@ inline void apply_force(Table body, Index row, Vector3 offset, Vector3 force)
 
 /// Apply a force to a body at a position in the world [m, N].
 template<class V>
-void apply_force_at(Table body, Index row, V position, V force)
+inline void apply_force_at(Table body, Index row, V position, V force)
 {
   apply_force(body, row, position - origin(body, row, position), force);
 }
