@@ -62,14 +62,16 @@ void add_held_work(const System & system, const EnergyAccount & account, Values 
 {
   require_fitting(system, account, state);
   if (system.has_cut_coordinates()) {
-    evaluate_with_poses(system, state);
+    measure(system, state);
   }
   add_work_up_to(system, account, state);
 }
 
-Energies draw_balance(const System & system, const EnergyAccount & account, Values state)
+namespace
 {
-  evaluate_with_poses(system, state);
+/// Draw the balance of a state that was measured.
+Energies draw(const System & system, const EnergyAccount & account, Values state)
+{
   add_work_up_to(system, account, state);
   double found[2];
   energies(system.model, system.work, system.qd(state), {found, 2});
@@ -97,6 +99,13 @@ Energies draw_balance(const System & system, const EnergyAccount & account, Valu
     account.numbers[account::REFERENCE];
   return present;
 }
+}  // namespace
+
+Energies draw_balance(const System & system, const EnergyAccount & account, Values state)
+{
+  measure(system, state);
+  return draw(system, account, state);
+}
 
 void fill_balance(
   const System & system, const EnergyAccount & account, Values state, Values out)
@@ -105,7 +114,8 @@ void fill_balance(
   if (out.size != 5) {
     throw std::invalid_argument("fill_balance: expected room for 5 numbers");
   }
-  write(draw_balance(system, account, state), out);
+  evaluate_with_poses(system, state);
+  write(draw(system, account, state), out);
 }
 
 void write(const Energies & from, Values out)

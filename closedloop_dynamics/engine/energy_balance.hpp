@@ -56,10 +56,10 @@ struct Energies
 /// rotations in three dimensions, of which no coordinate tells the work.
 void add_held_work(const System &, const EnergyAccount &, Values state);
 
-/// Evaluate a state, add the work up to it, and draw the balance.
+/// Measure a state, add the work up to it, and draw the balance.
 Energies draw_balance(const System &, const EnergyAccount &, Values state);
 
-/// The same as numbers, shape (5,), in the order of Energies.
+/// The same as numbers, shape (5,), in the order of Energies, of a state that is evaluated.
 void fill_balance(const System &, const EnergyAccount &, Values state, Values out);
 
 void write(const Energies &, Values out);

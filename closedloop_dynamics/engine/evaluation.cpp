@@ -283,6 +283,18 @@ void evaluate_with_poses(const System & system, Values state)
   evaluate(system, system.q(state), system.qd(state));
 }
 
+void measure(const System & system, Values state)
+{
+  const Values q = system.q(state), qd = system.qd(state);
+  take_states(system, state);
+  if (system.is_unrolled()) {
+    call(system.table, routine::OUTWARD, q, qd);
+  } else {
+    outward(system.model, q, qd, system.work);
+  }
+  apply_listed(system, q, qd);
+}
+
 bool is_regular(const System & system, Values q, Values qd)
 {
   if (!system.is_unrolled()) {
