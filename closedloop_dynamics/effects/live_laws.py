@@ -31,6 +31,7 @@ from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
 from ..core.codegen.live_scene import address_of_scene
+from ..core.codegen.machine_code import LANES
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
@@ -146,6 +147,41 @@ def update(model, table, functions):
     """Take note whether the evaluation of a scene still is that of its effects; see ``link``."""
     address = int(functions[calls.EVALUATION])
     table.code.fits[0] = address != 0 and _known.get(address) == structure(model, table)
+
+
+def fit_lanes(table):
+    """
+    Return whether states with these effects may be evaluated in the lanes of a vector.
+
+    Not where time ends steps, commands pass through drives, lists of numbers are searched or
+    cables are watched: each lane would do that by itself.
+    """
+    return bool(table.code.fits[0] and table.enabled.all() and not table.loaded[0]
+                and not len(table.cuts.index) and not np.isin(table.kind, _NOT_IN_LANES).any())
+
+
+def address_in_lanes(model, tables):
+    """
+    Return the address of the evaluation of a scene in the lanes of a vector.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of one of the mechanisms.
+    tables : sequence of EffectTable
+        That ``fit_lanes``, one for each lane.
+
+    Returns
+    -------
+    int or None
+        None where they are not of one structure.
+
+    """
+    first = tables[0]
+    key = structure(model, first)
+    if any(structure(model, table) != key for table in tables if table is not first):
+        return None
+    return address_of_scene(model, key, lambda: LiveLaws(first), LANES)
 
 
 class LiveLaws:
@@ -544,5 +580,7 @@ LAWS = {**SMOOTH, ACTUATOR: _actuator, CABLE: _cable, CIRCLE_CONTACT: _circle_co
         SPATIAL_CONTACT: _spatial_point_contact, SPATIAL_FORCE_TABLE: _point_force_table(3),
         SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
 _IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, TENDON)
+_NOT_IN_LANES = (*_COURSES, ACTUATOR, CABLE, CURVE_CONTACT, FACE_CONTACT, JOINT_FORCE_TABLE,
+                 POINT_FORCE_TABLE, SPATIAL_FORCE_TABLE)
 _TOUCHING = (CONTACT, SPATIAL_CONTACT, LINE_CONTACT, CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT,
              SPATIAL_BODY_CONTACT)

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "interrupt.hpp"
+#include "lane_events.hpp"
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "routines.hpp"
@@ -30,6 +31,7 @@ bool batch_derivative(const Batch & batch, Values state, Values out)
     call(batch.table, routine::EVALUATION, state.part(0, first), state.part(first, n));
   rates_of_coordinates(batch.manifold, state, batch.nv(), out, LANES);
   copy(batch.qdd, out.part(first, n));
+  copy(batch.rates, out.part(first + n, batch.rates.size));
   power_of_turns(batch.manifold, batch.tau, state, batch.nv(), out, LANES);
   return good;
 }
@@ -37,11 +39,12 @@ bool batch_derivative(const Batch & batch, Values state, Values out)
 /// Make one step; return whether all evaluations were good.
 bool batch_step(
   const Batch & batch, const Tableau & tableau, Values state, double step_size, Table slopes,
-  Values stage, Values out)
+  Values stage, Values out, LaneEvents & events)
 {
   if (!batch_derivative(batch, state, slopes[0])) {
     return false;
   }
+  events.store_start();
   const Index stages = tableau.steps();
   if (stages == 0) {
     semi_implicit_step(batch.manifold, state, batch.nv(), step_size, slopes[0], out, LANES);
@@ -197,6 +200,9 @@ bool is_linked(const Batch & batch)
     };
   return batch.table.size == routine::TABLE_COLUMNS && batch.table[routine::EVALUATION] != 0 &&
          batch.table[routine::CORRECTION] != 0 && is_at(routine::TAU, batch.tau) &&
+         is_at(routine::RATES, batch.rates) && is_at(routine::GAPS, batch.gaps) &&
+         is_at(routine::TRIALS, batch.trials) &&
+         (batch.rates.size + batch.gaps.size == 0 || is_at(routine::COMMAND, batch.tau)) &&
          is_at(routine::QDD, batch.qdd) && is_at(routine::CLOSURE, batch.closure) &&
          is_at(routine::CORRECTIONS, batch.corrections.all());
 }
@@ -208,14 +214,23 @@ bool fits(const Batch & batch)
          batch.closure.size % LANES == 0 && batch.corrections.rows == 2 &&
          batch.corrections.columns == width && batch.tolerance.size == LANES &&
          batch.limit.size == LANES && batch.error.size == LANES &&
-         misfit(batch.manifold, batch.nq(), nv) == nullptr;
+         batch.rates.size % LANES == 0 && misfit(batch.manifold, batch.nq(), nv) == nullptr;
+}
+
+bool same(Indices one, Indices other)
+{
+  return std::equal(one.begin(), one.end(), other.begin(), other.end());
 }
 
 bool fits(const Batch & batch, const Lane & lane, const Lane & first)
 {
   return lane.system != nullptr && lane.system->nv() == batch.nv() &&
-         lane.system->nq() == batch.nq() &&
-         lane.system->effects.states.size == 0 && lane.run.stepper.kind == stepper::FIXED &&
+         lane.system->nq() == batch.nq() && fits(*lane.system, lane.run.stepper) &&
+         LANES * lane.system->effects.states.size == batch.rates.size &&
+         LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
+         LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
+         same(lane.system->effects.kind, first.system->effects.kind) &&
+         lane.system->tau.size == batch.nv() && lane.run.stepper.kind == stepper::FIXED &&
          lane.run.stepper.stabilisation == first.run.stepper.stabilisation &&
          lane.run.numbers.size == guard::NUMBERS &&
          lane.run.numbers[guard::STEP_SIZE] == first.run.numbers[guard::STEP_SIZE];
@@ -262,13 +277,14 @@ Status run_batch(
       add_work(batch.manifold, batch.tau, since, state, LANES, {worked, LANES});
       copy(state, since);
     };
+  LaneEvents events(batch, lanes);
   WatchedLanes watched(lanes, state, status);
   const auto look = [&](Index done, bool at_energy) {
       add_work_since();
       watched.look(state, worked, done, at_energy);
     };
-  const auto step = [&] {
-      if (!batch_step(batch, tableau, state, step_size, slopes, stage, out)) {
+  const auto step_together = [&](Values from) {
+      if (!batch_step(batch, tableau, from, step_size, slopes, stage, out, events)) {
         return Status::SINGULAR;
       }
       normalise(batch.manifold, out, LANES);
@@ -279,6 +295,16 @@ Status run_batch(
         if (closed != Status::DONE) {
           return closed;
         }
+      }
+      events.find(from, out, step_size);
+      return Status::DONE;
+    };
+  const auto step = [&] {
+      const Values from = events.begin(state);
+      Status made = from.size == 0 ? Status::DONE : step_together(from);
+      made = made == Status::DONE ? events.make(state, out, step_size) : made;
+      if (made != Status::DONE) {
+        return made;
       }
       if (interrupt.after(1 + tableau.steps())) {
         return Status::INTERRUPTED;

@@ -28,6 +28,10 @@ struct Batch
   Values limit;  ///< Shape (LANES,): closure error at which it gives up
   Values error;  ///< Shape (LANES,): largest closure error of each lane
   Manifold manifold;  ///< Of all of them
+  Values rates;  ///< Shape (LANES * nz,): of the effects' states
+  /// Of effects, shape (LANES * rows * columns,): as Contacts.now and Contacts.trial.
+  Values gaps;
+  Values trials;
 
   Index nv() const {return qdd.size / LANES;}
   Index nq() const {return nv() + manifold.balls.rows;}
@@ -35,7 +39,8 @@ struct Batch
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold);
+    visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold, rates, gaps,
+      trials);
   }
 };
 

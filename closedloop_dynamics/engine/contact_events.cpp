@@ -160,16 +160,6 @@ bool is_judged(const EffectTable & effects, Index row)
   return effects.enabled[row] == 1 && effects.contacts.mode[row] != contact::UNDECIDED;
 }
 
-/// Whether a roller may pass a body within a step without any sign at its ends.
-bool is_finite(const EffectTable & effects, Index row)
-{
-  const Index kind = effects.kind[row];
-  const bool outside = effects.values(row, SIDE) > 0.0;
-  return kind == effect::CURVE_CONTACT || (kind == effect::CIRCLE_CONTACT && outside) || (
-    kind == effect::SPATIAL_BODY_CONTACT && outside &&
-    effects.data[effects.index(row, effect::DATA) + FLAT] == 0.0);
-}
-
 /// Whether a contact has less dissipated energy than before a step, by more than errors of
 /// integration: no law does that, but those that tell theirs otherwise.
 bool has_gained(const EffectTable & effects, Index row)
@@ -529,11 +519,9 @@ bool may_be_passed(const EffectTable & effects, Index row, double size, double o
 {
   const Contacts & contacts = effects.contacts;
   const double * trial = contacts.trial.row(row);
-  const double one = contacts.start(row, GAP);
-  const double fastest = trial[is_finite(effects, row) ? contact::SPEED : contact::FASTEST];
-  // Written so that a NaN may.
-  return effects.enabled[row] == 1 && !(one < 0.0) && !(other < 0.0) &&
-         !(trial[contact::WRONG] > 0.0) && !(one + other > FASTER * fastest * size);
+  return effects.enabled[row] == 1 && closedloop::may_be_passed(
+    contacts.start(row, GAP), other, trial[contact::WRONG],
+    trial[is_finite(effects, row) ? contact::SPEED : contact::FASTEST], size);
 }
 
 /// Whether a smooth gap is less than none between the ends of a step, by more than steps of one
@@ -556,6 +544,22 @@ void update_gaps(const System & system, Values state)
   apply_listed(system, system.q(state), system.qd(state));
 }
 }  // namespace
+
+bool is_finite(const EffectTable & effects, Index row)
+{
+  const Index kind = effects.kind[row];
+  const bool outside = effects.values(row, SIDE) > 0.0;
+  return kind == effect::CURVE_CONTACT || (kind == effect::CIRCLE_CONTACT && outside) || (
+    kind == effect::SPATIAL_BODY_CONTACT && outside &&
+    effects.data[effects.index(row, effect::DATA) + FLAT] == 0.0);
+}
+
+bool may_be_passed(double gap, double other, double wrong, double fastest, double size)
+{
+  // Written so that a NaN may.
+  return !(gap < 0.0) && !(other < 0.0) && !(wrong > 0.0) &&
+         !(gap + other > FASTER * fastest * size);
+}
 
 bool freeze_modes(const System & system)
 {

@@ -31,6 +31,13 @@
 namespace closedloop
 {
 
+/// Whether a roller may pass a body within a step without any sign at its ends.
+bool is_finite(const EffectTable &, Index row);
+
+/// Whether a contact that nothing was felt of may lie between the ends of a step of a size [s], by
+/// the gaps at its start and end [m], the largest one that was wrong, and the fastest rate.
+bool may_be_passed(double gap, double other, double wrong, double fastest, double size);
+
 /// Freeze the modes of contacts, after the evaluation at which a step begins; return whether any
 /// begin or cease just here.
 bool freeze_modes(const System &);

@@ -5,8 +5,9 @@
 Whole runs of several mechanisms of one topology at once, one in every lane of a vector (SIMD).
 
 The steps are those of single runs, number by number; only the routines compute all lanes at
-once. What a lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its
-mechanisms are then run one by one.
+once. A lane in which an effect begins or ceases within a step, or a joint under dry friction is at
+rest, makes that step alone (``engine/lane_events.cpp``). What else a lane alone would do otherwise
+(the rank-revealing path, a failure) ends the run: its mechanisms are then run one by one.
 
 """
 
@@ -21,6 +22,7 @@ from ..core.codegen import function_table as calls, lanes
 from ..core.codegen.lanes import LANES
 from ..core.codegen.routines import topology
 from ..core.manifold import Manifold
+from ..effects import live_laws
 
 
 class Batch(NamedTuple):
@@ -37,6 +39,10 @@ class Batch(NamedTuple):
     limit: np.ndarray
     error: np.ndarray  # Shape (LANES,): largest closure error of each
     manifold: Optional[Manifold]  # Of all of them
+    rates: np.ndarray  # Shape (LANES * nz,): of the effects' states
+    # Of effects, shape (LANES * rows * columns,): as ``Contacts.now`` and ``Contacts.trial``.
+    gaps: np.ndarray
+    trials: np.ndarray
     kept: tuple  # Tuple of ndarrays that only the routines read and write
 
 
@@ -54,10 +60,11 @@ def fits(system, stabilisation):
     Returns
     -------
     bool
-        False where nothing is unrolled or effects act by laws of their own.
+        False where nothing is unrolled, or effects have no code for it.
 
     """
-    return system.is_force_free and stabilisation != INDEPENDENT
+    return system.is_unrolled and stabilisation != INDEPENDENT and (
+        system.effects is None or live_laws.fit_lanes(system.effects))
 
 
 def build_batch(systems):
@@ -80,13 +87,37 @@ def build_batch(systems):
     nv, nc = len(first.qdd), len(first.lam)
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
                             settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
+    evaluation = None
+    if first.effects is not None:
+        evaluation = live_laws.address_in_lanes(first.model, [
+            system.effects for system in systems])
+        if evaluation is None:
+            return None
+        arrays.update(_arrays_of_effects([system.effects for system in systems]))
+        arrays[calls.COMMAND] = arrays[calls.TAU]
+    nothing = np.zeros(0)
     return Batch(
-        table=lanes.connect(first.model, arrays), tau=arrays[calls.TAU],
+        table=lanes.connect(first.model, arrays, evaluation), tau=arrays[calls.TAU],
         qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
         corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
         tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
         error=np.zeros(LANES), manifold=first.manifold,
+        **{name: arrays.get(place, nothing) for name, place in (
+            ('rates', calls.RATES), ('gaps', calls.GAPS), ('trials', calls.TRIALS))},
         kept=tuple(arrays.values()))
+
+
+def _arrays_of_effects(tables):
+    """Return what the code of a scene reads and writes of effects, lane by lane, by its place."""
+    first = tables[0]
+    return {
+        calls.VALUES: lanes.spread([table.values for table in tables]),
+        calls.ENTRIES: lanes.spread([table.data for table in tables]),
+        # Where nothing is decided the gap tells.
+        calls.SIDES: np.zeros(LANES * len(first.kind)),
+        calls.GAPS: np.zeros(LANES * first.contacts.now.size),
+        calls.TRIALS: np.zeros(LANES * first.contacts.trial.size),
+        calls.RATES: np.zeros(LANES * len(first.rates))}
 
 
 def filled(items):

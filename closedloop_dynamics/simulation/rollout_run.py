@@ -114,15 +114,14 @@ def is_plain(simulation):
     Returns
     -------
     bool
-        False for error-controlled and stiff methods, independent coordinates, scenes that are
-        watched for stiffness, commands that arrive late, sensors that remember, and equations
-        that were left out, which are watched.
+        False for error-controlled and stiff methods, independent coordinates, commands that
+        arrive late, sensors that remember, and equations that were left out, which are watched.
 
     """
     effects = simulation.effect_set
     return (isinstance(simulation.monitor.driver, FixedSteps) and not simulation.leaves_out
-            and not simulation.system.is_independent and not simulation.energy_guard.among_laws
-            and not any(effects.drives.values()) and not effects.remembers)
+            and not simulation.system.is_independent and not any(effects.drives.values())
+            and not effects.remembers)
 
 
 def runs_whole(simulation):
@@ -414,6 +413,9 @@ class SimdRuns:
         first, schedule = starts[0].simulation, self.schedule
         if len(starts) < FEWEST or any(
                 start.simulation.scene.method != first.scene.method for start in starts[1:]):
+            return None
+        if len(first.effect_set.own) and not all(name in STATE for name in self.quantities):
+            # Accelerations depend on states that lanes do not keep.
             return None
         pack = self._pack_of([start.simulation.system for start in starts])
         if pack is None:

@@ -293,7 +293,7 @@ def test_arguments_that_make_no_sense_are_refused(arguments, words):
 def test_the_compiled_loop_is_what_runs_plain_scenes():
     assert is_plain(Simulation.from_scene('three_rrr', integrator='rk4'))
     assert not is_plain(Simulation.from_scene('three_rrr'))
-    assert not is_plain(Simulation.from_scene('three_rrr_payload_friction', integrator='rk4'))
+    assert not is_plain(Simulation.from_scene('bricard', integrator='rk4'))
 
 
 def test_the_method_takes_what_the_function_takes():

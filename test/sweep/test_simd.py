@@ -3,15 +3,18 @@
 
 """Rollouts side by side in vectors: the numbers of rollouts of one sample, bit for bit."""
 
+from dataclasses import replace
 import math
 import tracemalloc
 
 from closedloop_dynamics.core.codegen import lanes
 from closedloop_dynamics.core.codegen.lanes import LANES
+from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.batch import build_batch, Lane
 from closedloop_dynamics.integration.control import DONE, SINGULAR
-from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns
+from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns, STATE
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -224,3 +227,81 @@ def test_starts_that_are_closed_or_not_are_those_of_states_set(scene, method):
             one.step(torque)
         np.testing.assert_array_equal(states.position[sample, -1], one.position)
         np.testing.assert_array_equal(states.velocity[sample, -1], one.velocity)
+
+
+CRANK = {'joint': 'crank_joint'}
+WITH_EFFECTS = {
+    'springs': {
+        'spring': EFFECTS['joint_spring'](**CRANK, stiffness=1.3),
+        'damping': EFFECTS['joint_damping'](**CRANK, coefficient=0.02),
+        'between': EFFECTS['point_spring'](point_a='coupler_point', anchor=(0.1, 0.3),
+                                           stiffness=20.0, damping=1.0, free_length=0.1)},
+    'friction': {'friction': EFFECTS['joint_friction'](
+        **CRANK, coulomb=0.3, static_ratio=1.4, stribeck_velocity=0.5)},
+    'contact': {
+        'floor': EFFECTS['contact'](point='coupler_point', origin=(0.0, 0.1), stiffness=300.0,
+                                    exponent=1.5, damping=0.1, friction=0.2),
+        'stop': EFFECTS['end_stop'](**CRANK, stiffness=50.0, lower=-1.0, upper=2.0,
+                                    damping=0.1)},
+    'all': {'friction': EFFECTS['joint_friction'](**CRANK, coulomb=0.3),
+            'spring': EFFECTS['joint_spring'](**CRANK, stiffness=1.3),
+            'floor': EFFECTS['contact'](point='coupler_point', origin=(0.0, 0.1),
+                                        stiffness=300.0)}}
+
+
+def with_effects(name, **method):
+    scene = load_scene('four_bar')
+    return Simulation(replace(scene, effects=WITH_EFFECTS[name], method=replace(
+        scene.method, **{'integrator': 'rk4', 'step_size': 1e-3, **method})))
+
+
+@pytest.mark.parametrize('name', WITH_EFFECTS)
+def test_lanes_carry_effects(packs, name):
+    simulation = with_effects(name)
+    # Joints come to rest and break away, bodies touch and part, in each lane at another time.
+    torques = 0.3 * torques_for(simulation, LANES + 3, 12)
+    result = simulation.rollout(torques, steps=1200, every=10, threads=1)
+    assert packs == [LANES, 3] and result.failures == {}
+    for sample, rows in enumerate(torques):
+        alone = simulation.rollout(rows, steps=1200, every=10)
+        for quantity in STATE:
+            np.testing.assert_array_equal(
+                getattr(result, quantity)[sample], getattr(alone, quantity)[0])
+    resting = (np.abs(result.velocity[:, 1:, 0]) < 1e-9).mean()
+    assert resting > 0.01 if 'friction' in WITH_EFFECTS[name] else resting == 0.0
+
+
+def test_lanes_differ_in_numbers_of_effects(packs):
+    simulation = with_effects('contact')
+    parameters = {'effects.floor.stiffness': np.linspace(100.0, 900.0, 4),
+                  'effects.stop.upper': np.linspace(1.0, 2.5, 4)}
+    torques = torques_for(simulation, 4, 100)
+    result = simulation.rollout(torques, parameters=parameters, quantities=QUANTITIES)
+    assert packs == [4] and result.failures == {}
+    assert np.ptp(result.position[:, -1, 0]) > 1e-3
+    assert_each_as_alone(simulation, result, torques, parameters=parameters)
+
+
+def test_what_states_of_effects_decide_is_not_asked_of_lanes(packs):
+    simulation = with_effects('friction')
+    torques = torques_for(simulation, 4, 20)
+    result = simulation.rollout(torques, quantities=QUANTITIES)
+    assert packs == [None]
+    assert_each_as_alone(simulation, result, torques)
+
+
+def test_lanes_in_space_carry_effects(packs):
+    scene = load_scene('rssr_four_bar')
+    simulation = Simulation(replace(scene, effects={
+        'friction': EFFECTS['joint_friction'](joint='crank', coulomb=0.05),
+        'spring': EFFECTS['point_spring'](point_a='rocker_end', anchor=(0.3, 0.4, 0.1),
+                                          stiffness=21.0, damping=1.3, free_length=0.1)},
+        method=replace(scene.method, integrator='rk4')))
+    torques = torques_for(simulation, 4, 60)
+    result = simulation.rollout(torques)
+    assert packs == [4] and result.failures == {}
+    for sample, rows in enumerate(torques):
+        alone = simulation.rollout(rows)
+        for quantity in STATE:
+            np.testing.assert_array_equal(
+                getattr(result, quantity)[sample], getattr(alone, quantity)[0])

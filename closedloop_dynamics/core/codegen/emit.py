@@ -38,7 +38,7 @@ class Writer:
 
     """
 
-    TYPE = _FUNCTION
+    TYPE, ROOT = _FUNCTION, 'llvm.sqrt.f64'
 
     def __init__(self, module, routine):
         """Begin the function."""
@@ -139,13 +139,17 @@ class Writer:
         if kind == BOTH:
             return builder.and_(*numbers)
         if kind == SQUARE_ROOT:
-            return builder.call(
-                builder.module.declare_intrinsic('llvm.sqrt', [_DOUBLE]), numbers)
+            return self.call(self.ROOT, *numbers)
         if kind == CHOOSE:
             return builder.select(*numbers)
-        name, module = _LIBRARY[kind], builder.module
-        return builder.call(module.globals.get(name) or ir.Function(
-            module, ir.FunctionType(_DOUBLE, len(numbers) * [_DOUBLE]), name), numbers)
+        return self.call(_LIBRARY[kind], *numbers)
+
+    def call(self, name, *numbers):
+        """Return what a function of LLVM or the C library makes of numbers."""
+        module = self.builder.module
+        return self.builder.call(module.globals.get(name) or ir.Function(
+            module, ir.FunctionType(numbers[0].type, [one.type for one in numbers]), name),
+            numbers)
 
 
 class PieceWriter(Writer):

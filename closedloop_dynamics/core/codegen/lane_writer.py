@@ -29,6 +29,18 @@ class LaneWriter(Writer):
 
     """
 
+    ROOT = f'llvm.sqrt.v{LANES}f64'
+
+    def call(self, name, *numbers):
+        """Return what a function makes of numbers: LLVM's of vectors, others of each lane."""
+        if name == self.ROOT:
+            return super().call(name, *numbers)
+        builder, found = self.builder, ir.Constant(_VECTOR, ir.Undefined)
+        for lane in range(LANES):
+            found = builder.insert_element(found, super().call(name, *(
+                builder.extract_element(each, _INDEX(lane)) for each in numbers)), _INDEX(lane))
+        return found
+
     def number(self, operand):
         """Return the vector of an operand."""
         if isinstance(operand, int):

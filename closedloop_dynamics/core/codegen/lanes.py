@@ -20,7 +20,7 @@ from .routines import addresses
 from ..types import HEALTH_COLUMNS
 
 
-def connect(model, arrays):
+def connect(model, arrays, evaluation=None):
     """
     Return the function table of the routines of a mechanism for several states at once.
 
@@ -29,8 +29,10 @@ def connect(model, arrays):
     model : Model
         Constant arrays of one of the mechanisms; all must have its topology.
     arrays : dict of int to ndarray
-        From the places BODY to CORRECTIONS, lane by lane, but for BAUMGARTE, which all share;
+        From the places BODY to RATES, lane by lane, but for BAUMGARTE, which all share;
         they must live as long as the function table is used.
+    evaluation : int, optional
+        Address of that of a scene; where not given, of the mechanism alone.
 
     Returns
     -------
@@ -38,8 +40,11 @@ def connect(model, arrays):
 
     """
     table = connect_arrays(arrays)
-    for which, address in addresses(model, (EVALUATION, CORRECTION), IN_LANES).items():
+    alone = (EVALUATION, CORRECTION) if evaluation is None else (CORRECTION,)
+    for which, address in addresses(model, alone, IN_LANES).items():
         table[which] = address
+    if evaluation is not None:
+        table[EVALUATION] = evaluation
     return table
 
 

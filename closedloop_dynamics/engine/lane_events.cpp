@@ -1,0 +1,142 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "lane_events.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "arms.hpp"
+#include "contact_events.hpp"
+#include "sticking.hpp"
+
+namespace closedloop
+{
+
+LaneEvents::LaneEvents(const Batch & batch, const std::vector<Lane> & lanes)
+: batch_(batch), lanes_(lanes), effects_(lanes[0].system->effects)
+{
+  for (Index row = 0; row < effects_.count(); ++row) {
+    if (effects_.kind[row] == effect::JOINT_FRICTION) {
+      frictions_.push_back(row);
+    }
+  }
+  parked_.resize(static_cast<std::size_t>(LANES * lanes[0].system->ns()));
+  start_.resize(static_cast<std::size_t>(batch.gaps.size));
+  own_.resize(static_cast<std::size_t>(lanes[0].system->ns()));
+}
+
+bool LaneEvents::rests(Values state, std::size_t lane) const
+{
+  const Index own = batch_.nq() + batch_.nv();
+  return std::any_of(
+    frictions_.begin(), frictions_.end(), [&](Index row) {
+      return std::abs(state[LANES * (own + effects_.index(row, effect::STATE)) + lane]) < 0.5;
+    });
+}
+
+Values LaneEvents::begin(Values state)
+{
+  for (Index row : effects_.contacts.rows) {
+    const Index first = LANES * contact::TRIAL_COLUMNS * row;
+    batch_.trials.part(first, LANES * (contact::WRONG + 1)).fill(0.0);
+  }
+  bool any = false;
+  Index ready = LANES;
+  for (Index lane = LANES - 1; lane >= 0; --lane) {
+    alone_[lane] = rests(state, static_cast<std::size_t>(lane));
+    any = any || alone_[lane];
+    ready = alone_[lane] ? ready : lane;
+  }
+  if (!any) {
+    return state;
+  }
+  if (ready == LANES) {
+    return state.part(0, 0);
+  }
+  const Values parked{parked_.data(), state.size};
+  for (Index k = 0; k < state.size; k += LANES) {
+    for (Index lane = 0; lane < LANES; ++lane) {
+      parked[k + lane] = state[k + (alone_[lane] ? ready : lane)];
+    }
+  }
+  return parked;
+}
+
+void LaneEvents::store_start()
+{
+  std::copy(batch_.gaps.begin(), batch_.gaps.end(), start_.begin());
+}
+
+double LaneEvents::along(Index row, Values out, std::size_t lane) const
+{
+  const Values rates = out.from(LANES * batch_.nq());
+  const Index count = arm_count(effects_, row);
+  if (count == 0) {
+    return rates[LANES * effects_.index(row, effect::FIRST) + lane];
+  }
+  const double * arms = lanes_[std::min(lane, lanes_.size() - 1)].system->effects.data.data +
+    effects_.index(row, effect::DATA);
+  double sum = 0.0;
+  for (Index k = 0; k < count; ++k) {
+    sum += arms[2 * k + 1] * rates[LANES * static_cast<Index>(arms[2 * k]) + lane];
+  }
+  return sum;
+}
+
+void LaneEvents::find(Values state, Values out, double size)
+{
+  const Index own = batch_.nq() + batch_.nv();
+  for (Index row : frictions_) {
+    const Index mode = LANES * (own + effects_.index(row, effect::STATE));
+    for (Index lane = 0; lane < LANES; ++lane) {
+      const double onwards = state[mode + lane] * along(row, out, static_cast<std::size_t>(lane));
+      // Written so that a NaN is one, too.
+      alone_[lane] = alone_[lane] || !(onwards > REST);
+    }
+  }
+  for (Index row : effects_.contacts.rows) {
+    const double * gap = start_.data() + LANES * contact::NODE_COLUMNS * row;
+    const double * trial = batch_.trials.data + LANES * contact::TRIAL_COLUMNS * row;
+    const double * fastest = trial + LANES * (
+      is_finite(effects_, row) ? contact::SPEED : contact::FASTEST);
+    const double * wrong = trial + LANES * contact::WRONG;
+    for (Index lane = 0; lane < LANES; ++lane) {
+      alone_[lane] = alone_[lane] ||
+        may_be_passed(gap[lane], 0.0, wrong[lane], fastest[lane], size);
+    }
+  }
+}
+
+Status LaneEvents::make(Values state, Values out, double size)
+{
+  const std::size_t last = lanes_.size() - 1;
+  for (std::size_t lane = 0; lane <= last; ++lane) {
+    if (!alone_[lane]) {
+      continue;
+    }
+    const System & system = *lanes_[lane].system;
+    const Values own{own_.data(), system.ns()};
+    for (Index k = 0; k < own.size; ++k) {
+      own[k] = state[LANES * k + static_cast<Index>(lane)];
+    }
+    for (Index i = 0; i < batch_.nv(); ++i) {
+      system.tau[i] = batch_.tau[LANES * i + static_cast<Index>(lane)];
+    }
+    const Status status =
+      make_steps(system, lanes_[lane].run.stepper, own, 0.0, 0, size, 1).first;
+    // Guards know the work of torques by themselves.
+    system.tau.fill(0.0);
+    if (status != Status::DONE) {
+      return status;
+    }
+    // Behind the last one are copies of it.
+    const Index begin = static_cast<Index>(lane), end = lane == last ? LANES : begin + 1;
+    for (Index k = 0; k < own.size; ++k) {
+      std::fill(&out[LANES * k + begin], &out[LANES * k] + end, own[k]);
+    }
+  }
+  return Status::DONE;
+}
+
+}  // namespace closedloop
