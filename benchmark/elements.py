@@ -9,7 +9,8 @@ evaluation, before machine code is made of it. Times are those of a step of the 
 method of fourth order, of a scene that lists an element and of the same scene that does not, side
 by side: blocks of steps of the one and of the other in turn, so that what else the machine does
 meets both. Their ratio is the median of those of neighbouring blocks. The time of building is
-printed apart: the first run generates code, which a second one reads.
+printed apart: the first run generates code, which a second one reads. Beside them are steps of
+rollouts, whose samples go side by side in the lanes of a vector.
 
 """
 
@@ -25,6 +26,11 @@ from machine import description, ROOT
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics import Simulation  # noqa: E402,I100
+from closedloop_dynamics.core.codegen.function_table import EVALUATION  # noqa: E402
+from closedloop_dynamics.core.codegen.live_scene import LiveTrace  # noqa: E402
+from closedloop_dynamics.core.codegen.routines import (  # noqa: E402
+    count_operations as count, operations)
+from closedloop_dynamics.effects.live_laws import LiveLaws  # noqa: E402
 from closedloop_dynamics.effects.registry import EFFECTS  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
     DISTANCE, POINT_ON_LINE)
@@ -60,9 +66,20 @@ ELEMENTS = {
     'cable, two pulleys': ('rope_hoist', 'cable'),
     'motion in space': ('rssr_four_bar', {
         'type': 'prescribed_motion', 'joint': 'crank', 'shape': 'constant_speed', 'speed': 2.0})}
+# Effects of a rollout of the four-bar; the coupler's point passes the floor in each turn.
+SPRING, FRICTION, FLOOR = (
+    {'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 0.1},
+    {'type': 'joint_friction', 'joint': 'crank_joint', 'coulomb': 0.05},
+    {'type': 'contact', 'point': 'coupler_point', 'origin': (0.0, 0.05), 'stiffness': 300.0,
+     'exponent': 1.5, 'damping': 0.1, 'friction': 0.2})
+ROLLOUTS = {'a spring': (SPRING,), 'friction': (FRICTION,), 'contact': (FLOOR,),
+            'all three': (SPRING, FRICTION, FLOOR),
+            'friction at rest': ({**FRICTION, 'coulomb': 5.0},)}
+SAMPLES, TORQUE, STEPS, EVERY = 64, 1.0, 2000, 200
 # Of a step that is measured [s]; blocks of steps, and seconds that each takes at least.
 STEP, BLOCKS, SECONDS = 1e-4, 31, 0.05
 QUICK, QUICK_BLOCKS, QUICK_SECONDS = ('force table',), 3, 0.001
+QUICK_ROLLOUTS, QUICK_STEPS = ('a spring',), 200
 
 
 def bare(mechanism):
@@ -106,15 +123,26 @@ def both(name, element):
         return scene, replace(scene, effects={
             key: one for key, one in scene.effects.items()
             if not isinstance(one, EFFECTS[element])})
-    keys = {key: scene.mechanism.cut_joints[0].name if value == 'CUT' else value
-            for key, value in element.items() if key != 'type'}
-    record = EFFECTS[element['type']](**keys)
-    return replace(scene, effects={**scene.effects, 'element': record}), scene
+    return replace(scene, effects={**scene.effects, 'element': record(scene, element)}), scene
+
+
+def record(scene, element):
+    """Return the effect that keys describe."""
+    return EFFECTS[element['type']](**{
+        key: scene.mechanism.cut_joints[0].name if value == 'CUT' else value
+        for key, value in element.items() if key != 'type'})
+
+
+def operations_of(simulation):
+    """Return how many operations the one routine of a scene takes."""
+    model, table = simulation.system.model, simulation.system.effects
+    return operations(model) if table is None else count(
+        LiveTrace(model, LiveLaws(table)).routine(EVALUATION))
 
 
 def timed(pair, blocks, seconds):
     """
-    Return times of a step [s], the ratio of neighbouring blocks, and that of building [s].
+    Return times of a step [s], the ratio of neighbouring blocks, times of building, operations.
 
     Parameters
     ----------
@@ -130,6 +158,8 @@ def timed(pair, blocks, seconds):
     times : list of 2 floats
     ratio : float
     building : list of 2 floats
+        [s]
+    operations : list of 2 ints
 
     """
     sims, building = [], []
@@ -142,7 +172,7 @@ def timed(pair, blocks, seconds):
     count = max(_steps_within(simulation, seconds) for simulation in sims)
     found = np.array([[_time(simulation, count) for simulation in sims] for _ in range(blocks)])
     return np.median(found, axis=0).tolist(), float(np.median(found[:, 0] / found[:, 1])), (
-        building)
+        building), [operations_of(simulation) for simulation in sims]
 
 
 def _steps_within(simulation, seconds):
@@ -159,6 +189,41 @@ def _time(simulation, count):
     begin = process_time()
     simulation.step(duration=count * STEP)
     return (process_time() - begin) / count
+
+
+def rolled_out(elements, blocks, steps):
+    """
+    Return times of a step of one sample [s] and operations, with effects and without.
+
+    Parameters
+    ----------
+    elements : sequence of dict
+        Keys of the effects.
+    blocks : int
+        How often each is made.
+    steps : int
+        Of each.
+
+    Returns
+    -------
+    times : list of 2 floats
+    operations : list of 2 ints
+
+    """
+    scene = load_scene('four_bar')
+    scene = replace(scene, method=replace(scene.method, integrator='rk4', step_size=STEP))
+    sims = [Simulation(replace(scene, effects={
+        f'element_{number}': record(scene, one) for number, one in enumerate(listed)}))
+        for listed in (elements, ())]
+    torques = np.random.default_rng(0).normal(TORQUE, 0.05, (SAMPLES, 10, 1))
+    found = []
+    for _ in range(blocks):
+        for simulation in sims:
+            begin = process_time()
+            simulation.rollout(torques, steps=steps, every=EVERY, threads=1)
+            found.append((process_time() - begin) / (SAMPLES * steps))
+    times = np.array(found).reshape(-1, 2).min(axis=0)
+    return times.tolist(), [operations_of(simulation) for simulation in sims]
 
 
 def measure(quick=False):
@@ -179,11 +244,17 @@ def measure(quick=False):
     found = []
     for name in QUICK if quick else ELEMENTS:
         scene, element = ELEMENTS[name]
-        times, ratio, building = timed(both(scene, element), *(
+        times, ratio, building, counts = timed(both(scene, element), *(
             (QUICK_BLOCKS, QUICK_SECONDS) if quick else (BLOCKS, SECONDS)))
         found.append({'element': name, 'scene': scene, 'times': times, 'ratio': ratio,
-                      'building': building})
-    return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found}
+                      'building': building, 'operations': counts})
+    rollouts = []
+    for name in QUICK_ROLLOUTS if quick else ROLLOUTS:
+        times, counts = rolled_out(
+            ROLLOUTS[name], QUICK_BLOCKS, QUICK_STEPS if quick else STEPS)
+        rollouts.append({'effects': name, 'times': times, 'operations': counts})
+    return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found,
+            'rollouts': rollouts}
 
 
 def row_table(result, make=markdown_table):
@@ -194,9 +265,22 @@ def row_table(result, make=markdown_table):
 def time_table(result, make=markdown_table):
     """Return the times of elements as a table."""
     return make(
-        ('element', 'scene', 'listed', 'not listed', 'ratio'),
-        [(one['element'], one['scene'], *(f'{1e6 * value:.2f} us' for value in one['times']),
+        ('element', 'scene', 'operations', 'without', 'listed', 'not listed', 'ratio'),
+        [(one['element'], one['scene'], *map(str, one['operations']),
+          *(f'{1e6 * value:.2f} us' for value in one['times']),
           f'{one["ratio"]:.2f}') for one in result['elements']])
+
+
+def rollout_table(result, make=markdown_table):
+    """Return times of steps in lanes as a table."""
+    rows = []
+    for one in result['rollouts']:
+        (listed, without), (many, few) = one['times'], one['operations']
+        rows.append((one['effects'], str(many), str(few), f'{1e9 * listed:.0f} ns',
+                     f'{1e9 * without:.0f} ns', f'{listed / without:.2f}',
+                     f'{listed / without * few / many:.2f}'))
+    return make(('rollouts with', 'operations', 'without', 'listed', 'not listed', 'ratio',
+                 'for each operation'), rows)
 
 
 def main(arguments=None):
@@ -210,6 +294,7 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / 'elements.json').write_text(json.dumps(result, indent=1))
     print(result['machine'], row_table(result, text_table), time_table(result, text_table),
+          rollout_table(result, text_table),
           'building, with and without [s]: ' + ', '.join(
               f'{one["element"]} {one["building"][0]:.1f} and {one["building"][1]:.1f}'
               for one in result['elements']), sep='\n\n')

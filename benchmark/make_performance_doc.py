@@ -101,7 +101,8 @@ def passages(output, parts):
     builders = {'peers': peers_passages, 'operation_count': operation_passages,
                 'elements': lambda result: {
                     'elements rows': elements.row_table(result),
-                    'elements times': elements.time_table(result)},
+                    'elements times': elements.time_table(result),
+                    'elements rollouts': elements.rollout_table(result)},
                 'size': size_passages,
                 'startup': lambda result: {'startup table': startup.table(result)},
                 'models': lambda result: {

@@ -7,7 +7,8 @@ import numpy as np
 
 from . import elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space
 from .expression_graph import (
-    ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Q, QD, Routine, SUBTRACT)
+    ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, LOAD, LOGARITHM, MULTIPLY, NEGATE,
+    POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     EVALUATION, GRAVITY, HEALTH, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, OUTWARD, QDD,
@@ -105,8 +106,13 @@ def operations(model):
         Additions, subtractions, multiplications, divisions and negations.
 
     """
-    routine = MechanismTrace(model).routine(EVALUATION)
-    kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
+    return count_operations(MechanismTrace(model).routine(EVALUATION))
+
+
+def count_operations(routine):
+    """Return the same number of any routine; roots, functions and searches count as one each."""
+    kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SQUARE_ROOT, EXPONENTIAL, LOGARITHM,
+             ARCTANGENT, POWER, CALL)
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
