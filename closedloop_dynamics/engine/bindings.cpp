@@ -67,7 +67,7 @@ template<>
 inline constexpr auto precondition<curve_distance> =
   [](Values pieces, bool, Values memory, double, double) {
     return expected::unless(
-      pieces.size > 0 && pieces.size % CURVE_COLUMNS == 0 &&
+      pieces.size > 0 && pieces.size % curve::COLUMNS == 0 &&
       memory.size >= present::PRESENT_COLUMNS);
   };
 

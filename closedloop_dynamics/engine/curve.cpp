@@ -13,8 +13,8 @@ namespace closedloop
 
 namespace
 {
-// Steps to the nearest point of a piece; they stop when they are as short as this, those of Halley's
-// method earlier: the next one would be of the order of the cube.
+// Steps to the nearest point of a piece; they stop when they are as short as this, those of
+// Halley's method earlier: the next one would be of the order of the cube.
 constexpr int MOST_STEPS = 30;
 constexpr double SHORT = 1e-15, SHORT_OF_HALLEY = 1e-6;
 // Pieces on either side of a known one that are looked at first; and a little less than one.
@@ -131,15 +131,15 @@ inline Index around(Index piece, Index count)
   return piece < 0 ? piece + count : piece >= count ? piece - count : piece;
 }
 
-/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed curve
-/// its pieces go on.
+/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed
+/// curve its pieces go on.
 NearestChord nearest_of(
   const double * pieces, Index count, Index first, Index length, Vector2 point)
 {
   NearestChord nearest = {0, std::numeric_limits<double>::infinity()};
   Index k = around(first, count);
   for (Index n = 0; n < length; ++n) {
-    const double found = square_to_chord(pieces + CURVE_COLUMNS * k, point);
+    const double found = square_to_chord(pieces + curve::COLUMNS * k, point);
     if (found < nearest.square) {
       nearest = {k, found};
     }
@@ -203,7 +203,7 @@ inline Vector2 unit(Vector2 a)
 Values pieces_of_curve(const EffectTable & table, Index row)
 {
   return table.data.part(
-    table.index(row, effect::DATA), CURVE_COLUMNS * table.index(row, effect::ENTRIES));
+    table.index(row, effect::DATA), curve::COLUMNS * table.index(row, effect::ENTRIES));
 }
 
 namespace
@@ -211,21 +211,21 @@ namespace
 CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * memory)
 {
   const double * pieces = curve.data;
-  const Index count = curve.size / CURVE_COLUMNS;
+  const Index count = curve.size / curve::COLUMNS;
   const Index best = nearest_chord(pieces, count, closed, point, memory);
   Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
   Index piece = best;
   for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
     const Index k = closed ? around(neighbour, count) : neighbour;
     if (0 <= k && k < count) {
-      const Nearest found = nearest_on_piece(pieces + CURVE_COLUMNS * k, point);
+      const Nearest found = nearest_on_piece(pieces + curve::COLUMNS * k, point);
       if (found.square < nearest.square) {
         nearest = found;
         piece = k;
       }
     }
   }
-  Vector2 tangent = evaluate(pieces + CURVE_COLUMNS * piece, nearest.u).tangent;
+  Vector2 tangent = evaluate(pieces + curve::COLUMNS * piece, nearest.u).tangent;
   // At a corner, the direction half way round it.
   Index beside = piece;
   if (nearest.u == 0.0) {
@@ -237,7 +237,7 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
     beside = around(beside, count);
   }
   if (beside != piece && 0 <= beside && beside < count) {
-    const Vector2 other = evaluate(pieces + CURVE_COLUMNS * beside, 1.0 - nearest.u).tangent;
+    const Vector2 other = evaluate(pieces + curve::COLUMNS * beside, 1.0 - nearest.u).tangent;
     tangent = unit(tangent) + unit(other);
   }
   const double distance = std::sqrt(nearest.square);
@@ -271,7 +271,7 @@ Vector2 furthest_of_curve(Values pieces, Vector2 direction)
 {
   double furthest = -std::numeric_limits<double>::infinity(), place = 0.0;
   const double * best = pieces.data;
-  for (const double * c = pieces.data; c < pieces.data + pieces.size; c += CURVE_COLUMNS) {
+  for (const double * c = pieces.data; c < pieces.data + pieces.size; c += curve::COLUMNS) {
     // The height of a piece is a cubic, which never leaves the span of its Bezier coefficients.
     double height[4];
     for (int k = 0; k < 4; ++k) {
@@ -302,13 +302,13 @@ Vector2 furthest_of_curve(Values pieces, Vector2 direction)
 
 ChordDistance nearest_to_chord(Values pieces, Vector2 start, Vector2 end)
 {
-  const Index count = pieces.size / CURVE_COLUMNS;
+  const Index count = pieces.size / curve::COLUMNS;
   const Vector2 path = end - start;
   const double square = dot(path, path);
   double least = std::numeric_limits<double>::infinity(), along = 0.5;
   double entry = 2.0, way_out = 2.0;
   for (Index k = 0; k < (square > 0.0 ? count : 0); ++k) {
-    const double * piece = pieces.data + CURVE_COLUMNS * k;
+    const double * piece = pieces.data + curve::COLUMNS * k;
     const Vector2 first = {piece[0], piece[4]}, whole = chord(piece);
     Vector2 apart = from_straight(start, first, whole);
     if (!(dot(apart, path) < 0.0)) {

@@ -13,8 +13,11 @@
 namespace closedloop
 {
 
+namespace curve
+{
 /// Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
-constexpr Index CURVE_COLUMNS = 8;
+constexpr Index COLUMNS = 8;
+}
 
 /// The pieces of the curve of an effect.
 Values pieces_of_curve(const EffectTable &, Index row);

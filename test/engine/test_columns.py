@@ -93,7 +93,7 @@ CONSTANTS = {
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
     'manifold.cpp': (manifold, ('HALF',)),
     'course.hpp': (course, ('SAME_TIME', 'COLUMNS')),
-    'curve.cpp': (curve, ('COLUMNS',)),
+    'curve.hpp': (curve, ('COLUMNS',)),
     'cable_laws.cpp': (cable, ('COLUMNS', 'SPATIAL_COLUMNS', 'CARRIER', 'AXIS')),
     'force_table_laws.cpp': (force_table, ('COLUMNS',)),
     'body_contact_laws.cpp': (body_contact, ('PLACE_B', 'DIRECTION', 'FLAT', 'ROUND')),
