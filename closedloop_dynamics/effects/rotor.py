@@ -136,7 +136,9 @@ class Rotor(Effect):
             freedoms = range(coordinates.nv)[coordinates.rates[self.joint]][-3:]
         else:
             freedoms = machine.joint(self.joint),
-        return 1 + np.flatnonzero(np.isin(model.tree[1:, DOF], freedoms))
+        # By hand: of so few rows it is faster, and samples of a sweep each ask.
+        return [row for row, freedom in enumerate(model.tree[1:, DOF].tolist(), start=1)
+                if freedom in freedoms]
 
     def _spin(self, model, machine, row):
         """Return its axis in the frame of the row that carries it; 0 where that does not turn."""
