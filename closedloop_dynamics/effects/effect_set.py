@@ -129,9 +129,7 @@ class EffectSet:
         self._table, self._system, self._linked = system.effects, system, None
         if self._table is None:
             self._table = build_table((), system.tau, 0, 0)
-        for row, name in enumerate(self._rows):
-            if not self.enabled[name]:
-                self._fill(row)
+        self._fill([row for row, name in enumerate(self._rows) if not self.enabled[name]])
         return self._table
 
     def move(self, system):
@@ -142,19 +140,21 @@ class EffectSet:
 
     def _refill(self, kind):
         """Rewrite the parameters of the effects of a kind."""
-        for row in np.flatnonzero(self._table.kind == kind):
-            self._fill(row)
+        self._fill(np.flatnonzero(self._table.kind == kind).tolist())
 
-    def _fill(self, row):
-        """Write the present parameters of an effect, and whether it acts, into the table."""
-        table, name = self._table, self._rows[row]
-        fill_row(table, row, self.records[name].element(self._machine))
-        live_laws.update(self._model, table, self._system.table)
-        table.enabled[row] = self.enabled[name]
-        if not self.enabled[name]:
-            table.output[row] = 0.0
-            table.index[row, LOADED] = 0
-            table.loaded[0] = table.index[:, LOADED].sum()
+    def _fill(self, rows):
+        """Write the present parameters of effects, and whether they act, into the table."""
+        table = self._table
+        for row in rows:
+            name = self._rows[row]
+            fill_row(table, row, self.records[name].element(self._machine))
+            table.enabled[row] = self.enabled[name]
+            if not self.enabled[name]:
+                table.output[row] = 0.0
+                table.index[row, LOADED] = 0
+                table.loaded[0] = table.index[:, LOADED].sum()
+        if rows:
+            live_laws.update(self._model, table, self._system.table)
 
     @property
     def by_name(self):
@@ -241,11 +241,11 @@ class EffectSet:
         weigh(self._bare[0])
         self.records, self.elements = dict(records), tuple(elements)
         self._update()
-        for row, name in enumerate(self._rows):
-            if name in others:
-                states, first = elements[row].states, self._table.index[row, STATE]
-                self.initial[first:first + len(states)] = [state.initial for state in states]
-                self._fill(row)
+        changed = [row for row, name in enumerate(self._rows) if name in others]
+        for row in changed:
+            states, first = elements[row].states, self._table.index[row, STATE]
+            self.initial[first:first + len(states)] = [state.initial for state in states]
+        self._fill(changed)
         return True
 
     def restart(self):
@@ -340,7 +340,7 @@ class EffectSet:
         if name not in self._rows:
             return np.zeros(0, dtype=int)
         row = self._rows.index(name)
-        self._fill(row)
+        self._fill([row])
         if was or not self.enabled[name]:
             return np.zeros(0, dtype=int)
         first = self._table.index[row, STATE]

@@ -12,6 +12,7 @@ dry friction is at rest, or friction feels the reaction in its joint.
 
 """
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -38,7 +39,6 @@ from ..engine import native
 
 # Columns of EffectTable.values that only the code may depend on, of an effect's kind.
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
-_TURN = 6.283185307179586
 _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
                 'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
 _COURSES = (PRESCRIBED_TORQUE, PRESCRIBED_FORCE, SPATIAL_PRESCRIBED_FORCE, PRESCRIBED_MOTION)
@@ -140,7 +140,7 @@ def link(model, table, functions):
         _known[address] = key
     functions[calls.EVALUATION] = address
     functions[list(calls.FUNCTIONS)] = list(map(native.library_function, calls.FUNCTIONS))
-    update(model, table, functions)
+    table.code.fits[0] = address != 0
 
 
 def update(model, table, functions):
@@ -559,7 +559,7 @@ def _cable(forces, table, row, values):
             before, after = directions[k - 1:]
             turn = arctangent(before[0] * after[1] - before[1] * after[0], dot(before, after))
             turn = -turn if entries[k, 3] < 0.0 else turn
-            turn = chosen(turn < -0.25 * _TURN, turn + _TURN, turn)
+            turn = chosen(turn < -0.25 * math.tau, turn + math.tau, turn)
             length = length + abs(radii[k]) * turn
     stretch = length - values[1]
     elastic = values[0] * chosen(forces.touches(-stretch, -rate), stretch, 0.0)

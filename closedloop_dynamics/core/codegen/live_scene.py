@@ -11,6 +11,8 @@ is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
 
 """
 
+import math
+
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, TAKE
 from .function_table import (
     COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
@@ -23,7 +25,6 @@ from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 _addresses = {}
 # Added and subtracted, it rounds to a whole number.
 _ROUNDER = 6755399441055744.0
-_TURN = 6.283185307179586
 
 
 def address_of_scene(model, structure, laws, form=SCALAR):
@@ -260,7 +261,7 @@ class CutFreedom:
         found = arctangent(*(dot(side, self._turned(one.row_b, name))
                              for name in ('ACROSS_B', 'SIDE_B')))
         if followed is not None:
-            found = found + ((followed - found) / _TURN + _ROUNDER - _ROUNDER) * _TURN
+            found = found + ((followed - found) / math.tau + _ROUNDER - _ROUNDER) * math.tau
         return found
 
     @property
