@@ -334,11 +334,12 @@ class Runner(Shown):
         return None
 
     def _look_between(self):
-        """Look at the present state, noting how long that takes."""
+        """Look at the present state, noting how long that takes; return its row."""
         begin, row = self._clock(), self.rows.row()
         self._look(self.simulation.time, row, self.rows.looked_at(row))
         self._unseen = 0
         self._look_time += FOLLOWED * (self._clock() - begin - self._look_time)
+        return row
 
     def _advance_a_part(self):
         """Advance by a part of a step, where one takes long; return which part."""
@@ -416,9 +417,8 @@ class Runner(Shown):
             self._looked = now
             self._findings = self.rows.look().findings
             self._achieved = self._real_time_share()
-        if self._unseen and not self._slow:
-            self._look_between()
-        time_now, row = self.simulation.time, self.rows.row()
+        time_now = self.simulation.time
+        row = self._look_between() if self._unseen and not self._slow else self.rows.row()
         self._thinning.keep(time_now, self.rows.looked_at(row))
         if self.playing and self._slow:
             begin, before = self._before
