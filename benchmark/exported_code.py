@@ -29,7 +29,7 @@ from closedloop_dynamics.visual.tables import markdown_table  # noqa: E402
 SCENES = ('four_bar', 'slider_crank', 'carpet_scraper', 'three_rrr', 'rssr_four_bar',
           'stewart_platform')
 COMMON = ('-std=c99', '-O3', '-ffp-contract=fast', '-fPIC', '-shared')
-MACHINES = {'any machine': (), 'this machine': ('-march=native', '-fno-tree-slp-vectorize')}
+MACHINES = {'any machine': (), 'this machine': ('-march=native',)}
 STEP, STEPS, ROUNDS = 1e-3, 2000, 15
 MANY = """\
 #include "machine.h"

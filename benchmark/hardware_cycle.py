@@ -29,7 +29,7 @@ from closedloop_dynamics.visual.tables import markdown_table  # noqa: E402
 
 PACKAGE = ROOT / 'closedloop_hardware'
 SCENES = ('four_bar', 'three_rrr', 'stewart_platform')
-OPTIONS = ('-std=c99', '-O3', '-ffp-contract=fast', '-march=native', '-fno-tree-slp-vectorize')
+OPTIONS = ('-std=c99', '-O3', '-ffp-contract=fast', '-march=native')
 PERIOD, CYCLES = 1e-3, 20_000
 
 

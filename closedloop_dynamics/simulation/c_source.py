@@ -14,12 +14,13 @@ from .c_template import (
     SOURCE, WITH_QUATERNIONS, WRENCHES)
 from .errors import SimulationError
 from .traced_scene import refusals
-from ..core.codegen.c_writer import SINE_AND_COSINE, statements
+from ..core.codegen.c_writer import (
+    SINE_AND_COSINE, statements, statements_in_lanes, VECTORS)
 from ..core.codegen.derivatives import (
-    DERIVATIVE, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
+    COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, TAU, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, SHARED, TAU, VALUES)
 from ..core.codegen.scene_routines import ENERGY, PLACE, PLACE_RATE, POINT, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
@@ -120,6 +121,8 @@ class _Text:
         self.cuts = [], np.zeros((0, 3, 3))
         if self.joints:
             self._add_cuts()
+        # Factors that columns of derivatives have in common.
+        self.factors = 0
         # By the input of a routine: the member of the model, its numbers, and what they are.
         self.members = {
             BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
@@ -141,7 +144,10 @@ class _Text:
 
     def both(self):
         """Return the source and the header."""
-        words = self._words()
+        words, versions = self._words(), '\n'.join(self._versions())
+        vectors = re.search(r'\b(four|eight) ', versions + words['ROUTINES'])
+        words |= {'VERSIONS': versions, 'FACTORS': str(self.factors),
+                  'VECTORS': f'{VECTORS}\n' if vectors else ''}
         words |= {word: _filled(text, words) if self.derivatives else '' for word, text in (
             ('JACOBIANS', JACOBIANS), ('DIFFERENTIATE', DIFFERENTIATE))}
         words |= {word: _filled(text, words) if self.joints else '' for word, text in (
@@ -195,18 +201,36 @@ class _Text:
                 until = '' if cut[ROWS] == 1 else f' to {first + cut[ROWS] - 1}'
                 yield f'{first}{until}: {closures[cut[CUT_NUMBER]].name}'
 
-    def _routines(self):
-        """Yield what is generated: the functions that know the mechanism."""
-        unrolled, rows = self._unrolled, self.rows.tolist()
+    def _versions(self):
+        """Yield what is generated and takes the time."""
+        unrolled = self._unrolled
         yield self._function(
-            'int evaluation', unrolled(lambda one: one.evaluation()),
+            'int VERSION(evaluation)', unrolled(lambda one: one.evaluation()),
             {Q: 'const double *q', QD: 'const double *qd', TAU: 'const double *tau',
              QDD: 'double *qdd', LAM: 'double *lam'})
         yield '/* Changes of q and qd that close the loops, one behind the other. */'
         yield self._function(
-            'int correction', unrolled(lambda one: one.correction()),
+            'int VERSION(correction)', unrolled(lambda one: one.correction()),
             {Q: 'const double *q', QD: 'const double *qd', CORRECTIONS: 'double *change',
              CLOSURE: 'double *closure'})
+        if self.derivatives:
+            parts = []
+            first = unrolled(lambda one: parts.extend(one.in_lanes()), DerivativeTrace)
+            (_, shared), (solve,) = parts
+            self.factors = int(shared.outputs[0][2])
+            yield self._function(
+                'int VERSION(columns_of)', first,
+                {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
+                 LAM: 'const double *lam', COLUMN: 'double *columns', SHARED: 'double *factors',
+                 RATE: 'double *rates'})
+            body = '\n  '.join(statements_in_lanes(
+                solve, {Q: 'columns', SHARED: 'factors', QD: 'found'}, SHARED))
+            yield ('static void VERSION(solve)(\n  const double *columns, const double *factors, '
+                   f'double *found)\n{{\n  {body}\n}}\n')
+
+    def _routines(self):
+        """Yield what else is generated: the functions that know the mechanism."""
+        unrolled, rows = self._unrolled, self.rows.tolist()
         yield self._function(
             'int energies_of', unrolled(lambda one: one.energies()),
             {Q: 'const double *q', QD: 'const double *qd', ENERGY: 'double *energies'})
@@ -225,13 +249,6 @@ class _Text:
                     lambda one: one.joint_forces(*self.carried, *self.cuts), DerivativeTrace),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
                  LAM: 'const double *lam', JOINT_FORCE: 'double *forces'})
-        if self.derivatives:
-            yield self._function(
-                'int derivatives_of',
-                unrolled(lambda one: one.derivatives(), DerivativeTrace),
-                {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
-                 LAM: 'const double *lam', DERIVATIVE: 'double *derivatives',
-                 RATE: 'double *rates'})
 
     def _unrolled(self, what, kind=SceneTrace, without=None):
         """Return a routine of a new unrolling, but for an output that it has no use for."""

@@ -10,7 +10,8 @@ HEADER = """\
  * state is kept: functions may be called from several threads.
  *
  * Build with cc -std=c99 -O3 -ffp-contract=fast @NAME@.c -lm, and -march=native where the program
- * stays on the machine; never with -ffast-math. -D@UPPER@_MAIN adds a main function.
+ * stays on the machine; never with -ffast-math. -D@UPPER@_MAIN adds a main function. The source
+ * includes itself: keep its name. With -D@UPPER@_ONE_VERSION it does not.
  *
  * SI units and radians throughout. */
 #ifndef @UPPER@_H_
@@ -108,6 +109,7 @@ int @NAME@(const double **arg, double **res, long long int *iw, double *w, int m
 
 SOURCE = """\
 /* @TITLE@: see @HEADER@. */
+#ifndef VERSION
 #include "@HEADER@"
 
 #include <math.h>
@@ -125,7 +127,48 @@ const @NAME@_state @NAME@_start = {
 @START@
 };
 
-@SINES@
+/* What takes the time is compiled for newer processors, too, where GCC is to make code for any x86
+ * processor: this file includes itself. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__OPTIMIZE__) && \
+  !defined(__FMA__) && !defined(@UPPER@_ONE_VERSION)
+#pragma GCC push_options
+#pragma GCC target("avx2,fma")
+#define VERSION(name) name##_256
+#include "@NAME@.c"
+#undef VERSION
+#pragma GCC target("avx512f,avx512vl,avx512dq,avx512bw")
+#define VERSION(name) name##_512
+#include "@NAME@.c"
+#undef VERSION
+#pragma GCC pop_options
+#define BEST(name, arguments) \
+  (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") ? name##_any arguments : \
+   !__builtin_cpu_supports("avx512vl") || !__builtin_cpu_supports("avx512dq") || \
+   !__builtin_cpu_supports("avx512bw") ? name##_256 arguments : name##_512 arguments)
+#else
+#define BEST(name, arguments) name##_any arguments
+#endif
+#define VERSION(name) name##_any
+#define LAST_VERSION
+#endif
+
+#define sines_and_cosines VERSION(sines_and_cosines)
+@VECTORS@@SINES@
+@VERSIONS@
+#ifdef LAST_VERSION
+static int evaluation(
+  const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
+  double *lam)
+{
+  return BEST(evaluation, (model, q, qd, tau, qdd, lam));
+}
+
+static int correction(
+  const @NAME@_model *model, const double *q, const double *qd, double *change, double *closure)
+{
+  return BEST(correction, (model, q, qd, change, closure));
+}
+
 @ROUTINES@
 @MANIFOLD@
 int @NAME@_evaluate(
@@ -370,6 +413,7 @@ int main(int count, char **text)
   return 0;
 }
 #endif
+#endif
 """
 
 # Where joint forces are unique: in the header, and behind the closure equations.
@@ -408,6 +452,29 @@ int @NAME@_differentiate(
 """
 
 JACOBIANS = """
+/* Columns of the derivatives, eight at a time: by changes of the equations, with factors that all
+ * columns have in common. Derivatives of J qd are in rates. */
+static int derivatives_of(
+  const @NAME@_model *model, const double *q, const double *qd, const double *qdd,
+  const double *lam, double *derivatives, double *rates)
+{
+  enum { COLUMNS = 3 * NV, BLOCKS = (COLUMNS + 7) / 8, ROWS = NV + NC };
+  double columns[BLOCKS][8 * ROWS], found[8 * ROWS], factors[@FACTORS@];
+  memset(columns, 0, sizeof columns);
+  if (!BEST(columns_of, (model, q, qd, qdd, lam, columns[0], factors, rates))) {
+    return 0;
+  }
+  for (int block = 0; block < BLOCKS; ++block) {
+    BEST(solve, (columns[block], factors, found));
+    for (int n = 0; n < 8 && 8 * block + n < COLUMNS; ++n) {
+      for (int row = 0; row < ROWS; ++row) {
+        *derivatives++ = found[8 * row + n];
+      }
+    }
+  }
+  return 1;
+}
+
 int @NAME@_differentiate(
   const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
   double *lam, double *derivatives)

@@ -37,9 +37,8 @@ from ..mechanism.mechanism import MechanismError
 
 VERSIONS = ('3.0', '2.0')
 FLAGS = '-x', 'c', '-std=c99', '-fPIC', '-fvisibility=hidden'
-# Sources of more bytes than these are compiled with less optimisation, or none: it would take
-# minutes.
-LONG, LONGEST = 500_000, 2_000_000
+# Sources of more bytes are compiled without optimisation: it would take a minute.
+LONG = 1_000_000
 # Pivots below this share of the largest are rounding.
 RANK_TOLERANCE = 1e-8
 # What is varied to see how the model follows from a parameter, beside its size or 1.
@@ -157,8 +156,7 @@ def compiled(files, name, *options):
     with tempfile.TemporaryDirectory() as folder:
         for place, text in files.items():
             Path(folder, place).write_text(text, encoding='utf-8')
-        length = len(files[f'{name}.c'])
-        size = '-O0' if length > LONGEST else '-O1' if length > LONG else '-O2'
+        size = '-O0' if len(files[f'{name}.c']) > LONG else '-O2'
         out = Path(folder, 'unit')
         try:
             build.run([*(build.compiler() or build.zig()), *FLAGS, size, *options, '-shared',

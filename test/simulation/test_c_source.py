@@ -75,8 +75,12 @@ def simulation_of(scene, effects=()):
     return Simulation.from_scene(scene)
 
 
-def build(folder, simulation, *options, name='model', derivatives=False):
+def build(folder, simulation, *options, name='model', derivatives=False, compiler='gnu'):
     source, header = c_source(simulation, name, derivatives)
+    if compiler == 'plain':
+        # As one that knows no vectors reads it.
+        assert 'defined(__GNUC__)' in source
+        source = source.replace('defined(__GNUC__)', '0')
     (folder / f'{name}.c').write_text(source)
     (folder / f'{name}.h').write_text(header)
     out = folder / (f'{name}.so' if '-shared' in options else name)
@@ -124,6 +128,24 @@ def require_same_run(folder, simulation, steps=200, every=50):
         'three_rrr_vertical', 'scissor_lift', 'double_wishbone'))))
 def test_a_run_is_reproduced(scene, tmp_path):
     require_same_run(tmp_path, simulation_of(scene))
+
+
+@compiled
+@pytest.mark.parametrize('compiler, options', (
+    ('plain', ()), pytest.param('gnu', ('-O1',), marks=pytest.mark.slow)))
+def test_versions_for_all_processors_agree(compiler, options, tmp_path):
+    # The former knows no vectors; the latter chooses among three versions as it runs.
+    simulation = simulation_of('stewart_platform')
+    library = ctypes.CDLL(str(build(
+        tmp_path, simulation, '-shared', '-fPIC', *options, compiler=compiler)))
+    found = [np.zeros_like(simulation.velocity), np.zeros_like(simulation.multipliers)]
+    assert library.model_evaluate(
+        ctypes.byref(ctypes.c_char.in_dll(library, 'model_default')),
+        *(ctypes.c_void_p(one.ctypes.data) for one in (
+            simulation.position, simulation.velocity, np.zeros_like(simulation.velocity),
+            *found))) == 0
+    for one, expected in zip(found, (simulation.acceleration, simulation.multipliers)):
+        np.testing.assert_allclose(one, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 @compiled
@@ -375,10 +397,11 @@ def test_a_predictive_controller_by_ipopt_reaches_its_goal():
 
 
 @compiled
-def test_derivatives_in_c_are_those_of_the_package(tmp_path):
+@pytest.mark.parametrize('compiler, options', (('plain', ()), ('gnu', ('-O1',))))
+def test_derivatives_in_c_are_those_of_the_package(compiler, options, tmp_path):
     simulation = simulation_of('three_rrr_vertical')
-    library = ctypes.CDLL(str(build(
-        tmp_path, simulation, '-shared', '-fPIC', derivatives=True)))
+    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC', *options,
+                                    derivatives=True, compiler=compiler)))
     command = torques(simulation)
     simulation.step(command, 0.1)
     expected = Differentiator(simulation)(simulation.position, simulation.velocity, command)

@@ -7,6 +7,8 @@ from . import sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT)
+from .function_table import LANES
+from .packing import packing_of
 
 _INFIX = {ADD: '+', SUBTRACT: '-', MULTIPLY: '*', DIVIDE: '/', LESS: '<', GREATER_EQUAL: '>=',
           BOTH: '&'}
@@ -47,8 +49,8 @@ static void sines_and_cosines(int count, const double *angle, double *sine, doub
     const double coarse = 1.0 - 0.5 * z;
     const double c = coarse + (((1.0 - coarse) - 0.5 * z) + (z * z * even - x * tail));
     const int swapped = (quarter == 1.0) | (quarter == -1.0);
-    sine[n] = (swapped ? c : s) * ((quarter == -1.0) | (quarter * quarter == 4.0) ? -1.0 : 1.0);
-    cosine[n] = (swapped ? s : c) * ((quarter == 1.0) | (quarter * quarter == 4.0) ? -1.0 : 1.0);
+    sine[n] = (swapped ? c : s) * (((quarter == -1.0) | (quarter * quarter == 4.0)) ? -1.0 : 1.0);
+    cosine[n] = (swapped ? s : c) * (((quarter == 1.0) | (quarter * quarter == 4.0)) ? -1.0 : 1.0);
   }}
   for (int n = 0; n < count; ++n) {{
     if (!(fabs(angle[n]) < {sincos.LARGEST!r})) {{
@@ -58,6 +60,67 @@ static void sines_and_cosines(int count, const double *angle, double *sine, doub
   }}
 }}
 """
+
+
+# Numbers side by side: as many vectors as it takes of the width that the processor has, or, where
+# the compiler knows none, single numbers. Read again for another processor, under other names.
+VECTORS = """\
+#define four VERSION(four)
+#define eight VERSION(eight)
+#define part_of_four VERSION(part_of_four)
+#define part_of_eight VERSION(part_of_eight)
+#undef WIDTH
+#undef PARTS_OF_FOUR
+#undef PARTS_OF_EIGHT
+#undef AT_FOUR
+#undef AT_EIGHT
+#if !defined(__GNUC__)
+#define WIDTH 1
+#define PARTS_OF_FOUR(of, a, sign, b) \\
+  {{of(a, sign, b, 0), of(a, sign, b, 1), of(a, sign, b, 2), of(a, sign, b, 3)}}
+#define PARTS_OF_EIGHT(of, a, sign, b) \\
+  {{of(a, sign, b, 0), of(a, sign, b, 1), of(a, sign, b, 2), of(a, sign, b, 3), \\
+    of(a, sign, b, 4), of(a, sign, b, 5), of(a, sign, b, 6), of(a, sign, b, 7)}}
+typedef double part_of_four, part_of_eight;
+#define AT_FOUR(v, place) (v).parts[place]
+#define AT_EIGHT(v, place) (v).parts[place]
+#else
+#if defined(__AVX__)
+#define PARTS_OF_FOUR(of, a, sign, b) {{of(a, sign, b, 0)}}
+typedef double part_of_four __attribute__((vector_size(32)));
+#define AT_FOUR(v, place) (v).parts[0][place]
+#else
+#define PARTS_OF_FOUR(of, a, sign, b) {{of(a, sign, b, 0), of(a, sign, b, 1)}}
+typedef double part_of_four __attribute__((vector_size(16)));
+#define AT_FOUR(v, place) (v).parts[(place) / 2][(place) % 2]
+#endif
+#if defined(__AVX512F__)
+#define WIDTH 8
+#define PARTS_OF_EIGHT(of, a, sign, b) {{of(a, sign, b, 0)}}
+#elif defined(__AVX__)
+#define WIDTH 4
+#define PARTS_OF_EIGHT(of, a, sign, b) {{of(a, sign, b, 0), of(a, sign, b, 1)}}
+#else
+#define WIDTH 2
+#define PARTS_OF_EIGHT(of, a, sign, b) \\
+  {{of(a, sign, b, 0), of(a, sign, b, 1), of(a, sign, b, 2), of(a, sign, b, 3)}}
+#endif
+typedef double part_of_eight __attribute__((vector_size(WIDTH * sizeof(double))));
+#define AT_EIGHT(v, place) (v).parts[(place) / WIDTH][(place) % WIDTH]
+/* All numbers of a vector are in one pair of braces. */
+#pragma GCC diagnostic ignored "-Wmissing-braces"
+#endif
+typedef struct {part_of_four parts[4 * sizeof(double) / sizeof(part_of_four)];} four;
+typedef struct {part_of_eight parts[8 / WIDTH];} eight;
+#define PART(a, sign, b, n) (a).parts[n] sign (b).parts[n]
+#define PART_NEGATED(a, sign, b, n) -(a).parts[n]
+#define FOUR(a, sign, b) PARTS_OF_FOUR(PART, a, sign, b)
+#define EIGHT(a, sign, b) PARTS_OF_EIGHT(PART, a, sign, b)
+#define NEGATIVE_FOUR(a) PARTS_OF_FOUR(PART_NEGATED, a, , )
+#define NEGATIVE_EIGHT(a) PARTS_OF_EIGHT(PART_NEGATED, a, , )
+#define ALL_EIGHT(a) {{a, a, a, a, a, a, a, a}}
+"""
+_TYPES = {4: 'four', 8: 'eight'}
 
 
 def statements(routine, places):
@@ -77,54 +140,156 @@ def statements(routine, places):
         The last one returns 1 where the branches that were taken are right, else 0.
 
     """
-    operations, use = routine.graph.operations, routine.needed()
-    lines, waves = [], _waves(operations, use)
-    written = set()
+    return _Statements(routine, places).lines
 
-    def name(operand):
-        return f'v{operand}' if isinstance(operand, int) else _number(operand)
 
-    def write(some):
-        for place in sorted(some - written):
-            kind, *operands = operations[place]
-            if kind in (SINE, COSINE):
-                continue
-            if kind == LOAD:
-                source, at = operands
-                right = f'{places[source]}[{at}]'
-            elif kind in _INFIX:
-                right = f' {_INFIX[kind]} '.join(map(name, operands))
-            elif kind == CHOOSE:
-                condition, yes, no = map(name, operands)
-                right = f'{condition} ? {yes} : {no}'
-            elif kind == NEGATE:
-                right = f'-{name(operands[0])}'
+class _Statements:
+    """Statements of one routine, in vectors where operations are the same on other inputs."""
+
+    def __init__(self, routine, places):
+        self.lines, self._places = [], places
+        self._operations, use = routine.graph.operations, routine.needed()
+        # Numbers that have a name, operands of vectors, and how many numbers these have.
+        self._named, self._vectors, self._widths = set(), {}, {}
+        waves = _waves(self._operations, use)
+        self._packing = packing_of(routine, [angle for wave in waves for angle in wave])
+        for number, angles in enumerate(waves):
+            self._turn(number, angles, use)
+        for members in ([place] for place in sorted(use)) if self._packing is None else (
+                self._packing.ordered()):
+            if len(members) == 1:
+                self._compute(members[0])
             else:
-                right = f'{_FUNCTIONS[kind]}({", ".join(map(name, operands))})'
-            kind = 'int' if kind in _CONDITIONS else 'double'
-            lines.append(f'const {kind} v{place} = {right};')
-        written.update(some)
+                self._compute_in_lanes(members)
+        for source, place, value in routine.outputs:
+            known = value.place if hasattr(value, 'place') else float(value)
+            self.lines.append(f'{places[source]}[{place}] = {self._name(known)};')
+        guard = routine.graph.guard
+        self.lines.append(f'return {1 if guard is None else self._name(guard.place)};')
 
-    for number, angles in enumerate(waves):
-        write(needed_for(operations, angles))
-        lines.append(f'double s{number}[{len(angles)}], c{number}[{len(angles)}];')
-        lines.append(f'const double a{number}[] = {{{", ".join(map(name, angles))}}};')
-        lines.append(
-            f'sines_and_cosines({len(angles)}, a{number}, s{number}, c{number});')
+    def _name(self, operand):
+        """Return an operand; one in a vector gets a name of its own."""
+        if not isinstance(operand, int):
+            return _number(operand)
+        if operand not in self._named:
+            number, lane = self._packing.at[operand]
+            self._define(operand, self._lane(number, lane))
+        return f'v{operand}'
+
+    def _lane(self, number, lane):
+        return f'AT_{_TYPES[self._widths[number]].upper()}(w{number}, {lane})'
+
+    def _define(self, place, right, kind='double'):
+        self.lines.append(f'const {kind} v{place} = {right};')
+        self._named.add(place)
+
+    def _turn(self, number, angles, use):
+        """Compute sines and cosines of some angles, and what these depend on."""
+        for place in sorted(needed_for(self._operations, angles)):
+            self._compute(place)
+        self.lines += [
+            f'double s{number}[{len(angles)}], c{number}[{len(angles)}];',
+            f'const double a{number}[] = {{{", ".join(map(self._name, angles))}}};',
+            f'sines_and_cosines({len(angles)}, a{number}, s{number}, c{number});']
         at = {angle: n for n, angle in enumerate(angles)}
         for place in sorted(use):
-            kind, *operands = operations[place]
+            kind, *operands = self._operations[place]
             if kind in (SINE, COSINE) and operands[0] in at:
                 array = 's' if kind == SINE else 'c'
-                lines.append(f'const double v{place} = {array}{number}[{at[operands[0]]}];')
-                written.add(place)
-    write(use)
+                self._define(place, f'{array}{number}[{at[operands[0]]}]')
+
+    def _compute(self, place):
+        """Compute one number, unless it is there."""
+        kind, *operands = self._operations[place]
+        if place in self._named or kind in (SINE, COSINE):
+            return
+        if kind == LOAD:
+            source, at = operands
+            right = f'{self._places[source]}[{at}]'
+        elif kind in _INFIX:
+            right = f' {_INFIX[kind]} '.join(map(self._name, operands))
+        elif kind == CHOOSE:
+            condition, yes, no = map(self._name, operands)
+            right = f'{condition} ? {yes} : {no}'
+        elif kind == NEGATE:
+            right = f'-{self._name(operands[0])}'
+        else:
+            right = f'{_FUNCTIONS[kind]}({", ".join(map(self._name, operands))})'
+        self._define(place, right, 'int' if kind in _CONDITIONS else 'double')
+
+    def _compute_in_lanes(self, members):
+        """Compute a bundle."""
+        operations = [self._operations[place] for place in members]
+        operands = [self._vector(each) for each in zip(*(one[1:] for one in operations))]
+        number, width = self._packing.number(members[0]), 4 if len(members) <= 4 else 8
+        self._widths[number] = width
+        right = _in_vectors(_TYPES[width].upper(), operations[0][0], operands)
+        self.lines.append(f'const {_TYPES[width]} w{number} = {right};')
+
+    def _vector(self, operands):
+        """Return a vector of operands."""
+        if operands not in self._vectors:
+            width, padded, number, lanes = self._packing.gathered(operands)
+            if number is not None and width == self._widths[number] and (
+                    lanes[:len(operands)] == list(range(len(operands)))):
+                return f'w{number}'
+            numbers = map(self._name, padded) if number is None else (
+                self._lane(number, lane) for lane in lanes)
+            self._vectors[operands] = f'x{len(self._vectors)}'
+            self.lines.append(f'const {_TYPES[width]} {self._vectors[operands]} = '
+                              f'{{{{{", ".join(numbers)}}}}};')
+        return self._vectors[operands]
+
+
+def statements_in_lanes(routine, places, shared):
+    """
+    Return the statements of a routine that computes eight times the same side by side.
+
+    Parameters
+    ----------
+    routine : Routine
+        Of sums, products and quotients alone.
+    places : dict of int to str
+        As for ``statements``; number k of lane n of an array is at place 8 k + n.
+    shared : int
+        Input that all lanes have in common.
+
+    Returns
+    -------
+    list of str
+
+    """
+    lines, constants = [], {}
+
+    def name(operand):
+        if isinstance(operand, int):
+            return f'v{operand}'
+        if operand not in constants:
+            constants[operand] = f'k{len(constants)}'
+            lines.append(f'const eight {constants[operand]} = ALL_EIGHT({_number(operand)});')
+        return constants[operand]
+
+    for place in sorted(routine.needed()):
+        kind, *operands = routine.graph.operations[place]
+        if kind != LOAD:
+            right = _in_vectors('EIGHT', kind, list(map(name, operands)))
+            lines.append(f'const eight v{place} = {right};')
+        elif operands[0] == shared:
+            lines.append(f'const eight v{place} = ALL_EIGHT({places[shared]}[{operands[1]}]);')
+        else:
+            lines.append(f'eight v{place};')
+            lines.append(f'memcpy(&v{place}, {places[operands[0]]} + {LANES * operands[1]}, '
+                         f'sizeof v{place});')
     for source, place, value in routine.outputs:
-        known = value.place if hasattr(value, 'place') else float(value)
-        lines.append(f'{places[source]}[{place}] = {name(known)};')
-    guard = routine.graph.guard
-    lines.append(f'return {1 if guard is None else name(guard.place)};')
+        known = name(value.place if hasattr(value, 'place') else float(value))
+        lines.append(f'memcpy({places[source]} + {LANES * place}, &{known}, sizeof {known});')
     return lines
+
+
+def _in_vectors(width, kind, operands):
+    """Return an operation on vectors, as braces."""
+    return f'NEGATIVE_{width}({operands[0]})' if kind == NEGATE else (
+        f'{width}({operands[0]}, {_INFIX[kind]}, {operands[1]})')
 
 
 def _waves(operations, use):

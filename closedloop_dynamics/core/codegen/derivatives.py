@@ -28,9 +28,8 @@ from ..manifold import manifold_of
 from ..types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, PARENT, RHS, ROW, ROWS)
 
-# Outputs: d (qdd, lambda) / d (q, qd, tau), one column of nv + nc numbers behind the other; then
-# d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
-DERIVATIVE, RATE, JACOBIAN = range(44, 47)
+# Outputs: d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
+RATE, JACOBIAN = 45, 46
 # Output: wrenches in joints.
 JOINT_FORCE = 48
 # Output, and input: changes of the residuals, in columns lane by lane.
@@ -59,18 +58,13 @@ class DerivativeTrace(SceneTrace):
         super().__init__(model, act, values)
         self.recursion.hinges = ()
 
-    def derivatives(self):
-        """Store the derivatives by coordinates, rates and torques, and those of closure rates."""
-        for number, column in enumerate(self._columns()):
-            self.outputs += [(DERIVATIVE, number * len(column) + n, value)
-                             for n, value in enumerate(self.solved(column))]
-
     def in_lanes(self):
         """
-        Return routines that compute ``derivatives`` with LANES columns side by side.
+        Return routines for the derivatives by coordinates, rates and torques, in this order.
 
         Straight code for all columns of a mechanism in space is longer than caches of
-        instructions: what solves for one column is called again and again instead.
+        instructions: what solves for LANES columns side by side is called again and again
+        instead.
 
         Returns
         -------

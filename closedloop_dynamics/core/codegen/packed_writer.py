@@ -1,193 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""
-From unrolled arithmetic to LLVM vectors, where a mechanism does the same in several branches.
-
-The legs of a Stewart platform take the same operations on other numbers. These go into the lanes
-of a vector, one leg in each, which makes the code half as long. What is rounded, and where, stays
-as it is without: a product and its only sum are one instruction in both, or in neither.
-
-"""
-
-from collections import defaultdict
-import heapq
+"""From unrolled arithmetic to LLVM vectors, where branches of a mechanism do the same."""
 
 from llvmlite import ir
 
 from .emit import Writer
-from .expression_graph import (
-    ADD, COSINE, DIVIDE, LOAD, MULTIPLY, needed_for, NEGATE, SINE, SUBTRACT)
+from .expression_graph import COSINE, needed_for, SINE
+from .packing import packing_of
 
 _DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(32)
-_PACKED = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
-# Lanes of a vector at most, and operations that are worth one.
-WIDEST, FEWEST = 8, 3
-# What must be saved, as a share of all operations: numbers are moved into lanes and out of them.
-WORTH = 0.25
-
-
-def support(operations, use):
-    """Return the inputs that each operation depends on, as sets of places in bits."""
-    found, numbers = {}, {}
-    for place in use:
-        kind, *operands = operations[place]
-        if kind == LOAD:
-            found[place] = 1 << numbers.setdefault(tuple(operands), len(numbers))
-        else:
-            bits = 0
-            for operand in operands:
-                if isinstance(operand, int):
-                    bits |= found[operand]
-            found[place] = bits
-    return found
-
-
-def by_number(seed):
-    """Put operations that are the same in more branches first, but for those in too many."""
-    return len(seed) if len(seed) <= WIDEST else 0, max(seed)
-
-
-def bundles(operations, use, apart, first):
-    """
-    Find operations that are the same on other inputs.
-
-    Parameters
-    ----------
-    operations : list of tuple
-        Of a graph.
-    use : list of int
-        Places of those that are needed, in their order.
-    apart : set of int
-        Places that are to stay alone.
-    first : callable
-        Of the places of operations that are the same: the largest have the first choice.
-
-    Returns
-    -------
-    list of tuple of int
-        Places of operations that go into the lanes of a vector.
-
-    """
-    inputs, kinds, alike = support(operations, use), {}, {}
-    groups = defaultdict(lambda: defaultdict(list))
-    for place in use:
-        kind, *operands = operations[place]
-        if kind == LOAD:
-            key = kind, operands[0]
-        else:
-            key = (kind, *(kinds[o] if isinstance(o, int) else (o,) for o in operands))
-        kinds[place] = alike.setdefault(key, len(alike))
-        if kind in _PACKED and place not in apart:
-            bits = inputs[place]
-            groups[kinds[place], bin(bits).count('1')][bits].append(place)
-    seeds = []
-    for members in groups.values():
-        for number in range(max(map(len, members.values()))):
-            seeds.append([places[number] for _, places in sorted(members.items())
-                          if len(places) > number])
-    found, taken = [], set(apart)
-
-    def free(one):
-        return isinstance(one, int) and one not in taken and operations[one][0] in _PACKED
-
-    for seed in sorted(seeds, key=first, reverse=True):
-        left = [place for place in seed if place not in taken]
-        for begin in range(0, len(left) - FEWEST + 1, WIDEST):
-            rest = [tuple(left[begin:begin + WIDEST])]
-            while rest:
-                # Then what they work on, in the same lanes.
-                members = rest.pop()
-                if len(members) >= FEWEST and len(set(members)) == len(members) and all(
-                        map(free, members)) and len({kinds[one] for one in members}) == 1:
-                    taken.update(members)
-                    found.append(members)
-                    rest += zip(*(operations[one][1:] for one in members))
-    return found
-
-
-class Packing:
-    """
-    Which operations go together, but for those that would be rounded otherwise.
-
-    Parameters
-    ----------
-    routine : Routine
-        What is computed.
-    angles : sequence of int
-        Places of what sines and cosines are taken of.
-    first : callable
-        As for ``bundles``.
-
-    Attributes
-    ----------
-    use : list of int
-        Places of the operations that are needed, in their order.
-    bundles : dict of int to tuple of int
-        Places of operations, by number.
-    at : dict of int to (int, int)
-        Number of the bundle, and the lane, of an operation.
-
-    """
-
-    def __init__(self, routine, angles, first):
-        """Find the bundles."""
-        self.operations = routine.graph.operations
-        self.use = sorted(routine.needed())
-        self.users = defaultdict(list)
-        for place in self.use:
-            if self.operations[place][0] != LOAD:
-                for operand in set(self.operations[place][1:]):
-                    if isinstance(operand, int):
-                        self.users[operand].append(place)
-        self.stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
-        if routine.graph.guard is not None:
-            self.stored.add(routine.graph.guard.place)
-        self.bundles = dict(enumerate(bundles(
-            self.operations, self.use, needed_for(self.operations, angles), first)))
-        self.at = {place: (number, lane) for number, members in self.bundles.items()
-                   for lane, place in enumerate(members)}
-        dropped = [0]
-        while dropped:
-            dropped = list(filter(self._fuses_otherwise, self.bundles))
-            for number in dropped:
-                for place in self.bundles.pop(number):
-                    del self.at[place]
-
-    @property
-    def saved(self):
-        """How many operations fewer there are."""
-        return len(self.at) - len(self.bundles)
-
-    def number(self, place):
-        """Return the number of an operation's bundle, None where it is alone."""
-        return self.at.get(place, (None,))[0]
-
-    def _alone(self, place):
-        """Return who may fuse a product, or its negative, with an addition; None for nobody."""
-        if self.operations[place][0] not in (MULTIPLY, NEGATE) or place in self.stored or len(
-                self.users[place]) != 1:
-            return None
-        user, = self.users[place]
-        return user if self.operations[user][0] in (ADD, SUBTRACT, NEGATE) else None
-
-    def _fuses_otherwise(self, number):
-        """Return whether a fused product and addition would be torn apart."""
-        members = self.bundles[number]
-        users = [self._alone(place) for place in members]
-        if users.count(None) < len(users) and not self._in_lanes(users):
-            return True
-        if self.operations[members[0]][0] == MULTIPLY:
-            return False
-        for operands in zip(*(self.operations[place][1:] for place in members)):
-            if any(isinstance(one, int) and self._alone(one) is not None
-                   for one in operands) and not self._in_lanes(operands):
-                return True
-        return False
-
-    def _in_lanes(self, places):
-        """Return whether operations are all those of a bundle, each in its lane."""
-        return self.bundles.get(self.number(places[0])) == tuple(places)
 
 
 class PackedWriter(Writer):
@@ -208,16 +30,15 @@ class PackedWriter(Writer):
         operations, use = self.routine.graph.operations, self.routine.needed()
         angles = sorted({operation[1] for place, operation in enumerate(operations)
                          if place in use and operation[0] in (SINE, COSINE)})
-        self.packing = max((Packing(self.routine, angles, first) for first in (by_number, max)),
-                           key=lambda one: one.saved)
-        if self.packing.saved < WORTH * len(self.packing.use):
+        self.packing = packing_of(self.routine, angles)
+        if self.packing is None:
             super().write()
             return
         self.vectors, self.gathered = {}, {}
         for place in sorted(needed_for(operations, angles)):
             self.values[place] = self.operation(*operations[place])
         self.turn(operations, angles)
-        for members in self._ordered(operations):
+        for members in self.packing.ordered():
             if len(members) == 1:
                 place, = members
                 if place not in self.values:
@@ -225,30 +46,6 @@ class PackedWriter(Writer):
             else:
                 self._compute(operations, members)
         self.finish()
-
-    def _ordered(self, operations):
-        """Yield bundles, and other operations alone, after what they depend on."""
-        packing = self.packing
-        nodes = {}
-        for place in packing.use:
-            number = packing.number(place)
-            nodes[place] = (place,) if number is None else packing.bundles[number]
-        waiting, following, ready = {}, defaultdict(list), []
-        for members in set(nodes.values()):
-            before = {nodes[o] for place in members if operations[place][0] != LOAD
-                      for o in operations[place][1:] if isinstance(o, int)}
-            waiting[members] = len(before)
-            for other in before:
-                following[other].append(members)
-            if not before:
-                heapq.heappush(ready, members)
-        while ready:
-            members = heapq.heappop(ready)
-            yield members
-            for other in following[members]:
-                waiting[other] -= 1
-                if not waiting[other]:
-                    heapq.heappush(ready, other)
 
     def number(self, operand):
         """Return the value of an operand, out of its lane where it is in one."""
@@ -269,18 +66,13 @@ class PackedWriter(Writer):
         """Return operands in lanes; the first one in those beyond them, too."""
         if operands in self.gathered:
             return self.gathered[operands]
-        width = 4 if len(operands) <= 4 else WIDEST
-        padded = operands + (width - len(operands)) * operands[:1]
+        width, padded, number, lanes = self.packing.gathered(operands)
         kind = ir.VectorType(_DOUBLE, width)
         if not any(isinstance(one, int) for one in operands):
             return ir.Constant(kind, [float(one) for one in padded])
-        at = [self.packing.at.get(one, (None, 0)) if isinstance(one, int) else (None, 0)
-              for one in padded]
-        numbers = {number for number, _ in at}
-        if numbers != {None} and len(numbers) == 1:
-            vector, lanes = self.vectors[at[0][0]], [lane for _, lane in at]
-            count = vector.type.count
-            if width != count or lanes[:len(operands)] != list(range(len(operands))):
+        if number is not None:
+            vector = self.vectors[number]
+            if width != vector.type.count or lanes[:len(operands)] != list(range(len(operands))):
                 vector = self.builder.shuffle_vector(
                     vector, ir.Constant(vector.type, ir.Undefined),
                     ir.Constant(ir.VectorType(_INDEX, width), lanes))
