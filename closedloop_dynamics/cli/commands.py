@@ -10,6 +10,7 @@ import warnings
 
 from .command import add_code, FAILED, HelpfulParser, UsageError
 from .. import __version__
+from ..core.codegen import announced_by
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
@@ -83,7 +84,8 @@ def run(argv):
         arguments.refuse(f'unrecognized arguments: {" ".join(unknown)}')
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
-        with program_watch.interrupting():
+        with program_watch.interrupting(), announced_by(
+                lambda text: _complain(arguments.prog, text, None)):
             return _run(arguments)
 
 

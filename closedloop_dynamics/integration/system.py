@@ -15,8 +15,7 @@ from ..core.equations import with_all_equations
 from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
-from ..core.types import (
-    KEPT, Model, PATH_A, PATH_END, POSSIBLE, RANK_REVEALING_COUNT, ROWS, Workspace)
+from ..core.types import KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT, Workspace
 from ..effects import live_laws
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
@@ -29,8 +28,6 @@ from ..engine import native
 MOST_UNROLLED_BODIES, MOST_UNROLLED_OPERATIONS, MOST_IN_VARIANTS = 24, 50_000, 40
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
-# Operations of a body; of a multiplier that passes a joint.
-_OF_BODY, _OF_PASSAGE = 350, 25
 # Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
 # error [m, rad] that projection leaves and the one at which it gives up, how far beside a state
 # the rank-revealing path asks the branch [rad], the size of the mechanism [m], and the closure
@@ -225,11 +222,7 @@ def _can_be_unrolled(model):
         return freedoms <= MOST_UNROLLED_BODIES
     if freedoms > MOST_IN_VARIANTS and (cut[:, KEPT] != cut[:, POSSIBLE]).any():
         return False
-    passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
-    # Of each column the square of what is below it.
-    elimination = (np.diff(model.column) ** 2).sum()
-    return (_OF_BODY * freedoms + _OF_PASSAGE * passages + elimination
-            <= MOST_UNROLLED_OPERATIONS)
+    return codegen.unrolled_size(model) <= MOST_UNROLLED_OPERATIONS
 
 
 def _linked(system, routines):

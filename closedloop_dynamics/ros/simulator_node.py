@@ -18,6 +18,7 @@ from importlib.util import find_spec
 import math
 import time
 
+from closedloop_dynamics.core.codegen import announced_by
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import IdleStateInhibitor, set_priority
 from closedloop_dynamics.ros.commands import (
@@ -94,9 +95,10 @@ class SimulatorNode(Node):
         watch_changes(self)
         self._values = values = declare(self, SIMULATOR_PARAMETERS)
         lockstep = values['mode'] == LOCKSTEP
-        self.simulation, self._own_method = load_simulation(
-            values, self.get_logger(), values['motion_joints'],
-            **{key: values[key] or None for key in METHOD})
+        with announced_by(self.get_logger().info):
+            self.simulation, self._own_method = load_simulation(
+                values, self.get_logger(), values['motion_joints'],
+                **{key: values[key] or None for key in METHOD})
         try:
             method_changes(values, self._own_method, self.simulation.scene.method)
         except ValueError as error:

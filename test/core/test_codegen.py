@@ -9,7 +9,7 @@ import math
 import pickle
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import pieces, relink
+from closedloop_dynamics.core.codegen import announced_by, pieces, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
     cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
 from closedloop_dynamics.core.codegen.machine_code import machine_code, PACKED, SCALAR
@@ -155,6 +155,27 @@ def test_machine_code_is_read_back(tmp_path, monkeypatch):
     half = run(machine_code(('test', 1), halves, SCALAR)('half'), np.ones(1), np.zeros(1))
     assert half[0] == 0.5
     assert len(made) == 2
+
+
+def test_code_that_takes_long_is_announced_before_it_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
+    events = []
+
+    def one(name):
+        def made():
+            events.append(name)
+            graph = ExpressionGraph()
+            return [Routine(name, graph, [(QD, 0, graph.put(LOAD, Q, 0) + 1.0)])]
+        return made
+
+    with announced_by(events.append):
+        machine_code(('long', 1), one('short'), SCALAR, seconds=0.5)
+        for _ in range(2):
+            machine_code(('long', 2), one('long'), SCALAR, seconds=12.0)
+    machine_code(('long', 3), one('unheard'), SCALAR, seconds=12.0)
+    short, told, long, unheard = events
+    assert (short, long, unheard) == ('short', 'long', 'unheard')
+    assert 'may take 12 s' in told
 
 
 def run(address, inputs, outputs):

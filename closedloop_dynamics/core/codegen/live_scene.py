@@ -15,9 +15,9 @@ import math
 
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, TAKE
 from .function_table import (
-    COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
+    ALWAYS, COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
-from .routines import form_for, MechanismTrace, topology, zeros
+from .routines import A_SECOND, form_for, MechanismTrace, topology, unrolled_size, zeros
 from .scene_routines import Forces
 from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 
@@ -51,7 +51,8 @@ def address_of_scene(model, structure, laws, form=SCALAR):
     key = topology(model), structure, form
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [LiveTrace(model, laws()).routine(EVALUATION)], form)
+            key, lambda: [LiveTrace(model, laws()).routine(EVALUATION)], form, 1,
+            unrolled_size(model) / (A_SECOND * len(ALWAYS)))
         _addresses[key] = find('evaluation')
     return _addresses[key]
 

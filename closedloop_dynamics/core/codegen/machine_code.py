@@ -9,6 +9,7 @@ LLVM is loaded when it is needed, not with the package: that takes longer than t
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 import hashlib
 from importlib import import_module
 
@@ -20,11 +21,32 @@ SCALAR, PIECE, LAW, LANES, PACKED = (
     ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
+# What takes less to compile is not announced [s].
+LONG = 4.0
 # Machine code in use: it must stay where it is as long as the process lives.
 _engines = []
+_announce = []
 
 
-def machine_code(key, routines, form, parts=1):
+@contextmanager
+def announced_by(announce):
+    """
+    Let a function announce what takes long to compile, before it begins.
+
+    Parameters
+    ----------
+    announce : callable
+        Takes a sentence.
+
+    """
+    _announce.append(announce)
+    try:
+        yield
+    finally:
+        _announce.remove(announce)
+
+
+def machine_code(key, routines, form, parts=1, seconds=0.0):
     """
     Return the addresses of routines, compiled now or by an earlier process.
 
@@ -38,6 +60,8 @@ def machine_code(key, routines, form, parts=1):
         ``SCALAR``, ``PIECE``, ``LAW``, ``LANES`` or ``PACKED``.
     parts : int
         Of how many objects the code is, at most as many as there are routines.
+    seconds : float
+        What compiling may take, about [s].
 
     Returns
     -------
@@ -55,6 +79,9 @@ def machine_code(key, routines, form, parts=1):
     names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
     objects = [cache.read(name) for name in names]
     if None in objects:
+        for announce in _announce if seconds >= LONG else ():
+            announce(f'generating code for this mechanism, which may take {seconds:.0f} s; '
+                     'it is kept for the next start')
         objects = _compiled(routines(), form, parts)
         for name, code in zip(names, objects):
             cache.write(name, code)

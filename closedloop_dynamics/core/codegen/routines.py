@@ -19,7 +19,8 @@ from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
 from .vectors import in_space, times
 from .workspace import unconnected
-from ..types import NO_RESPONSES, number_of_coordinates, RHS, TYPE, Workspace
+from ..types import (
+    NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROWS, TYPE, Workspace)
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -51,6 +52,9 @@ def topology(model):
 
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
+# Operations of a body; of a multiplier that passes a joint; of an evaluation whose routines are
+# compiled in a second.
+_OF_BODY, _OF_PASSAGE, A_SECOND = 350, 25, 5000
 _addresses = {}
 
 
@@ -81,9 +85,30 @@ def addresses(model, which, form=SCALAR, joints=None):
     if key not in _addresses:
         find = machine_code(
             key, lambda: [MechanismTrace(model, joints).routine(one) for one in which], form,
-            len(which))
+            len(which), unrolled_size(model) / A_SECOND)
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
+
+
+def unrolled_size(model):
+    """
+    Return about how many operations an evaluation of a mechanism in space is, by a rule of thumb.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    int
+
+    """
+    cut = model.cut
+    passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
+    # Of each column the square of what is below it.
+    elimination = (np.diff(model.column) ** 2).sum()
+    return int(_OF_BODY * (len(model.tree) - 1) + _OF_PASSAGE * passages + elimination)
 
 
 def form_for(model, form=SCALAR):
