@@ -74,8 +74,9 @@ def peers_passages(results):
             f'{name} motions': peer_report.motion_table(result),
             f'{name} reference': 'The two methods behind the reference differ by '
                                  f'{uncertain:.0e} rad or m at most.'})
-        if result['rollouts']:
-            texts[f'{name} rollouts'] = peer_report.rollout_table(result)
+        for key in ('rollouts', 'short_rollouts'):
+            if result[key]:
+                texts[f'{name} {key.replace("_", " ")}'] = peer_report.rollout_table(result[key])
     return texts
 
 

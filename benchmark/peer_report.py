@@ -122,14 +122,14 @@ def motion_table(result, make=markdown_table):
                  'without our loops in C++', *engines), rows)
 
 
-def rollout_table(result, make=markdown_table):
+def rollout_table(rows, make=markdown_table):
     """Return how many steps per second rollouts make, and how exact they are."""
-    fastest = max((speed for row in result['rollouts'] if OURS not in row['what']
+    fastest = max((speed for row in rows if OURS not in row['what']
                    for speed in row['speeds'].values()), default=math.nan)
     return make(('rollouts of', 'steps per second', "times the fastest of MuJoCo's",
                  'error at the end, median [rad, m]'), [
         (row['what'], f'{row["speeds"]["1"]:,.0f}', f'{row["speeds"]["1"] / fastest:.1f}',
-         f'{row["error"]:.1e}') for row in result['rollouts']])
+         f'{row["error"]:.1e}') for row in rows])
 
 
 def _ratio(other, ours):
@@ -148,8 +148,10 @@ def text(result):
         'CPU time per simulated second for an error at the end:\n'
         + motion_table(result, text_table),
         f'Two methods differ in the reference by: {uncertain}.',
-        *(['Steps per second of many simulations at once, one thread:\n'
-           + rollout_table(result, text_table)] if result['rollouts'] else [])))
+        *(f'Steps per second of {what} at once, one thread:\n'
+          + rollout_table(result[key], text_table) for key, what in (
+              ('rollouts', 'many simulations'), ('short_rollouts', '8 simulations of 10 steps'))
+          if result[key])))
 
 
 def picture(result):

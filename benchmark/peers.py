@@ -89,7 +89,7 @@ DIFFERENTIATED = ('three_rrr', 'carpet_scraper', 'delta_robot', 'stewart_platfor
 QUICK_CASES = 1
 STATES, QUICK_STATES = 20, 3
 # Rollouts: samples, steps of 1 ms, repeats.
-ROLLOUT, QUICK_ROLLOUT = (256, 500, 3), (8, 20, 1)
+ROLLOUT, QUICK_ROLLOUT, SHORT_ROLLOUT = (256, 500, 3), (8, 20, 1), (8, 10, 30)
 ROUNDS, QUICK_ROUNDS = 15, 3
 # Timing: calls at once take about this long [s].
 PORTION = 4e-3
@@ -302,7 +302,7 @@ def measure(group, quick=False, chosen=ENGINES):
     group = GROUPS[group]
     result = {'machine': description(), 'date': datetime.date.today().isoformat(),
               'load': [os.getloadavg()[0]], 'quick': quick, 'agreement': {}, 'evaluation': {},
-              'cases': [], 'motions': [], 'rollouts': []}
+              'cases': [], 'motions': [], 'rollouts': [], 'short_rollouts': []}
     built = {name: _with_engines(name, [engine for engine in group.engines if engine in chosen])
              for name in group.scenes}
     for name, trees in built.items():
@@ -325,10 +325,12 @@ def measure(group, quick=False, chosen=ENGINES):
     if group.rollout is not None:
         name, forces = group.rollout
         scene = peer_cases.load_scene(name)
-        samples, steps, repeats = QUICK_ROLLOUT if quick else ROLLOUT
-        result['rollouts'] = throughput.compared(
-            scene, throughput.torques_for(scene, samples, steps, forces), repeats,
-            'peer_mujoco' in chosen, clock=time.process_time)
+        for key, size in (('rollouts', QUICK_ROLLOUT if quick else ROLLOUT),
+                          ('short_rollouts', SHORT_ROLLOUT)):
+            samples, steps, repeats = size
+            result[key] = throughput.compared(
+                scene, throughput.torques_for(scene, samples, steps, forces), repeats,
+                'peer_mujoco' in chosen, clock=time.process_time)
     result['load'].append(os.getloadavg()[0])
     return result
 
