@@ -118,9 +118,9 @@ class _Text:
         # Of the joints whose wrenches are unique: rows of their children, origins and axes there.
         self.joints, self.carried = simulation.force_places()
         # Behind them the cut joints: their rows, and axes of bodies A.
-        self.cuts = [], np.zeros((0, 3, 3))
+        self.cuts = simulation.cut_rows, self._cut_axes()
         if self.joints:
-            self._add_cuts()
+            self.joints += [cut.name for cut in simulation.mechanism.cut_joints]
         # Factors that columns of derivatives have in common.
         self.factors = 0
         # By the input of a routine: the member of the model, its numbers, and what they are.
@@ -133,14 +133,12 @@ class _Text:
             POINT: ('point', places, 'of each named point its place in its row of the tree')}
         self.members = {source: one for source, one in self.members.items() if one[1].size}
 
-    def _add_cuts(self):
-        """Add the cut joints to those that have wrenches."""
+    def _cut_axes(self):
+        """Return the axes of bodies A of the cut joints in the frames of their rows."""
         mechanism, (_, _, axes) = self.simulation.mechanism, self.simulation.carried
         turned = {joint.child: own for joint, own in zip(mechanism.joints, axes)}
-        rows = {number: row for row, number in enumerate(self.model.cut[:, CUT_NUMBER].tolist())}
-        self.cuts = ([rows[number] for number in range(len(mechanism.cut_joints))], np.array(
-            [turned.get(cut.body_a, np.eye(3)) for cut in mechanism.cut_joints]).reshape(-1, 3, 3))
-        self.joints += [cut.name for cut in mechanism.cut_joints]
+        return np.array([turned.get(cut.body_a, np.eye(3))
+                         for cut in mechanism.cut_joints]).reshape(-1, 3, 3)
 
     def both(self):
         """Return the source and the header."""

@@ -56,15 +56,15 @@ class Derivatives(NamedTuple):
 
 class WrenchDerivatives(NamedTuple):
     """
-    Wrenches in the joints of the spanning tree, and their derivatives in one state.
+    Wrenches in the joints, and their derivatives in one state.
 
     Attributes
     ----------
     joints : tuple of str
-        All that are not fixed.
+        Those of the spanning tree that are not fixed, behind them all cut joints.
     wrench : ndarray, shape (n, 3), in space (n, 6)
-        As ``Simulation.joint_forces``: what the parent exerts on the child, in world axes, at the
-        child's origin [N m, N].
+        As ``Simulation.force``, in world axes: what the parent exerts on the child at the child's
+        origin; in cut joints what body B exerts on body A at the cut point of A [N m, N].
     by_position, by_velocity, by_torque : ndarray, shape (n, 3, nv), in space (n, 6, nv)
         By coordinates, rates and torques, as in ``Derivatives``.
     by_parameter : ndarray, shape (n, 3, np), in space (n, 6, np)
@@ -219,6 +219,7 @@ class Differentiator:
                 'repeat others are left out, so that forces are not unique, or couplings hand '
                 'torques over at cut joints.')
         q, qd = self._evaluated(position, velocity, torque)
+        joints += [cut.name for cut in self._simulation.mechanism.cut_joints]
         nv, size = len(qd), 3 if self._simulation.mechanism.planar else 6
         # In the plane: the moment about z, and the forces along x and y.
         kept = [2, 3, 4] if size == 3 else range(6)

@@ -18,6 +18,7 @@ from .redundancy import find_redundancy, Redundancy
 from .scene_records import Scene
 from .state import State
 from ..core.equations import Equations
+from ..core.types import CUT_NUMBER
 from ..engine import native
 from ..mechanism.couplings import coupling_scales, measured
 
@@ -316,6 +317,24 @@ class Readings(Data):
         moving = row > 0
         return ([joint.name for joint, moves in zip(self.mechanism.joints, moving) if moves],
                 (row[moving], point[moving], axes[moving]))
+
+    @property
+    def cut_rows(self) -> Tuple[Tuple[int, ...], ...]:
+        """
+        Rows of each cut joint among those of the model, behind it of what couples its freedoms.
+
+        None where forces are not unique or couplings pass some on.
+
+        """
+        if self.leaves_out or self._couples:
+            return ()
+        rows = {number: row for row, number in enumerate(
+            self.system.model.cut[:, CUT_NUMBER].tolist())}
+        numbers = {cut.name: [number] for number, cut in enumerate(self.mechanism.cut_joints)}
+        for number, coupling in enumerate(self.mechanism.couplings, start=len(numbers)):
+            for cut in measured(self.mechanism, coupling):
+                numbers[cut.name].append(number)
+        return tuple(tuple(rows[one] for one in own) for own in numbers.values())
 
     def force(self, name: str) -> np.ndarray:
         """

@@ -45,8 +45,9 @@ class StepDerivatives:
         size = self._nq + 2 * nv + len(parameters.entries)
         qdd, lam = np.zeros(nv), np.zeros(nc)
         rows, self._origins, _ = simulation.carried
-        self._rows = tuple(rows.tolist())
-        seed, result = np.zeros(size), np.zeros(max(size, nv + nc, 2 * nc, 12 * len(rows)))
+        self._rows, self._cuts = tuple(rows.tolist()), simulation.cut_rows
+        seed, result = np.zeros(size), np.zeros(
+            max(size, nv + nc, 2 * nc, 12 * (len(rows) + len(self._cuts))))
         table = self._scene.table({
             calls.QDD: qdd, calls.LAM: lam, SEED: seed, RESULT: result, POINT: self._origins},
             TABLE_COLUMNS)
@@ -66,10 +67,10 @@ class StepDerivatives:
         if table[group[0]]:
             return
         key = ('sensitivities', group, topology(model), self.parameters.entries, self._rows,
-               *scene.key)
+               self._cuts, *scene.key)
         find = machine_code(key, lambda: [SensitivityTrace(
-            model, scene.act, scene.values.shape, self.parameters.entries, self._rows).routine(
-                one) for one in group], SCALAR)
+            model, scene.act, scene.values.shape, self.parameters.entries, self._rows,
+            self._cuts).routine(one) for one in group], SCALAR)
         for one in group:
             table[one] = find(NAMES[one])
 
@@ -110,7 +111,7 @@ class StepDerivatives:
 
     def wrenches(self, q, qd, qdd, lam):
         """
-        Return the wrenches in the joints that are not fixed, and their derivatives.
+        Return the wrenches in the joints that are not fixed and in cut joints; their derivatives.
 
         Parameters
         ----------
@@ -120,7 +121,8 @@ class StepDerivatives:
         Returns
         -------
         wrenches : ndarray, shape (6 n,)
-            Moment and force of each, in world axes, at the origin of the child.
+            Moment and force of each, in world axes, at the origin of the child, of cut joints at
+            the cut point of body A.
         derivatives : ndarray, shape (6 n, 3 nv + np)
             By joint displacements, rates, torques and parameters.
 
@@ -130,7 +132,7 @@ class StepDerivatives:
         found = self._changes(WRENCH_FORWARD, q, qd, np.vstack((
             self._seeds_of_displacements(q), self._seeds_of_rates_and_torques(),
             self._seeds_of_parameters())))
-        count = 6 * np.count_nonzero(self._rows)
+        count = 6 * (np.count_nonzero(self._rows) + len(self._cuts))
         return found[:count, 0].copy(), found[count:2 * count].copy()
 
     def closures(self, q, qd):

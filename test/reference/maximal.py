@@ -103,8 +103,8 @@ def joint_rows(mechanism, motions, cut):
     a, b = motions[cut.body_a], motions[cut.body_b]
     arm_a = arm_of(mechanism, motions, cut.body_a, cut.point_a)
     arm_b = arm_of(mechanism, motions, cut.body_b, cut.point_b)
-    point_a = np.array([[1.0, 0.0, -arm_a[1]], [0.0, 1.0, arm_a[0]]])
-    point_b = np.array([[1.0, 0.0, -arm_b[1]], [0.0, 1.0, arm_b[0]]])
+    point_a, point_b = (np.array([[1.0, 0.0, -arm[1]], [0.0, 1.0, arm[0]]],
+                                 np.result_type(arm_a, arm_b)) for arm in (arm_a, arm_b))
     turn = np.array([[0.0, 0.0, 1.0]])
     # The centripetal accelerations of both points, brought to the right.
     gamma = a.rate ** 2 * arm_a - b.rate ** 2 * arm_b
@@ -133,9 +133,10 @@ def joint_rows(mechanism, motions, cut):
 
 def applied_forces(mechanism, motions, tau, gravity):
     """Return {body name: (fx, fy, torque about its centre of mass)} of gravity and the drives."""
-    applied = {body.name: np.append(body.mass * np.array(gravity), 0.0)
+    kind = np.result_type(tau, *(motion.place for motion in motions.values()))
+    applied = {body.name: np.append(body.mass * np.array(gravity), 0.0).astype(kind)
                for body in mechanism.bodies}
-    applied[GROUND] = np.zeros(3)
+    applied[GROUND] = np.zeros(3, kind)
     for joint, effort in zip(mechanism.joints, tau):
         if joint.type == REVOLUTE:
             applied[joint.child][2] += effort
@@ -176,7 +177,8 @@ def stacked_rows(mechanism, motions, joints):
     blocks, gammas = [], []
     for joint in joints:
         equations = joint_rows(mechanism, motions, joint)
-        block = np.zeros((len(equations.gamma), 3 * len(mechanism.bodies)))
+        # Of complex numbers where a coordinate is: by its steps derivatives are exact.
+        block = np.zeros((len(equations.gamma), 3 * len(mechanism.bodies)), equations.on_a.dtype)
         for name, part in ((joint.body_a, equations.on_a), (joint.body_b, equations.on_b)):
             if name != GROUND:
                 block[:, start[name]:start[name] + 3] = part

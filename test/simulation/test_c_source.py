@@ -29,7 +29,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from .test_derivatives import IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE
+from .test_derivatives import (
+    IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE, PRESS, PRESS_SCENE)
 
 ROOT = Path(__file__).resolve().parents[2]
 compiled = pytest.mark.skipif(
@@ -64,8 +65,8 @@ mechanism: ./pendulum.yaml
 initial: {position: {pin: 0.4}}
 effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
 """
-MECHANISMS = {'pendulum': PENDULUM, 'ball': BALL}
-SCENES = {'pendulum': PENDULUM_SCENE, 'ball': BALL_SCENE}
+MECHANISMS = {'pendulum': PENDULUM, 'ball': BALL, 'press': PRESS}
+SCENES = {'pendulum': PENDULUM_SCENE, 'ball': BALL_SCENE, 'press': PRESS_SCENE}
 
 
 def simulation_of(scene, effects=()):
@@ -253,7 +254,7 @@ def table(library, name):
 
 @compiled
 @pytest.mark.parametrize('scene', (
-    'three_rrr_vertical', 'slider_crank', 'rssr_four_bar', 'ball'))
+    'three_rrr_vertical', 'slider_crank', 'rssr_four_bar', 'ball', 'press'))
 def test_forces_in_joints_are_those_of_the_package(scene, tmp_path):
     if scene in MECHANISMS:
         (tmp_path / f'{scene}.yaml').write_text(MECHANISMS[scene])

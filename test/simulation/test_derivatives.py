@@ -23,9 +23,13 @@ from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.key_paths import numbers
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
+
+from ..reference import maximal
+from ..reference.compare import assert_agree, SOLVE
 
 # Of sixth order.
 WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
@@ -45,6 +49,30 @@ cut_joints:
 PARALLELOGRAM_SCENE = """\
 mechanism: ./parallelogram.yaml
 initial: {position: {a: 0.7, b: -0.7, c: 0.7}, hold: [a]}
+effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
+"""
+# A slider-crank whose slider turns a wheel by a rack.
+PRESS = """\
+name: press
+bodies:
+  crank: {mass: 1.0, center_of_mass: [0.05, 0.0], inertia: 0.001}
+  rod: {mass: 0.6, center_of_mass: [0.15, 0.0], inertia: 0.0045}
+  slider: {mass: 2.0, center_of_mass: [0.02, 0.01], inertia: 0.002}
+  wheel: {mass: 0.5, center_of_mass: [0.01, 0.0], inertia: 0.001}
+joints:
+  a: {type: revolute, parent: ground, child: crank, position: [0.0, 0.0], actuated: true}
+  b: {type: revolute, parent: crank, child: rod, position: [0.1, 0.0]}
+  c: {type: revolute, parent: rod, child: slider, position: [0.3, 0.0]}
+  d: {type: revolute, parent: crank, child: wheel, position: [0.05, 0.0]}
+cut_joints:
+  slide: {type: prismatic, body_a: slider, point_a: [0.0, 0.0],
+          body_b: ground, point_b: [0.0, 0.0]}
+couplings:
+  rack: {joints: {slide: 20.0, d: 1.5}, offset: 7.0}
+"""
+PRESS_SCENE = """\
+mechanism: ./press.yaml
+initial: {position: {a: 1.0, b: -1.3, c: 0.3, d: 0.2}, hold: [a]}
 effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
 """
 
@@ -69,7 +97,7 @@ IN_SPACE = {
 
 
 def simulation_of(scene, effects=(), **method):
-    scene = load_scene(scene)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
     scene = replace(scene, effects={**scene.effects, **dict(effects)})
     return Simulation.from_scene(scene, **method)
 
@@ -258,10 +286,11 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
     q, qd, nv = simulation.position, simulation.velocity, len(simulation.velocity)
     assert np.abs(qd).max() > 1e-3
     found = Differentiator(simulation, keys).wrenches(q, qd, command)
-    joints = [joint.name for joint in simulation.mechanism.joints]
-    kept = [joints.index(name) for name in found.joints]
-    np.testing.assert_allclose(found.wrench, simulation.joint_forces[kept], rtol=0,
-                               atol=1e-10 * np.abs(found.wrench).max())
+    cuts = tuple(cut.name for cut in simulation.mechanism.cut_joints)
+    assert cuts and found.joints[-len(cuts):] == cuts
+    np.testing.assert_allclose(
+        found.wrench, [simulation.force(name) for name in found.joints], rtol=0,
+        atol=1e-10 * np.abs(found.wrench).max())
     dense = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
     tau, manifold = dense.joint_torques(command), dense.system.manifold
 
@@ -273,7 +302,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
             native.move(manifold, state[:len(q)], change[:nv].copy(), 1.0)
         dense.integrated[:len(state)], dense.system.tau[:] = state, tau + change[2 * nv:]
         dense.touch()
-        return dense.joint_forces[kept]
+        return np.array([dense.force(name) for name in found.joints])
 
     def require(derivative, function, step):
         expected = sum(weight / step * (function(k * step) - function(-k * step))
@@ -290,7 +319,10 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
 
         def of_other(change):
             other = model.with_parameters({key: value + change})
-            return np.array(other.evaluate(other.state(q, qd), command).joint_forces)[kept]
+            all_forces = other.evaluate(other.state(q, qd), command)
+            return np.array([
+                (all_forces.constraint_forces if name in cuts else all_forces.joint_forces)[name]
+                for name in found.joints])
         require(found.by_parameter[:, :, place], of_other, 2e-3 * abs(value))
 
 
@@ -310,6 +342,40 @@ def test_derivatives_of_wrenches_in_space():
         'effects.gravity.acceleration.2'), step=2e-3)
 
 
+def test_wrenches_are_complex_steps_of_newton_and_euler():
+    # All joints turn: their forces are the multipliers, their moments the torques.
+    simulation = simulation_of('three_rrr_vertical', {
+        'damper': JointDamping('theta_2', 0.05), 'spring': JointSpring('theta_4', 3.0, 0.2)})
+    mechanism, command = simulation.mechanism, torques(simulation)
+    simulation.step(command, 0.1)
+    state = np.concatenate((simulation.position, simulation.velocity,
+                            simulation.joint_torques(command)))
+    names, nv = simulation.joint_names, len(simulation.velocity)
+    damped, sprung = (names.index(name) for name in ('theta_2', 'theta_4'))
+
+    def wrenches(state):
+        q, qd, tau = np.split(state, 3)
+        tau = tau.copy()
+        tau[damped] -= 0.05 * qd[damped]
+        tau[sprung] -= 3.0 * (q[sprung] - 0.2)
+        found = maximal.forward_dynamics(mechanism, q, qd, tau, solve=np.linalg.solve)
+        moments = np.concatenate((tau, np.zeros(len(mechanism.cut_joints))))
+        forces = np.concatenate((*(found.reactions[name] for name in names), found.lam))
+        return np.column_stack((moments, forces.reshape(-1, 2)))
+
+    found = Differentiator(simulation).wrenches(*np.split(state[:2 * nv], 2), command)
+    assert found.joints == (*names, *(cut.name for cut in mechanism.cut_joints))
+    assert_agree(found.wrench, wrenches(state), SOLVE)
+    expected = np.stack([wrenches(state + 1e-30j * unit).imag / 1e-30
+                         for unit in np.eye(3 * nv)], axis=2)
+    assert_agree(np.concatenate(
+        (found.by_position, found.by_velocity, found.by_torque), axis=2), expected, 1e-11)
+
+
+def test_derivatives_of_wrenches_at_a_cut_joint_that_is_coupled(tmp_path):
+    require_wrenches(slide_that_turns_a_wheel(tmp_path), ())
+
+
 @pytest.mark.slow
 def test_derivatives_of_wrenches_with_orientations():
     require_wrenches('stewart_platform', (
@@ -326,6 +392,13 @@ def coupled_at_a_cut():
     joints = {'crank_1_joint': 0.02, scene.mechanism.cut_joints[0].name: -0.04}
     return replace(scene, effects={}, initial=replace(scene.initial, hold=()), mechanism=replace(
         scene.mechanism, couplings=(replace(coupling, joints=joints),)))
+
+
+def slide_that_turns_a_wheel(folder):
+    """Return a scene in which a coupling acts along a cut joint."""
+    (folder / 'press.yaml').write_text(PRESS)
+    (folder / 'scene.yaml').write_text(PRESS_SCENE)
+    return load_scene(folder / 'scene.yaml')
 
 
 @pytest.mark.parametrize('scene', [redundant, coupled_at_a_cut])

@@ -133,22 +133,18 @@ class DerivativeTrace(SceneTrace):
             Of the bodies that the joints carry.
         origins, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
             Of the children in the frames of these rows.
-        cuts : list of int
-            Rows of the cut joints whose wrenches follow, at the cut points of A.
+        cuts : sequence of tuples of int
+            As for ``cut_wrench``, of the cut joints whose wrenches follow, at the cut points of A.
         cut_axes : ndarray, shape (number of cut joints, 3, 3)
             Of bodies A in the frames of their rows.
 
         """
         _, wrenches, _ = self._balanced()
-        lam, found = self.symbols(LAM, (self.nc,)), []
+        found = []
         for row, origin, turned in zip(rows, origins.tolist(), axes.tolist()):
             found.append((row, wrenches[row], origin, turned))
-        for a, turned in zip(cuts, cut_axes.tolist()):
-            cut, wrench = self.constant.cut[a], 2 * ZERO
-            for row, closure in enumerate(
-                    self.recursion.closures(self.model, a), start=cut[CUT_ROW]):
-                wrench = add(wrench, scale(closure.on_a, lam[row]))
-            found.append((cut[BODY_A], wrench, self.recursion.cuts[a].point_a, turned))
+        for own, turned in zip(cuts, cut_axes.tolist()):
+            found.append((*self.cut_wrench(own), turned))
         for n, (row, wrench, origin, turned) in enumerate(found):
             frame = transpose(self.recursion.motion[row].frame)
             moment, force = (times(frame, part) for part in (wrench[:3], wrench[3:]))
@@ -156,6 +152,35 @@ class DerivativeTrace(SceneTrace):
             for k, value in enumerate(
                     times(transpose(turned), moment) + times(transpose(turned), force)):
                 self.outputs.append((JOINT_FORCE, 6 * n + k, value))
+
+    def cut_wrench(self, rows):
+        """
+        Return the wrench at a cut joint: what body B exerts on body A.
+
+        Parameters
+        ----------
+        rows : tuple of int
+            Of the cut joint among those of the model, behind it of what couples its freedoms.
+
+        Returns
+        -------
+        body : int
+            Row of body A.
+        wrench : tuple of 6
+            About the origin of that row, in world axes.
+        point : sequence
+            The cut point in the frame of that row.
+
+        """
+        lam, body, wrench = self.symbols(LAM, (self.nc,)), self.constant.cut[rows[0], BODY_A], (
+            2 * ZERO)
+        for a in rows:
+            cut = self.constant.cut[a]
+            for row, closure in enumerate(
+                    self.recursion.closures(self.model, a), start=cut[CUT_ROW]):
+                unit = closure.on_a if cut[BODY_A] == body else closure.on_b
+                wrench = add(wrench, scale(unit, lam[row]))
+        return body, wrench, self.recursion.cuts[rows[0]].point_a
 
     def residuals(self):
         """Return R without the torques, and C in the mechanism's order of equations."""

@@ -21,7 +21,7 @@ from .expression_graph import LOAD, replayed
 from .function_table import LAM, QDD
 from .routines import zeros
 from .scene_routines import POINT
-from .vectors import cross, subtract, times, ZERO
+from .vectors import cross, in_space, subtract, times, ZERO
 from ..types import CUT_ROW
 
 # Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
@@ -33,7 +33,7 @@ TABLE_COLUMNS = RESULT + 1
 _CORRECTION, _MULTIPLIER = 50, 51
 # The routines, by their places in the table: of accelerations, of the corrections of positions and
 # of rates, of what corrections are made of, the errors of the closure equations and their rates,
-# and of the wrenches in the joints of the tree.
+# and of the wrenches in the joints, cut ones behind those of the tree.
 (ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
  RATE_REVERSE, CLOSURE_FORWARD, WRENCH_FORWARD) = range(8)
 NAMES = {
@@ -58,13 +58,15 @@ class SensitivityTrace(DerivativeTrace):
         Parameters: arrays, such as BODY, and places in them.
     rows : sequence of int
         Of the bodies that the joints carry, 0 for those without a wrench.
+    cuts : sequence of tuples of int
+        As for ``cut_wrench``, of the cut joints.
 
     """
 
-    def __init__(self, model, act, values, entries, rows):
+    def __init__(self, model, act, values, entries, rows, cuts):
         """Know the inputs: coordinates, rates and parameters; torques stand for themselves."""
         super().__init__(model, act, values)
-        self._rows = rows
+        self._rows, self._cuts = rows, cuts
         state = [*self.q, *self.qd]
         self._inputs = [*state, *(self.graph.put(LOAD, *entry) for entry in entries)]
         # Where they are among all that may change.
@@ -111,14 +113,20 @@ class SensitivityTrace(DerivativeTrace):
         found, origins = [], self.symbols(POINT, (len(self._rows), 3))
         for row, origin in zip(self._rows, origins):
             if row > 0:
-                moment, force = wrenches[row][:3], wrenches[row][3:]
-                lever = times(self.recursion.motion[row].frame, origin)
-                found += [*subtract(moment, cross(lever, force)), *force]
+                found += self._at(row, wrenches[row], origin)
+        for cut in self._cuts:
+            found += self._at(*self.cut_wrench(cut))
         self.prepare()
         solved = [*self.symbols(QDD, (self.nv,)), *self.symbols(LAM, (self.nc,))]
         changes = self._forward([*own, *closed], True)
         return [*found, *self._changes(found, {
             one.place: change for one, change in zip(solved, changes)})]
+
+    def _at(self, row, wrench, point):
+        """Return a wrench on a body about a point of it."""
+        moment, force = wrench[:3], wrench[3:]
+        lever = times(self.recursion.motion[row].frame, in_space(point))
+        return [*subtract(moment, cross(lever, force)), *force]
 
     def _errors(self, held):
         """Return what all closure equations tell, in the user's order."""
