@@ -280,6 +280,11 @@ def test_a_full_disk_is_named(capsys):
 @pytest.mark.parametrize('arguments, words', [
     ('simulate four_bar --output no/run.csv', '--output: expected an existing directory'),
     ('simulate four_bar --output .', '--output: expected a file'),
+    ('simulate four_bar --output run.txt', '--output: expected a name that ends with .csv'),
+    ('simulate four_bar --budget 0.1 --tolerance 1e-9', 'dop853, got auto'),
+    ('simulate four_bar --integrator rk4 --tolerance 1e-9', 'dop853, got rk4'),
+    ('simulate four_bar --duration 1e-12', '--duration: expected at least 1e-09 s'),
+    ('simulate four_bar --duration 1e300 --rate 1e300', '--rate: expected at most'),
     ('simulate four_bar --output run.csv', '--output: run.csv exists'),
     ('simulate four_bar --torque elbow=1', '--torque: expected actuated joints (crank_joint)'),
     ('simulate four_bar --motion crank_joint=t --torque crank_joint=1', '--torque: expected none'),
@@ -290,6 +295,7 @@ def test_a_full_disk_is_named(capsys):
      'torque: expected one of the actuated joints'),
     ('accuracy four_bar --output run.csv', '--output: expected a directory'),
     ('accuracy four_bar --torque elbow=1', '--torque'),
+    ('accuracy four_bar --target 1e-6 --budget 0.1', '--budget: not allowed'),
     ('effects carpet_scraper --output run.csv/in', 'run.csv is a file'),
     ('effects carpet_scraper --torque elbow=1', '--torque'),
     ('effects carpet_scraper --joint-rate elbow=1', '--joint-rate'),
@@ -297,6 +303,13 @@ def test_a_full_disk_is_named(capsys):
     ('stability --output run.csv', '--output'),
     ('export four_bar --output no/x.xml', '--output'),
     ('urdf four_bar --output no/x.urdf', '--output'),
+    ('urdf four_bar --srdf no/x.srdf', '--srdf'),
+    ('invert four_bar --ground crank --output x.txt', '.yaml, .yml, got x.txt'),
+    ('report four_bar --output x.pdf', '.html, got x.pdf'),
+    ('kinematics four_bar --drive crank_joint=0:1:3 --output x.txt', '.csv, got x.txt'),
+    ('workspace three_rrr --point platform_center --show force', '--show: expected it with'),
+    ('sweep four_bar --output x.nc --resume --overwrite', '--overwrite: not allowed'),
+    ('sweep four_bar --output x.nc --scheduler here', 'with a port, such as tcp://192.0.2.1:8786'),
     ('plot run.csv --scene four_bar --output run.csv', '--output: expected a directory'),
     ('plot none.csv --scene four_bar --output here', 'none.csv'),
     ('plot none --output here', 'expected a rosbag2 bag'),
@@ -310,6 +323,8 @@ def test_a_full_disk_is_named(capsys):
     ('view four_bar --save x.html --torque elbow=1', '--torque'),
     ('view four_bar --port 70000', '--port'),
     ('view four_bar --port x', '--port'),
+    ('view four_bar --rate 3', '--rate: expected it with --save'),
+    ('view four_bar --namespace arm', '--namespace: expected a recording, got four_bar'),
 ])
 def test_arguments_are_checked_before_anything_compiles(
         capsys, tmp_path, monkeypatch, arguments, words):

@@ -28,10 +28,11 @@ def _add_arguments(parser):
     add_set(parser)
     parser.add_argument('--quick', action='store_true',
                         help='fewer and coarser settings: half a minute instead of two')
-    parser.add_argument('--target', type=positive, metavar='ERROR',
+    advice = parser.add_mutually_exclusive_group()
+    advice.add_argument('--target', type=positive, metavar='ERROR',
                         help='print the cheapest setting whose positions are off by no more '
                              f'[rad or m] (default: {TARGET:g}, unless --budget is given)')
-    parser.add_argument('--budget', type=positive, metavar='SHARE',
+    advice.add_argument('--budget', type=positive, metavar='SHARE',
                         help='print the most accurate setting that takes no more than this '
                              'share of real time, such as 0.05')
 
@@ -54,10 +55,9 @@ def _run(arguments):
         arguments.output.mkdir(parents=True, exist_ok=True)
         accuracy_report.write(study, *paths)
         print('\n' + '\n'.join(map(str, paths)))
-    if arguments.budget is not None:
-        print(f'\n{for_budget(study, arguments.budget).text}')
-    if arguments.target is not None or arguments.budget is None:
-        print(f'\n{for_target(study, arguments.target or TARGET).text}')
+    advice = (for_target(study, arguments.target or TARGET) if arguments.budget is None
+              else for_budget(study, arguments.budget))
+    print(f'\n{advice.text}')
     return 0
 
 

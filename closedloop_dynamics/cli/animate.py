@@ -29,11 +29,11 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    require_free(arguments, arguments.output)
     try:
         require_writable(arguments.output)
     except AnimationError as error:
-        raise UsageError(str(error)) from None
+        raise UsageError(f'--output: {error}') from None
+    require_free(arguments, arguments.output)
     recording = recording_of(arguments, arguments.recording)
     motion = _chosen(recording.motion, arguments)
     try:

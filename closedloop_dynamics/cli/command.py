@@ -24,8 +24,8 @@ from ..visual.progress import announced
 
 # Exit code of a simulation that failed.
 FAILED = 1
-# How pictures are written.
-PICTURES = '.png', '.pdf', '.svg'
+# Endings of the files that commands write.
+PICTURES, TABLE, YAML = ('.png', '.pdf', '.svg'), ('.csv',), ('.yaml', '.yml')
 # While a file is read.
 READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
 
@@ -225,7 +225,7 @@ def add_variant(parser):
 
 def write_variant(arguments, change):
     """Write a changed scene to the file that the command line names; return the exit code."""
-    require_free(arguments, arguments.output)
+    require_free(arguments, arguments.output, endings=YAML)
     return write_variants(arguments, lambda: {
         arguments.output: change(scene_to_change(arguments))})
 
@@ -339,18 +339,22 @@ def recording_of(arguments, path, other_machine=False):
     return recording
 
 
-def require_free(arguments, path, option='--output'):
+def require_free(arguments, path, option='--output', endings=()):
     """
     Refuse, before anything is computed, a file that cannot be written.
 
     Raises
     ------
     UsageError
-        Where it exists and ``--overwrite`` is not given, is a directory, or has none to be in.
+        Where its name does not end with one of ``endings``, if any are given; where it exists and
+        ``--overwrite`` is not given, is a directory, or its directory does not exist.
 
     """
     if path.is_dir():
         raise UsageError(f'{option}: expected a file, got the directory {path}')
+    if endings and path.suffix not in endings:
+        raise UsageError(f'{option}: expected a name that ends with {", ".join(endings)}, got '
+                         f'{path}')
     if path.is_file() and not arguments.overwrite:
         raise UsageError(f'{option}: {path} exists; name another file, or add --overwrite')
     require_writable(path if path.exists() else path.parent, option)
@@ -358,12 +362,8 @@ def require_free(arguments, path, option='--output'):
 
 def require_picture(arguments, path):
     """Refuse, before anything is computed, a picture ``--picture`` that cannot be written."""
-    if path is None:
-        return
-    require_free(arguments, path, '--picture')
-    if path.suffix not in PICTURES:
-        raise UsageError(f'--picture: expected a name that ends with {", ".join(PICTURES)}, got '
-                         f'{path}')
+    if path is not None:
+        require_free(arguments, path, '--picture', PICTURES)
 
 
 def free_paths(arguments, *names):
@@ -414,11 +414,11 @@ def require_drawing(arguments):
         return
     # Only here, as in the commands: it takes long to load.
     from ..visual.line_drawing import DrawingError, require_kind
-    require_free(arguments, arguments.drawing, '--drawing')
     try:
         require_kind(arguments.drawing)
     except DrawingError as error:
         raise UsageError(f'--drawing: {error}') from None
+    require_free(arguments, arguments.drawing, '--drawing')
 
 
 def write_drawing(arguments, motion, title):

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 import sys
 
-from .command import add_reading, Command, positive, reading, require_free, UsageError
+from .command import add_reading, Command, positive, reading, require_free, UsageError, YAML
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
@@ -19,9 +19,9 @@ from ..visual.progress import announced
 def _add_arguments(parser):
     parser.add_argument('file', metavar='FILE', type=Path,
                         help=f'a model: a name that ends with {", ".join(READERS)}')
-    parser.add_argument('--output', metavar='FILE', type=Path, required=True,
-                        help='where to write the mechanism, as YAML')
-    parser.add_argument('--scene', metavar='FILE', type=Path,
+    parser.add_argument('--output', metavar='FILE.yaml', type=Path, required=True,
+                        help='where to write the mechanism')
+    parser.add_argument('--scene', metavar='FILE.yaml', type=Path,
                         help='where to write a scene of it, its loops closed (default: nowhere)')
     parser.add_argument('--end-stops', metavar='STIFFNESS', type=positive,
                         help='make limits of joints end stops of this stiffness, in the scene '
@@ -33,9 +33,9 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.end_stops is not None and arguments.scene is None:
         raise UsageError('--end-stops: expected it with --scene, which they are written into')
-    require_free(arguments, arguments.output)
+    require_free(arguments, arguments.output, endings=YAML)
     if arguments.scene is not None:
-        require_free(arguments, arguments.scene, option='--scene')
+        require_free(arguments, arguments.scene, '--scene', YAML)
     with announced('Reading the model ...'):
         imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
     notes = lines(imported, extent(imported.mechanism))

@@ -12,7 +12,7 @@ import numpy as np
 
 from .command import (
     add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
-    require_drawing, require_free, require_picture, UsageError, with_numbers, write_drawing)
+    require_drawing, require_free, require_picture, TABLE, UsageError, with_numbers, write_drawing)
 from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import (
     assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
@@ -184,7 +184,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     if arguments.output is not None:
-        require_free(arguments, arguments.output)
+        require_free(arguments, arguments.output, endings=TABLE)
     require_picture(arguments, arguments.picture)
     require_drawing(arguments)
     scene = with_numbers(read_scene(arguments.scene, arguments), arguments)

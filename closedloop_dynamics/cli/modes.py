@@ -10,7 +10,7 @@ import numpy as np
 
 from .command import (
     add_scene, add_set, add_torque, checked_torques, Command, mapping, positive, require_free,
-    UsageError, with_numbers)
+    require_picture, TABLE, UsageError, with_numbers)
 from ..recording.modes import mode_motion, mode_table, usual_amplitude
 from ..recording.rows import write_scene
 from ..simulation.linearisation import Linearisation
@@ -51,9 +51,9 @@ def _run(arguments):
         raise UsageError('--mode: expected it with --output')
     if arguments.amplitude is not None and arguments.output is arguments.picture:
         raise UsageError('--amplitude: expected it with --output or --picture')
-    for option, path in (('--output', arguments.output), ('--picture', arguments.picture)):
-        if path is not None:
-            require_free(arguments, path, option)
+    if arguments.output is not None:
+        require_free(arguments, arguments.output, endings=TABLE)
+    require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     with announced('Compiling derivatives and looking for a position at rest ...'):
         simulation = checked_torques(arguments.scene, scene, torque)

@@ -56,7 +56,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    require_free(arguments, arguments.output)
+    require_free(arguments, arguments.output, endings=('.html',))
     scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
     begin = time.process_time()
     with announced('Following the branch ...'):

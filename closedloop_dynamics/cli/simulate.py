@@ -12,7 +12,7 @@ import warnings
 
 from .command import (
     add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
-    mapping, positive, require_free, scene_of, UsageError)
+    mapping, positive, require_free, scene_of, TABLE, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
@@ -20,7 +20,7 @@ from ..recording.run import columns, ErrorEstimate, headings, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..simulation.scene_records import FORMULATIONS
+from ..simulation.scene_records import FORMULATIONS, SMALLEST_STEP
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to
@@ -28,6 +28,8 @@ from ..visual.progress import announced, progress_to
 STANDARD_OUTPUT = '-'
 # Simulated time up to which the error is estimated unless set otherwise [s].
 LONGEST_ESTIMATED = 10.0
+# Beyond it the numbers of rows are not exact.
+MOST_ROWS = 1e15
 LOADING = 'Loading; code is generated for a mechanism that is new ...'
 
 
@@ -40,8 +42,8 @@ def _add_arguments(parser):
     add_torque(run_options)
     add_motion(run_options)
     add_set(run_options)
-    run_options.add_argument('--output', metavar='FILE',
-                             help='where to write a row of numbers for each instant, as CSV; - '
+    run_options.add_argument('--output', metavar='FILE.csv',
+                             help='where to write a row of numbers for each instant; - '
                                   'is the standard output (default: no rows, only a summary)')
     run_options.add_argument('--rate', type=positive, default=100.0, metavar='HZ',
                              help='rows per simulated second, at exact multiples of 1 / HZ '
@@ -64,10 +66,11 @@ def _add_arguments(parser):
     method.add_argument('--step-size', type=positive, metavar='SECONDS')
     method.add_argument('--integrator', choices=INTEGRATORS)
     method.add_argument('--tolerance', type=positive, metavar='ERROR',
-                        help='local error that error-controlled integrators allow per step')
+                        help='local error that an error-controlled integrator named here or in '
+                             'the scene allows per step')
     method.add_argument('--accuracy', type=positive, metavar='ERROR',
                         help='error of positions that the integrator auto keeps within a second '
-                             '[rad or m]')
+                             '[rad or m]; with --budget, at the start')
     method.add_argument('--budget', type=positive, metavar='SHARE',
                         help='computing time per simulated second that the integrator auto may '
                              'take: it keeps the best accuracy that this allows')
@@ -143,14 +146,28 @@ def _tell_cost(simulation, torque, estimated, arguments):
 def _prepared(arguments):
     """Return the simulation and the torques; errors here are the user's."""
     torque = mapping(arguments.torque, '--torque')
+    if arguments.duration < SMALLEST_STEP:
+        raise UsageError(f'--duration: expected at least {SMALLEST_STEP:g} s, got '
+                         f'{arguments.duration:g}')
+    if arguments.duration * arguments.rate > MOST_ROWS:
+        raise UsageError(f'--rate: expected at most {MOST_ROWS:g} rows in all, got '
+                         f'{arguments.rate:g} a second for {arguments.duration:g} s')
     for option in ('accuracy', 'budget'):
         if getattr(arguments, option) is not None:
             if arguments.integrator not in (None, AUTO):
                 raise UsageError(f'--{option}: expected it without --integrator, got both')
             arguments.integrator = AUTO
     if arguments.output not in (None, STANDARD_OUTPUT):
-        require_free(arguments, Path(arguments.output))
+        path = Path(arguments.output)
+        # Devices and pipes have names without an ending.
+        device = path.exists() and not path.is_file()
+        require_free(arguments, path, endings=() if device else TABLE)
     scene = scene_of(arguments)
+    integrator = arguments.integrator or scene.method.integrator
+    if arguments.tolerance is not None and (
+            integrator == AUTO or INTEGRATORS[integrator].kind != ADAPTIVE):
+        raise UsageError('--tolerance: expected it with an error-controlled integrator, such as '
+                         f'--integrator dop853, got {integrator}')
     with announced(LOADING):
         simulation = checked_torques(
             arguments.scene, scene, torque, lambda scene: Simulation.from_scene(

@@ -3,6 +3,7 @@
 
 """``closedloop sweep``: many simulations with different numbers, into one file."""
 
+from argparse import ArgumentTypeError
 from contextlib import contextmanager
 from pathlib import Path
 import sys
@@ -52,14 +53,15 @@ def _add_arguments(parser):
                       help='of every instant, beside the final values and the peaks, which are '
                            f'always kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be '
                            f'repeated (default: {", ".join(STATE)})')
-    kept.add_argument('--resume', action='store_true',
-                      help='go on where the file ends, if there is one')
-    kept.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
+    again = kept.add_mutually_exclusive_group()
+    again.add_argument('--resume', action='store_true',
+                       help='go on where the file ends, if there is one')
+    again.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
     where = parser.add_argument_group('where it is computed')
     where.add_argument('--workers', type=_count, metavar='N',
                        help='processes on this machine (default: one for each processor, as '
                             'soon as there is enough to do)')
-    where.add_argument('--scheduler', metavar='ADDRESS',
+    where.add_argument('--scheduler', type=_address, metavar='ADDRESS',
                        help='scheduler of a Dask cluster to compute on instead, such as '
                             'tcp://192.0.2.1:8786')
 
@@ -67,11 +69,16 @@ def _add_arguments(parser):
 def _count(text):
     """Convert an option's value to a whole number >= 0."""
     if not text.isdecimal():
-        raise ValueError
+        raise ArgumentTypeError(f'expected a whole number >= 0, got {text!r}')
     return int(text)
 
 
-_count.__name__ = 'whole number'
+def _address(text):
+    """Return an address with a port."""
+    if not text.rpartition(':')[2].isdecimal():
+        raise ArgumentTypeError(
+            f'expected an address with a port, such as tcp://192.0.2.1:8786, got {text!r}')
+    return text
 
 
 def _run(arguments):

@@ -17,12 +17,12 @@ from ..visual.urdf import urdf
 def _add_arguments(parser):
     parser.add_argument('scene', metavar='SCENE',
                         help='a shipped scene or mechanism by its name, or a YAML file')
-    parser.add_argument('--output', metavar='FILE', type=Path,
+    parser.add_argument('--output', metavar='FILE.urdf', type=Path,
                         help='where to write it (default: the standard output)')
     parser.add_argument('--loops', choices=(CONSTRAINT, LOOP, DRAKES), default=CONSTRAINT,
                         help='how loops are written: as proposed for URDF (the default), as in '
                              'URDF+, or as ball constraints of Drake')
-    parser.add_argument('--srdf', metavar='FILE', type=Path,
+    parser.add_argument('--srdf', metavar='FILE.srdf', type=Path,
                         help='also write the SRDF for MoveIt: the group of the driven '
                              'joints, the start of a scene as its state, all others passive')
     parser.add_argument('--hardware', metavar='MODEL', type=Path,
@@ -32,8 +32,10 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    for path in filter(None, (arguments.output, arguments.srdf)):
-        require_free(arguments, path)
+    for option, ending in (('--output', '.urdf'), ('--srdf', '.srdf')):
+        path = getattr(arguments, option[2:])
+        if path is not None:
+            require_free(arguments, path, option, (ending,))
     subject = load_scene_or_mechanism(arguments.scene)
     mechanism = getattr(subject, 'mechanism', subject)
     hardware = None

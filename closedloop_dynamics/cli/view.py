@@ -30,9 +30,9 @@ from ..visual.progress import announced, progress_to
 
 # Where nothing else is asked for, unless it is taken.
 USUAL_PORT = 8791
-# Rows per simulated second of a saved page, beside those that paths and plots need; and the most
-# that a page is given of a recording.
-RATE, MOST_ROWS = 60.0, 36_000
+# Simulated time of a saved page [s], its rows per simulated second beside those that paths and
+# plots need; and the most rows that a page is given of a recording.
+DURATION, RATE, MOST_ROWS = 10.0, 60.0, 36_000
 # Options that drive a scene.
 DRIVING = 'torque', 'speed', 'position', 'motion', 'controller'
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
@@ -52,8 +52,9 @@ def _add_arguments(parser):
                         help='write one HTML file that plays the motion anywhere, offline, '
                              'instead of showing it')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    parser.add_argument('--duration', metavar='SECONDS', type=positive, default=10.0,
-                        help='with --save, how much of a scene is simulated (default: 10)')
+    parser.add_argument('--duration', metavar='SECONDS', type=positive,
+                        help='with --save, how much of a scene is simulated (default: '
+                             f'{DURATION:g})')
     parser.add_argument('--rate', metavar='HZ', type=positive,
                         help='with --save, states per simulated second, beside those between '
                              'that paths and plots need '
@@ -91,20 +92,31 @@ def _run(arguments):
         return _attach(arguments)
     if arguments.what is None:
         raise UsageError('expected a scene or a recording, or --node')
+    if arguments.save is None:
+        for option in ('duration', 'rate', 'overwrite'):
+            if getattr(arguments, option):
+                raise UsageError(f'--{option}: expected it with --save')
+    if not _is_recording(arguments.what):
+        for option in ('scene', 'namespace'):
+            if getattr(arguments, option) is not None:
+                raise UsageError(f'--{option}: expected a recording, got {arguments.what}')
     if arguments.save is not None:
-        require_free(arguments, arguments.save, option='--save')
+        require_free(arguments, arguments.save, '--save', ('.html',))
         return _save(arguments)
-    for option in DRIVING:
-        if getattr(arguments, option) and _is_recording(arguments.what):
-            raise UsageError(f'--{option}: expected a scene, as a recording is not driven')
-    return _play(arguments) if _is_recording(arguments.what) else _live(arguments)
+    if _is_recording(arguments.what):
+        for option in DRIVING:
+            if getattr(arguments, option):
+                raise UsageError(f'--{option}: expected a scene, as a recording is not driven')
+        return _play(arguments)
+    return _live(arguments)
 
 
 def _attach(arguments):
     """Become the node ``closedloop_viewer``, which ends with Ctrl-C."""
-    for option in ('what', 'save', 'scene'):
-        if getattr(arguments, option) is not None:
-            raise UsageError(f'--node: expected no other thing to show, got {option}')
+    for option, given in (('', arguments.what), ('--save ', arguments.save),
+                          ('--scene ', arguments.scene)):
+        if given is not None:
+            raise UsageError(f'--node: expected nothing else to show, got {option}{given}')
     if find_spec('rclpy') is None:
         raise UsageError('--node: expected ROS 2 (rclpy), which is not installed here')
     sys.stdout.flush()
@@ -228,10 +240,10 @@ def _simulated_page(arguments):
     scene = with_motion(with_numbers(read_scene(arguments.what, arguments), arguments), arguments)
     with announced(LOADING):
         simulation = checked_torques(arguments.what, scene, torque)
-    with progress_to(arguments.duration, 's', scene.name) as show:
+    duration = arguments.duration or DURATION
+    with progress_to(duration, 's', scene.name) as show:
         columns, times, rows = simulated(
-            simulation, arguments.duration,
-            arguments.rate or min(RATE, MOST_ROWS / arguments.duration), torque, show)
+            simulation, duration, arguments.rate or min(RATE, MOST_ROWS / duration), torque, show)
     return recorded_page(
         scene.name, _complained(describe(
             scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),

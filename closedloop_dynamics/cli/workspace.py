@@ -65,7 +65,7 @@ def _add_arguments(parser):
     parser.add_argument('--output', type=Path, metavar='FILE.nc', help='where to write the map')
     parser.add_argument('--picture', type=Path, metavar='FILE.png',
                         help='where to draw it (or .pdf, .svg)')
-    parser.add_argument('--show', choices=(*QUANTITIES, STATUS), default='condition',
+    parser.add_argument('--show', choices=(*QUANTITIES, STATUS),
                         help='the quantity to draw (default: condition)')
     parser.add_argument('--resume', action='store_true',
                         help='go on with FILE.nc, if there is one')
@@ -104,8 +104,13 @@ def _count(text):
 def _run(arguments):
     if arguments.resume and arguments.output is None:
         raise UsageError('--resume: expected --output FILE.nc beside it')
+    if arguments.show is not None and arguments.picture is None:
+        raise UsageError('--show: expected it with --picture')
+    if arguments.show is not None and arguments.turn:
+        raise UsageError('--show: expected it without --turn, whose picture shows in how many '
+                         'orientations a place is reached')
     if arguments.output is not None and not (arguments.resume and arguments.output.exists()):
-        require_free(arguments, arguments.output)
+        require_free(arguments, arguments.output, endings=('.nc',))
     require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
     request = Request(
@@ -195,13 +200,14 @@ def _draw(arguments, scene, found):
     long = [axis for axis in found.axes if len(axis.values) > 1]
     shape = tuple(len(axis.values) for axis in long)
     several = len(found.angles) > 1
-    values, label = found.quantities.get(arguments.show), arguments.show
+    shown = arguments.show or 'condition'
+    values, label = found.quantities.get(shown), shown
     if several:
         values = np.where(found.count > 0, PERCENT * found.count / len(found.angles), np.nan)
         label = 'orientations reached [%]'
     elif values is not None:
-        unit = QUANTITIES[label][0]
-        label = f'{label} [{unit}]' if unit != '1' else f'{label} number'
+        unit = QUANTITIES[shown][0]
+        label = f'{shown} [{unit}]' if unit != '1' else f'{shown} number'
     machine = None
     if scene.mechanism.planar and found.position is not None:
         places = np.argwhere(found.status == REACHED)
@@ -215,7 +221,7 @@ def _draw(arguments, scene, found):
         f'{scene.name}: workspace of {found.request.point}', MEANINGS,
         [(curve.kind, curve.places) for curve in found.curves],
         found.dexterous.reshape(shape) if several else None, machine,
-        not several and arguments.show == 'condition').savefig(arguments.picture)
+        not several and shown == 'condition').savefig(arguments.picture)
 
 
 COMMAND = Command(

@@ -249,7 +249,7 @@ class Animation:
 def require_writable(path):
     """Raise AnimationError at once for a file that could not be written."""
     if path.suffix.lower() not in ('.gif', '.mp4'):
-        raise AnimationError(f'{path}: expected a name that ends with .gif or .mp4')
+        raise AnimationError(f'expected a name that ends with .gif or .mp4, got {path}')
     if path.suffix.lower() == '.mp4' and shutil.which('ffmpeg') is None:
         raise AnimationError(
             f'{path}: the program ffmpeg makes MP4 files, and it is not installed; install it '
