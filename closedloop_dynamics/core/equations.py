@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is asked of a state beside its motion: dense matrices, energies, forces, from Python."""
+"""Quantities of a state for Python: dense matrices, energies, forces."""
 
 import numpy as np
 
@@ -99,7 +99,7 @@ class Equations:
             np.zeros((self.nc, self.nv)), np.zeros((self.nv, self.nv)), self._closed)
 
     def _present_constants(self):
-        """Return what may decide which code is for which body."""
+        """Return the constants that may decide which code serves which body."""
         return self.model.tree.tobytes(), self.model.body.tobytes()
 
     def _connect(self):
@@ -114,7 +114,7 @@ class Equations:
 
     def move(self, q, qd=None):
         """
-        Take a state.
+        Set the state.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Equations:
 
     def cut_wrenches(self, lam, body):
         """
-        Return what body B exerts on body A at each cut joint.
+        Return the wrench of body B on body A at each cut joint.
 
         Parameters
         ----------

@@ -49,7 +49,7 @@ class DenseWorkspace(NamedTuple):
 
 def allocate_dense(model, formulation):
     """
-    Allocate what one dense formulation needs.
+    Allocate the arrays of one dense formulation.
 
     Parameters
     ----------

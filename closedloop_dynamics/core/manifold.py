@@ -72,7 +72,7 @@ def manifold_of(model):
 
 def weights(manifold, nv):
     """
-    Return what a component's error stands for: 2 for those of quaternions, 1 for others.
+    Return the weights of errors by component: 2 for those of quaternions, 1 for others.
 
     Parameters
     ----------

@@ -71,5 +71,5 @@ class Actuator(Effect):
             (State(OWN), State(WORK)))
 
     def drive(self):
-        """Return the joint whose command passes through here, and its delay [s]."""
+        """Return the joint whose command passes through the drive, and its delay [s]."""
         return self.joint, self.delay

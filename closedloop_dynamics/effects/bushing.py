@@ -130,12 +130,12 @@ class Bushing(Effect):
             data=((*place_a, *place_b, *axes, *along, *damping),))
 
     def _in_plane(self):
-        """Return numbers of turning, which an angle tells that counts turns, and no axes."""
+        """Return the rotational stiffness and damping, for an angle that counts turns; no axes."""
         return (self.turning_stiffness, self.turning_damping, self.rest_angle,
                 *direction(self.angle).tolist()), ()
 
     def _in_space(self, machine):
-        """Return numbers of turning, which is seen by the axes of both bodies, and these."""
+        """Return the rotational stiffness and damping, and the axes of both bodies for them."""
         own, rest = (of_quaternion(one) for one in (self.orientation, self.rest_orientation))
         axes_a = machine.placement(machine.carrier(self.point_a)).axes @ own
         axes_b = machine.placement(

@@ -117,12 +117,12 @@ class Cable(Effect):
                 require_point(mechanism, index, point)
 
     def winding_places(self, columns):
-        """Return where, among its entries, the turns round pulleys stand that have a radius."""
+        """Return the places, among its entries, of the turns round pulleys with a radius."""
         return {point: columns * (index + 1) - 1 for index, (point, radius) in enumerate(zip(
             self.points, self.radii or ())) if radius}
 
     def start_notes(self, name, readings, weight):
-        """Return a note of a stretch beyond what ropes bear, under forces beyond all weight."""
+        """Return a note of a stretch beyond that of ropes, under forces beyond all weight."""
         found = readings()
         stretch = found['length'] - self.free_length
         if not (stretch > LARGE_STRETCH * self.free_length

@@ -185,7 +185,7 @@ def ramp(start, duration, level, height, shape):
 
 def require_table(record):
     """
-    Return times and values of a table and its period, or refuse what is no table.
+    Return times and values of a table and its period; refuse anything else.
 
     Raises
     ------

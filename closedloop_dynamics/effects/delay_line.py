@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Commands on their way to the drives: what is due when."""
+"""Delayed commands on their way to the drives."""
 
 from collections import deque
 import math
@@ -19,7 +19,7 @@ class DelayLine:
 
     def order(self, time, tau, delays, present):
         """
-        Take a command.
+        Add a command.
 
         Parameters
         ----------

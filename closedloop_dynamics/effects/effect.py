@@ -186,7 +186,7 @@ class Effect:
                 require(mechanism, key, getattr(self, key))
 
     def _require_joint(self, mechanism):
-        """Refuse what is no joint that the effect can act in."""
+        """Refuse the name of a joint that the effect cannot act in."""
         cut = mechanism.cut_joint(mechanism.coordinates.joint_of(self.joint))
         if cut is None or cut.type in mechanism.measured_types:
             one_of(self.joints(mechanism), self.JOINTS)(self.joint)
@@ -203,7 +203,7 @@ class Effect:
         return mechanism.coordinates.single_names + mechanism.measured_cuts
 
     def reserve(self, model, machine):
-        """Tell the model what ``change`` changes, whether the effect acts now or not."""
+        """Reserve the constants of the model that ``change`` may change, on or off."""
 
     def change(self, model, machine):
         """Change the constants of the model."""
@@ -304,7 +304,7 @@ class Effect:
 
     def start_notes(self, name, readings, weight):
         """
-        Return notes of a start that may not be the one that was meant.
+        Return notes of a start that may be unintended.
 
         Parameters
         ----------
@@ -325,7 +325,7 @@ class Effect:
 
     def instrument(self, sequence=()):
         """
-        Return what measures.
+        Return the instrument that measures.
 
         Parameters
         ----------

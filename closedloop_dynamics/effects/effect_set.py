@@ -118,7 +118,7 @@ class EffectSet:
 
     def bind(self, system):
         """
-        Take the table that a system was built with from ``elements``; it is kept up to date.
+        Adopt the table that a system was built with from ``elements``, and keep it up to date.
 
         Returns
         -------
@@ -133,7 +133,7 @@ class EffectSet:
         return self._table
 
     def move(self, system):
-        """Take a system that works on other equations; all that effects change is shared."""
+        """Adopt a system that works on other equations; the arrays of effects are shared."""
         self._system, self._model, self._linked = system, system.model, None
         # Their multipliers have other places.
         self._refill(PRESCRIBED_MOTION)
@@ -168,7 +168,7 @@ class EffectSet:
             self._rows, self._table.kind) if kind == JOINT_FRICTION})
 
     def decide(self, directions):
-        """Take note of sums with friction whose rates do not depend on the forces."""
+        """Mark sums with friction whose rates do not depend on the forces."""
         self._machine.decided = frozenset(directions)
         self._refill(JOINT_FRICTION)
 
@@ -195,7 +195,7 @@ class EffectSet:
         self.attends = self.delays or self.remembers
 
     def _link(self):
-        """Let the system run the code for its bodies: a rotor makes another kind of one."""
+        """Link the system to the code for its bodies: a rotor makes another kind of one."""
         structure = pieces.structure(self._model)
         if structure == self._linked:
             return
@@ -210,7 +210,7 @@ class EffectSet:
 
     def vary(self, mechanism, records, weigh):
         """
-        Take the numbers of other records of the same effects, and of other bodies.
+        Adopt the numbers of other records of the same effects, and of other bodies.
 
         Parameters
         ----------
@@ -379,7 +379,7 @@ class EffectSet:
         return cuts.qd.copy()
 
     def follow_angles(self, states):
-        """Let the angles that are followed begin as at the latest evaluation, in place."""
+        """Set the angles that count turns to those of the latest evaluation, in place."""
         cuts = self._table.cuts
         for k, row in enumerate(cuts.index):
             if row[FOLLOWED] >= 0:
@@ -387,7 +387,7 @@ class EffectSet:
 
     def begin_angle(self, name, angle):
         """
-        Let the angle of a cut joint, if it is followed, begin within half a turn of another.
+        Set the turn count of a cut joint's angle: within half a turn of another angle.
 
         Parameters
         ----------
@@ -403,14 +403,14 @@ class EffectSet:
                 self.initial[place] = angle
 
     def follow(self, states, qd):
-        """Let the own states begin with joint rates as they are, as ``rates``; in place."""
+        """Initialise the own states from joint rates, as ``rates``; in place."""
         for row, name in enumerate(self._rows):
             if self.enabled[name] and self.records[name].ENDS_STEPS and self.elements[row].sticks:
                 states[self._table.index[row, STATE]] = self.records[name].direction(
                     self._along(row, qd))
 
     def _along(self, row, joints):
-        """Return the sum along which an effect in joints acts, of what all joints have."""
+        """Return the sum along which an effect in joints acts, from values of all joints."""
         table = self._table
         begin, count = table.index[row, DATA], table.index[row, ENTRIES]
         if not count:
@@ -419,7 +419,7 @@ class EffectSet:
         return arms @ joints[places.astype(int)]
 
     def follow_time(self, states, time):
-        """Let the own states of effects that follow the time begin at a time [s], in place."""
+        """Initialise the own states of time-dependent effects at a time [s], in place."""
         if self._clocks[0] != time:
             clocks = {self._table.index[row, STATE]: self.records[self._rows[row]].clock(time)
                       for row in self._timed}
@@ -431,7 +431,7 @@ class EffectSet:
 
     def energies(self):
         """
-        Return what they add to the energy at the latest evaluation [J].
+        Return the energies of the effects at the latest evaluation [J].
 
         Returns
         -------
@@ -448,7 +448,7 @@ class EffectSet:
 
     def hold_inertia(self, accelerations):
         """
-        Let reflected inertia exert what goes with given accelerations, or nothing of its own.
+        Set the forces of reflected inertia for given accelerations, or restore its own.
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ class EffectSet:
 
     def readings(self, name, states):
         """
-        Return what an effect says of itself at the latest evaluation.
+        Return the readings of an effect at the latest evaluation.
 
         ``states``: shape (nz,); the effects' states.
 
@@ -483,7 +483,7 @@ class EffectSet:
 
     @property
     def traced(self):
-        """Names of the effects whose laws are code that users wrote."""
+        """Names of the effects whose laws are users' code."""
         return [name for name in self._rows
                 if self.enabled[name] and isinstance(self.records[name], TracedEffect)]
 
@@ -544,7 +544,7 @@ class EffectSet:
         return rows, self._table.index[rows, FIRST]
 
     def _flows(self, row, states):
-        """Return what the effect of a row has dissipated, or done in work, and does now."""
+        """Return the energy dissipated, or work done, by a row's effect, and the present power."""
         first = self._table.index[row, STATE]
         flows = {}
         for place in range(first, first + len(self.elements[row].states)):
@@ -556,7 +556,7 @@ class EffectSet:
         return flows
 
     def efforts(self, tau):
-        """Put what the drives really exert, at the latest evaluation, into joint torques."""
+        """Write the actual efforts of the drives, at the latest evaluation, into joint torques."""
         rows, joints = self.drive_rows()
         tau[joints] = self._table.output[rows, 1]
 
@@ -577,7 +577,7 @@ class EffectSet:
 
     @property
     def passed(self):
-        """Return the name of the contact that a step of one size has passed unfelt."""
+        """Return the name of a contact that a step of fixed size has passed undetected."""
         return self._rows[int(self._table.contacts.search[PASSED])]
 
     def steady(self, q, qd):
@@ -593,6 +593,6 @@ class EffectSet:
 
 
 def _room_of(element):
-    """Return what of an effect decides how large the tables of a system are."""
+    """Return the data of an effect that decides the sizes of a system's tables."""
     return (element.kind, size_of_data(element), len(element.states), element.sticks,
             element.touches, [state.role for state in element.states])

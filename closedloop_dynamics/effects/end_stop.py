@@ -52,7 +52,7 @@ class EndStop(Effect):
     damping: float = 0.0
 
     def __post_init__(self):
-        """Refuse what cannot be a stop, and stops that leave no way between them."""
+        """Refuse invalid values, and stops with no range between them."""
         super().__post_init__()
         if self.lower is None and self.upper is None:
             raise FieldError('lower, upper or both', 'neither', path=('lower',))

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the energy of a simulation is, where it went, and where it came from."""
+"""Stored, dissipated and supplied energy of a simulation."""
 
 from dataclasses import dataclass
 import math
@@ -14,7 +14,7 @@ HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS = range(5)
 
 
 class EnergyAccount(NamedTuple):
-    """What the engine keeps of a run to draw its energy balance."""
+    """The engine's data for the energy balance of a run."""
 
     roles: np.ndarray  # Shape (nz,): what the effects' states are, as of ``table``
     since: np.ndarray  # Shape (nv + nk,): coordinates when work was added last
@@ -51,7 +51,7 @@ class Energies:
 
 class EnergyBalance:
     """
-    Keeps account of the energy of a simulation; the engine draws the balance.
+    Account of the energy of a simulation; the engine draws the balance.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class EnergyBalance:
 
     def restart(self, q):
         """
-        Begin at a state; its energy may follow when somebody wants to know.
+        Begin at a state; its energy is evaluated when it is asked for.
 
         Parameters
         ----------
@@ -86,18 +86,18 @@ class EnergyBalance:
         numbers[REFERENCE] = math.nan
 
     def start(self, kinetic, stored):
-        """Take the energy at the start [J]."""
+        """Set the energy at the start [J]."""
         self.account.numbers[REFERENCE:] = kinetic + stored, kinetic, stored
 
     @property
     def at_start(self):
-        """Return the balance at the start, None where nobody has wanted to know yet."""
+        """Return the balance at the start, None before it is evaluated."""
         _, reference, kinetic, stored = self.account.numbers.tolist()
         return None if math.isnan(reference) else Energies(kinetic, stored, 0.0, 0.0, 0.0)
 
     def jump(self, q, energy):
         """
-        Leave the energy of a change from outside out of the balance.
+        Exclude the energy of a change from outside from the balance.
 
         Parameters
         ----------

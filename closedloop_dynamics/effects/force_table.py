@@ -73,7 +73,7 @@ class ForceTable(Effect):
     damping: float = 0.0
 
     def __post_init__(self):
-        """Refuse what is no table, and ends that are missing or too many."""
+        """Refuse an invalid table, and ends that are missing or too many."""
         super().__post_init__()
         if (self.joint is None) == (self.point_a is None):
             raise FieldError('either joint or point_a', 'both' if self.joint else 'neither',

@@ -39,7 +39,7 @@ ON_SYMBOLS = {
 
 
 def _named(check):
-    """Return the check for a mapping of names to what passes ``check``."""
+    """Return a check for mappings of names to values that pass ``check``."""
     def check_mapping(value):
         if not isinstance(value, dict) or not value:
             raise FieldError('a mapping of names', shown(value))
@@ -147,7 +147,7 @@ class Law(TracedEffect):
         return tuple(self.forces) if len(self.forces) == 1 else ()
 
     def where(self, entry):
-        """Return the keys under which an entry of ``Tracing.entries`` stands."""
+        """Return the keys of an entry of ``Tracing.entries``."""
         return [(key, each) for key in ('joints', 'distances', 'components')
                 for each in getattr(self, key) or ()][entry]
 
@@ -190,7 +190,7 @@ class Law(TracedEffect):
 
 
 def _take(known, path, symbol):
-    """Let a name stand for a symbol, unless it stands for anything else."""
+    """Bind a name to a symbol, unless it is bound already."""
     each = path[-1]
     if each in known or each in CONSTANTS or each in FUNCTIONS:
         raise FieldError('a name that stands for nothing else', shown(each), path=path)

@@ -46,7 +46,7 @@ _COURSES = (PRESCRIBED_TORQUE, PRESCRIBED_FORCE, SPATIAL_PRESCRIBED_FORCE, PRESC
 
 def structure(model, table):
     """
-    Return what the code of a scene depends on beside its mechanism.
+    Return the key of the code of a scene, beside its mechanism.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def link(model, table, functions):
 
 
 def update(model, table, functions):
-    """Take note whether the evaluation of a scene still is that of its effects; see ``link``."""
+    """Record whether the evaluation of a scene still is that of its effects; see ``link``."""
     address = int(functions[calls.EVALUATION])
     table.code.fits[0] = address != 0 and _known.get(address) == structure(model, table)
 
@@ -217,7 +217,7 @@ class LiveLaws:
         return found
 
     def act(self, forces):
-        """Let all effects act."""
+        """Apply all effects."""
         table = self._table
         for row, kind in enumerate(table.kind.tolist()):
             forces.row, forces.first = row, int(table.index[row, STATE])
@@ -378,7 +378,7 @@ def _point_contact(forces, table, row, values):
 
 
 def _sliding(velocity, rate, out):
-    """Return what of a velocity slides, and its speed."""
+    """Return the sliding part of a velocity, and its speed."""
     sliding = add(velocity, scale(out, rate))
     return sliding, square_root(dot(sliding, sliding))
 

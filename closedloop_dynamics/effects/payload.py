@@ -59,7 +59,7 @@ class Payload(Effect):
                 spatial_inertia(self.inertia)
 
     def reserve(self, model, machine):
-        """Let code load all that a mass changes."""
+        """Make all constants loads that a mass changes."""
         if not machine.mechanism.planar:
             space.vary(model, machine.body(self.body), range(space.MASS, space.PLACE))
 

@@ -57,7 +57,7 @@ class PointSpring(Effect):
     free_length: float = 0.0
 
     def __post_init__(self):
-        """Refuse what cannot be a spring, and one with no end or three."""
+        """Refuse invalid values, and a spring with no end or three."""
         super().__post_init__()
         if (self.point_b is None) == (self.anchor is None):
             raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',

@@ -107,7 +107,7 @@ class PrescribedForce(Effect):
     expression: Optional[str] = None
 
     def __post_init__(self):
-        """Refuse what acts nowhere or in two places, and courses that make no sense."""
+        """Refuse a force in no place or in two, and invalid courses."""
         super().__post_init__()
         course.require_joint_or_point(
             self, 'a direction for a force at a point, and for no other')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A joint, or a point, that moves as a given function of the time, whatever that takes.
+Prescribed motion of a joint or a point as a function of time (a rheonomic constraint).
 
     q = f(t)          of a joint
     e . p = f(t)      of a named point, along a direction e in world axes
@@ -141,7 +141,7 @@ class PrescribedMotion(Effect):
     room: Optional[int] = None
 
     def __post_init__(self):
-        """Refuse what moves nothing or two things, and motions that jump."""
+        """Refuse a motion of nothing or of two things, and one that jumps."""
         super().__post_init__()
         course.require_joint_or_point(self, 'a direction for a point, and for no joint')
         course.require_keys(self, SHAPES)
@@ -183,7 +183,7 @@ class PrescribedMotion(Effect):
         return (course.piece(0.0, 0.0, wave=course.wave(self)),)
 
     def _trapezoid(self, start, duration, level, height):
-        """Return the pieces of a rise whose speed grows, stays and falls."""
+        """Return the pieces of a rise with a trapezoidal speed."""
         ramp = duration / 3.0 if self.ramp is None else self.ramp
         if ramp > 0.5 * duration:
             raise FieldError(f'at most half of the time that a rise or fall takes '
@@ -200,7 +200,7 @@ class PrescribedMotion(Effect):
         return self.expression is None and (len(self._data) > 1 or self.period is not None)
 
     def fit(self, mechanism):
-        """Refuse, beside what no effect can do, to move what stands on the ground."""
+        """Refuse invalid names, as every effect, and the motion of a point on the ground."""
         super().fit(mechanism)
         if self.point is not None:
             if mechanism.point(self.point).body == GROUND:
@@ -355,7 +355,7 @@ def _commanded(record):
 
 
 def _through(record):
-    """Return polynomials through what a course was commanded; it rests before its first point."""
+    """Return polynomials through the points of a commanded course, at rest before the first."""
     given = [(key, getattr(record, key)) for key in RATES]
     for key, numbers in given[:2] + [one for one in given[2:] if one[1] is not None]:
         if numbers is None or len(numbers) != len(record.times):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects of a user's own among those that a scene may name."""
+"""Registration of users' own effects."""
 
 from dataclasses import is_dataclass
 
@@ -15,7 +15,7 @@ of_users = set()
 
 def register(name, record_type):
     """
-    Let scenes name an effect of a user's own.
+    Register an effect of a user's own, so that scenes may name it.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The effects that a scene may list: what ``type`` names.
+The effects that a scene may list, by their ``type``.
 
 A new effect is one file beside this one, holding a frozen dataclass of its
 parameters that checks itself when built, and one line here; its compiled law, if it

@@ -108,7 +108,7 @@ class Rotor(Effect):
                 'rotor feels', 'cut another joint of that loop', ('joint',))
 
     def reserve(self, model, machine):
-        """Let code load the inertia of a rotor, and in space what its spin adds."""
+        """Make the inertia of a rotor a load, and in space the terms of its spin."""
         for row in self._rows(model, machine):
             if not machine.mechanism.planar:
                 space.vary(model, row, [

@@ -65,7 +65,7 @@ class Sensor(Effect):
 
     def fit(self, mechanism):
         """
-        Refuse orientations: what is measured are numbers, one for each freedom.
+        Refuse joints with orientations: readings are numbers, one for each degree of freedom.
 
         Raises
         ------
@@ -78,13 +78,13 @@ class Sensor(Effect):
                 'joints of one number', mechanism.name)
 
     def instrument(self, sequence=()):
-        """Return what measures, with the memory that a delay and a seed need."""
+        """Return the instrument, with the memory that a delay and a seed need."""
         return Instrument(self, sequence)
 
 
 class Chain:
     """
-    Sensors, each of which measures what the one before it shows.
+    Sensors in series, each measuring the output of the one before it.
 
     Parameters
     ----------
@@ -104,16 +104,16 @@ class Chain:
 
     @property
     def remembers(self):
-        """Whether what is measured depends on the states in between."""
+        """Whether a reading depends on the states in between."""
         return any(instrument.remembers for instrument in self.instruments)
 
     def forget(self):
-        """Measure again, even at the time that was measured last."""
+        """Discard the latest reading, so that the same time is measured again."""
         self._time = None
 
     def measure(self, time, position, velocity):
         """
-        Return what is measured of a state; the same again for the same time.
+        Return the reading of a state; the same again for the same time.
 
         Parameters
         ----------
@@ -141,19 +141,19 @@ class Instrument:
     """A sensor at work."""
 
     def __init__(self, record, sequence=()):
-        """Start with nothing remembered; ``sequence``: numbers that tell noises of one seed."""
+        """Start with an empty memory; ``sequence`` distinguishes noises of one seed."""
         self._record = record
         self._random = np.random.default_rng((record.seed, *sequence) if sequence else record.seed)
         self._past = deque()
 
     @property
     def remembers(self):
-        """Whether it must be shown every step, because of its delay."""
+        """Whether every step must be recorded, because of its delay."""
         return self._record.delay > 0.0
 
     def show(self, time, position, velocity):
         """
-        Let it see the true state.
+        Record the true state.
 
         Parameters
         ----------
@@ -169,7 +169,7 @@ class Instrument:
 
     def read(self):
         """
-        Return what is measured at the latest time shown.
+        Return the reading at the latest time recorded.
 
         Returns
         -------

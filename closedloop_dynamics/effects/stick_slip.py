@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether what dry friction acts on rests or slides, and in which direction."""
+"""Stick-slip state of dry friction, and the direction of sliding."""
 
 import math
 

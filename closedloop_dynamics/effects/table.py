@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The effects as the engine sees them: flat arrays, one row for each listed effect.
+The table of effects for the engine: flat arrays, one row for each listed effect.
 
 The kind of a row chooses its law in ``engine/dispatch.cpp``; which rows there are is data.
 
@@ -106,7 +106,7 @@ class ForceElement(NamedTuple):
 
 
 class Sticking(NamedTuple):
-    """Joints at rest under dry friction in the latest evaluation, and what holds them; inertia."""
+    """Joints stuck under dry friction in the latest evaluation, their holding forces; inertia."""
 
     # Shape (nf + 1,): how many joints and tendons stick, and the rows of their effects; nf effects
     # may stick. Reflected inertia always does so: its force, too, follows from accelerations.
@@ -129,7 +129,7 @@ class Sticking(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Gaps between what may touch, and what is decided of them while a step is made."""
+    """Gaps of possible contacts, and their modes during a step."""
 
     rows: np.ndarray  # Shape (nk,): of the effects that are contacts
     mode: np.ndarray  # Shape (ne,): ``UNDECIDED``, ``FREE`` or ``TOUCHING``
@@ -144,7 +144,7 @@ class Contacts(NamedTuple):
 
 
 class CutCoordinates(NamedTuple):
-    """Some freedoms of cut joints, nk of them, and what laws see of all joints."""
+    """Degrees of freedom of cut joints, nk of them, and the joint values that laws read."""
 
     index: np.ndarray  # Shape (nk, CUT_INDEX_COLUMNS)
     values: np.ndarray  # Shape (nk, CUT_VALUE_COLUMNS)
@@ -158,7 +158,7 @@ class CutCoordinates(NamedTuple):
 
 
 class SceneCode(NamedTuple):
-    """What the code of a scene reads beside the table."""
+    """Inputs of a scene's code beside the table."""
 
     # Shape (1,): whether the evaluation that was generated has the laws of all effects, as they
     # are but for numbers that it reads.
@@ -199,7 +199,7 @@ class EffectTable(NamedTuple):
 
 def _allocate_cuts(index, values, nv, bodies):
     """
-    Allocate what laws see of the joints.
+    Allocate the joint values that laws read.
 
     Parameters
     ----------

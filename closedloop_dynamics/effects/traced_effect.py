@@ -44,7 +44,7 @@ compiled = {}
 
 class Coordinate:
     """
-    What a law measures, and pushes along.
+    A coordinate that a law measures and exerts a force along.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Coordinate:
 
 class Tracing:
     """
-    What a law sees and does while it is traced.
+    Inputs and outputs of a law while it is traced.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class Tracing:
         self.dissipation = power
 
     def reading(self, name, value):
-        """Let a number be read as one of ``Simulation.effect_readings``; three at most."""
+        """Publish a number as one of ``Simulation.effect_readings``; three at most."""
         self.readings[name] = value
 
     @cached_property
@@ -262,7 +262,7 @@ class TracedEffect(Effect):
         return ()
 
     def where(self, entry):
-        """Return the keys under which an entry of ``Tracing.entries`` stands."""
+        """Return the keys of an entry of ``Tracing.entries``."""
         return ()
 
     def fit(self, mechanism):
@@ -303,7 +303,7 @@ class TracedEffect(Effect):
             data=tuple((*entry, *(COLUMNS - len(entry)) * (0.0,)) for entry in data))
 
     def clock(self, time):
-        """Return the time, where the law asks for it."""
+        """Return the time, if the law depends on it."""
         return (time,) if self.traced.follows_time else None
 
     def require_finite(self, output, rates):
@@ -348,7 +348,7 @@ def _require_complete(law):
 
 
 def _require_gap(law):
-    """Refuse an event that depends on what has no rate before the accelerations are known."""
+    """Refuse an event that depends on values without a rate before the accelerations."""
     with at('event'):
         if not isinstance(law.gap, Symbol):
             raise FieldError('a gap that follows from what is measured', shown(law.gap))
@@ -361,7 +361,7 @@ def _require_gap(law):
 
 
 def _entry(machine, kind, *ends):
-    """Return what is measured as an entry of the row's data."""
+    """Return a measured coordinate as an entry of the row's data."""
     if kind == JOINT:
         return kind, machine.joint(*ends)
     if kind == COMPONENT:

@@ -75,7 +75,7 @@ def refused(effects):
 
 def act(table, forces, laws=None):
     """
-    Let effects act.
+    Apply effects.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def constants_of(table, row):
 
 
 def entries_of(table, row):
-    """Return what a law of users measures, shape (coordinates, COLUMNS)."""
+    """Return the coordinates that a user's law measures, shape (coordinates, COLUMNS)."""
     begin, count = table.index[row, DATA] + COLUMNS, table.index[row, FIRST]
     return table.data[begin:begin + COLUMNS * count].reshape(count, COLUMNS)
 
@@ -265,7 +265,7 @@ def _spatial_fluid_drag(forces, body, _, values, constants):
 
 
 def _drag(forces, body, point, flow, entries):
-    """Let a fluid drag along axes of a body and about them, with two coefficients of each."""
+    """Apply a fluid's drag along axes of a body and about them, with two coefficients of each."""
     offset = forces.turned(body, point)
     velocity, spin = subtract(forces.place(body, offset)[1], flow), forces.spin(body)
     force, moment = ZERO, ZERO

@@ -45,6 +45,6 @@ def definition(kind):
 
 
 def defined(path, name):
-    """Return what a file defines, which is run where it was not."""
+    """Return the class that a file defines; the file is run unless it was."""
     run_code(path)
     return _defined[path][name]

@@ -69,7 +69,7 @@ def compiler():
 
 
 def requirements():
-    """Return what the Python package index must bring: a compiler, where there is none yet."""
+    """Return the wheels that a build needs: a compiler, if the machine has none."""
     return [] if compiler() or find_spec('ziglang') else [f'ziglang=={ZIG}']
 
 

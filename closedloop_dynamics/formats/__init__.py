@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Other formats of machines: URDF, MJCF and SDF become mechanisms, and mechanisms become those."""
+"""Other formats of machines: URDF, MJCF and SDF, read and written."""

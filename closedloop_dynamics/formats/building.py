@@ -443,7 +443,7 @@ def _points(model, groups, frames, named):
 
 
 def _lifted(model, groups):
-    """Return the links whose weight is compensated, of those that move."""
+    """Return the links, of those that move, whose weight is compensated."""
     return [link for name, link in model.links.items()
             if groups.of[name][0] != GROUND and link.lifted(model.gravity).any()]
 
@@ -498,7 +498,7 @@ def _effects(model, groups, frames, mechanism, tree, named, end_stops, omitted, 
 
 
 def _add_along(model, groups, frames, named, end_stops, effects, ignored):
-    """Add ropes, belts and drag; note limits that no stiffness is asked for."""
+    """Add ropes, belts and drag; report limits without a stiffness as left out."""
     limits = [one for one in model.ropes if one.stiffness is None] + [
         one for one in model.belts if one.limit]
     if limits and end_stops is None:
@@ -533,7 +533,7 @@ def _add_along(model, groups, frames, named, end_stops, effects, ignored):
 
 
 def _act(joint, key, mechanism, name, effects, omitted):
-    """Add effects in a joint's degrees of freedom, of one kind; note others as left out."""
+    """Add effects in a joint's degrees of freedom, of one kind; report others as left out."""
     value, (kind, number) = getattr(joint, key), JOINT_EFFECTS[key]
     if not np.any(value):
         return
@@ -564,7 +564,7 @@ def _act(joint, key, mechanism, name, effects, omitted):
 
 
 class _Names:
-    """Names of ours for those of a file: of joints, and of bodies and points."""
+    """Valid names for those of a file: of joints, and of bodies and points."""
 
     def __init__(self, model):
         """Name links and joints in the file's order, links before frames."""

@@ -364,7 +364,7 @@ class _Reader:
                 for body in range(1, compiled.nbody)}
 
     def start(self, key):
-        """Take where joints start from a key frame."""
+        """Set the start of the joints from a key frame."""
         if key is None:
             return
         compiled = self.compiled
@@ -385,7 +385,7 @@ class _Reader:
         return disabled(self.mujoco, self.compiled, what)
 
     def _find_drives(self):
-        """Note which joints are driven, and the damping and armature of drives in them."""
+        """Find the driven joints, and the damping and armature of drives in them."""
         compiled, model, kinds = self.compiled, self.model, self.mujoco.mjtTrn
         in_joints = [int(getattr(kinds, f'mjTRN_{kind}')) for kind in (
             'JOINT', 'JOINTINPARENT', 'SO3') if hasattr(kinds, f'mjTRN_{kind}')]
@@ -425,7 +425,7 @@ class _Reader:
                 'commands are torques and forces of joints')
 
     def _omit_gains(self, drive, gear, joint):
-        """Note the force of an actuator of position or velocity without a command."""
+        """Report an actuator of position or velocity without a command as left out."""
         compiled = self.compiled
         if self.disabled('ACTUATION') or compiled.actuator_biastype[drive] != int(
                 self.mujoco.mjtBias.mjBIAS_AFFINE):

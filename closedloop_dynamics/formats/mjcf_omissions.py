@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Numbers of a compiled MJCF model that move bodies and that no mechanism or effect has."""
+"""Parts of a compiled MJCF model that move bodies and have no counterpart here."""
 
 import numpy as np
 

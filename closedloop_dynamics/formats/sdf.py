@@ -101,7 +101,7 @@ def read_sdf(path, asked=Asked()):
 
 
 def _chosen(where, models, missing, asked):
-    """Return the model that is simulated, its version, and the models that stand still."""
+    """Return the model to simulate, its version, and the static models."""
     moving, still = {}, []
     for model, version in models:
         static = model.child('static')
@@ -171,7 +171,7 @@ class _Reader:
     """
 
     def __init__(self, element, model, version, found=(), around=()):
-        """Note every frame with the pose that it is given; ``around``: those of the world."""
+        """Collect every frame with its given pose; ``around``: those of the world."""
         self.element, self.model, self.version = element, model, version
         self.around = dict(around)
         self.links, self.joints = element.all('link'), element.all('joint')
@@ -236,7 +236,7 @@ class _Reader:
                 joint.actuated = joint.type in DRIVEN and bool(joint.effort)
 
     def _place(self):
-        """Note where the world is in the frame of the model."""
+        """Store the pose of the world in the frame of the model."""
         element, world, passed = self.element, IDENTITY, []
         frame = element.get('placement_frame') or MODEL
         # Frames of the world are relative to others of them.
@@ -405,7 +405,7 @@ class _Reader:
         return place.rotation.T @ frame @ axis
 
     def _act(self, joint, element):
-        """Note the effects on a joint, its limits and the joint it mimics."""
+        """Store the effects on a joint, its limits and the joint it mimics."""
         mimic = element.child('mimic')
         joint.damping, joint.friction, joint.stiffness, joint.rest = _acting(element)
         joint.lower, joint.upper, joint.effort, joint.speed = _limits(element)

@@ -401,7 +401,7 @@ def _extend(model, robot):
 
 
 def _drawn(model):
-    """Return where the links are in the frame of the ground, each joint at zero."""
+    """Return the poses of the links in the frame of the ground, each joint at zero."""
     carried, found, waiting = {}, {GROUND: IDENTITY}, [GROUND]
     for joint in model.joints.values():
         if not joint.closes:
@@ -415,7 +415,7 @@ def _drawn(model):
 
 
 def _find_drives(model, robot):
-    """Note which joints are driven: as transmissions or ros2_control say."""
+    """Find the driven joints, from transmissions or ros2_control."""
     named = [joint.get('name') for transmission in robot.all('transmission')
              for joint in transmission.all('joint')]
     for control in robot.all('ros2_control'):

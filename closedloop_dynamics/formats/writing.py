@@ -41,7 +41,7 @@ APART = 0.1
 
 
 class Single(NamedTuple):
-    """A joint of a chain that stands for another: one degree of freedom, a ball or nothing."""
+    """A joint of a chain that replaces another: one degree of freedom, a ball or fixed."""
 
     name: str
     type: str  # noqa: A003
@@ -49,7 +49,7 @@ class Single(NamedTuple):
 
 
 def chain(mechanism, joint, balls):
-    """Return the chain of joints that is a joint: balls only where a format has them."""
+    """Return the chain of joints equivalent to a joint, with balls where the format has them."""
     slides = [(PRISMATIC, axis) for axis in (X, Y, Z)]
     ball = [(SPHERICAL, None)] if balls else [(REVOLUTE, axis) for axis in (X, Y, Z)]
     kinds = {
@@ -260,7 +260,7 @@ def moved(joint, q):
 
 
 def counted_from(mechanism, start):
-    """Return a mechanism whose couplings count coordinates of joints from a start, shape (nq,)."""
+    """Return a mechanism with couplings offset by start coordinates, shape (nq,)."""
     places = mechanism.coordinates
     zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
             if JOINT_FREEDOMS[joint.type] == 1}

@@ -33,7 +33,7 @@ OWNERS = ('link', 'joint', 'gazebo', 'model')
 
 def leave_out(model, root, reasons):
     """
-    Note the parts of a file that were not read.
+    Report the parts of a file that were not read as left out.
 
     Parameters
     ----------

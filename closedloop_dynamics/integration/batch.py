@@ -108,7 +108,7 @@ def build_batch(systems):
 
 
 def _arrays_of_effects(tables):
-    """Return what the code of a scene reads and writes of effects, lane by lane, by its place."""
+    """Return the arrays of effects that a scene's code uses, lane by lane, by place."""
     first = tables[0]
     return {
         calls.VALUES: lanes.spread([table.values for table in tables]),

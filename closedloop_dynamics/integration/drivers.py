@@ -106,7 +106,7 @@ class FixedSteps:
         return status, self.made * step_size
 
     def go_on(self):
-        """Let the next call, which is the same again, go on from where the latest failed."""
+        """Make the next, identical call continue where the latest failed."""
         self._before = self.made
 
     def restart(self, moved=False):
@@ -130,7 +130,7 @@ class _Adaptive:
         return status, self.control[columns.REACHED] - (origin + done * step_size)
 
     def go_on(self):
-        """Let the next call go on; see ``FixedSteps.go_on``."""
+        """Make the next call continue; see ``FixedSteps.go_on``."""
         if self.control[columns.STEP_SIZE] == 0.0:
             self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
 
@@ -178,7 +178,7 @@ class ErrorControlled(_Adaptive):
 
     @property
     def memory(self):
-        """Return views of what outlasts ``restart``."""
+        """Return views of the data that ``restart`` keeps."""
         return (self.control,)
 
     def restart(self, moved=False):
@@ -207,7 +207,7 @@ class Switching(_Adaptive):
     """
 
     def __init__(self, system, integrator, stabilisation, accuracy):
-        """Allocate the run and its companion."""
+        """Allocate the run and its reference run."""
         self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
         self._runs = _allocate_runs(
@@ -231,7 +231,7 @@ class Switching(_Adaptive):
 
     @property
     def memory(self):
-        """Return views of what outlasts ``restart``."""
+        """Return views of the data that ``restart`` keeps."""
         runs = self._runs
         return (runs.control.ravel(), runs.monitor,
                 runs.scratch[REFERENCE, columns.AFTER])
@@ -246,12 +246,12 @@ class Switching(_Adaptive):
 
     @property
     def work(self):
-        """Return the evaluations in steps of the run and of its companion."""
+        """Return the evaluations in steps of the run and of its reference run."""
         return self._runs.control[:, columns.WORK].tolist()
 
     def aim(self, accuracy):
         """
-        Keep another accuracy from the next step on; the motion goes on, and a new window begins.
+        Change the accuracy from the next step on; the run goes on, and a new window begins.
 
         ``accuracy``: float; as of the class.
 
@@ -279,7 +279,7 @@ class Switching(_Adaptive):
 
 
 class Stiff:
-    """Steps of RODAS4: of one size, or error-controlled up to where the state is asked for."""
+    """Steps of RODAS4: of one size, or error-controlled up to the requested time."""
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
@@ -327,7 +327,7 @@ class Stiff:
                 'advance_stiff_fixed', system.native, self._stabilisation, *method)
 
     def go_on(self):
-        """Let the next call go on; see ``FixedSteps.go_on``."""
+        """Make the next call continue; see ``FixedSteps.go_on``."""
         self._before = 1 if self._adaptive else self.made
 
     memory = ()

@@ -115,7 +115,7 @@ class Evaluator:
 
     def __call__(self) -> None:
         """
-        Evaluate what ``q``, ``qd`` and ``tau`` hold.
+        Evaluate the state in ``q``, ``qd`` and ``tau``.
 
         Raises
         ------
@@ -131,6 +131,6 @@ class Evaluator:
                 'normalise them')
 
     def __repr__(self) -> str:
-        """Return what it computes of how many numbers."""
+        """Return the sizes of its inputs and outputs."""
         return (f'<Evaluator of {", ".join(self._names)}: q {self.q.shape}, qd {self.qd.shape}, '
                 f'tau {self.tau.shape}>')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A run that the engine makes and watches, call by call, until there is something to do or to tell.
+A run that the engine makes and checks, call by call, until Python has to act.
 
 The meanings of columns are in ``engine/guarded_run.hpp``; a test compares the places.
 
@@ -33,7 +33,7 @@ NEVER = 2 ** 62
 
 
 class Watch(NamedTuple):
-    """When a run is looked at, and what must hold then."""
+    """Times and tolerances of the checks of a run."""
 
     first: int
     rarely: int

@@ -34,7 +34,7 @@ SHARE, LOST, MOVED, TIME = range(4)
 
 def run_samples(system, run, start, torque, schedule):
     """
-    Make whole runs, one after the other, like one that stands at its start.
+    Make whole runs, one after the other, all from the start of one.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def allocate_buffer(system, instants, evaluated, body, point):
 
 def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     """
-    Compute the wrenches in the joints of the trees at instants of a known motion.
+    Compute the wrenches in the joints of the trees at instants of a given motion.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class SciPySolver:
         return DONE, steps * step_size
 
     def _step_to(self, target):
-        """Let the solver pass a time; its own steps need not end there."""
+        """Advance the solver past a time; its own steps need not end there."""
         try:
             if self._solver is None:
                 time, state = self._start

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs by steps of one size, and what their derivatives need; the records of sensitivity.hpp."""
+"""Runs by steps of one size, and the data of their derivatives; structs of sensitivity.hpp."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ class SteppedRun(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """What the derivatives of a run need to know of it."""
+    """Data of a run for its derivatives."""
 
     state: np.ndarray  # Shape (steps + 1, ns)
     # Shape (steps, stages, ns + nv + nc): states evaluated, accelerations, multipliers.
@@ -47,7 +47,7 @@ class StepRoutines(NamedTuple):
 
 
 class RunInputs(NamedTuple):
-    """Changes, or weights, of what a run depends on."""
+    """Changes, or weights, of the inputs of a run."""
 
     start: np.ndarray  # Shape (nq + nv,)
     torque: np.ndarray  # Shape (rows, nv)

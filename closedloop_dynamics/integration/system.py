@@ -269,7 +269,7 @@ def _relinked(routines, *fields):
 
 def refine(system, state):
     """
-    Give a system routines for links much lighter than others, where a state asks for them.
+    Give a system routines for links much lighter than others, if a state needs them.
 
     They are taken away where it does not. Without these routines loops over the bodies serve such
     links, in two to three times the time.
@@ -370,7 +370,7 @@ def number_of_states(system):
 
 class Probe:
     """
-    Evaluations asked for from Python, one at a time, with the arguments bound.
+    Evaluations from Python, one at a time, with the arguments bound.
 
     Attributes
     ----------

@@ -184,7 +184,7 @@ def with_tree(mechanism, links, orders=None):
 
 
 def _body(body, shift):
-    """Return a body whose frame was moved."""
+    """Return a body in its moved frame."""
     visual = tuple(replace(one, center=_moved(one.center, np.append(shift, 0.0)[:3]))
                    for one in body.visual)
     return replace(body, visual=visual, center_of_mass=body.center_of_mass if body.massless
@@ -192,7 +192,7 @@ def _body(body, shift):
 
 
 def _moved(place, shift):
-    """Return a place in a frame that was moved; as it is where that is not known."""
+    """Return a place in a moved frame; unchanged where the move is unknown."""
     if shift is None or not shift.any() or len(place) != len(shift):
         return place
     return tuple((np.array(place) - shift).tolist())

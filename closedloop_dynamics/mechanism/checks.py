@@ -168,7 +168,7 @@ def text(value):
 
 
 def name(value):
-    """Return ``value`` if it can stand in a ROS topic or parameter name."""
+    """Return ``value`` if it is valid in a ROS topic or parameter name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
         raise FieldError(
             'a name of letters, digits and underscores that starts with a letter', shown(value))

@@ -77,7 +77,7 @@ def in_tree(mechanism, coupling):
 
 def coupling_scales(mechanism):
     """
-    Return what the multipliers of couplings are to be divided by.
+    Return the scales of the multipliers of couplings.
 
     Those of a cut joint whose coordinate is no sum of those of the tree are written for that
     coordinate, without its factor.
@@ -99,7 +99,7 @@ def coupling_scales(mechanism):
 
 def relative(mechanism, coupling):
     """
-    Return a coupling for the coordinate of the cut joint that ``measured`` tells.
+    Return a coupling for the coordinate of a cut joint among ``measured``.
 
     Parameters
     ----------

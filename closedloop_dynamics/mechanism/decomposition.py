@@ -83,7 +83,7 @@ def decompose(mechanism):
 
 
 def moved_bodies(mechanism, motion):
-    """Return the names of the bodies whose joint, or whose point, moves as prescribed."""
+    """Return the names of the bodies with a prescribed motion of their joint or a point."""
     if motion.freedom is None:
         return (mechanism.point(motion.point).body,)
     joint = mechanism.coordinates.joint_of(motion.freedom)

@@ -278,7 +278,7 @@ class Coupling:
 @dataclass(frozen=True)
 class DrivingConstraint:
     """
-    An equation that lets a freedom, or a point, move as a function of the time.
+    An equation that makes a degree of freedom, or a point, a function of time.
 
     An effect of the scene knows that function. The multiplier is the torque or force that it
     takes.

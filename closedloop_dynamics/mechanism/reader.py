@@ -290,7 +290,7 @@ def _evaluated(shapes: Any, parameters: Parameters) -> Any:
 
 
 def _body(values: Dict[str, Any], parameters: Parameters, spatial: bool) -> Dict[str, Any]:
-    """Return the keys of a body with those that it need not say."""
+    """Return the keys of a body, with its optional ones."""
     for key in _SHAPE_KEYS:
         if key in values:
             with at(key):

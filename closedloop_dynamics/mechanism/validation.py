@@ -448,7 +448,7 @@ def _require_key(section, joint, key, types):
 
 def check_axes(mechanism):
     """
-    Refuse axes that a joint in space does not have, and ask for those that it has.
+    Refuse axes that a joint in space does not have, and require those that it has.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From unrolled arithmetic to C99."""
+"""C99 writer for traced arithmetic."""
 
 from . import sincos
 from .expression_graph import (
@@ -293,7 +293,7 @@ def _in_vectors(width, kind, operands):
 
 
 def _waves(operations, use):
-    """Return angles whose sines are needed, those that depend on sines of others after these."""
+    """Return the angles whose sines are needed, each before those that depend on its sine."""
     depth = {}
     for place in sorted(use):
         kind, *operands = operations[place]

@@ -42,7 +42,7 @@ _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
 
 class DerivativeTrace(SceneTrace):
     """
-    A mechanism and what acts on it, unrolled for derivatives.
+    A mechanism with its effects, traced for derivatives.
 
     Accelerations and multipliers of the state are inputs, as an evaluation leaves them.
 
@@ -54,7 +54,7 @@ class DerivativeTrace(SceneTrace):
     """
 
     def __init__(self, model, act, values):
-        """Let every joint be looked at alone."""
+        """Set up the recursion with every joint treated separately."""
         super().__init__(model, act, values)
         self.recursion.hinges = ()
 
@@ -125,7 +125,7 @@ class DerivativeTrace(SceneTrace):
 
     def joint_forces(self, rows, origins, axes, cuts, cut_axes):
         """
-        Store the wrenches in joints: what the parent exerts on the child, body B on body A.
+        Store the wrenches in joints: of the parent on the child, of body B on body A.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class DerivativeTrace(SceneTrace):
 
     def cut_wrench(self, rows):
         """
-        Return the wrench at a cut joint: what body B exerts on body A.
+        Return the wrench of body B on body A at a cut joint.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class DerivativeTrace(SceneTrace):
 
     def balance(self, qdd, lam, force, torque, held):
         """
-        Return M qdd - J^T lambda with forces, less torques; and J qdd with what a closure tells.
+        Return M qdd - J^T lambda with forces, less torques; and J qdd with its bias.
 
         Parameters
         ----------

@@ -86,7 +86,7 @@ def gradients(graph, values, weights, inputs):
 
 
 def _last(values):
-    """Return the last place that values are known from."""
+    """Return the last place on which values depend."""
     return max((value.place for value in values if isinstance(value, Symbol)), default=-1)
 
 

@@ -155,7 +155,7 @@ def good(model, smallest, limit):
 
 def factorize_well(model, work):
     """
-    Factorise as ``factorize``; note a good smallest pivot in ``health``.
+    Factorise as ``factorize``; record a good smallest pivot in ``health``.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def factorize_well(model, work):
 
 def note_well(model, work, smallest):
     """
-    Note a smallest pivot in ``health`` where it is good.
+    Record a smallest pivot in ``health`` where it is good.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def note_well(model, work, smallest):
 
 def note(model, work, smallest):
     """
-    Keep a smallest pivot in ``health``.
+    Record a smallest pivot in ``health``.
 
     Parameters
     ----------

@@ -94,13 +94,13 @@ class _Loops:
     """
 
     def __init__(self, recursion, model, work, closing, rows):
-        """Keep what is needed."""
+        """Store the arguments."""
         self.recursion, self.model, self.work = recursion, model, work
         self.closing, self.rows = closing, rows
         self.smallest = 1.0
 
     def _respond(self, equation, body_a, body_b):
-        """Return shares of a unit multiplier in joints, plain and over D, and what is left."""
+        """Return joint forces of a unit multiplier, plain and over D, and the remaining wrench."""
         work, parent = self.work, self.model.tree[:, PARENT]
         arrived, forces, shares = {}, dict(equation.in_joints), {}
         for body, wrench in ((body_a, equation.on_a), (body_b, equation.on_b)):
@@ -145,7 +145,7 @@ class _Loops:
         return self.smallest
 
     def _scales(self, diagonal):
-        """Return what the pivots are compared with, as ``elimination.assemble`` does."""
+        """Return the reference values of the pivots, as in ``elimination.assemble``."""
         scale, places = self.work.scale, [place for place, _, _, _ in self.rows]
         scale[places] = diagonal
         for cut in self.model.cut:
@@ -155,7 +155,7 @@ class _Loops:
 
     def close(self, right):
         """
-        Eliminate the multipliers, and leave their inertia and force on the closing body.
+        Eliminate the multipliers; add their inertia and force to the closing body.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class _Loops:
             recursion.force[self.closing] = add(recursion.force[self.closing], force)
 
     def find_multipliers(self):
-        """Find the multipliers, the closing body's acceleration being known, and let them act."""
+        """Find the multipliers from the closing body's acceleration, and apply their forces."""
         body, lam = self.work.body, list(self.left)
         if self.closing > 0:
             after = self.recursion.acceleration[self.closing]
@@ -277,7 +277,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
 def correct(recursion, model, work, error, out):
     """
-    Find the least change of coordinates or rates, in the mass metric, that takes an error away.
+    Find the least change of coordinates or rates, in the mass metric, that closes an error.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From unrolled arithmetic to LLVM's intermediate representation."""
+"""Writer of LLVM's intermediate representation for traced arithmetic."""
 
 from llvmlite import ir
 
@@ -79,7 +79,7 @@ class Writer:
         self.finish()
 
     def finish(self):
-        """Store the outputs, and return whether the branches taken were right."""
+        """Store the outputs, and return whether the traced branches were the right ones."""
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.builder.store(self.number(known), self.address(source, place))
@@ -113,7 +113,7 @@ class Writer:
         return self.arithmetic(kind, *(self.number(operand) for operand in operands))
 
     def ask(self, function, effect, begin, length, *numbers):
-        """Return what a function of the engine finds among the entries of an effect."""
+        """Return the result of a function of the engine on entries of an effect."""
         builder, (table, _, _) = self.builder, self.function.args
         with builder.goto_entry_block():
             results = builder.alloca(_DOUBLE, _MOST_RESULTS)
@@ -145,7 +145,7 @@ class Writer:
         return self.call(_LIBRARY[kind], *numbers)
 
     def call(self, name, *numbers):
-        """Return what a function of LLVM or the C library makes of numbers."""
+        """Return the result of a function of LLVM or the C library."""
         module = self.builder.module
         return self.builder.call(module.globals.get(name) or ir.Function(
             module, ir.FunctionType(numbers[0].type, [one.type for one in numbers]), name),
@@ -153,7 +153,7 @@ class Writer:
 
 
 class PieceWriter(Writer):
-    """Writes a piece of the loops: a function of the rows that it reads and writes."""
+    """Writes a joint kernel: a function of the rows that it reads and writes."""
 
     TYPE = ir.FunctionType(_WORD, 5 * [_DOUBLE.as_pointer()])
 
@@ -163,10 +163,10 @@ class PieceWriter(Writer):
 
 
 class LawWriter(PieceWriter):
-    """Writes a law of force, with the few sines that it has one by one."""
+    """Writes a law of force; its few sines are computed one by one."""
 
     def turn(self, operations, angles):
-        """Leave sines and cosines where they stand: one may be within another."""
+        """Compute sines and cosines one by one, as one may be within another."""
 
 
 def intermediate_code(routines, writer):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Unroll an evaluation for one topology: run it on symbols and keep the arithmetic.
+Trace an evaluation for one topology: run it on symbols and record the arithmetic.
 
 Recursions and loops over a mechanism, run with symbols in the place of numbers, leave behind the
 list of additions and multiplications that this one mechanism needs: no loop, no index, no zero
@@ -27,7 +27,7 @@ Q, QD = -1, -2
 
 class ExpressionGraph:
     """
-    The arithmetic seen so far.
+    Recorded arithmetic, each operation once.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Routine:
     """
 
     def __init__(self, name, graph, outputs):
-        """Keep what is needed for the outputs."""
+        """Select the operations that the outputs need."""
         self.name, self.graph, self.outputs = name, graph, outputs
 
     def needed(self):
@@ -92,7 +92,7 @@ class Routine:
 
 def needed_for(operations, places, begin=0):
     """
-    Return all places that some depend on, themselves included.
+    Return all places on which given ones depend, themselves included.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _is(value, number):
 
 class Symbol:
     """
-    A number that is not known yet.
+    The result of an operation of an expression graph.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ class Symbol:
         return self._put(GREATER_EQUAL, other, self)
 
     def __bool__(self):
-        """Take the branch, and remember that the results hold only there."""
+        """Choose the branch, and record that the results hold only there."""
         guard = self.graph.guard
         self.graph.guard = self if guard is None else guard._put(BOTH, guard, self)
         return True

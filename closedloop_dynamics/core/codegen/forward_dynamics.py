@@ -133,7 +133,7 @@ def apply(model, work, lam):
 
 def constraint_right_side(work, baumgarte, right):
     """
-    Turn J I^-1 phi into what is left for the multipliers to do.
+    Turn J I^-1 phi into the right-hand side of the multipliers, in place.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Where the engine finds the routines of one mechanism.
+Function tables: addresses of the routines and arrays of one mechanism, for the engine.
 
 A function table is an array of integers: the addresses of the routines, zero for those that are
 not there, then those of the arrays that they work on. A routine is called with the table and a

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Forces in the joints after an evaluation, unrolled.
+Forces in the joints after an evaluation, traced.
 
 Where closure equations repeat others, forces are not unique: those are chosen that are least in
 all joints together, as ``engine/least_forces.hpp`` says. There any equations are told apart by
@@ -32,7 +32,7 @@ SAME_PLACE = 1e-12
 
 def structure(model, joints):
     """
-    Return what code for least forces depends on beside the topology.
+    Return the structural data of code for least forces, beside the topology.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def wrenches(trace, qdd, lam, closures):
 
 class _Passage:
     """
-    Where multipliers of one cut joint, or of another equation, pass through the tree.
+    Path of the multipliers of one cut joint, or of another equation, through the tree.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class _Passage:
             self.joint < len(trace.joints.body)) else ZERO
 
     def wrenches(self, on_a, on_b):
-        """Return what acts on each body, with all beyond it, at its origin, by row."""
+        """Return the wrench on each body and its descendants, at its origin, by row."""
         found = {}
 
         def arrive(i, wrench):
@@ -181,7 +181,7 @@ class _Passage:
 
 class _Joint:
     """
-    Where a wrench in a joint counts: at the joint's points on its two bodies.
+    Points on the two bodies of a joint at which its wrench is measured.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class _Joint:
     """
 
     def __init__(self, trace, k):
-        """Find the arms to these points from where the wrench is told."""
+        """Find the arms from the reference point of the wrench to these points."""
         joints, motion = trace.joints, trace.recursion.motion
         at_a, at_b = (
             add(motion[row].origin, times(motion[row].frame, trace.joint_point(2 * k + n)))
@@ -205,7 +205,7 @@ class _Joint:
                 subtract(told, at_a), subtract(told, at_b))
 
     def product(self, one, other, share):
-        """Return what counts of two wrenches: ``share`` of their moments at each point."""
+        """Return the inner product of two wrenches: ``share`` of their moments at each point."""
         total = dot(one[3:], other[3:])
         for arm in self.arms:
             moments = (add(each[:3], cross(arm, each[3:])) for each in (one, other))
@@ -215,7 +215,7 @@ class _Joint:
 
 def least_forces(trace, qdd, lam):
     """
-    Return multipliers of all equations with the forces that are least in all joints together.
+    Return the multipliers of all equations that minimise the forces in all joints.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def _in_joints(closures, passages, multipliers):
 
 
 def _require_closed(left_out, levers, qdd):
-    """Note in the guard whether accelerations fulfil the equations that are left out."""
+    """Record in the guard whether accelerations satisfy the redundant equations."""
     parts = [lever * qdd[dof] for one in levers for dof, lever in one.items()
              if not is_zero((lever,))]
     parts += [bias for _, bias in left_out]
@@ -306,7 +306,7 @@ def _require_closed(left_out, levers, qdd):
 
 
 def _shares(levers_of, kept, idle):
-    """Return for each equation that is left out which combination of those kept it is."""
+    """Return each redundant equation as a combination of the retained ones."""
     units, lengths, known = [], [], []
     for n in kept:
         levers, parts = levers_of[n], []

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From unrolled arithmetic to LLVM vectors, with a state in every lane."""
+"""Writer of traced arithmetic on LLVM vectors, with one state in each lane."""
 
 from llvmlite import ir
 
@@ -32,7 +32,7 @@ class LaneWriter(Writer):
     ROOT = f'llvm.sqrt.v{LANES}f64'
 
     def call(self, name, *numbers):
-        """Return what a function makes of numbers: LLVM's of vectors, others of each lane."""
+        """Return the result of a function: LLVM's of vectors, others lane by lane."""
         if name == self.ROOT:
             return super().call(name, *numbers)
         builder, found = self.builder, ir.Constant(_VECTOR, ir.Undefined)

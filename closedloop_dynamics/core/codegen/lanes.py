@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Unrolled routines for several states at once, side by side in the vector units of a core.
+Traced routines for several states at once, in the lanes of vector registers.
 
 One evaluation spends most of its time waiting: each operation for the ones before. The same
 arithmetic on vectors, with a state in every lane, takes hardly longer. What differs between the
@@ -67,7 +67,7 @@ def spread(arrays):
 
 def allocate(models, sizes, baumgarte):
     """
-    Allocate what routines for several states at once read and write.
+    Allocate inputs and outputs of routines for several states at once.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ _ROUNDER = 6755399441055744.0
 
 def address_of_scene(model, structure, laws, form=SCALAR):
     """
-    Return the address of the evaluation of a scene, compiled where nobody has before.
+    Return the address of the evaluation of a scene, compiled unless it is stored.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def address_of_scene(model, structure, laws, form=SCALAR):
 
 class LiveTrace(MechanismTrace):
     """
-    One mechanism and what acts on it, with symbols in the place of all numbers that may change.
+    One mechanism with its effects, with symbols in the place of all numbers that may change.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class LiveTrace(MechanismTrace):
         super().__init__(model)
 
     def cut_points(self):
-        """Return what stands for ``Model.cut_point``: motions follow the time."""
+        """Return symbols for ``Model.cut_point``; prescribed motions depend on the time."""
         found = super().cut_points()
         for (row, column), values in self.laws.motions(self).items():
             found[row, column:column + len(values)] = values
@@ -113,7 +113,7 @@ class LiveTrace(MechanismTrace):
 
 class LiveForces(Forces):
     """
-    What laws of force see and do while they are traced for the engine.
+    Inputs and outputs of laws of force that are traced for the engine.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class LiveForces(Forces):
         return self.trace.state(self.first + number)
 
     def flow(self, *rates, first=0):
-        """Take note of the rates of the effect's states, from one on."""
+        """Store the rates of the effect's states, from one on."""
         for place, rate in enumerate(rates, start=self.first + first):
             self.rates[place] = rate
 
@@ -172,7 +172,7 @@ class LiveForces(Forces):
             self.efforts[joint - self.nv] = self.efforts[joint - self.nv] + torque
 
     def touches(self, gap, rate):
-        """Store a gap and its rate; return whether the contact acts, as decided or by the gap."""
+        """Store a gap and its rate; return whether the contact acts: by its mode or by the gap."""
         trace = self.trace
         side = trace.at(SIDES, self.row, 0)
         fastest, wrong = (trace.at(TRIALS, self.row, n) for n in (0, 2))
@@ -200,7 +200,7 @@ class LiveForces(Forces):
         return [found, *(graph.put(TAKE, found.place, float(n)) for n in range(results))]
 
     def exert(self):
-        """Apply the efforts along cut joints, commanded ones too, and follow their angles."""
+        """Apply the efforts along cut joints, commanded ones too, and update their angles."""
         for k in range(len(self.efforts)):
             self._cut(k).exert(self.efforts[k] + self.command(self.nv + k))
 

@@ -31,7 +31,7 @@ _announce = []
 @contextmanager
 def announced_by(announce):
     """
-    Let a function announce what takes long to compile, before it begins.
+    Announce long compilations, before they begin, by a function.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
 
 
 def _machine(binding):
-    """Return what makes code for this computer."""
+    """Return LLVM's target machine for this computer."""
     return binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(),
         opt=OPTIMISATION)

@@ -160,7 +160,7 @@ class Packing:
         return self.at.get(place, (None,))[0]
 
     def _alone(self, place):
-        """Return who may fuse a product, or its negative, with an addition; None for nobody."""
+        """Return the operation that may fuse with a product or its negative; None for none."""
         if self.operations[place][0] not in (MULTIPLY, NEGATE) or place in self.stored or len(
                 self.users[place]) != 1:
             return None
@@ -168,7 +168,7 @@ class Packing:
         return user if self.operations[user][0] in (ADD, SUBTRACT, NEGATE) else None
 
     def _fuses_otherwise(self, number):
-        """Return whether a fused product and addition would be torn apart."""
+        """Return whether a fused product and addition would be separated."""
         members = self.bundles[number]
         users = [self._alone(place) for place in members]
         if users.count(None) < len(users) and not self._in_lanes(users):
@@ -186,7 +186,7 @@ class Packing:
         return self.bundles.get(self.number(places[0])) == tuple(places)
 
     def ordered(self):
-        """Yield bundles, and other operations alone, after what they depend on."""
+        """Yield bundles and single operations, each after its operands."""
         operations, nodes = self.operations, {}
         for place in self.use:
             number = self.number(place)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Code for one body, and for one cut joint, of each kind: what the loops over a mechanism call.
+Kernels for one body, or one cut joint, of each kind, called by the loops over a mechanism.
 
 A piece is a stage of the recursions (``spatial``) for one body, of which rows of
 ``Workspace.body`` give the motion. Bodies of one kind (joint type, structure of the constants,
@@ -32,13 +32,13 @@ _NO_JOINT = Body(0.0, 0.0, Z, False, None, None, 0.0, None, None, None, None)
 
 
 def arrays_of(model):
-    """Return the module that knows what the arrays of a model hold."""
+    """Return the module that describes the arrays of a model: ``plane`` or ``space``."""
     return space if space.is_spatial(model) else plane
 
 
 def connect(model, piece, cut_piece):
     """
-    Fill in the addresses of the pieces of a mechanism.
+    Fill in the addresses of the kernels of a mechanism.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def connect(model, piece, cut_piece):
 
 def structure(model):
     """
-    Return what the code for a mechanism depends on: as long as it is the same, nothing is linked.
+    Return the data that the kernels depend on: while it is the same, nothing is linked.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ _known = {}
 
 
 def _addresses(arrays, make, kind, model, row):
-    """Return the addresses of the pieces of a kind, of which a row of a model is one."""
+    """Return the addresses of the kernels of a kind, given the row of one such body."""
     key = arrays.__name__.rpartition('.')[2], make.__name__, kind
     if key not in _known:
         find = machine_code(key, lambda: make(arrays, model, row).pieces(), PIECE)
@@ -89,7 +89,7 @@ def _addresses(arrays, make, kind, model, row):
 
 
 class _Tracer:
-    """Symbols of what one piece reads; what it stores where."""
+    """Inputs and outputs of one kernel while it is traced."""
 
     def __init__(self, arrays, constants):
         self.graph, self.arrays, self.outputs = ExpressionGraph(), arrays, []
@@ -111,7 +111,7 @@ class _Tracer:
 
 class _Body:
     """
-    The pieces of one kind of body.
+    The kernels of one kind of body.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ class _Body:
 
     @staticmethod
     def kind(model, row):
-        """Return what the code depends on, beside the structure of the constants."""
+        """Return the key of the code, beside the structure of the constants."""
         tree = model.tree[row]
         return int(tree[TYPE]), int(tree[AXIS]), bool(tree[PARENT] == 0)
 
     def pieces(self):
-        """Return the pieces, in the order of the stages."""
+        """Return the kernels, in the order of their entries in the table."""
         return [self._piece(name, stage) for name, stage in zip(self.NAMES, self._stages())]
 
     def _stages(self):
@@ -202,7 +202,7 @@ class _Body:
                 sketch.store(OTHER, by_column(one.force[_PARENT], self.arrays.FORCES))
 
     def eliminate(self, sketch, one, massless=False):
-        """Compute the joint's factors, and what is left for the parent, of tau."""
+        """Compute the joint's factors, and the force and inertia passed to the parent, of tau."""
         torque = sketch.row(FIRST, 1)[0]
         inverse, right = one.eliminate(
             _BODY, 0 if self.on_ground else _PARENT, torque, massless)
@@ -216,7 +216,7 @@ class _Body:
                              **by_column(one.force[_PARENT], self.arrays.FORCES)})
 
     def _factored(self, sketch, one):
-        """Let a recursion know the factors of the joint."""
+        """Give a recursion the factors of the joint."""
         one.factors[_BODY] = (six(sketch.own, self.arrays.SHARES),
                               one.alone(_BODY))
 
@@ -240,7 +240,7 @@ class _Body:
         return {at: n for n, at in enumerate(self.arrays.FORCES)}
 
     def reduce(self, sketch, one, coupled=False):
-        """Carry a wrench to the parent, less what the joint gives way to; tell its shares."""
+        """Transmit a wrench through the articulated joint to the parent; store joint forces."""
         self._factored(sketch, one)
         own = sketch.row(SECOND, 1)[0] if coupled else 0.0
         force, scaled, wrench = one.transmit_articulated_wrench(
@@ -249,7 +249,7 @@ class _Body:
         sketch.store(SECOND, {0: force, 1: scaled})
 
     def carry(self, sketch, one, beyond=False):
-        """Carry a wrench to the parent; tell its share in the joint."""
+        """Transmit a wrench to the parent; store its joint force."""
         beyond = beyond and bool(one.bodies[_BODY].turns)
         force, wrench = one.transmit_wrench(_BODY, self._wrench(sketch, FIRST), beyond)
         sketch.store(FIRST, by_column(wrench, self._packed))
@@ -327,7 +327,7 @@ class _Body:
 
 
 class _Cut:
-    """The pieces of one kind of cut joint; as for ``_Body``."""
+    """The kernels of one kind of cut joint; as for ``_Body``."""
 
     NAMES = ('equations', 'wrench')
 
@@ -337,13 +337,13 @@ class _Cut:
 
     @staticmethod
     def kind(model, row):
-        """Return what the code depends on, beside the structure of the constants."""
+        """Return the key of the code, beside the structure of the constants."""
         # Right-hand sides of prescribed motions are the last columns, wherever these are.
         width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] >= PRESCRIBED_PLACE else []
         return *model.cut[row, [CUT_TYPE, KEPT]].tolist(), *width
 
     def pieces(self):
-        """Return the pieces, in the order of the stages."""
+        """Return the kernels, in the order of their entries in the table."""
         return [self._piece(name, stage)
                 for name, stage in zip(self.NAMES, (self.equations, self.wrench))]
 

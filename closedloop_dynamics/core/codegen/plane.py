@@ -119,7 +119,7 @@ def number_equations(cut):
 
 def structure(model):
     """
-    Return what code for a planar mechanism depends on beside its topology.
+    Return the structural data of code for a planar mechanism, beside its topology.
 
     Parameters
     ----------
@@ -206,13 +206,13 @@ def _coupling(model, one, values, row):
 
 
 def _sum(model, one, values, row):
-    """Return what ``Cut.coupling`` is, of numbers and symbols of what is held and the factors."""
+    """Return ``Cut.coupling``, from numbers and symbols of the held value and the factors."""
     read = np.where(values[FACTORS:] == 0.0, 0.0, row[FACTORS:])
     return coupling(model, one, np.concatenate([row[:FACTORS], read]))
 
 
 def motion_of(row, body, ground):
-    """Return the motion that a row of ``Workspace.body`` tells, as ``space.motion_of``."""
+    """Return the kinematics in a row of ``Workspace.body``, as ``space.motion_of``."""
     cos, sin = row[COS], row[SIN]
     motion = rows.motion_of(row, MOTION, ground)
     return motion._replace(

@@ -81,7 +81,7 @@ def _geometry(recursion, model, work):
 
 def _stand_in(model, work):
     """
-    Give joints a small inertia where they have none.
+    Give joints without inertia a small one.
 
     Returns whether cut forces act on all of these: nothing else can hold them.
 
@@ -102,7 +102,7 @@ def _stand_in(model, work):
 
 def prepare(recursion, model, tau, work):
     """
-    Judge the configuration, and factor the constraint matrix where it is regular.
+    Check the configuration, and factor the constraint matrix where it is regular.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def _unclosed(model, work, lam, right):
 
 def _hand_over(model, work):
     """
-    Add the latest change to the accelerations, and leave what refinement has to do.
+    Add the latest change to the accelerations, and leave the residual for refinement.
 
     That is the forces on the stand-ins; the sum of their squares is returned.
 

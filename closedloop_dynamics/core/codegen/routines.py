@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is unrolled: the evaluation of a state and the correction of one that has drifted."""
+"""Traced routines: the evaluation of a state, and the correction of its drift."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'accelerati
 
 def topology(model):
     """
-    Return what the routines of a mechanism depend on.
+    Return the key of a mechanism's routines: its topology and structural numbers.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ _addresses = {}
 
 def addresses(model, which, form=SCALAR, joints=None):
     """
-    Return the addresses of a mechanism's routines, compiled where nobody has before.
+    Return the addresses of a mechanism's routines, compiled unless they are stored.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ class MechanismTrace:
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
 
     def cut_points(self):
-        """Return what stands for ``Model.cut_point``."""
+        """Return symbols for ``Model.cut_point``."""
         return self.symbols(CUT_POINT, self.constant.cut_point.shape)
 
     def symbols(self, source, shape):
@@ -188,14 +188,14 @@ class MechanismTrace:
         return array
 
     def store(self, source, values, first=0):
-        """Note that an array goes to an output, but for what was read from there."""
+        """Add an array to an output, except entries that were read from there."""
         for place, value in enumerate(values.flat, start=first):
             if not (hasattr(value, 'place')
                     and self.graph.operations[value.place] == (LOAD, source, place)):
                 self.outputs.append((source, place, value))
 
     def routine(self, which):
-        """Return one of the routines; an unrolling serves for one."""
+        """Return one of the routines; a trace serves for one."""
         getattr(self, NAMES[which])()
         return Routine(NAMES[which], self.graph, self.outputs)
 
@@ -205,7 +205,7 @@ class MechanismTrace:
         self.accelerate()
 
     def outward(self):
-        """Poses, velocities and forces of inertia: what effects work on."""
+        """Poses, velocities and inertial forces, to which effects add."""
         # They are given the axes of all joints.
         self.recursion.hinges = ()
         self.recursion.outward(self.model, self.q, self.qd, self.work)
@@ -227,7 +227,7 @@ class MechanismTrace:
                     row[place] = value
 
     def read(self):
-        """Take what ``write`` has written, as effects have left it."""
+        """Read the rows of ``write`` back, as effects have changed them."""
         one, arrays, body = self.recursion, self.arrays, self.symbols(
             WORK_BODY, self.work.body.shape)
         if arrays is space:
@@ -239,7 +239,7 @@ class MechanismTrace:
         one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
 
     def read_motion(self):
-        """Take motion and forces as ``write`` has written them, but for inertias."""
+        """Read kinematics and forces back from the rows of ``write``, without inertias."""
         one, arrays, body = self.recursion, self.arrays, self.symbols(
             WORK_BODY, self.work.body.shape)
         one.hinges = ()
@@ -272,7 +272,7 @@ class MechanismTrace:
 
     def accelerate(self, by=None, tau=None):
         """
-        Unroll the forward dynamics.
+        Trace the forward dynamics.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class MechanismTrace:
         self.store_wrenches(WRENCH, found)
 
     def store_wrenches(self, source, found, first=0):
-        """Note that wrenches in the joints go to an output, or their components from one on."""
+        """Add wrenches in the joints to an output, or their components from one on."""
         width = 2 * len(self.arrays.FORCES)
         for i, wrench in enumerate(found):
             for place, component in enumerate(self.arrays.FORCES):
@@ -381,5 +381,5 @@ class MechanismTrace:
 
 
 def zeros(*shape):
-    """Return an array of zeros in which symbols find room."""
+    """Return an array of zeros that may hold symbols."""
     return np.full(shape, 0.0, dtype=object)

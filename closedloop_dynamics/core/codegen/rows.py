@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What a row of ``Workspace.body`` says of its body, as the recursions have it.
+Kinematics, inertia and force of a body in its row of ``Workspace.body``.
 
 Columns that ``plane`` and ``space`` fill; components that a planar row does
 not have are zero.
@@ -12,7 +12,7 @@ not have are zero.
 
 def six(row, columns):
     """
-    Return a wrench or a motion.
+    Return a wrench, or a spatial velocity or acceleration.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def by_column(values, columns):
 
 def motion_of(row, columns, ground):
     """
-    Return the motion that a row of ``Workspace.body`` tells.
+    Return the kinematics in a row of ``Workspace.body``.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def motion_of(row, columns, ground):
 
 def columns_of(motion, columns):
     """
-    Return the parts of a motion by column.
+    Return the parts of a body's kinematics by column.
 
     Parameters
     ----------

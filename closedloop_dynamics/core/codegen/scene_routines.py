@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Routines of a mechanism together with what acts on it, for programs that know no effects.
+Routines of a mechanism with its effects, for programs without effects of their own.
 
 Laws of force are traced into the evaluation: beside gravity and torques it knows springs, dampers
 and constant forces. Their numbers are inputs, like masses and lengths.
@@ -25,7 +25,7 @@ PLACE_RATE = 47
 
 class SceneTrace(MechanismTrace):
     """
-    One mechanism and what acts on it, with symbols in the place of all numbers that may change.
+    One mechanism with its effects, with symbols in the place of all numbers that may change.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class SceneTrace(MechanismTrace):
         self._act = act
 
     def moved(self):
-        """Run the outward recursion and let the effects act; return these forces."""
+        """Run the outward recursion and apply the effects; return their forces."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         forces = Forces(self)
         self._act(forces)
@@ -67,7 +67,7 @@ class SceneTrace(MechanismTrace):
         self.outputs = [one for one in self.outputs if one[0] in (CORRECTIONS, CLOSURE)]
 
     def energies(self):
-        """Kinetic energy, that of gravity, and what effects store [J]."""
+        """Kinetic energy, that of gravity, and that stored in effects [J]."""
         one, kinetic, weight = self.recursion, 0.0, 0.0
         forces = self.moved()
         for i, row in list(enumerate(self.constant.tree))[1:]:
@@ -98,13 +98,13 @@ class SceneTrace(MechanismTrace):
             self.outputs += [(PLACE_RATE, n * size + k, rate[k]) for k in range(size)]
 
     def named(self, name):
-        """Return what was unrolled as a routine."""
+        """Return the trace as a routine."""
         return Routine(name, self.graph, self.outputs)
 
 
 class Forces:
     """
-    What laws of force see and do while they are traced.
+    Inputs and outputs of laws of force while they are traced.
 
     Parameters
     ----------
@@ -176,8 +176,8 @@ class Forces:
         self.stored = self.stored + energy
 
     def flow(self, *rates):
-        """Take note of the rates of the effect's states, such as losses; here nobody asks."""
+        """Ignore the rates of the effect's states, such as losses."""
 
     def touches(self, gap, rate):
-        """Return whether a contact acts whose gap, and its rate, is told."""
+        """Return whether a contact of a given gap, and its rate, acts."""
         return gap < 0.0

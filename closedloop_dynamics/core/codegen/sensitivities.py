@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Derivatives of what steps are made of, forward in one direction or reverse, as generated code.
+Generated derivatives of the parts of a step, in forward and reverse mode.
 
 Accelerations and multipliers x, and the corrections that close the loops with theirs, solve
 
@@ -48,7 +48,7 @@ CLOSURE, WRENCH = (CLOSURE_FORWARD,), (WRENCH_FORWARD,)
 
 class SensitivityTrace(DerivativeTrace):
     """
-    A mechanism and what acts on it, unrolled for the derivatives of steps.
+    A mechanism with its effects, traced for the derivatives of steps.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class SensitivityTrace(DerivativeTrace):
     """
 
     def __init__(self, model, act, values, entries, rows, cuts):
-        """Know the inputs: coordinates, rates and parameters; torques stand for themselves."""
+        """Set the inputs: coordinates, rates and parameters; torques stand for themselves."""
         super().__init__(model, act, values)
         self._rows, self._cuts = rows, cuts
         state = [*self.q, *self.qd]
@@ -75,7 +75,7 @@ class SensitivityTrace(DerivativeTrace):
         self._places = [*range(len(state)), *behind]
 
     def routine(self, which):
-        """Return one of the routines; an unrolling serves for one."""
+        """Return one of the routines; a trace serves for one."""
         what, way = NAMES[which].split('_')
         if what == 'closure':
             self.recursion.outward(self.model, self.q, self.qd, self.work)
@@ -88,7 +88,7 @@ class SensitivityTrace(DerivativeTrace):
         return self.named(NAMES[which])
 
     def _of_solution(self, what, way):
-        """Return the results of a routine of what is solved for."""
+        """Return the results of a routine of the solved accelerations and multipliers."""
         of = getattr(self, f'_{way}')
         if what == 'acceleration':
             # Those of the state are inputs, with the multipliers.
@@ -108,7 +108,7 @@ class SensitivityTrace(DerivativeTrace):
             place] if source in parts else self.graph.put(LOAD, source, place))
 
     def _wrenches(self):
-        """Return the wrenches in joints, in world axes, and what they change by."""
+        """Return the wrenches in joints, in world axes, and their changes."""
         own, wrenches, closed = self._balanced()
         found, origins = [], self.symbols(POINT, (len(self._rows), 3))
         for row, origin in zip(self._rows, origins):
@@ -129,7 +129,7 @@ class SensitivityTrace(DerivativeTrace):
         return [*subtract(moment, cross(lever, force)), *force]
 
     def _errors(self, held):
-        """Return what all closure equations tell, in the user's order."""
+        """Return the errors of all closure equations, in the user's order."""
         found = zeros(self.nc)
         for a, cut in enumerate(self.constant.cut):
             for row, closure in enumerate(
@@ -138,7 +138,7 @@ class SensitivityTrace(DerivativeTrace):
         return found
 
     def _changes(self, values, more=()):
-        """Return what values change by in the direction that is an input, and by more symbols."""
+        """Return the changes of values in the direction that is an input, and by more symbols."""
         return differentiated(self.graph, values, {
             **{one.place: self.graph.put(LOAD, SEED, place)
                for one, place in zip(self._inputs, self._places)}, **dict(more)})

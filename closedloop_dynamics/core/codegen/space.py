@@ -90,7 +90,7 @@ def cleared(values):
 
 def vary(model, row, columns):
     """
-    Let code load constants of a body that may change while it runs, and be zero now.
+    Make constants of a body loads, so that they may change at runtime and be zero now.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ _MOMENTS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 
 def _cleared(values):
-    """Return what ``cleared`` does, of a list."""
+    """Return a list as ``cleared`` returns an array."""
     least = ROUNDING * max(map(abs, values))
     return [value if abs(value) >= least else 0.0 for value in values]
 
 
 def snapped(values):
-    """Return directions, components that are nearly 0, 1 or -1 exactly so, as was meant."""
+    """Return directions with components that are nearly 0, 1 or -1 made exactly so."""
     nearest = np.round(values)
     return np.where(np.abs(values - nearest) < ROUNDING, nearest, values) + 0.0
 
@@ -219,7 +219,7 @@ def is_spatial(model):
 
 def structure(model):
     """
-    Return what code for a mechanism in space depends on beside its topology.
+    Return the structural data of code for a mechanism in space, beside its topology.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def body_structure(model):
 
 
 def kinds_of_bodies(model):
-    """Return what ``body_structure`` of a model depends on as its masses and rotors change."""
+    """Return the inputs of ``body_structure`` that change with masses and rotors."""
     body, varies = model.body, _varies(model)
     return (body == 0.0) & ~varies, body[:, TURNED:PARALLEL], *_equal_moments(body, varies)
 
@@ -414,7 +414,7 @@ def cuts(model, symbols):
 
 def kept(cut):
     """
-    Return what ``Cut.kept`` is.
+    Return ``Cut.kept``.
 
     Parameters
     ----------
@@ -426,13 +426,13 @@ def kept(cut):
 
 
 def prescribed(cut, row):
-    """Return what ``Cut.motion`` is; as for ``coupling``."""
+    """Return ``Cut.motion``; as for ``coupling``."""
     return tuple(row[-MOTION_COLUMNS:]) if cut[CUT_TYPE] >= PRESCRIBED_JOINT else None
 
 
 def coupling(model, cut, row):
     """
-    Return what ``Cut.coupling`` is.
+    Return ``Cut.coupling``.
 
     Parameters
     ----------
@@ -456,7 +456,7 @@ def _matrix(row):
 
 def motion_of(row, body, ground):
     """
-    Return the motion that a row of ``Workspace.body`` tells.
+    Return the kinematics in a row of ``Workspace.body``.
 
     Parameters
     ----------
@@ -477,7 +477,7 @@ def motion_of(row, body, ground):
 
 
 def with_written(motion, row):
-    """Return a motion with what routines write of it into a row of ``Workspace.body``."""
+    """Return kinematics with the parts that routines write into a row of ``Workspace.body``."""
     origin, spin, velocity = (
         tuple(row[first:first + 3]) for first in (ORIGIN, SPIN, VELOCITY))
     return motion._replace(frame=_matrix(row[FRAME:]), origin=origin, spin=spin, velocity=velocity)

@@ -31,7 +31,7 @@ X, Y, Z = range(3)
 
 class Body(NamedTuple):
     """
-    What one row of the tree is made of; numbers or symbols.
+    Constants of one row of the tree; numbers or symbols.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Body(NamedTuple):
 
 class Cut(NamedTuple):
     """
-    What closes a loop; numbers or symbols.
+    Constants of a cut joint; numbers or symbols.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Cut(NamedTuple):
         return found if self.motion is None else [self.moved(one) for one in found]
 
     def moved(self, equation):
-        """Return an equation whose sides are to differ by the prescribed motion."""
+        """Return an equation whose two sides differ by the prescribed motion."""
         value, rate, acceleration = self.motion
         return equation._replace(value=equation.value - value, rate=equation.rate - rate,
                                  bias=equation.bias - acceleration)
@@ -156,7 +156,7 @@ class Cut(NamedTuple):
 
 class BodyKinematics(NamedTuple):
     """
-    A body's motion, in world axes.
+    Pose, velocity and acceleration of a body, in world axes.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class Closure(NamedTuple):
 
 class Recursion:
     """
-    The stages of one evaluation.
+    The passes of one evaluation.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ class Recursion:
     """
 
     def __init__(self, bodies, cuts, gravity, hinges=()):
-        """Keep the description."""
+        """Store the description."""
         self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
         self.ground = BodyKinematics(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
@@ -275,7 +275,7 @@ class Recursion:
         self._coordinates, self._across = {}, {}
 
     def take(self, model, q, qd):
-        """Note the coordinates and rates that couplings read."""
+        """Store the coordinates and rates that couplings read."""
         for i in range(1, len(self.bodies)):
             self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
 
@@ -302,7 +302,7 @@ class Recursion:
         self._join()
 
     def _join(self):
-        """Let three hinges through one place turn about the world's axes."""
+        """Replace the axes of three hinges through one place by the world's."""
         self._across = {}
         for rows in self.hinges:
             one, two, three = (self.motion[i].axis[:3] for i in rows)
@@ -372,7 +372,7 @@ class Recursion:
 
     def eliminate(self, i, parent, torque, massless=False):
         """
-        Eliminate a joint from the inertia and force of its body, and hand over what is left.
+        Eliminate a joint from its body; pass articulated inertia and force to the parent.
 
         Parameters
         ----------
@@ -414,7 +414,7 @@ class Recursion:
 
     def hand_over(self, i, parent, torque, scaled, right):
         """
-        Let a parent take what a joint leaves of the force on its body.
+        Add the articulated force of a body to its parent's.
 
         Parameters
         ----------
@@ -433,14 +433,14 @@ class Recursion:
         self.force[parent] = add(self.force[parent], at_parent(force, self.motion[i].offset))
 
     def alone(self, i):
-        """Return which coordinate of motion a joint takes all of, None where there is none."""
+        """Return the index of the world axis along which the joint axis lies, or None."""
         if self.bodies[i].armature is not None or not is_zero(self.rotor[i]):
             return None
         return _aligned(self.motion[i].axis)
 
     def follow(self, i, before, qdd):
         """
-        Return the acceleration of a body, of that of its parent and of its joint.
+        Return the acceleration of a body from those of its parent and its joint.
 
         Parameters
         ----------
@@ -516,7 +516,7 @@ class Recursion:
                 yield self.motion[i].frame, slice(dof - 2, dof + 1)
 
     def _between(self, model, tau):
-        """Return torques with what forces on the bodies between three hinges do to them."""
+        """Return torques, with the effect of forces on the bodies between three hinges."""
         tau = list(tau)
         for rows, (_, axes) in self._across.items():
             first, second, _ = rows
@@ -622,13 +622,13 @@ class Recursion:
             arrived[parent] = add(arrived.get(parent, 2 * ZERO), wrench)
 
     def _reduced(self, model, work, responses, begin, end, row, wrench):
-        """Carry a wrench inward along a path; return what arrives at the last parent."""
+        """Carry a wrench inward along a path; return the wrench on the last parent."""
         for entry in range(begin, end):
             wrench = self._pass(model, work, responses, entry, row, wrench)
         return wrench
 
     def _pass(self, model, work, responses, entry, row, wrench, own=0.0):
-        """Keep the shares of a wrench in a joint of a path; return what arrives at the parent."""
+        """Store the joint forces of a wrench on a path; return the wrench on the parent."""
         i, scaled = model.path_body[entry], 0.0
         if responses == LEVERS:
             beyond = self._counts_angles(i) and self._joined_before(model, i)
@@ -641,7 +641,7 @@ class Recursion:
 
     def transmit_wrench(self, i, wrench, beyond=False, own=0.0):
         """
-        Carry a wrench on a body to its parent.
+        Transmit a wrench on a body to its parent.
 
         Parameters
         ----------
@@ -672,7 +672,7 @@ class Recursion:
 
     def transmit_articulated_wrench(self, i, inverse, wrench, own=0.0):
         """
-        Carry a wrench on a body to its parent, less what the joint gives way to.
+        Transmit a wrench on a body through its articulated joint to the parent.
 
         Parameters
         ----------
@@ -768,7 +768,7 @@ def _turned_inertia(frame, inertia):
 
 
 def _aligned(axis):
-    """Return the coordinate that an axis is, None where it is none or not known yet."""
+    """Return the index of the world axis that an axis is; None for another or a symbol."""
     for n in range(6):
         if is_number(axis[n], 1.0) and is_zero(axis[:n] + axis[n + 1:]):
             return n
@@ -868,7 +868,7 @@ def _distance(cut, first, second, at_a, at_b):
 
 def _turn(cut, first, second):
     """
-    Return the equation that lets the angle of body A about Z of body B be as prescribed.
+    Return the equation that prescribes the angle of body A about Z of body B.
 
     Its value is the sine of what the angle is off, so that it does not matter how often the joint
     has turned round.

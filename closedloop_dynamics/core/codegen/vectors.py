@@ -15,7 +15,7 @@ IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def in_space(vector):
-    """Return a vector of two or three numbers with zeros for what the plane does not have."""
+    """Return a vector in space, with zeros for the components that the plane lacks."""
     return (*vector, *(3 - len(vector)) * (0.0,))
 
 
@@ -81,10 +81,10 @@ def skew(a):
 
 
 def is_number(value, number):
-    """Return whether a value is a given number before any input is known."""
+    """Return whether a value is a given number whatever the inputs."""
     return isinstance(value, float) and value == number
 
 
 def is_zero(values):
-    """Return whether all values are zero before any input is known."""
+    """Return whether all values are zero whatever the inputs."""
     return all(is_number(value, 0.0) for value in values)

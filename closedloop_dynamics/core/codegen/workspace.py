@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Allocate what one evaluation writes, and bind the code of its mechanism to it."""
+"""Allocate the workspace of one evaluation, and bind the code of its mechanism to it."""
 
 import numpy as np
 
