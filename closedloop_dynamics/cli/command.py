@@ -197,7 +197,7 @@ def with_numbers(scene, arguments):
 
 def read_scene(name, arguments):
     """
-    Return a scene by its name, read as a command line asks, and say so where it takes long.
+    Return a scene by its name, with the options of a command line; print a long read.
 
     Raises
     ------
@@ -422,7 +422,7 @@ def require_drawing(arguments):
 
 
 def write_drawing(arguments, motion, title):
-    """Write the line drawing of a motion that the command line asks for."""
+    """Write the line drawing of a motion that was requested."""
     from ..visual.line_drawing import line_drawing, write
     write(line_drawing(motion, title), arguments.drawing)
 

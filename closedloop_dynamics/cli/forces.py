@@ -99,7 +99,7 @@ class _Largest:
         self._force = np.zeros(len(simulation.cut_joints))
 
     def sample(self):
-        """Take the present state in."""
+        """Add the present state."""
         simulation = self._simulation
         self.count += 1
         np.maximum(self._torque, np.abs(simulation.system.tau[simulation.actuated]),

@@ -52,7 +52,7 @@ def add_drive(parser, default=''):
 
 def driven_run(arguments, scene):
     """
-    Return the driven run that a command line asks for.
+    Return the driven run of a command line.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def _of_option(error):
 
 def paced(arguments, scene, poses=POSES):
     """
-    Return drives by name, the number of poses and the speed that a command line asks for.
+    Return drives by name, the number of poses and the speed of a command line.
 
     Raises
     ------

@@ -129,7 +129,7 @@ def _run(arguments):
 
 
 def _tell_cost(simulation, torque, estimated, arguments):
-    """Print what the run will cost."""
+    """Print the predicted cost of the run."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', InaccuracyWarning)
         costs = probe(simulation, arguments.duration, arguments.rate, torque, estimated)

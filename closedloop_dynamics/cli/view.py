@@ -183,7 +183,7 @@ def _play(arguments):
 
 
 def _complained(described):
-    """Return a description; say on stderr which meshes cannot be shown."""
+    """Return a description; print the meshes that cannot be shown on stderr."""
     for text in described['missing']:
         print(f'closedloop view: {text}; drawn as lines', file=sys.stderr)
     return described

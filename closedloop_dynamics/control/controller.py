@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Controllers by their settings: which law, with what gains, along what reference."""
+"""Controllers from their settings: law, gains and reference."""
 
 import math
 
@@ -45,7 +45,7 @@ def closed_loop(values, joints, simulation=None):
 
 def gains(values, joints, simulation=None):
     """
-    Return what changes while a law runs, gains first, then feedforward and limit, shape (n,).
+    Return the tunable values of a law: gains, feedforward and limit, shape (n,).
 
     Gains are kp, kd and ki, of shape (n,), or stiffness and damping, one per direction.
 
@@ -67,7 +67,7 @@ def gains(values, joints, simulation=None):
 
 
 def reference(values, joints, simulation=None):
-    """Return the desired positions of the joints over time, as the parameters say."""
+    """Return the desired positions of the joints over time, from the parameters."""
     kinds = [kind for kind in ('circle', 'path') if values[f'{kind}_point']]
     if not kinds:
         return Reference(

@@ -22,7 +22,7 @@ OF_NODES = ('allow_code', 'use_sim_time')
 
 class Controller:
     """
-    What drives a simulation: torques for the states it is shown.
+    A controller of a simulation: torques from states.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Controller:
         return Controller(self.name, self._values, scene)
 
     def restart(self):
-        """Let the next state be the first one."""
+        """Treat the next state as the first one."""
         if not self._singles:
             self._law.restart()
 
@@ -98,7 +98,7 @@ class Controller:
         return dict(zip(self.joints, found.tolist()))
 
     def know(self, name, enabled, values):
-        """Let the model have an effect as the machine has it, as ``Simulation.set_effect``."""
+        """Change an effect of the controller's model, as ``Simulation.set_effect``."""
         self._model.set_effect(name, enabled, **values)
 
 

@@ -63,14 +63,14 @@ class Impedance:
         self.tune(stiffness, damping, feedforward, limit)
 
     def tune(self, stiffness, damping, feedforward, limit):
-        """Take other gains."""
+        """Set other gains."""
         self.stiffness, self.damping = np.zeros(6), np.zeros(6)
         used = IN_PLANE if self._mechanism.planar else range(6)
         self.stiffness[used], self.damping[used] = stiffness, damping
         self._feedforward, self._limit = feedforward, limit
 
     def restart(self):
-        """Do nothing: what was before has no part in the torques."""
+        """Do nothing: the torques have no memory."""
 
     def torque(self, time, position, velocity):
         """Return the torques, shape (n,), for a state, shapes (nq,), (nv,)."""

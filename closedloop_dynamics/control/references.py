@@ -145,7 +145,7 @@ class Trajectory:
         self._acceleration = self._rate.derivative()
 
     def at(self, time, start):
-        """Return position and velocity at a time [s]; ``start`` is not looked at."""
+        """Return position and velocity at a time [s]; ``start`` is ignored."""
         if time >= self._end:
             return self._rest, np.zeros_like(self._rest)
         return self._motion(time), self._rate(time)
@@ -318,7 +318,7 @@ class CircularPath:
         self._orders = 1j * np.arange(len(self.harmonics))[:, np.newaxis]
 
     def at(self, time, start=None):
-        """Return position and velocity at a time [s]; ``start`` is not looked at."""
+        """Return position and velocity at a time [s]; ``start`` is ignored."""
         position, slope, _, (turn_rate, _) = self._shape(time)
         return position, slope * turn_rate
 
@@ -401,7 +401,7 @@ class PointToPointPath:
                             'a singular configuration; choose a shorter one')
 
     def at(self, time, start=None):
-        """Return position and velocity at a time [s]; ``start`` is not looked at."""
+        """Return position and velocity at a time [s]; ``start`` is ignored."""
         (way, slope, _), share, rate, _ = self._stretch(time)
         return way(share), slope(share) * rate
 

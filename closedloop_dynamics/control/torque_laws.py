@@ -57,14 +57,14 @@ class ProportionalDerivative:
         self._first = None
 
     def tune(self, kp, kd, ki, feedforward, limit):
-        """Take other gains; the torque of the integral stays continuous."""
+        """Set other gains; the torque of the integral stays continuous."""
         if self._first is not None:
             self._integral *= np.divide(self.ki, ki, out=np.zeros_like(ki), where=ki > 0.0)
         self.kp, self.kd, self.ki = kp, kd, ki
         self.feedforward, self.limit = feedforward, limit
 
     def restart(self):
-        """Let the next state be the first one."""
+        """Treat the next state as the first one."""
         self._first = None
 
     def follow(self, reference, time):
@@ -102,7 +102,7 @@ class ProportionalDerivative:
 
 class ComputedTorque:
     """
-    Torques of all actuated joints for the accelerations that a controller asks for.
+    Torques of all actuated joints for requested accelerations.
 
     Of the simulation, the model, the state is not used. The controller's torques are taken for
     accelerations [rad/s^2 or m/s^2]. ``feedforward`` is added always, ``limit`` is the largest
@@ -121,13 +121,13 @@ class ComputedTorque:
         self._last = None
 
     def tune(self, kp, kd, ki, feedforward, limit):
-        """Take other gains."""
+        """Set other gains."""
         none = np.zeros_like(limit)
         self.controller.tune(kp, kd, ki, none, none + np.inf)
         self._feedforward, self.torque_limit = feedforward, limit
 
     def restart(self):
-        """Let the next state be the first one."""
+        """Treat the next state as the first one."""
         self._last = None
         self._torque[:] = 0.0
         self.controller.restart()

@@ -112,7 +112,7 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
 
 
 def _like(cost, longer):
-    """Return a cost whose rest is that of a run which was probed for longer, times a factor."""
+    """Return a cost extrapolated like that of a run probed for longer, times a factor."""
     reached, spent = cost.course[-1]
     times, taken = zip(*longer.course)
     place = bisect_right(times, reached)
@@ -190,7 +190,7 @@ def _probed(simulation, key, value, duration, rate, torque, estimated, longest):
 
 def in_windows(duration):
     """
-    Return how long ``integrator: auto`` looks at its error in a run that keeps its accuracy [s].
+    Return the time that ``integrator: auto`` estimates its error in, at one accuracy [s].
 
     ``duration``: float; of the run [s].
 

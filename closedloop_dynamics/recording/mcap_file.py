@@ -91,7 +91,7 @@ class McapFile:
         return self._stream.tell() + self._size
 
     def add_channel(self, channel, topic):
-        """Make a topic known; channels are numbered from 1, in this order."""
+        """Add a topic; channels are numbered from 1, in this order."""
         if topic.type not in self._schemas:
             self._schemas[topic.type] = self._writer.register_schema(
                 topic.type, 'ros2msg', topic.definition.encode())
@@ -119,7 +119,7 @@ class McapFile:
             raise self._stream.failure
 
     def finish(self, metadata):
-        """Write the buffer, then the index; ``metadata()`` returns the text that goes with it."""
+        """Write the buffer, then the index; ``metadata()`` returns the accompanying text."""
         try:
             if self._stream.broken:
                 raise self._stream.failure

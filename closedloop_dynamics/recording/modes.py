@@ -20,7 +20,7 @@ USUAL_AMPLITUDE = 0.2
 
 class ModeMotion(NamedTuple):
     """
-    A mode as it goes on without growing or dying away, loops closed.
+    An undamped mode as a periodic motion, loops closed.
 
     Attributes
     ----------

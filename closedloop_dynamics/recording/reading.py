@@ -101,7 +101,7 @@ class Bag:
 
     @property
     def lost(self):
-        """Return how many messages are known to be lost; None where it is not known how many."""
+        """Return the number of lost messages; None where it is unknown."""
         losses = [damage.lost for damage in self.damages]
         return None if None in losses else sum(losses)
 
@@ -202,7 +202,7 @@ class Bag:
 
 def define(store, topic):
     """
-    Make a type store know the type of a topic, by the definition in the bag; return its hash.
+    Add the type of a topic to a type store, from the bag's definition; return its hash.
 
     Raises exceptions of many kinds where the definition is damaged or of another type than its
     hash.

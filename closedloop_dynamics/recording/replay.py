@@ -137,7 +137,7 @@ class _Player:
             effect.instrument() is not None for effect in self.simulation.effects.values())
 
     def _start(self, state, time):
-        """Take a whole state bit for bit, but for the perturbation."""
+        """Set a whole state bit for bit, but for the perturbation."""
         names, state = self.simulation.coordinates, state.copy()
         if self._perturbation:
             state[:names.nq] = names.moved(state[:names.nq], (
@@ -160,7 +160,7 @@ class _Logged(_Player):
         self._lost, self._known = True, 0
 
     def states(self):
-        """Go from entry to entry; yield at each state whether it is known to the last bit."""
+        """Go from entry to entry; yield at each state whether it is exact to the last bit."""
         for k, state in enumerate(self._log.state):
             self._go_to(k)
             if state >= 0:

@@ -75,7 +75,7 @@ class SqliteFile:
         self.flush()
 
     def add_channel(self, channel, topic):
-        """Make a topic known; channels are numbered from 1, in this order."""
+        """Add a topic; channels are numbered from 1, in this order."""
         self._do(self._database.execute, 'INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)', (
             channel, topic.name, topic.type, 'cdr', topic.profiles, topic.digest))
         self._do(

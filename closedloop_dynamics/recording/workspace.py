@@ -53,7 +53,7 @@ class WorkspaceFileError(ValueError):
 @dataclass(frozen=True)
 class Request:
     """
-    What to map.
+    The settings of a workspace map.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class Workspace:
 
     @property
     def node_size(self) -> float:
-        """Return the length, area or volume that a node stands for [m, m^2 or m^3]."""
+        """Return the length, area or volume of a node [m, m^2 or m^3]."""
         return math.prod(float(axis.values[1] - axis.values[0]) for axis in self.axes
                          if len(axis.values) > 1)
 

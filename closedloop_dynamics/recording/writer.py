@@ -97,7 +97,7 @@ class BagFiles:
             self._file.add_channel(channel, topic)
 
     def _finish(self):
-        """Finish the present file, and note its contents."""
+        """Finish the present file, and store its contents."""
         file, self._file = self._file, None
         if file is not None:
             self._ended.append(file)

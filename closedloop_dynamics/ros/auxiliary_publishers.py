@@ -58,7 +58,7 @@ class Descriptions:
 
 class ReplayLog:
     """
-    Publishes one entry for each state, as long as somebody subscribes.
+    Publishes one entry for each state, while there are subscribers.
 
     The stamps of states may follow the system's clock, and the efforts in them are those behind
     drives with limits and lag. What a replay needs is the simulated time, the command
@@ -78,11 +78,11 @@ class ReplayLog:
         self._time, self._accuracy = 0.0, simulation.accuracy
 
     def jumped(self):
-        """Note that the next state does not follow from the last by simulating."""
+        """Mark the next state as set, not simulated from the last."""
         self._jumps += 1
 
     def advancing(self, torque):
-        """Note the command of the steps that come now, by ``torque_names`` [N m or N]."""
+        """Store the command of the next steps, by ``torque_names`` [N m or N]."""
         if self._torque is None:
             self._torque = torque.copy()
         accuracy = self._simulation.accuracy
@@ -114,7 +114,7 @@ class ReplayLog:
         self._publisher.publish(self._message)
 
     def _size(self, states):
-        """Size the message for another method or other effects, and name what is in it."""
+        """Size the message for another method or other effects, and name its contents."""
         if states == self._states:
             return
         self._states = states

@@ -49,7 +49,7 @@ def die_with(parent, number=signal.SIGKILL):
 
 
 class IdleStateInhibitor:
-    """Keeps the core of the thread that builds this awake while asked to."""
+    """Keeps the core of the thread that builds this out of idle states on request."""
 
     def __init__(self):
         self._thread = os.getpid()
@@ -76,7 +76,7 @@ class IdleStateInhibitor:
 
 def set_priority(priority):
     """
-    Let the threads that this process has now go before all that is not real-time.
+    Raise the priority of this process's present threads above all that is not real-time.
 
     All of them, because the main thread waits for those of DDS. ``priority`` is that of the
     scheduling policy SCHED_FIFO, 1 to 99; 0: nothing is changed. Raises OSError if this user may

@@ -78,7 +78,7 @@ class BagWriter:
 
     def add_topic(self, topic, type_name, profiles=()):
         """
-        Make a topic known, by its full name; to be called once, before its first message.
+        Add a topic by its full name; to be called once, before its first message.
 
         ``type_name`` is known to the typestore; ``profiles`` are those that the publishers offer.
 

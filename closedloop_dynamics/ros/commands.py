@@ -19,7 +19,7 @@ NOT_ACTUATED = 'efforts of joints not actuated'
 
 
 class CommandError(ValueError):
-    """A command that is not followed; the message says what is wrong with it."""
+    """A command that is refused; the message gives the reason."""
 
 
 class TorqueCommand:
@@ -106,7 +106,7 @@ class TorqueCommand:
 
     def expire(self, now):
         """
-        Let the torques fall to zero if no command came, or the last one acted, for too long.
+        Set the torques to zero if no command came, or the last one acted, for too long.
 
         Returns True once, when they fall.
 
@@ -122,7 +122,7 @@ class TorqueCommand:
         return True
 
     def forget(self):
-        """Let the torques fall to zero until the next command; the counts stay."""
+        """Set the torques to zero until the next command; the counts stay."""
         self.expired = False
         self._last_arrival = None
         self.torque[:] = 0.0
@@ -161,7 +161,7 @@ class TorqueCommand:
 
 def state_of(message, coordinates, position, measured=()):
     """
-    Return the positions, velocities and held joints that a JointState asks for.
+    Return the positions, velocities and held joints of a JointState.
 
     ``coordinates`` are those of the mechanism; joints that the message does not name begin at
     ``position``, shape (nq,) [rad or m], and follow those it names, which are held. None is held
@@ -195,7 +195,7 @@ def _held(names, measured, joints, count):
 
 def poses_of(message, coordinates, position, measured=()):
     """
-    Return the positions, velocities and held joints that a MultiDOFJointState asks for.
+    Return the positions, velocities and held joints of a MultiDOFJointState.
 
     Of spherical joints the translation must be zero; otherwise as ``state_of``.
 
@@ -220,7 +220,7 @@ def poses_of(message, coordinates, position, measured=()):
 
 
 def _require_one_each(names, what, values, optional, others):
-    """Refuse other than one value a name; of what is optional there may be none."""
+    """Refuse other than one value a name; optional values may be missing."""
     if len(values) != len(names):
         raise CommandError(f'expected one {what} per name, got {len(values)} for {len(names)} '
                            'names')

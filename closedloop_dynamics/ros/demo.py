@@ -109,7 +109,7 @@ def main(argv=None):
 
 def demonstrate(scene, duration, directory):
     """
-    Run one scene, then report and draw what happened, in a directory that is made here.
+    Run one scene, then report and draw the run, in a directory that is made here.
 
     Returns whether the machine did what was wanted of it. Raises ProgramError where a node failed,
     RecordingError or BagReadError where nothing was recorded.
@@ -143,7 +143,7 @@ def demonstrate(scene, duration, directory):
 
 def verdict(failures, reasons, wanted):
     """
-    Return what a run is worth, in one or two lines.
+    Return the assessment of a run, in one or two lines.
 
     ``failures`` are what was not as wanted, ``reasons`` why it is not representative; ``wanted``
     says whether more was wanted than that it moves.
@@ -162,7 +162,7 @@ def verdict(failures, reasons, wanted):
 
 
 def _run_nodes(scene, drive, namespace, duration, directory):
-    """Let the nodes run, each in a process of its own; return what the simulator said last."""
+    """Run the nodes, each in a process of its own; return the simulator's last lines."""
     cuts = [f'constraint_forces/{cut.name}' for cut in scene.mechanism.cut_joints]
     parameters = ['--ros-args', '--params-file', str(drive.file)] if drive.file else []
     with Programs(directory) as programs:

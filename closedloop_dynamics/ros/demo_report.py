@@ -110,7 +110,7 @@ def wanted_motion(motion, aim):
 
 
 def summary(run):
-    """Say what was recorded: key and text of each line."""
+    """Return a summary of the recording: key and text of each line."""
     motion = run.motion
     count, width = sum(map(len, run.arrivals.values())), max(map(len, run.arrivals))
     return [
@@ -129,7 +129,7 @@ def _closure(motion):
 
 def compared(motion, aim):
     """
-    Compare a motion with what was wanted.
+    Compare a motion with the desired one.
 
     Returns what is to be said of each aim, and what was not as wanted or None.
 
@@ -227,7 +227,7 @@ def by_freedom(motion):
 
 def not_representative(run, duration):
     """
-    Say why a run of a duration [s] does not show what the same nodes do where they have the time.
+    Return why a run of a duration [s] does not show how the same nodes run given time.
 
     Empty where it is representative.
 

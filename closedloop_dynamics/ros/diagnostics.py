@@ -55,7 +55,7 @@ class Finding:
 
 class Diagnostics:
     """
-    Judges a simulator when asked to, and its health after every state published.
+    Checks a simulator on request, and its health after every published state.
 
     ``node`` publishes; a ``LiveSimulation`` and the mode that advances it are looked at.
 
@@ -75,7 +75,7 @@ class Diagnostics:
         self._mark({})
 
     def watch_health(self, stamp):
-        """Note the smallest pivot of a state, and warn before forces lose their meaning."""
+        """Record the smallest pivot of a state, and warn before forces lose their meaning."""
         pivot = self._live.simulation.system.work.health[SMALLEST_PIVOT]
         if pivot < self._worst:
             self._worst = pivot
@@ -196,7 +196,7 @@ def _text(value):
 
 
 def graded(value, warn, error, good, bad):
-    """Return level and message of a value that should be small; NaN is not known."""
+    """Return level and message of a value that should be small; NaN is unknown."""
     if value > error:
         return ERROR, bad
     return (WARN, bad) if value > warn else (OK, good)
@@ -328,7 +328,7 @@ def commands_finding(counts, before, sources, zero_after_timeout):
 
 def graph_finding(name, namesakes, clocks, waits_for_clock):
     """
-    Judge what shares this node's names.
+    Return a finding on other nodes with this node's names.
 
     ``namesakes`` is how many nodes have its full ``name``, itself included, ``clocks`` how many
     publish /clock; ``waits_for_clock`` whether it takes the time from there.

@@ -21,7 +21,7 @@ ENABLED, FORCE = 'enabled', 'force'
 
 class EffectParameters:
     """
-    Declares the parameters of all listed effects and lets changes take effect at the next step.
+    Declares the parameters of all listed effects; changes act from the next step on.
 
     ``effects.NAME.enabled`` switches an effect, ``effects.NAME.KEY`` sets one of its values,
     ``effects.NAME.KEY.ENTRY`` one that has a name of its own there (``parameters.stiffness``). An
@@ -99,14 +99,14 @@ class EffectParameters:
             self._simulation.set_effect(name, **values)
 
     def _on_set(self, parameters):
-        """Let what has been checked act; effects checked one by one may be too stiff together."""
+        """Apply checked changes; effects checked one by one may be too stiff together."""
         try:
             self._apply(parameters)
         except StiffnessError as error:
             self._logger.error(f'A change of effects is not followed: {error}')
 
     def on_force(self, name, message):
-        """Let a force from a topic act, or refuse it."""
+        """Apply a force from a topic, or refuse it."""
         self._do(partial(self._act, name, message))
 
     def _act(self, name, message):

@@ -46,7 +46,7 @@ class ExternalWrench:
                        if motion.freedom in mechanism.coordinates.index]
 
     def accept(self, message):
-        """Let a WrenchStamped act from now on; raise CommandError if it is refused."""
+        """Apply a WrenchStamped from now on; raise CommandError if it is refused."""
         try:
             self._accept(message.header.frame_id, message.wrench)
         except CommandError:
@@ -86,11 +86,11 @@ class ExternalWrench:
             raise CommandError(error) from None
 
     def forget(self):
-        """Let none act."""
+        """Remove all wrenches."""
         self._acting.clear()
 
     def act(self, torque):
-        """Add what acts now to joint torques, shape (number of ``torque_names``,)."""
+        """Add the acting wrenches to joint torques, shape (number of ``torque_names``,)."""
         if not self._acting:
             self.torques[:] = 0.0
             return
@@ -106,7 +106,7 @@ class ExternalWrench:
         torque[:len(torques)] += torques
 
     def without(self, effort):
-        """Return efforts of the joints, shape (nv,), without what the wrenches are in them."""
+        """Return efforts of the joints, shape (nv,), without the share of the wrenches."""
         if not self.torques.any():
             return effort
         share = self.torques.copy()

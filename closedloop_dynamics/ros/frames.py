@@ -42,7 +42,7 @@ FRAME_PARAMETERS = (
 
 class Frames:
     """
-    Broadcasts frames with every state, as long as somebody subscribes to ``/tf``.
+    Broadcasts frames with every state, while ``/tf`` has subscribers.
 
     ``node`` broadcasts and is given ``FRAME_PARAMETERS``.
 

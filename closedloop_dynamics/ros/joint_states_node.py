@@ -123,7 +123,7 @@ class JointStatesNode(Node):
             raise StartError(str(error)) from None
 
     def on_joint_states(self, message):
-        """Complete a measurement and publish it; or keep still and say why."""
+        """Complete a measurement and publish it; or publish nothing and log the reason."""
         problem = self._read(message)
         if problem:
             self._complain(NOT_USABLE, f'joint_states not usable: {problem}')
@@ -145,7 +145,7 @@ class JointStatesNode(Node):
         self.completion.get_ready()
 
     def _read(self, message):
-        """Find the measured joints in a message; return what is wrong with it, or ''."""
+        """Find the measured joints in a message; return the fault in it, or ''."""
         if message.name != self._names:
             missing = [name for name in self.completion.measured if name not in message.name]
             if missing:
@@ -197,7 +197,7 @@ class JointStatesNode(Node):
              self._simulation.scene.name, {'pose': finding})
 
     def close(self):
-        """Say what was done."""
+        """Log a summary."""
         self.get_logger().info(', '.join(
             f'{count} {key}' for key, count in self.counts.items()))
 

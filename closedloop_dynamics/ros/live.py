@@ -45,7 +45,7 @@ class LiveSimulation:
         self._published_at = self._published_stamp = None
 
     def expire(self):
-        """Let the torques fall to zero if no command came for too long, and say so."""
+        """Set the torques to zero if no command came for too long, and log it."""
         if self.command.expire(time.monotonic()):
             self._logger.warning(f'no command for {self.command.timeout:g} s: all torques are '
                                  'zero until the next one')

@@ -31,7 +31,7 @@ def allow_code(paths):
 
 def load_simulation(values, logger, moved='', **method):
     """
-    Return the simulation of a scene, and the scene's own method; say so.
+    Return the simulation of a scene, and the scene's own method; log both.
 
     ``values`` are parameters of the node, ``scene`` and ``allow_code`` among them. ``moved`` names
     joints, with commas between them, whose motion is commanded beside those of the scene;
@@ -57,7 +57,7 @@ def load_simulation(values, logger, moved='', **method):
 
 def log_cost(simulation, pace, logger):
     """
-    Say what computing a simulation is expected to take, from a short probe without torques.
+    Log the predicted cost of a simulation, from a short probe without torques.
 
     ``pace`` is in simulated seconds per second of the clock. Messages are not counted.
 

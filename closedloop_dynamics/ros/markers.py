@@ -64,7 +64,7 @@ MARKER_PARAMETERS = (
 
 class Markers:
     """
-    Publishes pictures of the state at a rate of their own, as long as somebody subscribes.
+    Publishes pictures of the state at a rate of their own, while there are subscribers.
 
     ``node`` publishes and is given ``MARKER_PARAMETERS``; ``summary()`` returns what is to be read
     below the machine. Raises StartError if there is no point of the name given.
@@ -268,7 +268,7 @@ def link_markers(mechanism, size):
 
 
 def _flat_shapes(mechanism, body, size):
-    """Yield kind, scale, strength and points of what a body in the plane is drawn as."""
+    """Yield kind, scale, strength and points of the drawing of a body in the plane."""
     corners = outline(mechanism, body.name).tolist()
     if len(corners) > 1:
         closed = corners[:1] if len(corners) > 2 else []

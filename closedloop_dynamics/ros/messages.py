@@ -107,7 +107,7 @@ class Stamps:
         return self._begin + round(self._simulation.time * NANOSECONDS)
 
     def let_period_pass(self):
-        """Let the clock go on by a period, if there is one, and simulated time not."""
+        """Advance the clock by a period, if there is one, but not simulated time."""
         self._begin += self._period
 
     def simulated_time(self, nanoseconds):
@@ -115,7 +115,7 @@ class Stamps:
         return (nanoseconds - self._begin) / NANOSECONDS
 
     def now(self):
-        """Return the stamp for what is published now [ns]."""
+        """Return the stamp of the messages published now [ns]."""
         if self.simulated:
             return self.simulated_nanoseconds
         return self._source.now().nanoseconds
@@ -141,7 +141,7 @@ class Stamps:
         return Time(sec=sec, nanosec=nanosec)
 
     def publish(self):
-        """Publish the simulated time, if that was asked for."""
+        """Publish the simulated time, if requested."""
         if self._publisher is not None:
             self._publisher.publish(
                 self._clock.filled(*divmod(self.simulated_nanoseconds, NANOSECONDS)))
@@ -314,7 +314,7 @@ def _turns(coordinates, state):
 
 
 def _single(coordinates, state):
-    """Return positions, velocities and efforts of what has one number."""
+    """Return positions, velocities and efforts of joints with one coordinate."""
     position, velocity, effort = state
     single = coordinates.single
     return position[coordinates.place[single]], velocity[single], effort[single]

@@ -39,7 +39,7 @@ class MotionCommand:
         self.counts[FOLLOWED] += 1
 
     def _commands(self, message):
-        """Return what ``Simulation.command_motion`` takes."""
+        """Return the arguments of ``Simulation.command_motion``."""
         names, known = list(message.joint_names), self._simulation.commanded_motions
         unknown = [name for name in names if name not in known]
         if unknown or not names:
@@ -54,7 +54,7 @@ class MotionCommand:
                 for k, name in enumerate(names)}
 
     def _simulated(self, stamp):
-        """Return the simulated time [s] that a stamp stands for [ns]."""
+        """Return the simulated time [s] of a stamp [ns]."""
         if self._stamps.simulated:
             return self._stamps.simulated_time(stamp)
         later = (stamp - self._stamps.now()) / NANOSECONDS

@@ -30,7 +30,7 @@ PORTION = 200
 
 
 class Throttle:
-    """Let one message through per period [s] and count those held back."""
+    """Pass one message per period [s] and count those held back."""
 
     def __init__(self, period=MESSAGE_PERIOD, clock=time.monotonic):
         self.period = period
@@ -87,12 +87,12 @@ class RealTime:
         self._due = None
 
     def start(self):
-        """Let time run from now on."""
+        """Start the clock."""
         self._due = None
         self.pacer.start()
 
     def stop(self):
-        """Let time stand still."""
+        """Stop the clock."""
         self.pacer.stop()
 
     def restart(self):
@@ -102,7 +102,7 @@ class RealTime:
         """Do nothing: a command acts from the next tick on."""
 
     def tick(self):
-        """Advance to the present, period by period, and publish what there is to publish."""
+        """Advance to the present, period by period, and publish."""
         missed = self._ticks_due() - 1
         if not self.pacer.running:
             # What stands still is the same at every tick.
@@ -121,7 +121,7 @@ class RealTime:
                 budget = 0.0
 
     def _ticks_due(self):
-        """Return how many ticks have become due with this one, and note when it was due."""
+        """Return the number of ticks that are due, and store when this one was."""
         now = self.pacer.clock()
         if self._due is None:
             self._due = now
@@ -143,7 +143,7 @@ class RealTime:
 
 
 class _Periodic:
-    """Shared part of the modes in which a period is a number of steps, whatever the clock says."""
+    """Shared part of the modes whose period is a number of steps, independent of the clock."""
 
     missed_ticks = left_out = 0
     unanswered = False
@@ -153,11 +153,11 @@ class _Periodic:
         self.running = False
 
     def start(self):
-        """Let time run from now on."""
+        """Start the clock."""
         self.running = True
 
     def stop(self):
-        """Let time stand still."""
+        """Stop the clock."""
         self.running = False
 
     def set_rate(self, rate):
@@ -237,17 +237,17 @@ class Lockstep(_Periodic):
         return self.running and not self._answered
 
     def start(self):
-        """Let commands advance the time; one that came meanwhile does so now."""
+        """Accept commands; one that came meanwhile acts now."""
         super().start()
         if self._owed:
             self.on_command()
 
     def restart(self):
-        """Begin at another state, which nobody has answered."""
+        """Begin at another state, not yet answered."""
         self._owed = self._answered = False
 
     def on_command(self):
-        """Advance by a period and publish what that led to."""
+        """Advance by a period and publish the new state."""
         self._owed = not self.running
         if self.running:
             self._answered = True
@@ -255,7 +255,7 @@ class Lockstep(_Periodic):
             self._machine.publish()
 
     def tick(self):
-        """Offer the state again as long as nobody has answered one."""
+        """Publish the state again until it is answered."""
         if not (self._answered and self.running):
             self._machine.refresh()
 

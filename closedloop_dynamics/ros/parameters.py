@@ -39,7 +39,7 @@ class Parameter(Setting):
         return _Type.from_parameter_value(self.default)
 
     def help_text(self):
-        """Return what there is to know, as a paragraph of text."""
+        """Return the description, as a paragraph of text."""
         change = '; changes at run time' if not self.read_only else ''
         allowed = f'; {self._choices()}' if self.choices else (
             '; {:g} to {:g}'.format(*self.limits) if self.limits else '')
@@ -122,7 +122,7 @@ def _widened(given, kind):
 
 def watch_changes(node):
     """
-    Let whole numbers set floating-point parameters, and refuse undeclared names; once for a node.
+    Accept whole numbers for floating-point parameters, refuse undeclared names; once a node.
 
     rclpy itself takes an empty name for a declared one, and leaves out the name that it refuses.
 
@@ -159,7 +159,7 @@ def in_yaml(value):
 
 def declare_fact(node, name, values, description):
     """
-    Declare a read-only list of strings that the node publishes and nobody sets.
+    Declare a read-only list of strings that the node publishes.
 
     An empty list is declared as a parameter without a value: rclpy takes an
     empty Python list for an array of bytes.

@@ -55,7 +55,7 @@ STOP_PATIENCE = 1.5
 
 
 class StopRequest:
-    """Whether a signal has asked this process to stop; a thread then calls ``wake()`` once."""
+    """Stop requests of this process by signals; a thread then calls ``wake()`` once."""
 
     def __init__(self):
         self.wake = _nothing
@@ -65,14 +65,14 @@ class StopRequest:
         return self._made.is_set()
 
     def __call__(self, number):
-        """Take a signal."""
+        """Handle a signal."""
         if not self:
             self._made.set()
             self.wake()
 
 
 def watch_signals():
-    """Let a signal end this process at once, until a node runs in it."""
+    """End this process at once on a signal, until a node runs in it."""
     _watch.install_thread()
 
 
@@ -84,7 +84,7 @@ def stop_requested():
 @contextmanager
 def leaving_at_once():
     """
-    Let a signal end the process at once while the body of a ``with`` runs.
+    End the process at once on a signal while the body of a ``with`` runs.
 
     For work that cannot be interrupted, such as loading, while there is nothing to lose.
 

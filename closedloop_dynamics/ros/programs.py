@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The package's executables as processes of their own, with what they say and their exit codes.
+The package's executables as child processes, with their output and exit codes.
 
 For the demonstration, the tests and the benchmarks. None outlives who started it.
 
@@ -42,7 +42,7 @@ process.{name}()
 
 
 class ProgramError(RuntimeError):
-    """A program did not do what it should; the message has what it said last."""
+    """A program that failed; the message has its last output."""
 
 
 class Program:

@@ -112,7 +112,7 @@ class RecorderNode(Node):
             self.exit_code = 0
 
     def close(self):
-        """Take in what has arrived, close the bag and say what is in it."""
+        """Record the messages that have arrived, close the bag and log its contents."""
         self._drain()
         self._bag.close()
         logger = self.get_logger()
@@ -131,7 +131,7 @@ class RecorderNode(Node):
             logger.info(f"{sum(self._bag.written.values())} messages in '{self._bag.path}'")
 
     def _listen_to(self, topic, type_names):
-        """Subscribe to a topic, again if a publisher asks for another quality of service."""
+        """Subscribe to a topic, again if a publisher offers another quality of service."""
         offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
         subscription = self._subscriptions_by_topic.get(topic)
         if subscription is None:
@@ -204,7 +204,7 @@ class RecorderNode(Node):
 
 
 def _matching_profile(offered):
-    """Return the strictest profile that goes with every one of those offered."""
+    """Return the strictest profile compatible with every one of those offered."""
     best_effort = any(
         each.reliability == ReliabilityPolicy.BEST_EFFORT for each in offered)
     latched = offered and all(

@@ -144,7 +144,7 @@ class SimulatorNode(Node):
             + self._but())
 
     def _create_simulation(self):
-        """Create what advances and publishes the simulation."""
+        """Create the parts that advance and publish the simulation."""
         values, simulation = self._values, self.simulation
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
@@ -172,7 +172,7 @@ class SimulatorNode(Node):
             raise StartError(str(error)) from None
 
     def _create_observers(self):
-        """Create what looks at each state that was published."""
+        """Create the observers of each published state."""
         self.diagnostics = Diagnostics(self, self.live, self.mode)
         self.log = ReplayLog(self, self.simulation)
         descriptions = Descriptions(self, self.simulation, self.log)
@@ -252,7 +252,7 @@ class SimulatorNode(Node):
 
     @property
     def standing(self):
-        """Return what keeps time from running, if anything does."""
+        """Return the reason why time does not run, if there is one."""
         if self.paused:
             return 'paused'
         if self._expected:
@@ -299,7 +299,7 @@ class SimulatorNode(Node):
             action()
 
     def on_motion_command(self, message):
-        """Let motions that are commanded follow a trajectory, or refuse it."""
+        """Make commanded motions follow a trajectory, or refuse it."""
         self.do(partial(self._accept_motion, message))
 
     def _accept_motion(self, message):
@@ -311,7 +311,7 @@ class SimulatorNode(Node):
         self._end_waiting()
 
     def on_external_wrench(self, message):
-        """Let a wrench act on a body for a while, or refuse it."""
+        """Apply a wrench to a body for a while, or refuse it."""
         self.do(partial(self._accept_wrench, message))
 
     def _accept_wrench(self, message):
@@ -321,13 +321,13 @@ class SimulatorNode(Node):
             self.warn('wrench', f'external_wrench refused: {error}')
 
     def _end_waiting(self):
-        """Let time run if it has waited for a command."""
+        """Start time if it has waited for a command."""
         if self.waiting:
             self.waiting = False
             self._go_on()
 
     def _go_on(self):
-        """Let time run if nothing keeps it from that any more."""
+        """Start time if nothing prevents it any more."""
         if self.running:
             self._guarded(self.mode.start)
             self._renew_timer()
@@ -346,7 +346,7 @@ class SimulatorNode(Node):
             self.do(self.tick)
 
     def tick(self):
-        """Let the mode advance the simulation, and what depends on the clock happen."""
+        """Advance the simulation by its mode, and do the work that depends on the clock."""
         if self._expected and self.states.subscribers >= self._expected:
             # Once begun, it goes on whoever leaves.
             self._expected = 0
@@ -390,7 +390,7 @@ class SimulatorNode(Node):
                 for info in self.get_publishers_info_by_topic(topic))), self._graph_finding())
 
     def _graph_finding(self):
-        """Return what is found about the other nodes."""
+        """Return the finding on the other nodes."""
         own = self.get_name(), self.get_namespace()
         return graph_finding(
             self.get_fully_qualified_name(),
@@ -431,7 +431,7 @@ class SimulatorNode(Node):
         self._guarded(self.reset)
 
     def restart_time(self):
-        """Let simulated time be zero in the present state, which may raise SimulationError."""
+        """Set simulated time to zero in the present state, which may raise SimulationError."""
         self.simulation.begin_at(replace(self.simulation.snapshot(), time=0.0))
         self._guarded(self.jump)
 
@@ -451,7 +451,7 @@ class SimulatorNode(Node):
         self.live.jump()
 
     def on_pause(self, request, response):
-        """Let time stand still, or go on."""
+        """Pause or resume, on request of a service."""
         response.message = self.busy
         if response.message:
             return response
@@ -464,7 +464,7 @@ class SimulatorNode(Node):
         return response
 
     def pause(self, paused):
-        """Let time stand still, or go on."""
+        """Pause or resume."""
         if paused != self.paused:
             self.paused = paused
             self._guarded(self.mode.start if self.running else self.mode.stop)
@@ -527,7 +527,7 @@ class SimulatorNode(Node):
     # Parameters that change while time runs.
 
     def _check_change(self, parameters):
-        """Refuse what is impossible; prepare a method that is not in use yet."""
+        """Refuse impossible values; prepare a method that is not in use yet."""
         busy = self.busy
         if busy:
             return SetParametersResult(successful=False, reason=busy)
@@ -556,7 +556,7 @@ class SimulatorNode(Node):
                 if parameter.name in CHANGEABLE}
 
     def _change(self, parameters):
-        """Let what was checked take effect, together."""
+        """Apply checked changes together."""
         values = self._changeable(parameters)
         self._values.update(values)
         if self._method_prepared is not None and set(values) & set(METHOD):
@@ -577,7 +577,7 @@ class SimulatorNode(Node):
 
     @contextmanager
     def _standing_still(self):
-        """Let no time pass for the simulation while the body runs."""
+        """Pause simulated time while the body runs."""
         if self.running:
             self.mode.stop()
         try:
@@ -609,16 +609,16 @@ class SimulatorNode(Node):
             self.timer.cancel()
 
     def take_over(self):
-        """Let the process call ``act()`` when it is due, instead of a timer."""
+        """Have the process call ``act()`` when it is due, instead of a timer."""
         self._beats = True
         self._renew_timer()
 
     def due(self):
-        """Return when there is something to do [s of the steady clock]; None: a timer tells."""
+        """Return the time of the next action [s of the steady clock]; None: a timer acts."""
         return -math.inf if self._pending else self._due
 
     def act(self):
-        """Do what is due."""
+        """Perform the actions that are due."""
         self._busy_since = time.monotonic()
         try:
             while self._pending:
@@ -643,7 +643,7 @@ class SimulatorNode(Node):
             self.get_logger().warning(f'keep_core_awake: not on this system ({error})')
 
     def close(self):
-        """Say what was done."""
+        """Log a summary."""
         self._stop_ticking()
         self.idle_states.keep(False)
         pacer, counts = self.pacer, self.command.counts

@@ -95,7 +95,7 @@ CHANGEABLE = {
 
 def method_changes(values, own, used):
     """
-    Return what values of parameters change of the method in use, by key.
+    Return the changes of the method in use by values of parameters, by key.
 
     The scene's ``own`` method holds where a value is left empty. Raises ValueError where there can
     be no such method, or a value means nothing to it.

@@ -43,7 +43,7 @@ _FEATURES = (
 
 
 class Refusal(Exception):
-    """A request that is not fulfilled, with the code for its result; the message says why."""
+    """A refused request, with the code for its result; the message gives the reason."""
 
     def __init__(self, code, message):
         super().__init__(message)
@@ -51,7 +51,7 @@ class Refusal(Exception):
 
 
 class RunControl(NamedTuple):
-    """What requests do with a run: methods of the simulator node."""
+    """Actions of requests on a run: methods of the simulator node."""
 
     # Whether time is paused; what keeps it from running otherwise, or ''; why nothing can be
     # answered now, or ''.
@@ -127,7 +127,7 @@ class StandardInterfaces:
         self._stopped, self._interrupted = False, True
 
     def _answer(self, response, action):
-        """Fill a response by an action; say in its result whether that was done."""
+        """Fill a response by an action, with the outcome in its result."""
         response.result.result = Result.RESULT_OK
         try:
             self._require_idle()
@@ -144,7 +144,7 @@ class StandardInterfaces:
     # The simulation.
 
     def on_features(self, request, response):
-        """Return what of the standard there is."""
+        """Return the supported features of the standard."""
         response.features.features = [getattr(SimulatorFeatures, name) for name in _FEATURES]
         response.features.custom_info = (
             f"closedloop_dynamics, scene '{self._simulation.scene.name}'; each body of the "
@@ -165,11 +165,11 @@ class StandardInterfaces:
         return self._answer(response, action)
 
     def _standing(self):
-        """Return what keeps time from running although it is not paused, or ''."""
+        """Return the reason why time does not run although it is not paused, or ''."""
         return '' if self._control.paused() else self._control.standing()
 
     def on_set_state(self, request, response):
-        """Let time run, pause, go back to the start, or end the node."""
+        """Run, pause, reset, or end the node."""
         def action():
             self._go_to(request.state.state)
             response.result.error_message = self._standing()
@@ -296,7 +296,7 @@ class StandardInterfaces:
         return self._answer(response, action)
 
     def on_entity_info(self, request, response):
-        """Return what a body is."""
+        """Return the description of a body."""
         def action():
             name = self._known(request.entity)
             response.info = EntityInfo(
@@ -318,7 +318,7 @@ class StandardInterfaces:
         return name
 
     def _filtered(self, filters):
-        """Return the names of bodies that all filters let through."""
+        """Return the names of bodies that pass all filters."""
         if filters.bounds.type != Bounds.TYPE_EMPTY:
             raise Refusal(Result.RESULT_FEATURE_UNSUPPORTED, 'bodies have no bounds here')
         try:
@@ -357,7 +357,7 @@ class StandardInterfaces:
         return state
 
     def on_set_entity_state(self, request, response):
-        """Give a body another pose or velocity, as far as the loops let it."""
+        """Set the pose or velocity of a body, as far as the loops allow."""
         return self._answer(response, lambda: self._move(request))
 
     def _move(self, request):

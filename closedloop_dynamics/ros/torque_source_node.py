@@ -51,7 +51,7 @@ LOST = 0.5
 
 class JointQuestion:
     """
-    The parameter ``actuated_joints`` of a simulator node, asked for until it answers.
+    Request of a simulator's parameter ``actuated_joints``, repeated until it answers.
 
     ``simulator`` is its name, relative to the namespace of ``node``, which asks. ``answer`` is a
     tuple of names, None as long as there is none.
@@ -199,7 +199,7 @@ class TorqueSourceNode(Node):
             self._begin_trajectory(time_of_state, *state)
 
     def on_orientations(self, message):
-        """Take the orientations of a state; answer it if the rest of it waits for them."""
+        """Store the orientations of a state; answer it if the rest of it waits for them."""
         try:
             waiting = self._orientations.accept(message)
         except CommandError as error:
@@ -210,7 +210,7 @@ class TorqueSourceNode(Node):
             self.on_joint_states(waiting)
 
     def _is_on_its_way(self, time_of_state, effort):
-        """Return whether a state knows nothing of the last command yet: too early to correct."""
+        """Return whether a state precedes the last command: too early to correct."""
         if self._sent is None or time_of_state <= self._sent_for or not effort:
             return False
         if np.array_equal(np.array(effort)[self._driven_indices], self._sent):
@@ -266,7 +266,7 @@ class TorqueSourceNode(Node):
         return False
 
     def close(self):
-        """Say what was done."""
+        """Log a summary."""
         self.get_logger().info(f'{self.published} commands published')
 
     def _request_joints(self):
@@ -340,11 +340,11 @@ class TorqueSourceNode(Node):
         return open_loop(self.values, joints)
 
     def _check_without_joints(self):
-        """Refuse now what no number of joints can make right."""
+        """Refuse now any values that are wrong for every number of joints."""
         self._law_for(self._any_joints(self.values))
 
     def _any_joints(self, values):
-        """Return the joints, or as many as the values are for where they are not known yet."""
+        """Return the joints, or placeholders for as many values as given while unknown."""
         lists = [value for value in values.values() if isinstance(value, (list, array))]
         return self.joints or [f'joint {i + 1}' for i in range(max(map(len, lists)))]
 
@@ -361,7 +361,7 @@ class TorqueSourceNode(Node):
         return SetParametersResult(successful=True)
 
     def apply_parameters(self, parameters):
-        """Take other gains or torques."""
+        """Set other gains or torques."""
         self.values.update((one.name, one.value) for one in parameters)
         if self.law is None:
             return
@@ -390,7 +390,7 @@ class TorqueSourceNode(Node):
         self.published += 1
 
     def _read(self, message):
-        """Find the joints in a state; return what is wrong with it, or None."""
+        """Find the joints in a state; return the fault in it, or None."""
         if message.name != self._read_names:
             missing = [name for name in self._joints_read if name not in message.name]
             if missing:

@@ -88,7 +88,7 @@ VIEWER_PARAMETERS = (
 
 class RemoteSimulator(Shown):
     """
-    One simulator that is shown, by its full name; ``node`` subscribes and asks.
+    One simulator that is shown, by its full name, through subscriptions of ``node``.
 
     ``topics`` are its topics by their last names: ``scene``, ``joint_states``,
     ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``WRENCHES`` is the one on which it
@@ -135,7 +135,7 @@ class RemoteSimulator(Shown):
         self._send_controls()
 
     def _describe(self, scene):
-        """Subscribe to what the scene has, and describe it."""
+        """Subscribe to the topics of the scene, and describe it."""
         mechanism = scene.mechanism
         names = self._names = mechanism.coordinates
         self._mechanism = mechanism
@@ -176,7 +176,7 @@ class RemoteSimulator(Shown):
         self.feed = Feed(described)
 
     def _drive_of(self, scene, name):
-        """Describe a drive: its kind, and what its sliders reach."""
+        """Describe a drive: its kind, and the ranges of its sliders."""
         names, mechanism = self._names, self._mechanism
         weight = EARTH * (sum(body.mass for body in mechanism.bodies) or 1.0)
         return described_drive(
@@ -224,7 +224,7 @@ class RemoteSimulator(Shown):
     # What the pages see and ask for.
 
     def tick(self):
-        """Show what is new, follow what the pages ask for."""
+        """Show new states, and handle the requests of the pages."""
         if self.feed is None:
             return
         self._follow()
@@ -237,7 +237,7 @@ class RemoteSimulator(Shown):
         self._send_controls()
 
     def _row(self):
-        """Return the row of the present state, and what is looked at of it."""
+        """Return the row of the present state, and its values for thinning."""
         motion = Trajectory(self._mechanism, np.array([self._time]), *(
             values[np.newaxis] for values in (
                 self._position, self._velocity, self._effort, self._forces)))
@@ -273,7 +273,7 @@ class RemoteSimulator(Shown):
         self._call(self._pause, SetBool.Request(data=True))
 
     def _do_step(self, page, count):
-        """Advance while it stands still, so many steps."""
+        """Advance by so many steps while paused."""
         if self._playing:
             self._do_pause(None)
         self._change({'step_count': count}, lambda: self._call(
@@ -328,7 +328,7 @@ class RemoteSimulator(Shown):
         self._command()
 
     def _update_model(self):
-        """Bring a model of the machine into its present position; find what its drives feel."""
+        """Set a model of the machine to its present position; find the inertia at its drives."""
         if self._model is None:
             self._busy = 'preparing a model of the machine'
             self._send_controls()
@@ -344,7 +344,7 @@ class RemoteSimulator(Shown):
 
     @property
     def _period(self):
-        """Time between states [s], by the slowest of late: what answers quicker makes it swing."""
+        """Time between states [s], the longest of late: a quicker answer would oscillate."""
         # Stamps may be those of the clock, which simulated time outruns.
         return max(1.0, self._speed) * max(self._passed, default=1.0)
 
@@ -514,7 +514,7 @@ class ViewerNode(Node):
         return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
 
     def poll_simulators(self):
-        """Look for simulators until all that are wanted are known; then serve pages."""
+        """Look for simulators until all wanted ones are found; then serve pages."""
         before, self._offered = self._offered, self._offers()
         for name, topics in self._offered.items():
             if name in self._shown or (self._wanted and name not in self._wanted):
@@ -570,7 +570,7 @@ class ViewerNode(Node):
         self.get_logger().info(f'{", ".join(names)} at {self.server.url}')
 
     def tick(self):
-        """Show what is new."""
+        """Show new states."""
         for one in self._shown.values():
             one.tick()
 

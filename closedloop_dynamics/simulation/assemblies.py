@@ -196,7 +196,7 @@ class _Distinct:
 
 def drives_needed(mechanism, jacobian, unit, position):
     """
-    Return how many driven values determine a mechanism, and what moves in spite of those it has.
+    Return the number of driven values that determine a mechanism, and what else moves.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def drives_needed(mechanism, jacobian, unit, position):
 
 
 def too_few(mechanism, needed, rates):
-    """Return a message: what else moves, at rates of shape (n, nv), and could be driven."""
+    """Return a message naming the undriven motions, from rates of shape (n, nv)."""
     names = driven_names(mechanism)
     return (f'drives: expected as many driven values as there are degrees of freedom ({needed}), '
             f'got {len(names)}: {", ".join(names)}; '
@@ -236,7 +236,7 @@ def too_few(mechanism, needed, rates):
 
 
 def driven_names(mechanism):
-    """Return the names of what is driven: joints, and points."""
+    """Return the names of driven joints and points."""
     return tuple(motion.freedom or motion.point + (
         f'.{AXES[motion.direction]}' if motion.direction in AXES else '')
         for motion in mechanism.motions)

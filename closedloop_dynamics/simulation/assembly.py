@@ -68,7 +68,7 @@ class Assembler:
     """
 
     def __init__(self, mechanism, equations, kept=None):
-        """Allocate what every assembly needs."""
+        """Allocate the arrays shared by all assemblies."""
         self._equations = equations
         self.rebind(mechanism)
         self.extent = extent(mechanism)
@@ -377,7 +377,7 @@ class Assembler:
 
     def advice_on_opening(self, q):
         """
-        Return why a step near a change point could not be closed, and what to do; or ''.
+        Return the reason why a step near a change point did not close, and a remedy; or ''.
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ class Assembler:
                 f'or none can be followed. {self._beside(hold)}']
 
     def _notes_on_lock(self, q):
-        """Return a note where couplings lock the mechanism, which makes no other error."""
+        """Return a note where couplings lock the mechanism, which is no error otherwise."""
         if not self.mechanism.couplings or self.nc > MOST_EQUATIONS:
             return []
         rank, _ = self._largest_rank(q)
@@ -597,7 +597,7 @@ class Assembler:
         return len(free) - rank_of(self.jacobian(q)[:, free])
 
     def _open_loops(self, guess, psi, hold):
-        """Return what to say of loops that do not close."""
+        """Return a description of the loops that do not close."""
         worst, first = [], 0
         for cut, rows in zip(self.mechanism.closures, self._equations.counts):
             gap = np.abs(psi[first:first + rows]).max(initial=0.0)

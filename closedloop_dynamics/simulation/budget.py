@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The accuracy that a share of a core allows, chosen while a run goes on."""
+"""The accuracy that a share of a core allows, chosen during a run."""
 
 import math
 
@@ -64,7 +64,7 @@ class Budget:
 
     def choose(self, accuracy, simulated, spent, elapsed):
         """
-        Take account of a part of the run, and choose the accuracy of the next one.
+        Record a part of the run, and choose the accuracy of the next one.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Budget:
 
     @property
     def _taken(self):
-        """Return what is taken of what is allowed [1]."""
+        """Return the used share of the budget [1]."""
         return max(self.used / self.share, self.elapsed / self._period)
 
     def _chosen(self, accuracy):
@@ -131,7 +131,7 @@ class Budget:
         return _rounded(max(accuracy / DECADE, self._finest))
 
     def finding(self, accuracy):
-        """Return what is wrong where the present accuracy is not what was asked for, or ''."""
+        """Return a finding where the accuracy falls short of the requested one, or ''."""
         if self._taken > 1.0 and accuracy >= self._coarsest:
             if self._crowded:
                 return (f'computing takes {self.elapsed:.2g} of real time even with an accuracy '
@@ -183,5 +183,5 @@ def allowed(share, known):
 
 
 def _rounded(accuracy):
-    """Return an accuracy without the rounding of what it was computed with."""
+    """Return an accuracy without rounding errors."""
     return float(f'{accuracy:.6g}')

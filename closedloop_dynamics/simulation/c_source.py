@@ -83,7 +83,7 @@ def c_source(simulation, name, derivatives=False):
 
 
 def _require_good_start(simulation):
-    """Refuse a state that the elimination alone, which is what C has, cannot evaluate."""
+    """Refuse a state that the elimination alone, as in C, cannot evaluate."""
     system = simulation.system
     before = system.work.health.copy()
     good = native.is_regular(system.native, simulation.position, simulation.velocity)
@@ -153,7 +153,7 @@ class _Text:
         return tuple(_filled(text, words) for text in (SOURCE, HEADER))
 
     def _words(self):
-        """Return what takes the place of each word of the templates."""
+        """Return the replacement of each word of the templates."""
         simulation, system = self.simulation, self.system
         coordinates, points = simulation.coordinates, simulation.mechanism.points
         nq, nv, nc = len(simulation.position), len(system.qdd), len(system.lam)
@@ -200,7 +200,7 @@ class _Text:
                 yield f'{first}{until}: {closures[cut[CUT_NUMBER]].name}'
 
     def _versions(self):
-        """Yield what is generated and takes the time."""
+        """Yield the generated functions that take long."""
         unrolled = self._unrolled
         yield self._function(
             'int VERSION(evaluation)', unrolled(lambda one: one.evaluation()),
@@ -227,7 +227,7 @@ class _Text:
                    f'double *found)\n{{\n  {body}\n}}\n')
 
     def _routines(self):
-        """Yield what else is generated: the functions that know the mechanism."""
+        """Yield the other generated functions: those specific to the mechanism."""
         unrolled, rows = self._unrolled, self.rows.tolist()
         yield self._function(
             'int energies_of', unrolled(lambda one: one.energies()),

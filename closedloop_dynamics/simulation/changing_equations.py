@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which closure equations a motion can change, and which hold, or fail to, whatever moves."""
+"""Closure equations that a motion can change, and those that it cannot."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ NEVER_CLOSED = 1e-9
 
 def changeable_in_plane(model):
     """
-    Tell whether any motion may change each equation of a planar model.
+    Return whether any motion may change each equation of a planar model.
 
     Parameters
     ----------

@@ -260,7 +260,7 @@ class Completion:
         return q
 
     def _solved(self, jac, bias, wanted, near):
-        """Return the x with J x = -bias that meets what is wanted of the measured joints."""
+        """Return the x with J x = -bias that matches the measured joints."""
         x = near.copy()
         with np.errstate(over='ignore', invalid='ignore'):
             for _ in range(MOST_CORRECTIONS):

@@ -93,7 +93,7 @@ def coordinate_arrays(mechanism, model, placements, names, followed):
 
 def coupling_moments(mechanism):
     """
-    Return what couplings exert at revolute cut joints in the plane.
+    Return the moments of couplings at revolute cut joints in the plane.
 
     Their equations are in the coordinates of the tree, where their torques act in each joint on
     the way to the ground; they are handed over at the cut joint.
@@ -239,7 +239,7 @@ class CutJoints:
 
     def add_efforts(self, body, efforts, wrenches):
         """
-        Add what acts along the coordinates to the wrenches at cut joints, in place.
+        Add the efforts along the coordinates to the wrenches at cut joints, in place.
 
         Parameters
         ----------

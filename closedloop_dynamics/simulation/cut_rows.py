@@ -28,7 +28,7 @@ from ..mechanism.rotations import of_quaternion
 
 class CutRows:
     """
-    Rows of what closes loops, one by one, in the order of elimination.
+    Rows of the loop closures, one by one, in the order of elimination.
 
     Parameters
     ----------
@@ -97,14 +97,14 @@ class CutRows:
         return numbers
 
     def _placed(self, one, body_a, body_b):
-        """Note the rows of both bodies; return their placements."""
+        """Store the rows of both bodies; return their placements."""
         a, b = self._tree.placements[body_a], self._tree.placements[body_b]
         one[[t.BODY_A, t.BODY_B]] = a.row, b.row
         return a, b
 
     def _between(self, freedom, one, place):
         """
-        Note a freedom of a cut joint that is prescribed or coupled; return its numbers.
+        Store a prescribed or coupled freedom of a cut joint; return its numbers.
 
         ``place``: the type of a freedom that slides, before that of one that turns.
 
@@ -114,7 +114,7 @@ class CutRows:
 
     def _couple(self, one, factors, offset, bodies=()):
         """
-        Note what a coupling of joints' coordinates passes.
+        Store the path of a coupling of joints' coordinates through the tree.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class CutRows:
         return np.array([offset, *(factors.get(row, 0.0) for row in own)])
 
     def _pass_bodies(self, one):
-        """Note the bodies that a cut joint's forces pass."""
+        """Store the bodies on the path of a cut joint's forces."""
         path_a, path_b = (path(self._tree.tree, one[body]) for body in (t.BODY_A, t.BODY_B))
         shared = set(path_b)
         common = [row for row in path_a if row in shared]

@@ -47,7 +47,7 @@ Numbers = Union[Mapping[str, Any], ArrayLike]
 
 class Data(Names):
     """
-    One state of a scene's mechanism, and what evaluates it.
+    One state of a scene's mechanism, and the system that evaluates it.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class Data(Names):
             found for found, decided in zip(directions, self._decided[1]) if decided)
 
     def _inverse_dynamics(self) -> InverseDynamics:
-        """Return what solves for the torques of a motion, of the present equations."""
+        """Return the inverse dynamics of the present equations."""
         return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
                                self._equations, self._cuts, self._actuated)
 
@@ -240,7 +240,7 @@ class Data(Names):
         return not self.mechanism.planar or method.stabilisation in CLOSING
 
     def _prescribe(self, scene: Scene) -> None:
-        """Look up the equations of prescribed motions; let them start."""
+        """Find the equations of prescribed motions, and start their courses."""
         self._motions = DrivingConstraints(
             scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
         self._motions.follow(0.0)
@@ -300,7 +300,7 @@ class Data(Names):
 
     def require_state(self, state: State) -> None:
         """
-        Refuse what is no state of this scene, or no batch of such.
+        Refuse anything but a state of this scene, or a batch of such.
 
         Raises
         ------
@@ -320,7 +320,7 @@ class Data(Names):
                              f'shape {state.own.shape}')
 
     def touch(self) -> None:
-        """Note that the state or the system's arrays were changed from outside."""
+        """Mark the state or the system's arrays as changed from outside."""
         self._fresh = False
 
     def place(self, name: str, position: np.ndarray) -> np.ndarray:
@@ -372,7 +372,7 @@ class Data(Names):
 
     @property
     def takes_closed_states(self) -> bool:
-        """Whether nothing else is asked of a state to start from than that it closes the loops."""
+        """Whether any state with closed loops may be a start."""
         return not (self._motions or self.leaves_out or self.system.is_independent
                     or self._assembler.is_light or self._table.loaded[0])
 
@@ -431,7 +431,7 @@ class Data(Names):
     def _near(
             self, position: Numbers, velocity: Optional[Numbers],
             hold: Optional[Sequence[str]]) -> Tuple[np.ndarray, np.ndarray]:
-        """Return what is assembled near a state, joints that are not named as they are."""
+        """Return an assembly near a state, with the joints not named held."""
         with np.errstate(all='ignore'):
             return self._assembled(
                 self._by_joint('position', position, self._q),
@@ -453,7 +453,7 @@ class Data(Names):
             return self.coordinates.filled(what, values, present)
 
     def _feel_loads(self) -> None:
-        """Let effects start with the rates and the reactions of their joints as they are."""
+        """Initialise effects with the present rates and reactions of their joints."""
         if self._effects.cuts is not None:
             self._fresh = False
             self._evaluate()
@@ -484,7 +484,7 @@ class Data(Names):
             self._effects.require_finite()
 
     def _evaluate(self) -> None:
-        """Evaluate the present state once for all that is asked of it."""
+        """Evaluate the present state once for all quantities."""
         if not self._fresh:
             self._present.evaluate()
             self._fresh = True
@@ -582,7 +582,7 @@ class Data(Names):
 
     def evaluator(self, *quantities: str) -> Evaluator:
         """
-        Return what computes ``forward_dynamics`` of state after state at the least cost.
+        Return an evaluator of ``forward_dynamics``, at the least cost per state.
 
         Parameters
         ----------
@@ -676,7 +676,7 @@ class Data(Names):
     def tree_torque(self, position: np.ndarray, velocity: np.ndarray,
                     acceleration: np.ndarray) -> np.ndarray:
         """
-        Compute what the joints of the spanning tree exert in a motion, the loops open.
+        Compute the torques of the spanning tree's joints in a motion, the loops open.
 
         Parameters
         ----------

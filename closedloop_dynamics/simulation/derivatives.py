@@ -230,7 +230,7 @@ class Differentiator:
             tuple(joints), wrench[:, :, 0], *np.split(changes, [nv, 2 * nv, 3 * nv], axis=2))
 
     def _evaluated(self, position, velocity, torque):
-        """Evaluate a state, of what the code was generated for; return copies of its numbers."""
+        """Evaluate a state with the generated code; return copies of its numbers."""
         if self._system is not self._simulation.system:
             raise SimulationError(
                 'The simulation works on other closure equations now: make a new Differentiator.')

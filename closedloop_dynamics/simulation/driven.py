@@ -80,7 +80,7 @@ class BranchEndError(SimulationError):
 
 class DrivenMotion(NamedTuple):
     """
-    What a driven mechanism does.
+    The motion of a driven mechanism.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class DrivenKinematics:
 
     @property
     def names(self) -> Tuple[str, ...]:
-        """Names of what is driven: joints, and points."""
+        """Names of the driven joints and points."""
         return driven_names(self._mechanism)
 
     def values_at(self, position):
@@ -252,7 +252,7 @@ class DrivenKinematics:
 
     def linearised(self, position):
         """
-        Return what holds in a position, with derivatives by the scaled displacements.
+        Return the equations in a position, with derivatives by the scaled displacements.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class DrivenKinematics:
 
     @property
     def unit(self):
-        """Return what scaled displacements are multiplied with, shape (nv,) [rad or m]."""
+        """Return the units of the scaled displacements, shape (nv,) [rad or m]."""
         return self._unit
 
     @property
@@ -323,7 +323,7 @@ class DrivenKinematics:
         return True
 
     def _require_determined(self):
-        """Refuse too much, too little or what contradicts itself."""
+        """Refuse drives that are too many, too few or contradictory."""
         jac, loops, drives = self._jacobian()
         if not len(drives):
             raise ValueError(
@@ -372,7 +372,7 @@ class DrivenKinematics:
             'can still move, and what is driven can go no further on this branch.'))
 
     def _lost(self, jacobian, columns=1.0):
-        """Return which equations depend on one another, and what moves; None where regular."""
+        """Return the dependent equations, and the free motion; None where regular."""
         left, singular, right = np.linalg.svd(jacobian)
         last = min(len(singular), jacobian.shape[1] - len(self._anchors)) - 1
         lost = singular[last] <= SINGULAR * singular[0]
@@ -391,7 +391,7 @@ class DrivenKinematics:
 
 def driven_mechanism(mechanism, drives=None, points=None):
     """
-    Return a mechanism whose motions are driven joints and points, and their values.
+    Return a mechanism with driven joints and points, and their values.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ MOST_DRAWS = 100
 
 class Transition(NamedTuple):
     """
-    What one action does, in n sub-environments at once.
+    The result of one action, in n sub-environments at once.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class MechanismVectorEnv(VectorEnv):
 
     def __init__(self, model, num_envs, *, torque_limits, reward, terminated=None, start=None,
                  steps=10, horizon=None, observed=None, quantities=(), method=None, threads=None):
-        """Build what runs are made with."""
+        """Build the simulations that make the runs."""
         super().__init__()
         self.num_envs = _count('num_envs', num_envs)
         self._model, self._simulation = model, Simulation(model, None, method)
@@ -177,7 +177,7 @@ class MechanismVectorEnv(VectorEnv):
 
     def step(self, actions):
         """
-        Let torques act in every sub-environment.
+        Apply torques in every sub-environment.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class MechanismVectorEnv(VectorEnv):
                     raise
 
     def _observations(self, states):
-        """Return what is observed in states."""
+        """Return the observations of states."""
         of_q, of_qd = self._places
         return np.concatenate((states.q[..., of_q], states.qd[..., of_qd]), axis=-1)
 
@@ -302,7 +302,7 @@ class MechanismEnv(Env):
     metadata = {'render_modes': []}
 
     def __init__(self, model, **settings):
-        """Build what runs are made with."""
+        """Build the simulation that makes the runs."""
         self._one = MechanismVectorEnv(model, 1, **settings)
         self.action_space = self._one.single_action_space
         self.observation_space = self._one.single_observation_space
@@ -326,7 +326,7 @@ class MechanismEnv(Env):
 
     def step(self, action):
         """
-        Let torques act; as ``gymnasium.Env.step``.
+        Apply torques; as ``gymnasium.Env.step``.
 
         Raises
         ------
@@ -365,7 +365,7 @@ def _count(name, value):
 
 
 def _ranges(start):
-    """Return between what coordinates are drawn."""
+    """Return the ranges from which coordinates are drawn."""
     found = {}
     for name, ends in start.items():
         low, high = np.array(ends, dtype=float) if np.shape(ends) == (2,) else (1.0, 0.0)
@@ -391,7 +391,7 @@ def _limits(given, joints):
 
 
 def _observed(coordinates, names):
-    """Return places of what is observed, among coordinates and among rates."""
+    """Return the places of the observations, among coordinates and among rates."""
     if names is None:
         return np.arange(coordinates.nq), np.arange(coordinates.nv)
     for name in names:
@@ -404,7 +404,7 @@ def _observed(coordinates, names):
 
 
 def _of_each(name, function, transition, kinds):
-    """Return what a function of the user says of each sub-environment."""
+    """Return the values of a user's function for each sub-environment."""
     n, found = len(transition.torque), np.asarray(function(transition))
     if found.shape != (n,) or found.dtype.kind not in kinds or not np.isfinite(found).all():
         what = 'truth values' if kinds == 'b' else 'finite numbers'

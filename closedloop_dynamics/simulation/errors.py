@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Errors of a simulation; every message says what happened, why, and what to do."""
+"""Errors of a simulation; every message gives event, cause and remedy."""
 
 
 class SimulationError(RuntimeError):

@@ -15,7 +15,7 @@ from .state import State
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """
-    What follows from a state under torques, or from each of a batch; it never changes.
+    Quantities of a state under torques, or of a batch of states; immutable.
 
     A batch has a leading axis everywhere.
 
@@ -65,7 +65,7 @@ class Evaluation:
     closure: Any
 
     def __post_init__(self) -> None:
-        """Let no array be written; nobody else holds them."""
+        """Make the arrays read-only; nobody else holds them."""
         for array in (self.torque, self.acceleration, self.multipliers, self.effort):
             sealed(array)
 
@@ -85,7 +85,7 @@ class Evaluation:
         return self.kinetic_energy + self.stored_energy
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        """Copy and pickle as what can never be written."""
+        """Copy and pickle as read-only arrays."""
         return Evaluation, tuple(getattr(self, field.name) for field in fields(self))
 
     def __repr__(self) -> str:

@@ -167,7 +167,7 @@ def compiled(files, name, *options):
 
 
 def _token(files, version):
-    """Return what tells units apart: the same for the same sources."""
+    """Return the token that identifies the unit: the same for the same sources."""
     digest = hashlib.sha256(repr((sorted(files.items()), version)).encode()).hexdigest()
     return '-'.join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32]))
 
@@ -502,7 +502,7 @@ def _arrays(simulation):
 
 
 def _shares(before, once, twice, step, planar):
-    """Return what follows in proportion; nothing where anything else does otherwise."""
+    """Return the quantities that are linear in an input; none where others are not."""
     found = []
     for member, values in before.items():
         if once[member].shape != values.shape:

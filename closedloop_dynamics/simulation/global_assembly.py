@@ -416,7 +416,7 @@ def _search(loops, start, free, starts):
 
 def never_closed(mechanism, size, q):
     """
-    Return the loops that stay open by themselves, whatever all others do.
+    Return the loops that stay open by themselves, whatever the others do.
 
     Each is tried alone, moved by nothing but its own joints, without limits.
 
@@ -466,7 +466,7 @@ def _around(mechanism, cut):
 
 
 def _with_joints(mechanism, names, cuts, couplings=()):
-    """Return some joints of a mechanism, what nothing of them carries being the ground."""
+    """Return some joints of a mechanism; bodies that they do not carry become the ground."""
     joints = [joint for joint in mechanism.joints if joint.name in names]
     carried = {joint.child for joint in joints}
 
@@ -569,7 +569,7 @@ def _least_squares(loops, q, free, target=0.0, most=MOST_ITERATIONS):
 
 
 def _ends(cut):
-    """Return what is to coincide: pairs of directions, normals across, pairs at right angles."""
+    """Return the closure of a joint: pairs of directions, normals, pairs at right angles."""
     if cut.type in CUT_WITH_ORIENTATION:
         held = of_quaternion(cut.orientation)
         if cut.type == HELICAL:

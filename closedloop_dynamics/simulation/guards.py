@@ -156,14 +156,14 @@ class EnergyGuard:
         self.restart()
 
     def restart(self):
-        """Forget what has been seen: a run begins."""
+        """Reset the guard at the start of a run."""
         self._numbers[run.MOVED:run.LOST] = 0.0
         self._counts[run.SINCE], self._counts[run.BETWEEN] = 0, self.first
         self._counts[run.BEGUN] = self._counts[run.WARNED] = self._counts[run.FAILED] = 0
         self.jump()
 
     def jump(self):
-        """Do not compare with what was before: the state or an effect has been changed."""
+        """Reset the comparison: the state or an effect has been changed."""
         self._counts[run.LOOKED] = run.NOT
 
     def pass_on(self, simulation):
@@ -180,13 +180,13 @@ class EnergyGuard:
             simulation.look_at_energy()
 
     def missed(self, balance):
-        """Return what a balance misses since the guard began [J]."""
+        """Return the error of the balance since the guard began [J]."""
         return balance.residual - (
             float(self._numbers[run.LOOK - 1]) if self._counts[run.BEGUN] else 0.0)
 
     def compare(self, lost, moved, rounding, time):
         """
-        Note an error of the energy balance.
+        Record an error of the energy balance.
 
         Parameters
         ----------
@@ -200,12 +200,12 @@ class EnergyGuard:
 
     @property
     def moved(self):
-        """Return the most energy that has moved up to any look since the guard began [J]."""
+        """Return the largest energy exchanged up to any check since the guard began [J]."""
         return float(self._numbers[run.MOVED])
 
     @property
     def worst(self):
-        """Return the largest error of the balance relative to what had moved by then."""
+        """Return the largest error of the balance relative to the energy exchanged by then."""
         return float(self._numbers[run.WORST])
 
     @property
@@ -220,12 +220,12 @@ class EnergyGuard:
 
     @property
     def worst_moved(self):
-        """Return what had moved by then [J]."""
+        """Return the energy exchanged by then [J]."""
         return float(self._numbers[run.WORST_MOVED])
 
     @property
     def failed(self):
-        """Return whether a look has ended the run."""
+        """Return whether a check has ended the run."""
         return bool(self._counts[run.FAILED])
 
     def warn(self):
@@ -235,7 +235,7 @@ class EnergyGuard:
 
     @property
     def finding(self):
-        """Return in words what is wrong with the energy of the run; empty where nothing is."""
+        """Return the finding on the energy of the run in words; empty where there is none."""
         if not self.worst > ENERGY_WARN:
             return ''
         return (f'the energy balance misses {self.worst_lost:.3g} J of the '
@@ -243,7 +243,7 @@ class EnergyGuard:
                 f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
 
     def problem(self, simulation):
-        """Return the error to raise where the latest look has ended a run."""
+        """Return the error to raise where the latest check has ended a run."""
         lost, moving, before = self._numbers[run.LOST:run.LOOK_TIME + 1].tolist()
         # Where the balance is no number, not even the start of it may be believed.
         worst = self.worst if math.isfinite(lost) else math.inf
@@ -266,7 +266,7 @@ class EnergyGuard:
 
 
 def _setting(method):
-    """Return a method with what its accuracy depends on, in words."""
+    """Return a method and its accuracy setting in words."""
     if method.integrator == AUTO:
         setting = f'accuracy {method.accuracy:g}'
     elif INTEGRATORS[method.integrator].kind == ADAPTIVE:
@@ -277,7 +277,7 @@ def _setting(method):
 
 
 def _cure(method):
-    """Return what to do where a method does not follow a motion."""
+    """Return a remedy where a method does not track a motion."""
     if method.stabilisation not in CLOSING:
         return 'Take stabilisation: projection, and integrator: auto or a smaller step.'
     if method.integrator == AUTO:
@@ -316,7 +316,7 @@ class StiffnessGuard:
     """
 
     def __init__(self, system, method, own=()):
-        """Decide whether to look at all."""
+        """Decide whether stiffness is checked."""
         integrator = INTEGRATORS[method.integrator]
         self._system, self._name, self._own = system, method.integrator, own
         self._fixed = integrator.kind == FIXED
@@ -326,7 +326,7 @@ class StiffnessGuard:
         self.among_laws = self._explicit and self._fixed
 
     def move(self, system):
-        """Take a system that works on other equations."""
+        """Adopt a system that works on other equations."""
         self._system = system
 
     def stable(self, state, step_size):

@@ -17,7 +17,7 @@ RANK_TOLERANCE = 1e-8
 
 def places_of(names, independent):
     """
-    Return the places of independent coordinates that are asked for; None where none are.
+    Return the places of the requested independent coordinates; None where none are.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def dependent_on(jac, own, names):
 
 def changes_along(jac, own, rest, rate_by_position):
     """
-    Return what all coordinates and rates do with the independent ones.
+    Return the changes of all coordinates and rates with the independent ones.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def changes_along(jac, own, rest, rate_by_position):
 
 def following(jac, rest, right):
     """
-    Return what dependent coordinates change by as closure equations do, the others held.
+    Return the changes of dependent coordinates with closure equations, the others held.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class InverseDynamics:
 
     def solve_given(self, q, qd, qdd):
         """
-        Return what ``solve`` does, at once, where arrays are given and nothing is to be refused.
+        Return the result of ``solve`` at once, where arrays are given and nothing is refused.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class InverseDynamics:
 
     def needed(self, q, qd, qdd):
         """
-        Return what torques and constraint forces must add up to at the joints.
+        Return the required sum of torques and constraint forces at the joints.
 
         Parameters
         ----------

@@ -180,7 +180,7 @@ def _leaves(tree, path=()):
 
 
 def _with(value, below):
-    """Return a record or tuple with what is nested in a dict put into it."""
+    """Return a record or tuple with the entries of a nested dict."""
     if isinstance(value, tuple):
         return tuple(_replaced(item, below, str(index)) for index, item in enumerate(value))
     if isinstance(value, dict):
@@ -201,7 +201,7 @@ def _mechanism(scene, below):
 
 
 def _put(records, below):
-    """Return the records of a section with what is nested in a dict put into them."""
+    """Return the records of a section with the entries of a nested dict."""
     return tuple(_replaced(record, below, record.name) for record in records)
 
 

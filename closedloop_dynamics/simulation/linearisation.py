@@ -116,7 +116,7 @@ class Equilibrium:
 @dataclass(frozen=True)
 class Mode:
     """
-    A motion near an equilibrium that goes on in its own shape.
+    A natural mode near an equilibrium.
 
     Attributes
     ----------
@@ -247,7 +247,7 @@ class Linearisation:
 
     def _tangents(self, found, chosen):
         """
-        Return the independent coordinates, and what the others do with them.
+        Return the independent coordinates, and the changes of the others with them.
 
         Returns
         -------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The model of a mechanism, of which the elimination leaves out what repeats other equations."""
+"""The model of a mechanism, with redundant closure equations left out of the elimination."""
 
 from contextlib import suppress
 
@@ -124,14 +124,14 @@ class LoopModel:
         return placement.row, placement.place(position)
 
     def keep(self, kept):
-        """Let the elimination work on some equations, as ``of``; return the model."""
+        """Retain some equations in the elimination, as ``of``; return the model."""
         self.model, self.equations = self.of(kept)
         self.leaves_out = not self.equations.kept.all()
         return self.model
 
     def leave_out_repeated(self, q, hold=()):
         """
-        Let the elimination work on equations that do not repeat one another.
+        Retain independent equations in the elimination.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class LoopModel:
 
     def choose(self, q):
         """
-        Let the elimination work on equations that are independent at or near a position.
+        Retain equations in the elimination that are independent at or near a position.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A model: what a scene says of a mechanism, to be asked for what follows from any state."""
+"""The model of a scene: quantities of any state, without a run."""
 
 from collections.abc import Callable, Mapping
 from threading import RLock
@@ -35,7 +35,7 @@ MOST_NOTES = 3
 
 class InverseDynamicsResult(NamedTuple):
     """
-    What a motion needs; a batch has a leading axis.
+    Torques and forces of a given motion; a batch has a leading axis.
 
     Attributes
     ----------
@@ -314,7 +314,7 @@ class Model(Names):
 
     def readings(self, state: State, torque: Optional[Numbers] = None) -> Readings:
         """
-        Return what tells all of a single state, until another one is asked for.
+        Return the readings of a single state, valid until the next call.
 
         Parameters
         ----------
@@ -429,7 +429,7 @@ class Model(Names):
 
     def evaluator(self, *quantities: str) -> Evaluator:
         """
-        Return what evaluates state after state at the least cost, in the scene's start.
+        Return an evaluator of one state after another, at the least cost, in the scene's start.
 
         Parameters
         ----------
@@ -488,7 +488,7 @@ class _Workspace(Readings):
 
     def assembled(self, position: Numbers, velocity: Optional[Numbers], hold: Sequence[str],
                   time: float) -> State:
-        """Return a state near another one, whose joints that are not named are the start's."""
+        """Return a state near another one; joints not named are as at the start."""
         q, _ = self._initial
         self._put(vector('time', [time], 1)[0], q, np.zeros(self.coordinates.nv),
                   self._effects.initial)
@@ -511,7 +511,7 @@ class _Workspace(Readings):
         return self
 
     def evaluated(self, state: State, torque: Optional[Numbers]) -> Evaluation:
-        """Return what follows from a state, or from each of a batch, under torques."""
+        """Return the evaluation of a state, or of a batch, under torques."""
         if not state.is_batch:
             self.at(state)
             self.system.tau[:] = self.joint_torques(torque)
@@ -548,7 +548,7 @@ class _Workspace(Readings):
 def _batch(given: Mapping[str, Optional[Numbers]], keys: Sequence[str]) -> Tuple[
         Optional[int], List[Callable[[int], Any]]]:
     """
-    Return how many states are given, None for a single one, and what gives those of each.
+    Return the number of states, None for a single one, and a function giving each one.
 
     Raises
     ------
@@ -583,10 +583,10 @@ def _batch(given: Mapping[str, Optional[Numbers]], keys: Sequence[str]) -> Tuple
 
 def _of_mapping(values: Mapping[str, Any], several: Dict[str, np.ndarray]) -> Callable[
         [int], Any]:
-    """Return what gives the numbers by name of one state."""
+    """Return a function that gives the numbers of one state by name."""
     return lambda k: {**values, **{key: float(numbers[k]) for key, numbers in several.items()}}
 
 
 def _of_rows(rows: Optional[np.ndarray]) -> Callable[[int], Any]:
-    """Return what gives the numbers of one state."""
+    """Return a function that gives the numbers of one state."""
     return lambda k: rows[k] if rows is not None and rows.ndim > 1 else rows

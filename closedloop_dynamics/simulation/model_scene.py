@@ -36,7 +36,7 @@ FAR = 0.05
 
 
 class ModelWarning(UserWarning):
-    """Something that a model says was left out, or its joints were moved."""
+    """Parts of a model that were left out, or joints that were moved."""
 
 
 def scene_of_model(path, imported):
@@ -177,7 +177,7 @@ def assembled(imported):
 
 def _with_anchors_moved(mechanism, q, closure_errors, size):
     """
-    Return a mechanism whose loops are closed at a position but for digits, exactly closed.
+    Return a mechanism whose loops, closed but for rounded digits, close exactly.
 
     Parameters
     ----------

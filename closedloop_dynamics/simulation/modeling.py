@@ -92,7 +92,7 @@ def mechanism_arrays(mechanism, gravity=None, decomposition=None, kept=None):
 
 
 def _keep(cut, kept):
-    """Note in ``Model.cut`` which equations the elimination works on: of all, or as flags say."""
+    """Mark in ``Model.cut`` the equations that the elimination works on: all, or by flags."""
     cut[:, t.KEPT] = cut[:, t.POSSIBLE]
     if kept is not None:
         flags = iter(kept)
@@ -121,7 +121,7 @@ def block_arrays(cut, path_body):
 
 
 def factor_arrays(decomposition, cut, block):
-    """Return the sparsity of L by columns, and where each block goes."""
+    """Return the sparsity of L by columns, and the place of each block."""
     column, row = [0], []
     place_of = {}
     for k, later in enumerate(decomposition.structure):

@@ -119,7 +119,7 @@ class RunReport:
 
 
 def energy_in_words(error, moved):
-    """Return what the energy balance misses, and of how much that is."""
+    """Return the error of the energy balance in words, with the energy exchanged."""
     of_what = '' if math.isnan(moved) else f' of {_number(moved)} J that moved'
     if error == 0.0:
         return f'balanced to the last digit{of_what}'
@@ -173,7 +173,7 @@ class Monitor:
     @property
     def measured(self):
         """
-        Return what was measured so far, shape (5,).
+        Return the measurements so far, shape (5,).
 
         Simulated time, CPU time of the thread, with a budget alone, and time of the clock [s];
         ``work``.
@@ -205,7 +205,7 @@ class Monitor:
         self._system, self._probe = system, None
 
     def clear(self):
-        """Forget what has been counted: the time starts again."""
+        """Reset the counts: the time starts again."""
         self._numbers[run.COST_TIME:run.COST_CPU_NANOSECONDS + 1] = 0.0
         self._between, self._local_error = FIRST_SAMPLE, math.nan
         self.sampling = self._sampling
@@ -224,12 +224,12 @@ class Monitor:
 
     @property
     def memory(self):
-        """Return views of what outlasts ``restart``: the next step, the choice of coordinates."""
+        """Return views of the data that ``restart`` keeps: next step, choice of coordinates."""
         partition = self._system.partition
         return (*self.driver.memory, partition.order, partition.record)
 
     def recall(self, memory):
-        """Take over the memory of another run."""
+        """Adopt the memory of another run."""
         for part in self.memory:
             part[:], memory = memory[:len(part)], memory[len(part):]
 
@@ -238,7 +238,7 @@ class Monitor:
         self.driver.restart(moved)
 
     def count(self, elapsed, step_size):
-        """Count what was made of a portion of steps that failed, a time in s."""
+        """Count the steps made of a portion that failed, and its time [s]."""
         self._numbers[run.COST_TIME] += elapsed
         self._numbers[run.COST_STEPS] += round(elapsed / step_size)
 
@@ -264,7 +264,7 @@ class Monitor:
 
     def report(self, closure, energy_error, energy_guard, notes=(), budget=None):
         """
-        Report what has been counted and found.
+        Report counts and findings.
 
         Parameters
         ----------

@@ -46,7 +46,7 @@ def with_motions(scene):
 
 def moving(scene, motion):
     """
-    Return a scene that moves joints beside what it does already.
+    Return a scene with further prescribed motions of joints.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def require_actuated(mechanism, names):
 
 class DrivingConstraints:
     """
-    What a scene prescribes.
+    The prescribed motions of a scene.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class DrivingConstraints:
 
     def begin(self, assembler, time, q, qd):
         """
-        Let an assembly begin where the motions are.
+        Start an assembly at the prescribed positions.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class DrivingConstraints:
                 'Prescribe fewer motions, or start beside the limit.')
 
     def notes(self):
-        """Return sentences on joints that start elsewhere than the scene says."""
+        """Return sentences on joints that start elsewhere than the scene gives."""
         found = []
         for motion, (value, _, _), (*_, start) in zip(
                 self.mechanism.motions, self.at(0.0), self.rows.values()):
@@ -284,7 +284,7 @@ class DrivingConstraints:
     @property
     def commanded(self):
         """
-        Effects whose course is commanded while it runs, by their names in commands.
+        Effects whose course is commanded at runtime, by their names in commands.
 
         Returns
         -------
@@ -297,7 +297,7 @@ class DrivingConstraints:
 
     def courses(self, commands, time):
         """
-        Return what commands make of the courses, as ``Simulation.set_effect`` takes it.
+        Return the courses of commands, as arguments of ``Simulation.set_effect``.
 
         Parameters
         ----------
@@ -327,7 +327,7 @@ class DrivingConstraints:
         return found
 
     def forget_commands(self, records):
-        """Return those of the records, as the scene has them, whose course is commanded."""
+        """Return the scene's records of commanded motions."""
         return {name: records[name] for name in self.commanded.values()
                 if self.records[name] != records[name]}
 
@@ -365,7 +365,7 @@ class DrivingConstraints:
         return self._advice_at_limit(assembler, q)
 
     def _advice_at_limit(self, assembler, q):
-        """Return why a run cannot go on at a limit of what is moved; '' where it is elsewhere."""
+        """Return the reason why a run ends at a limit of a prescribed motion; '' otherwise."""
         if not self:
             return ''
         jac = scaled(assembler.jacobian(q), assembler.groups)

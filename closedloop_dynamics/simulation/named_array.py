@@ -19,14 +19,14 @@ def frozen(values: Any) -> np.ndarray:
 
 
 def sealed(array: np.ndarray) -> np.ndarray:
-    """Return an array that nobody else holds; it cannot be written any more."""
+    """Return an array made read-only; nobody else holds it."""
     array.flags.writeable = False
     return array
 
 
 class NamedArray(Mapping[str, np.ndarray]):
     """
-    An array that cannot be written, and whose rows can be asked for by name.
+    A read-only array whose rows can be looked up by name.
 
     ``forces['elbow']`` is the row of that name, ``numpy.asarray(forces)`` all of them,
     ``forces.names`` what they are called. Before the rows there may be the axis of a batch.
@@ -90,11 +90,11 @@ class NamedArray(Mapping[str, np.ndarray]):
         return np.array(self.array, dtype=dtype)
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        """Copy and pickle as what can never be written."""
+        """Copy and pickle as read-only arrays."""
         return NamedArray, (self.what, self._places, self.array, self._axis)
 
     def __repr__(self) -> str:
-        """Return what the numbers are, their shape and their names."""
+        """Return the meaning of the numbers, their shape and their names."""
         return f'<{self.what} {self.array.shape} of {", ".join(self._places) or "nothing"}>'
 
 

@@ -55,7 +55,7 @@ class Pacer:
 
     @property
     def real_time_factor(self):
-        """Return the simulated seconds per second of the clock that were asked for."""
+        """Return the requested simulated seconds per second of the clock."""
         return self._factor
 
     @real_time_factor.setter
@@ -85,7 +85,7 @@ class Pacer:
         return self.simulated / self.elapsed if self.elapsed > 0 else 0.0
 
     def overload(self):
-        """Return what to say where steps take too long, with the factor since the last time."""
+        """Return a message where steps are too slow, with the factor since the last time."""
         simulated, elapsed = self._told
         achieved = (self.simulated - simulated) / (self.elapsed - elapsed)
         self._told = self.simulated, self.elapsed
@@ -95,17 +95,17 @@ class Pacer:
             '(a larger step_size or a smaller real_time_factor helps)')
 
     def start(self):
-        """Let time run from now on."""
+        """Start the clock."""
         self._last = self.clock()
 
     def stop(self):
-        """Let no time become due until the next ``start()``."""
+        """Stop the clock until the next ``start()``."""
         self._accrue(self.clock())
         self._last = None
 
     def tick(self, take, budget, until=None):
         """
-        Take the steps that are due, for a limited time; return the simulated time dropped [s].
+        Make the steps that are due, for a limited time; return the simulated time dropped [s].
 
         ``take(n)`` takes n steps, or where these take long a part of one: then it returns how
         many it took, and no more are begun, as after ``budget`` [s of the clock]. Steps are due up

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the numbers of a scene do to the arrays that generated code reads."""
+"""Derivatives of the arrays of generated code by the numbers of a scene."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -118,13 +118,13 @@ def finite(values):
 
 
 def _parallel(data):
-    """Return which bodies share their parent's Z axis, which no derivative knows."""
+    """Return which bodies share their parent's Z axis, a structure without derivatives."""
     model = data.system.model
     return model.body[:, PARALLEL] if is_spatial(model) else np.zeros(1)
 
 
 def _structure(data):
-    """Return what no number may change: which equations there are, and what laws measure."""
+    """Return the structure that no number may change: equations, and coordinates of laws."""
     model, effects = data.system.model, data.system.effects
     parts = [model.tree, model.cut, model.path_body]
     if effects is not None:

@@ -32,7 +32,7 @@ INFINITE, REAL, COMPLEX, WRONG = 1e-7, 1e-6, 1e-4, 1e-6
 
 
 class NotProved(Exception):
-    """A mechanism, or a position, whose assemblies this method does not find all."""
+    """A mechanism, or a position, whose assemblies this method cannot all find."""
 
 
 class Rotation(NamedTuple):
@@ -78,7 +78,7 @@ class PlanarEquations:
     # Rotations.
 
     def _root(self, turn):
-        """Return a rotation in terms of the class that stands for its own."""
+        """Return a rotation in terms of the representative of its class."""
         while self._same[turn.kind].kind != turn.kind:
             one = self._same[turn.kind]
             turn = Rotation(one.kind, turn.factor * one.factor)
@@ -92,7 +92,7 @@ class PlanarEquations:
         return self._root(self._turns[body])
 
     def _unite(self, one, other):
-        """Let one rotation be another one."""
+        """Identify one rotation with another."""
         one, other = self._root(one), self._root(other)
         if one.kind == other.kind:
             raise NotProved('loops hold an angle more than once')
@@ -289,7 +289,7 @@ class PlanarEquations:
         return solutions
 
     def _bilinear(self, key, unknowns, forms, known):
-        """Return the matrix B of what an unknown fulfils: x^T B y = 0."""
+        """Return the matrix B of the equation of an unknown: x^T B y = 0."""
         form = forms[unknowns.index(key)]
         size = len(form)
         one = np.zeros(size)

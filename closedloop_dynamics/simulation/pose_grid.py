@@ -97,7 +97,7 @@ class Platform:
     """
 
     def __init__(self, scene, point):
-        """Assemble, and look what the body can do."""
+        """Assemble, and find the degrees of freedom of the body."""
         mechanism = scene.mechanism
         names = [one.name for one in mechanism.points if one.body != GROUND]
         if point not in names:
@@ -143,7 +143,7 @@ class Platform:
         return found if found > 1e-6 * self.size else self.size
 
     def driven(self, orientation):
-        """Return the mechanism whose point, and orientation, are driven."""
+        """Return the mechanism with the point, and the orientation, driven."""
         body, here = self.point.body, np.array(self.point.position)
         names = {point.name for point in self.mechanism.points}
         points, drives = [], [(self.point.name, axis) for axis in range(self.axes)]
@@ -290,7 +290,7 @@ class PoseGrid:
 
     @property
     def leading(self):
-        """Return positions all over what was reached, shape (LEADING or fewer, nq)."""
+        """Return positions spread over the reached nodes, shape (LEADING or fewer, nq)."""
         nodes = np.flatnonzero(self.reached)
         if not len(nodes):
             return self.position[:0]
@@ -305,7 +305,7 @@ class PoseGrid:
         return self._threads[0]
 
     def go_on(self, reached, position, rates):
-        """Take nodes that were reached before, as the attributes of the same names have them."""
+        """Adopt nodes that were reached before, given as the attributes of the same names."""
         self.reached[:], self.position[:], self.rates[:] = reached, position, rates
         self._kinematics_at(self.position[np.flatnonzero(self.reached)[0]])
 
@@ -400,7 +400,7 @@ class PoseGrid:
 
     def look_elsewhere(self, keep_going=lambda: True, show=lambda count: None):
         """
-        Look from random starts for pieces that are not connected with what is reached.
+        Search from random starts for parts that are not connected with the reached ones.
 
         One node at least must have been reached.
 

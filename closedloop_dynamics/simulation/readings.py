@@ -25,7 +25,7 @@ from ..mechanism.couplings import coupling_scales, measured
 
 class Readings(Data):
     """
-    What follows from the present state, evaluated once for all that is asked of it.
+    Quantities of the present state, evaluated once for all.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Readings(Data):
         return sum(body.mass for body in self.mechanism.bodies)
 
     def _set_probes(self) -> None:
-        """Bind what places points and finds forces and energies in the present state, too."""
+        """Bind the evaluations of points, forces and energies in the present state."""
         super()._set_probes()
         system, geometry = self.system, self._geometry
         body, (row, point) = system.work.body, geometry.named_points
@@ -113,7 +113,7 @@ class Readings(Data):
         return effort
 
     def _add_motions(self, effort: np.ndarray) -> None:
-        """Add what moves cut joints as prescribed to their efforts, in place."""
+        """Add the efforts of prescribed motions of cut joints, in place."""
         for motion in self.mechanism.motions:
             place = self._cuts.place(motion.freedom)
             if place is not None:
@@ -260,7 +260,7 @@ class Readings(Data):
 
     def equation_forces(self) -> Dict[str, Dict[str, float]]:
         """
-        Return the forces of equations that are no cut joint's, by what they are and by name.
+        Return the forces of equations other than those of cut joints, by kind and name.
 
         Returns
         -------
@@ -301,7 +301,7 @@ class Readings(Data):
 
     def force_places(self) -> Tuple[List[str], Tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """
-        Return where the forces in joints act, as far as the multipliers tell them.
+        Return the places of the forces in joints, as far as the multipliers determine them.
 
         Returns
         -------
@@ -321,7 +321,7 @@ class Readings(Data):
     @property
     def cut_rows(self) -> Tuple[Tuple[int, ...], ...]:
         """
-        Rows of each cut joint among those of the model, behind it of what couples its freedoms.
+        Rows of each cut joint in the model, followed by those of couplings of its freedoms.
 
         None where forces are not unique or couplings pass some on.
 
@@ -437,7 +437,7 @@ class Readings(Data):
             kinetic, stored, self.closure)
 
     def _named(self, what: str, array: np.ndarray) -> NamedArray:
-        """Return what an evaluation tells by name; with columns where it has two axes."""
+        """Return a result of an evaluation by name; with columns where it has two axes."""
         return NamedArray(what, self._places_of[what], array, -array.ndim)
 
     @property
@@ -448,7 +448,7 @@ class Readings(Data):
 
     def measured(self) -> Tuple[np.ndarray, np.ndarray]:
         """
-        Return what the scene's sensors show of the present state; the true one without any.
+        Return sensor readings of joint positions and velocities; exact without sensors.
 
         Returns
         -------
@@ -474,7 +474,7 @@ class Readings(Data):
 
     def effect_readings(self, name: str) -> Dict[str, float]:
         """
-        Return what an effect says of itself in the present state.
+        Return the readings of an effect in the present state.
 
         Parameters
         ----------

@@ -48,7 +48,7 @@ class Redundancy(NamedTuple):
 
 
 def wrench_names(mechanism):
-    """Return what the components of a wrench are called, in their order."""
+    """Return the names of the components of a wrench, in their order."""
     return PLANAR_WRENCH if mechanism.planar else SPATIAL_WRENCH
 
 

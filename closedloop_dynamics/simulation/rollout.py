@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Many simulations of one scene at once: what ``Simulation.rollout`` does."""
+"""Many simulations of one scene at once: ``Simulation.rollout``."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -237,7 +237,7 @@ class _BatchRunner:
             self._schedule, self._quantities, np.array([start.state for _, start in starts]))))
 
     def _starts(self, samples):
-        """Return what those samples begin with that can begin."""
+        """Return the initial states of those samples that can begin."""
         starts = self._starts_alike(samples) if self._again else {}
         for sample in samples:
             if sample not in starts:
@@ -284,7 +284,7 @@ class _BatchRunner:
             return self.nothing(), str(error)
 
     def _start(self, sample):
-        """Return what a run begins with, its simulation standing there."""
+        """Return the initial state of a run, with its simulation set to it."""
         given = self._given
         simulation = self._simulation(sample)
         position, velocity = given.state_of(sample)
@@ -297,7 +297,7 @@ class _BatchRunner:
         return InitialState(simulation, simulation.integrated.copy(), given.torques_of(sample))
 
     def _twin(self):
-        """Return this thread's simulation, and what makes runs of it side by side."""
+        """Return this thread's simulation, and its runner of several runs at a time."""
         if not hasattr(self._own, 'twin'):
             try:
                 self._own.twin = self._spare.pop()
@@ -307,7 +307,7 @@ class _BatchRunner:
         return self._own.twin
 
     def _together(self):
-        """Return what makes runs side by side."""
+        """Return the runner of several runs at a time."""
         together = self._twin()[1] if self._again else SimdRuns()
         together.schedule, together.quantities = self._schedule, self._quantities
         return together
@@ -393,7 +393,7 @@ class RolloutArguments:
         self.samples = self._samples()
 
     def _samples(self):
-        """Return how many samples all arguments together ask for."""
+        """Return the number of samples that all arguments together give."""
         arrays = {'torques': (self.torques, 2), 'initial_position': (self.position, 1),
                   'initial_velocity': (self.velocity, 1)}
         arrays.update({f'parameters: {".".join(key)}': (values, 0)
@@ -424,7 +424,7 @@ class RolloutArguments:
 
 
 def _of(array, ndim, sample):
-    """Return what a sample gets of an array that all may share."""
+    """Return a sample's part of an array that all may share."""
     return array if array is None or array.ndim == ndim else array[sample]
 
 

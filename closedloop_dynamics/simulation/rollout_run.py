@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A run from the start under a sequence of torques, and what is kept of it.
+A run from the start under a sequence of torques, and its results.
 
 The engine makes runs as a whole, several in one call that leaves Python's lock alone, and watches
 them by the rules of the guards. What needs more between the steps (delays, sensors that remember,
@@ -95,7 +95,7 @@ def shape_of(quantity, mechanism):
 
 
 def nothing(quantities, mechanism, instants):
-    """Return what is kept of a run that did not even begin: NaN."""
+    """Return the results of a run that could not begin: NaN."""
     return {name: np.full((instants, *shape_of(name, mechanism)), np.nan) for name in quantities}
 
 
@@ -146,7 +146,7 @@ def runs_whole(simulation):
 
 def record(simulation, torques, schedule, quantities=QUANTITIES):
     """
-    Run a simulation that stands at its start, and keep what it does.
+    Run a simulation from its start, and return the results.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def starts_as_given(simulation, positions, velocities):
 
 
 def _unit(coordinates, position):
-    """Return joint coordinates with quaternions of norm 1; what has none as it is."""
+    """Return joint coordinates with quaternions of norm 1; zero ones unchanged."""
     try:
         return coordinates.unit(position)
     except FieldError:
@@ -214,7 +214,7 @@ def _unit(coordinates, position):
 
 def record_all(simulation, torques, schedule, quantities, starts=None):
     """
-    Make runs from where a simulation stands as a whole, as far as that is possible.
+    Make runs from the present state of a simulation as a whole, as far as possible.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
 
 
 def _finding(simulation, found):
-    """Return in words what the energy balance of a run misses; None where it holds."""
+    """Return the error of a run's energy balance in words; None where it holds."""
     if found[SHARE] <= ENERGY_WARN:
         return None
     guard = simulation.energy_guard
@@ -277,7 +277,7 @@ def buffer_for(simulation, schedule, quantities):
 
 
 def values_of(simulation, buffer, tau, schedule, quantities):
-    """Return what a run keeps by quantity, from its buffer."""
+    """Return the results of a run by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
     if simulation.acts_in_cuts or simulation.leaves_out or not simulation.mechanism.planar:
         return _values_asked_for(simulation, buffer, tau, schedule, quantities)
@@ -300,7 +300,7 @@ def values_of(simulation, buffer, tau, schedule, quantities):
 
 
 def _values_asked_for(simulation, buffer, tau, schedule, quantities):
-    """Return the same where the simulation is asked for it at every instant."""
+    """Return the same from readings of the simulation at every instant."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
     values = nothing(quantities, simulation.mechanism, schedule.instants)
     for name, columns in (('position', slice(nq)), ('velocity', slice(nq, nq + nv))):
@@ -376,7 +376,7 @@ def fits_simd(simulation, schedule):
 
 class SimdRuns:
     """
-    Makes several runs at a time, and keeps what they do.
+    Several runs at a time in vector lanes, with their results.
 
     Attributes
     ----------
@@ -457,7 +457,7 @@ class SimdRuns:
 
 
 def _values_of_motion(simulation, tau, schedule, steps, quantities, position, velocity):
-    """Return what is kept of one of the runs."""
+    """Return the results of one of the runs."""
     if all(name in STATE for name in quantities):
         both = {'position': position, 'velocity': velocity}
         return {name: both[name] for name in quantities}
@@ -466,7 +466,7 @@ def _values_of_motion(simulation, tau, schedule, steps, quantities, position, ve
 
 
 def _values_of_states(simulation, states, tau, schedule, steps, quantities):
-    """Return what is kept of a run of which the states are known."""
+    """Return the results of a run from its states."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
     if all(name in STATE for name in quantities):
         both = {'position': states[:, :nq], 'velocity': states[:, nq:nq + nv]}

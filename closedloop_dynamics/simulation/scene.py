@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Scenes: which mechanism is simulated, from where, with what effects, and how.
+Scenes: a mechanism with its start, effects and method.
 
 ``load_scene('three_rrr')`` reads a shipped scene, ``load_scene('my/scene.yaml')``
 a file. Every error names file and line, key path, what was expected and what was
@@ -55,7 +55,7 @@ def scene_names() -> List[str]:
 
 def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any) -> Scene:
     """
-    Read a scene, or build one of what the file of a scene has.
+    Read a scene from a file, or build one of the same data.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _shipped(kind: str, value: Any) -> Path:
 
 def scene_of_yaml(text: str, path: Union[str, Path]) -> Scene:
     """
-    Read a scene from what its file has, or would have.
+    Read a scene from the text of its file.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def _mechanism(value: Any, directory: Path, kept: Set[str], rather: Set[str],
 
 
 def _model(data: Mapping[str, Any], directory: Path) -> Any:
-    """Return what the model of a scene was read as; None where it has a mechanism."""
+    """Return the data that the model of a scene was read from; None for a mechanism."""
     path = data['mechanism']
     if not isinstance(path, str) or _is_name(path) or not is_model(path):
         return None

@@ -50,7 +50,7 @@ class Initial:
     turned: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse what is no list of finite numbers, and joints held twice."""
+        """Refuse anything but lists of finite numbers, and joints held twice."""
         normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(freedom))
         for index, joint in enumerate(self.hold):
             if joint in self.hold[:index]:
@@ -114,7 +114,7 @@ class Method:
 
     @property
     def unused(self) -> Dict[str, str]:
-        """Return what each key that means nothing here would need, by key."""
+        """Return the requirement of each key that has no effect here, by key."""
         adaptive = INTEGRATORS[self.integrator].kind == ADAPTIVE
         needs = {
             'accuracy': (self.integrator == AUTO, f'integrator: {AUTO}'),
@@ -143,7 +143,7 @@ class Method:
 
 def require_no_budget(method: Method, what: str) -> None:
     """
-    Refuse a budget for what does not depend on the time it takes.
+    Refuse a budget for a task whose result does not depend on its time.
 
     Raises
     ------
@@ -256,7 +256,7 @@ class Scene:
 
     def model(self) -> 'Model':
         """
-        Return a model of the scene, to be asked for what follows from any state.
+        Return a model of the scene, for quantities of any state.
 
         Raises
         ------

@@ -119,7 +119,7 @@ def write_scene(scene: Scene, path: Union[str, Path]) -> None:
 
 
 def scene_yaml(scene: Scene) -> str:
-    """Return what ``write_scene`` writes."""
+    """Return the text of ``write_scene``."""
     lines: List[str] = []
     for key, value in scene_data(scene).items():
         _write(lines, '', key, value)
@@ -127,7 +127,7 @@ def scene_yaml(scene: Scene) -> str:
 
 
 def _write(lines: List[str], indent: str, key: str, value: Any) -> None:
-    """Append the lines of a key: what is short in one line, as JSON, which YAML has within it."""
+    """Append the lines of a key; a value short enough for one line as JSON, a part of YAML."""
     line = f'{indent}{key}: {json.dumps(value, allow_nan=False, ensure_ascii=False)}'
     if len(line) <= LONGEST_LINE or not isinstance(value, dict):
         lines.append(line)

@@ -246,7 +246,7 @@ class Sensitivity:
 
     def _start_map(self, record: '_Record') -> Tuple[Tuple[str, ...], np.ndarray]:
         """
-        Return the independent coordinates, and what a start depends on.
+        Return the independent coordinates, and the derivatives of the start.
 
         Returns
         -------
@@ -312,7 +312,7 @@ class Sensitivity:
 
 
 class _Record:
-    """What a trajectory keeps for its derivatives."""
+    """Data of a trajectory for its derivatives."""
 
     def __init__(self, owner: Sensitivity, system: Any, derivatives: StepDerivatives,
                  run: SteppedRun, tape: Any) -> None:
@@ -322,7 +322,7 @@ class _Record:
 
     @property
     def start_map(self) -> Tuple[Tuple[str, ...], np.ndarray]:
-        """Return what ``Sensitivity._start_map`` does, computed once."""
+        """Return the result of ``Sensitivity._start_map``, computed once."""
         if self._start_map is None:
             self._start_map = self.owner._start_map(self)
         return self._start_map
@@ -389,7 +389,7 @@ class Trajectory:
                 velocity: Optional[ArrayLike] = None,
                 parameters: Optional[ArrayLike] = None) -> Changes:
         """
-        Return what the trajectory changes by, to first order, in one or more directions.
+        Return the first-order changes of the trajectory in one or more directions.
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ def _require_differentiable(method: Method) -> None:
 
 
 def _require_done(ended: Tuple[int, int], step_size: float) -> None:
-    """Refuse what could not be computed to its end."""
+    """Refuse a run that was not computed to its end."""
     status, step = ended
     if status == DONE:
         return

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Handling of signals that ask a program to stop, for all programs of the package.
+Handling of termination signals, for all programs of the package.
 
 This module is light on purpose: a program begins to watch for signals before it imports rclpy
 and LLVM, which take a while.
@@ -18,7 +18,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asked for the end; its number is the argument."""
+    """Termination by a signal; its number is the argument."""
 
 
 class SignalWatch:
@@ -67,7 +67,7 @@ class SignalWatch:
     @contextmanager
     def reacting(self, reaction):
         """
-        Let ``reaction(number)`` be what a signal does while the body runs.
+        Call ``reaction(number)`` on a signal while the body runs.
 
         Parameters
         ----------

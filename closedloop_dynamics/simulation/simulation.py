@@ -128,7 +128,7 @@ class Simulation(Readings):
         self.reset()
 
     def vary(self, scene: Scene) -> bool:
-        """As ``Data.vary``: be what a simulation of the scene would be."""
+        """As ``Data.vary``: become a simulation of another scene."""
         if not super().vary(scene):
             return False
         # By whose weight the guards measure.
@@ -137,7 +137,7 @@ class Simulation(Readings):
         return True
 
     def _bind_balance(self) -> None:
-        """Let the energy balance be drawn by the present system."""
+        """Bind the energy balance to the present system."""
         account, engine = self._balance.account, self.system.native
         self._balance_found = np.empty(5)
         # The work of the torques held up to here.
@@ -204,7 +204,7 @@ class Simulation(Readings):
                 + int(self._counts[guarded_run.STEPS]) * self.step_size)
 
     def _set_time(self, base: float, steps: int) -> None:
-        """Let the time be so many steps after another one [s]."""
+        """Set the time to so many steps after another one [s]."""
         self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS] = base, steps
 
     @property
@@ -228,7 +228,7 @@ class Simulation(Readings):
 
     @property
     def run(self) -> Any:
-        """Return what the engine makes steps of, a ``guarded_run.GuardedRun``."""
+        """Return the run that the engine advances, a ``guarded_run.GuardedRun``."""
         return self._run
 
     @property
@@ -373,7 +373,7 @@ class Simulation(Readings):
 
     def keep_budget(self) -> None:
         """
-        Choose the accuracy that the method's budget allows from now on, by what was measured.
+        Choose the accuracy that the method's budget allows from now on, by measurements.
 
         ``advance`` and ``step`` do so before they make steps; without a budget nothing is done.
 
@@ -409,7 +409,7 @@ class Simulation(Readings):
             self._driver.driver.aim(accuracy)
 
     def _set_budget(self, method: Method) -> None:
-        """Let the accuracy follow the budget of a method, if it has one."""
+        """Make the accuracy follow the budget of a method, if it has one."""
         self._budget = (
             Budget(method.budget, method.accuracy)
             if method.budget is not None and method.by_budget else None)
@@ -438,7 +438,7 @@ class Simulation(Readings):
         self._commanded()
 
     def _commanded(self) -> float:
-        """Let commands act that are due; return how long until the next one is [s]."""
+        """Apply commands that are due; return the time until the next one [s]."""
         line, close = self._delay_line, SAME_TIME * self.step_size
         if line.pending:
             self._command(line.due(self.time, close, self.system.tau))
@@ -457,7 +457,7 @@ class Simulation(Readings):
             self._sample_sensors()
 
     def _command(self, tau: np.ndarray) -> None:
-        """Let joint torques act from now on."""
+        """Apply joint torques from now on."""
         if (tau == self.system.tau).all():
             return
         self.require_bearable(tau)
@@ -477,12 +477,12 @@ class Simulation(Readings):
             self._sample_sensors()
 
     def _sample_sensors(self) -> None:
-        """Let sensors that remember see the present state."""
+        """Record the present state in sensors with a memory."""
         self.measured()
         self.measured_cut_joints()
 
     def _make(self, size: float, steps: int, call: int = 0) -> None:
-        """Make steps of one size [s], to the end of a call of so many where that is known."""
+        """Make steps of one size [s], up to the end of a call where its length is known."""
         counts = self._counts
         counts[guarded_run.DUE] = counts[guarded_run.HANDED] = 0
         counts[guarded_run.LEFT], counts[guarded_run.CALL] = steps, call
@@ -490,7 +490,7 @@ class Simulation(Readings):
         self._go_on(COMMAND)
 
     def _go_on(self, pause: int) -> None:
-        """Do what the engine pauses for, and let it go on, until all steps are made."""
+        """Handle the engine's pauses, and resume it, until all steps are made."""
         while pause:
             if pause == guarded_run.START_ENERGY:
                 self._start_balance()
@@ -508,7 +508,7 @@ class Simulation(Readings):
             pause = self._resume_run()
 
     def _report_pause(self, pause: int) -> None:
-        """Warn of, or raise, what the guards have found; the latest good state is kept."""
+        """Warn of, or raise, findings of the guards; the latest good state is kept."""
         numbers, guard = self._numbers, self.energy_guard
         if pause == guarded_run.INACCURATE:
             guard.warn()
@@ -542,7 +542,7 @@ class Simulation(Readings):
             self._report_pause(pause)
 
     def _set_guards(self, stiffness: StiffnessGuard, method: Method) -> None:
-        """Let a run by a method be watched."""
+        """Set the guards of a run by a method."""
         self._stiffness = stiffness
         self.energy_guard = EnergyGuard(
             method, stiffness.rate, self._numbers, self._counts, stiffness.limit,
@@ -550,7 +550,7 @@ class Simulation(Readings):
         self._restart_guards()
 
     def _restart_guards(self) -> None:
-        """Let the guards begin."""
+        """Restart the guards."""
         self.energy_guard.restart()
         counts = self._counts
         counts[guarded_run.CABLES_LOOKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
@@ -569,7 +569,7 @@ class Simulation(Readings):
             USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
 
     def _set_run(self) -> None:
-        """Let the engine make steps by the present method, system and guards."""
+        """Build the engine's run from the present method, system and guards."""
         before = getattr(self, '_run', None)
         self._numbers[guarded_run.STEP_SIZE] = self.step_size
         self._numbers[guarded_run.MASS] = self._mass
@@ -638,7 +638,7 @@ class Simulation(Readings):
         return True
 
     def exchange(self, model: t.Model) -> None:
-        """Let the method and the guards work on other closure equations, too."""
+        """Make method and guards work on other closure equations, too."""
         super().exchange(model)
         self._driver.rebind(self.system)
         self._stiffness.move(self.system)
@@ -741,7 +741,7 @@ class Simulation(Readings):
             'more, or take a fixed step.')
 
     def _advice_on_work(self) -> str:
-        """Say what to do where a step takes too many evaluations."""
+        """Return a remedy where a step takes too many evaluations."""
         count = self.system.work.health[t.RANK_REVEALING_COUNT]
         self._present.evaluate()
         if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
@@ -931,7 +931,7 @@ class Simulation(Readings):
             self._assembler.require_independent(self._q)
 
     def _jump(self) -> None:
-        """Compare nothing with what was before."""
+        """Reset the guards after a discontinuity of the state."""
         self._fresh = False
         self.energy_guard.jump()
         self._counts[guarded_run.CABLES_LOOKED] = 0
@@ -1025,7 +1025,7 @@ class Simulation(Readings):
             self, state: ArrayLike, time: float,
             residual: Optional[float] = None) -> None:
         """
-        Take a state of another run of the same scene, bit for bit; torques stay.
+        Restore a state of another run of the same scene, bit for bit; torques stay.
 
         Parameters
         ----------
@@ -1056,7 +1056,7 @@ class Simulation(Readings):
         self._jump_balance(self.energy_balance.residual - residual)
 
     def _recall(self, state: np.ndarray) -> None:
-        """Take back what ``state`` was."""
+        """Restore a value of ``state``."""
         self._state[:] = state[:len(self._state)]
         self._driver.recall(state[len(self._state):])
 
@@ -1072,12 +1072,12 @@ class Simulation(Readings):
 
     @property
     def monitor(self) -> Monitor:
-        """Return what keeps account of cost and local error, a ``monitor.Monitor``."""
+        """Return the account of cost and local error, a ``monitor.Monitor``."""
         return self._driver
 
     def report(self) -> RunReport:
         """
-        Return what the run has cost since the start or the last reset, and how far off it may be.
+        Return cost and estimated error of the run since the start or the last reset.
 
         Returns
         -------
@@ -1218,7 +1218,7 @@ class Simulation(Readings):
 
     def command_motion(self, commands: Mapping[str, Tuple[Any, ...]]) -> None:
         """
-        Let motions that are commanded go on through other points, from the present state.
+        Continue commanded motions through other points, from the present state.
 
         Parameters
         ----------

@@ -57,7 +57,7 @@ class SingularCurve(NamedTuple):
 
 class SingularCurves:
     """
-    What follows curves of one kind.
+    Continuation of singular curves of one kind.
 
     Parameters
     ----------

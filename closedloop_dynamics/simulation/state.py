@@ -51,7 +51,7 @@ class State:
     coordinates: Coordinates
 
     def __post_init__(self) -> None:
-        """Copy the numbers, and refuse what is no state."""
+        """Copy the numbers, and refuse an invalid state."""
         q, qd, own = (_numbers(name, getattr(self, name)) for name in ('q', 'qd', 'own'))
         batch = q.shape[:-1]
         for name, array, last in (('q', q, self.coordinates.nq), ('qd', qd, self.coordinates.nv),
@@ -135,7 +135,7 @@ class State:
         return (self[k] for k in range(len(self)))
 
     def __reduce__(self) -> Tuple[Any, ...]:
-        """Copy and pickle as what can never be written."""
+        """Copy and pickle as read-only arrays."""
         return State, (self.time, self.q, self.qd, self.own, self.coordinates)
 
     def __repr__(self) -> str:

@@ -37,7 +37,7 @@ class StepDerivatives:
     """
 
     def __init__(self, simulation, parameters):
-        """Allocate what the routines work on."""
+        """Allocate the arrays of the routines."""
         self.parameters, self._system = parameters, simulation.system
         nv, nc = len(self._system.qdd), len(self._system.lam)
         self._scene = TracedScene(simulation)

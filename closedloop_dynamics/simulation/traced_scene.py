@@ -13,7 +13,7 @@ from ..effects.traced_laws import act, constants_of, refused
 
 def refusals(simulation):
     """
-    Return what of a simulation has no derivatives, and why.
+    Return the parts of a simulation without derivatives, and the reasons.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def require_derivatives(simulation):
 
 class TracedScene:
     """
-    What code for a scene's mechanism and effects is generated for, and reads.
+    Mechanism and effects of a scene as inputs of generated code.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class TracedScene:
         self.key = rows, self.values.shape
 
     def act(self, forces):
-        """Let the effects act on a ``core.codegen.scene_routines.Forces``."""
+        """Apply the effects to a ``core.codegen.scene_routines.Forces``."""
         act(self._effects, forces, self._laws)
 
     def table(self, arrays, columns):
@@ -112,7 +112,7 @@ class TracedScene:
 
 
 def laws_of(simulation):
-    """Return what code depends on of laws with lists of numbers, or of users, by rows."""
+    """Return the code's dependence on laws with lists of numbers, or of users, by rows."""
     table, laws, found = simulation.system.effects, simulation.effect_set.laws, {}
     for row in () if table is None else np.flatnonzero(
             table.enabled * table.index[:, ENTRIES]).tolist():

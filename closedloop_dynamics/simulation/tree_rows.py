@@ -84,7 +84,7 @@ class Placement(NamedTuple):
 
 class TreeRows:
     """
-    Rows of a tree in the plane, joint by joint; those in space do what differs their way.
+    Rows of a tree in the plane, joint by joint; in space a subclass overrides them.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Machines that are made of others: what of a scene is carried over, and what is left out."""
+"""Machines derived from others: the effects carried over, and those left out."""
 
 from dataclasses import replace
 from typing import NamedTuple, Tuple

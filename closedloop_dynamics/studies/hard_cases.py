@@ -165,7 +165,7 @@ def _change_point(method, quick):
 
 
 def _folding(method, quick):
-    """Let the pantograph swing through its folded position, and start on it and beside it."""
+    """Swing a pantograph through its folded position; start on it and beside it."""
     worst, duration = 0.0, 1.0 if quick else 3.0
     times = np.arange(1, LOOKS + 1) * duration / LOOKS
     for variant, offset in trials(method, 2 if quick else 10):
@@ -344,7 +344,7 @@ def light_cart(mass=1e-6):
 
 def _light_cart(method, quick):
     """
-    Let the pendulum fall: nothing holds it aside, so that it bounces as if it hit a wall.
+    Drop a pendulum from a light cart: nothing holds it aside, and it bounces as from a wall.
 
     The turn at the bottom takes 1e-7 s, at thousands of radians a second.
 
@@ -440,7 +440,7 @@ def _pendulum_scene(bodies, joints, method, effects, points=()):
 
 
 def _nearly_rigid(effect):
-    """Let two bars, joined by something very stiff, swing like one for a second."""
+    """Swing two bars, joined by a very stiff bushing, like one for a second."""
     def run(method, quick):
         upper, lower = bar('upper', 1.0, 1.0), bar('lower', 2.0, 0.5)
         pivot = hinge('pivot', 'ground', 'upper')
@@ -463,7 +463,7 @@ def _nearly_rigid(effect):
 
 def _bounded(method, quick):
     """
-    Let a bar swing on springs for which a step is 0.1 to 100 radians: no energy may appear.
+    Swing a bar on springs with steps of 0.1 to 100 radians: no energy may appear.
 
     Refused where any of them is: the worst of the others must be no more than stable then.
 
@@ -489,7 +489,7 @@ def _bounded(method, quick):
 
 
 def _touch_down(method, quick):
-    """Let a bar fall on a hard floor, and come to rest there."""
+    """Drop a bar on a hard floor, on which it comes to rest."""
     simulation = _pendulum_scene(
         (bar('bar', 1.0, 1.0),), (hinge('pivot', 'ground', 'bar'),),
         replace(method, step_size=STIFF_STEP, tolerance=1e-5),
@@ -542,7 +542,7 @@ def _at_working_speed(simulation, tau):
 
 
 def _turning(method, quick):
-    """Let a parallelogram turn steadily, twice a turn through its flat positions."""
+    """Turn a parallelogram steadily, twice a turn through its flat positions."""
     duration = 10.0 if quick else 3600.0
     rate = 10.0
     simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
@@ -624,7 +624,7 @@ def looped_pendulum():
 
 
 def watch_pendulum(method, duration, looks):
-    """Return a falling looped pendulum's place at the end, its energy at looks, and worst gap."""
+    """Return a falling looped pendulum's place at the end, its energies, and its largest gap."""
     simulation = Simulation(scene(*looped_pendulum(), method, gravity(0.0)))
     energies, gap = [simulation.energy], 0.0
     for _ in range(looks):
@@ -635,7 +635,7 @@ def watch_pendulum(method, duration, looks):
 
 
 def _pendulum(method, quick):
-    """Let the pendulum swing, half an hour nearly, and compare its place."""
+    """Swing the pendulum for nearly half an hour, and compare its place."""
     if quick:
         place, _, gap = watch_pendulum(tight(method, 1e-3), 10 * PENDULUM_PERIOD, 100)
         error = np.abs(place - (1.0, 0.0)).max()
@@ -647,7 +647,7 @@ def _pendulum(method, quick):
 
 
 def _ladders(method, quick):
-    """Let ladders fall and turn through many flat positions, and compare place and velocity."""
+    """Drop ladders through many flat positions; compare place and velocity."""
     worst = 0.0
     for loops, duration, place, velocity in LADDERS[:2] if quick else LADDERS:
         simulation = Simulation(scene(
@@ -668,7 +668,7 @@ def slope(energies, duration, scale):
 
 
 def _energy_slope(method, quick):
-    """Let the pendulum swing for 2000 s and the two-loop ladder for 100 s, tightly."""
+    """Swing the pendulum for 2000 s and the two-loop ladder for 100 s, tightly."""
     duration = 20.0 if quick else 2000.0
     _, energies, _ = watch_pendulum(tight(method, 1e-3), duration, 200)
     worst = slope(energies, duration, G)
@@ -744,7 +744,7 @@ def stuck_mass(method):
 
 
 def _stick(method, quick):
-    """Let the mass slide to rest after five half swings, and hold it there."""
+    """Slide a mass to rest after five half swings, and hold it there."""
     size = 1e-6 if method.integrator == 'semi_implicit_euler' else method.step_size
     simulation = stuck_mass(replace(
         method, step_size=size, tolerance=TIGHT, accuracy=TIGHT / SHARE))

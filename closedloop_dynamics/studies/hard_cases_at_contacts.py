@@ -104,7 +104,7 @@ def dips(effect, stiffness, depth):
 
 
 def _graze(method, quick):
-    """Let a ball on a spring turn round 0.2 um beyond a stop that is a million times as stiff."""
+    """Turn a ball on a spring round 0.2 um beyond a stop that is a million times as stiff."""
     reach, short, soft, hard = 0.1, 2e-7, 1e4, 1e10
     slow, fast = math.sqrt(soft / MASS), math.sqrt((soft + hard) / MASS)
     stop = reach - short
@@ -119,7 +119,7 @@ def _graze(method, quick):
 
 
 def _indexings(method, quick):
-    """Let the Geneva drive, its driver ten thousand times as heavy, index its wheel."""
+    """Index the wheel of a Geneva drive, its driver ten thousand times as heavy."""
     start = started('geneva_drive', method).scene
     mechanism = replace(start.mechanism, bodies=tuple(
         replace(body, inertia=1e4 * body.inertia) if body.name == 'driver' else body

@@ -19,7 +19,7 @@ BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)
 
 
 def _bricard(method, quick):
-    """Let Bricard's linkage fall: its place after a second, then its energy and loops."""
+    """Drop Bricard's linkage: its place after a second, then its energy and loops."""
     simulation = started('bricard', method, step_size=1e-3)
     energy, tau = simulation.energy, np.zeros(len(simulation.joint_names))
     simulation.advance(tau, 1000)
@@ -31,7 +31,7 @@ def _bricard(method, quick):
 
 
 def _idle_spin(method, quick):
-    """Let a rod between two balls spin about itself: nothing changes its spin, nor the energy."""
+    """Spin a rod between two balls about itself: its spin and energy stay constant."""
     simulation = started('rssr_four_bar', method, step_size=1e-4)
     along, spin = np.ones(3) / math.sqrt(3.0), 1000.0
     rates = simulation.velocity
@@ -106,7 +106,7 @@ NORM = 1e9
 
 
 def _free_body(method, quick):
-    """Let a body flip about its middle axis, whose origin is not its centre of mass."""
+    """Flip a body about its middle axis, its origin not at its centre of mass."""
     expected, center = free_body(share=0.9), np.array([0.1, -0.2, 0.05])
     start = expected(0.0)
     simulation = one_body(
@@ -121,7 +121,7 @@ def _free_body(method, quick):
 
 
 def _top(method, quick):
-    """Let a heavy top nutate: its lean, its spin and its energy."""
+    """Nutate a heavy top: its lean, its spin and its energy."""
     simulation, worst = top(_tight(method, 2e-4)), 0.0
     energy = simulation.energy
     for _ in range(10 if quick else 320):
@@ -150,7 +150,7 @@ def _many_turns(method, quick):
 
 
 def _orientations(method, quick):
-    """Let the top start from every orientation, each quaternion of both signs."""
+    """Start the top from every orientation, each quaternion of both signs."""
     simulation, rng = top(method), np.random.default_rng(3)
     moments, worst = np.array([ACROSS, ACROSS, ALONG]), 0.0
     turns = [*np.eye(4), *rng.standard_normal((20 if quick else 500, 4))]

@@ -224,7 +224,7 @@ def identify(scene, keys, motion, effort, others=None):
 
 def measured_joints(scene):
     """
-    Return the joints whose motion decides that of all others: driven ones, or else all.
+    Return the joints that determine the motion of all others: driven ones, or else all.
 
     Parameters
     ----------
@@ -574,13 +574,13 @@ class _Along:
         self._find_torques()
 
     def _take(self, scene):
-        """Take the numbers of a scene."""
+        """Set the numbers of a scene."""
         self.data = Data(scene)
         self._gravity = self.data.system.model.gravity.copy()
         self._take_bodies(scene)
 
     def _take_bodies(self, scene):
-        """Take the numbers of bodies of a scene."""
+        """Set the numbers of bodies of a scene."""
         self.scene, mechanism = scene, scene.mechanism
         self.bodies = tuple(
             BodyParameters(body, self._linear[body.name]) for body in mechanism.bodies

@@ -121,7 +121,7 @@ class BodyParameters:
             f'{self.name}.{name}', self.name, float(value), power, np.array(unit))
 
     def _collect(self, centers_vary):
-        """Note which parameters a key follows from."""
+        """Find the parameters that determine a key."""
         names = [one.name for one in self.parameters]
         mass = [name for name in names if name.endswith('.mass')]
         moments = [name for name in names if '.first_moment.' in name]

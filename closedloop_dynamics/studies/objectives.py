@@ -37,7 +37,7 @@ TOLERANCE = 1e-6
 
 
 def places_named(text):
-    """Return the names of the places that ``distance`` asks for in a text."""
+    """Return the names of the places in the ``distance`` terms of a text."""
     return [match[2] for match in _DISTANCE.finditer(text)]
 
 
@@ -88,7 +88,7 @@ class Expression:
         self._sign, self._call, self._inner = _root(root, written.strip())
 
     def _name(self, word, quantities, known):
-        """Note the quantity of a word of the text."""
+        """Add the quantity of a word of the text."""
         name = word.replace(DOT, '.')
         if word in self._paths or word in CONSTANTS or word in TAKES:
             return

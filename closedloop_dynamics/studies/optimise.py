@@ -395,7 +395,7 @@ def within_bound(problem: Problem, most: float, start: Candidate) -> Candidate:
 
 
 class _Stop(Exception):
-    """The optimiser asks for derivatives where there is no machine."""
+    """Derivatives were requested where no machine exists."""
 
 
 class _Search:
@@ -422,7 +422,7 @@ class _Search:
         return (1.0 - share) * self._problem.low + share * high
 
     def _quantities(self, z, slopes=False):
-        """Return the quantities of a machine; those asked for last are kept."""
+        """Return the quantities of a machine; the latest ones are kept."""
         if self._at is None or not np.array_equal(self._at, z):
             self._at, self._plain, self._sloped = np.array(z), None, None
             try:

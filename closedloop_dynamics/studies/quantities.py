@@ -151,7 +151,7 @@ def _exerting(scene, drives):
 
 class Quantities:
     """
-    Quantities of one machine, computed when they are asked for.
+    Quantities of one machine, each computed at first use.
 
     Parameters
     ----------

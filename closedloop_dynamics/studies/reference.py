@@ -207,7 +207,7 @@ SHIFT = 1e-9
 
 @dataclass(frozen=True)
 class Reference:
-    """A motion computed as exactly as it goes."""
+    """The most accurate motion that can be computed."""
 
     trajectory: Trajectory  # As far as it is known
     # Largest of the differences from the motions that prove it: its own error is of this

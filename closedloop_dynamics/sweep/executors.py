@@ -216,7 +216,7 @@ class ExternalExecutor:
     """An executor that was handed in; it is not shut down."""
 
     def __init__(self, executor):
-        """Take it as it is."""
+        """Store the executor."""
         self._executor = executor
 
     def submit(self, function, *arguments):
@@ -234,7 +234,7 @@ class ExternalExecutor:
                           'written is kept: go on with resume, and another executor.')
 
     def close(self):
-        """Leave it to whoever made it."""
+        """Leave the executor to its owner."""
 
 
 class Cluster(ExternalExecutor):

@@ -202,7 +202,7 @@ class NetCDF:
 
     @staticmethod
     def sweep_of(path):
-        """Return the attribute of a file that says which sweep it belongs to."""
+        """Return the attribute of a file that identifies its sweep."""
         with import_module(NetCDF.library).Dataset(path) as file:
             return getattr(file, 'sweep', None)
 
@@ -267,7 +267,7 @@ class Zarr:
 
     @staticmethod
     def sweep_of(path):
-        """Return the attribute of a directory that says which sweep it belongs to."""
+        """Return the attribute of a directory that identifies its sweep."""
         return import_module(Zarr.library).open_group(path, mode='r').attrs.get('sweep')
 
     def status(self):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The rows of numbers that a page shows: poses, arrows, and what is plotted, of one instant each.
+Rows of numbers for a page: poses, arrows and plotted quantities, of one instant each.
 
 A row of a running simulation, of a recording and of a saved file is the same.
 
@@ -59,7 +59,7 @@ class Plot:
 @dataclass
 class Columns:
     """
-    Columns of a row, in this order; NaN where nothing is known.
+    Columns of a row, in this order; NaN where a value is unknown.
 
     Attributes
     ----------
@@ -93,12 +93,12 @@ class Columns:
 
     @property
     def layout(self):
-        """Return the first column of each part, what is plotted, and names, as JSON can."""
+        """Return the first column of each part, plotted quantities and names, as JSON."""
         return {'columns': self.starts, 'loads': self.loads,
                 'plots': [vars(plot) for plot in self.plots], 'files': self._files()}
 
     def _files(self):
-        """Return what the columns are called in files, with units; empty: it is in none."""
+        """Return the names of the columns in files, with units; empty: in none."""
         planar, bodies = self.mechanism.planar, self.mechanism.bodies
         axes = ['x [m]', 'y [m]', 'z [m]']
         found = [f'pose.{body.name}.{part}' for body in bodies for part in (
@@ -143,7 +143,7 @@ def _is_other(names):
 
 
 def _other_columns(names):
-    """Return what they are called: orientations, and efforts of joints that are not driven."""
+    """Return the columns of orientations, and of efforts of joints that are not driven."""
     position, effort = _is_other(names)
     return [names.columns('position')[place] for place in np.flatnonzero(position)] + [
         f'{names.columns("effort")[place]} [{("N m", "N")[bool(names.lengths[place])]}]'
@@ -157,7 +157,7 @@ def motion_columns(mechanism):
 
 def motion_looked_at(columns, motion, rows):
     """
-    Return what ``thinning.Thinning`` looks at of the rows of a motion.
+    Return the values for ``thinning.Thinning`` in the rows of a motion.
 
     Shape (n, 3 points + plots): places of the named points [m], what is plotted.
 
@@ -250,7 +250,7 @@ class SimulationRows:
 
     def look(self):
         """
-        Look at what takes long, and so is asked rarely: errors, cost, what a singularity frees.
+        Update the costly values: errors, cost, motions freed by a singularity.
 
         Returns the simulation's ``RunReport``.
 
@@ -277,7 +277,7 @@ class SimulationRows:
         return self._simulation.health.drive_sine
 
     def _moved(self, held):
-        """Return poses moved along what the loops, and held drives, prevent least."""
+        """Return poses displaced in the direction that loops and held drives resist least."""
         simulation = self._simulation
         jac = simulation.constraint_jacobian.copy()
         if held:
@@ -322,7 +322,7 @@ class SimulationRows:
             simulation.effort[self._undriven]]).astype(np.float32)
 
     def looked_at(self, row):
-        """Return what ``thinning.Thinning`` looks at of the present state, whose row is given."""
+        """Return the values for ``thinning.Thinning`` of the present state, whose row is given."""
         places = self._simulation.points[:self._points]
         values = self._looked.copy()
         values[:3 * self._points].reshape(-1, 3)[:, :places.shape[1]] = places
@@ -336,7 +336,7 @@ class SimulationRows:
                 for name in self._telling if name in enabled}
 
     def _readings(self, told):
-        """Return what is plotted of what effects tell; NaN of those that are switched off."""
+        """Return the plotted readings of effects; NaN for those that are switched off."""
         return [told[name][reading] if name in told else np.nan for name, reading in self._read]
 
     def _arrows(self, told):
@@ -385,7 +385,7 @@ class SimulationRows:
         return of_quaternion(pose[3:])
 
     def _contact(self, record, readings):
-        """Return the normal force and what acts along the line or plane."""
+        """Return the normal force and the force along the line or plane."""
         normal = readings['normal_force']
         along = readings['friction_force'] + readings['scraping_force']
         if record.normal is None:
@@ -434,5 +434,5 @@ class SimulationRows:
 
 
 def _kinds(record):
-    """Return what an effect's arrows are."""
+    """Return the kinds of an effect's arrows."""
     return ('normal', 'friction') if isinstance(record, (BodyContact, Contact)) else ('force',)

@@ -20,7 +20,7 @@ POSES, MOST_CURVES, DIGITS = 240, 8, 7
 
 def curves(mechanism, position, points):
     """
-    Return the curves of points while the first driven joint goes as far as it can.
+    Return the curves of points over the whole range of the first driven joint.
 
     The other driven joints stay, and there is one curve, of the first point. Where the joints that
     are driven do not decide the motion, there are no curves.

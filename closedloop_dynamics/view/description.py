@@ -166,7 +166,7 @@ def _heights(mechanism, size):
 
 
 def _shapes(mechanism, body, size, height, extras, outlined):
-    """Return what a body is drawn as, in its frame [m]."""
+    """Return the shapes of a body, in its frame [m]."""
     radius, marks = BAR * size, marked_points(mechanism, body)
     if extras.covers(body, marks):
         return _stem(extras, body, size, height)
@@ -189,7 +189,7 @@ def _shapes(mechanism, body, size, height, extras, outlined):
 
 
 def _stem(extras, body, size, height):
-    """Return what joins a follower's roller with the block that slides; of others nothing."""
+    """Return the stem between a follower's roller and its sliding block; none for others."""
     reach = extras.stem(body, size)
     if extras.block(body) is None or not reach:
         return []

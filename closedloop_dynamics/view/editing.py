@@ -85,7 +85,7 @@ class Editor:
         self._step(self._done, self._undone, 'undo')
 
     def redo(self):
-        """Take back what was undone; raise FieldError where there is nothing."""
+        """Redo an undone change; raise FieldError where there is none."""
         self._step(self._undone, self._done, 'redo')
 
     def _step(self, back, forth, what):
@@ -98,7 +98,7 @@ class Editor:
         return self.scene, self._base, self._text, self.words_kept
 
     def _keep(self, tag):
-        """Let what is now be what undoing leads back to, unless the same gesture goes on."""
+        """Store the present text as a step of undoing, unless the same gesture goes on."""
         now = time.monotonic()
         if tag is None or tag != self._tag[0] or now - self._tag[1] > GESTURE:
             self._done.append(self._present())
@@ -107,7 +107,7 @@ class Editor:
         self._undone.clear()
 
     def withdraw(self, before):
-        """Forget a change that led to no machine; ``before`` is what ``state`` returned."""
+        """Discard a change that gave no machine; ``before`` is an earlier ``state``."""
         (self.scene, self._base, self._text, self.words_kept), done, undone = before
         self._done, self._undone, self._tag = list(done), list(undone), (None, 0.0)
 
@@ -173,7 +173,7 @@ class Editor:
         self.scene = scene
 
     def effect(self, name, acts, record):
-        """Take note of what an effect has become: whether it acts, and its record."""
+        """Store the present record of an effect, and whether it is on."""
         scene = self.scene
         if name not in scene.effects or (acts, record) == (
                 name not in scene.switched_off, scene.effects[name]):
@@ -185,7 +185,7 @@ class Editor:
             switched_off=others if acts else (*others, name))
 
     def pose(self, position):
-        """Let the machine start in a position, shape (nq,) [rad or m]."""
+        """Set the machine's start position, shape (nq,) [rad or m]."""
         self._keep(None)
         self.scene = replace(self.scene, initial=replace(
             self.scene.initial, position=tuple(np.array(position).tolist())))
@@ -224,7 +224,7 @@ class Editor:
 
     def handles(self):
         """
-        Return what can be moved, as JSON can: kind, name, body and place in its frame.
+        Return the movable handles, as JSON: kind, name, body and place in its frame.
 
         The body is by its number, -1 the ground.
 
@@ -358,7 +358,7 @@ class Editor:
 
     def remove(self, kind, name):
         """
-        Remove a part; return the names of what goes with it.
+        Remove a part; return the names of all parts removed with it.
 
         Parameters
         ----------

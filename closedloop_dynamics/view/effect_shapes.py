@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Shapes of effects: springs and cables, and what contacts press on; places as a page has them."""
+"""Shapes of effects: springs, cables and contact surfaces, in the page's coordinates."""
 
 
 import numpy as np
@@ -21,7 +21,7 @@ SHORT = 6.0
 
 def effect_lines(mechanism, effects, rows, heights, above):
     """
-    Return what pulls points together, with its ends.
+    Return the springs and cables, with their ends.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def surfaces(effects):
 
 
 def wires(mechanism, effects, rows, heights, above):
-    """Return outlines of rollers and of what they roll on, in their bodies' frames."""
+    """Return outlines of rollers and of their counterparts, in their bodies' frames."""
     points, found = {point.name: point for point in mechanism.points}, []
     for name, record in effects.items():
         if not isinstance(record, BodyContact):

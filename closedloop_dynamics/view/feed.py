@@ -74,7 +74,7 @@ class Feed:
     # The computing side.
 
     def describe(self, description, time, row):
-        """Let the pages show something else, from a frame of it on."""
+        """Change the description of the pages, from a frame of it on."""
         with self._lock:
             self._describe(description)
             self._samples.clear()
@@ -82,7 +82,7 @@ class Feed:
         self._changed()
 
     def show(self, time, row):
-        """Let the pages show a row, float32, as described, of a time of the motion [s]."""
+        """Send a row, float32, as described, of a time of the motion [s]."""
         with self._lock:
             self._put(time, row)
         self._changed()
@@ -114,7 +114,7 @@ class Feed:
         self._changed()
 
     def log(self, text):
-        """Send a note to the pages."""
+        """Send a message to the pages."""
         with self._lock:
             self._note += 1
             self._notes.append({'number': self._note, 'text': text})
@@ -122,16 +122,16 @@ class Feed:
         self._changed()
 
     def refuse(self, error):
-        """Count a message that is not followed, and say why."""
+        """Count a refused message, and send the reason."""
         self.refused += 1
         self.log(str(error))
 
     def is_waiting(self):
-        """Return whether a page has asked for something since."""
+        """Return whether a page has sent a request since."""
         return not self._inbox.empty()
 
     def messages(self):
-        """Yield what the pages asked for since the last call: page and message."""
+        """Yield the requests of pages since the last call: page and message."""
         while True:
             try:
                 yield self._inbox.get_nowait()
@@ -179,7 +179,7 @@ class Feed:
 
     def accept(self, page, text):
         """
-        Check what a page, named by its identity, asks for, and hand it over.
+        Check the message of a page, named by its identity, and hand it over.
 
         Returns the number of the frame that it has got to, where that is what it says, or None.
 
@@ -198,7 +198,7 @@ class Feed:
         return None
 
     def leave(self, page):
-        """Let go of what a page holds that is gone; always heard."""
+        """Release what a closed page holds; never refused."""
         try:
             self._inbox.put_nowait((page, {'do': 'release'}))
         except Full:

@@ -48,7 +48,7 @@ class Library:
         self._known_files = {}
 
     def machines(self):
-        """Return what can be opened: kind, name and description, as JSON can."""
+        """Return the machines that can be opened: kind, name and description, as JSON."""
         every = [(SHIPPED, shipped_path('scenes', name)) for name in scene_names()]
         every += [(YOURS, path) for path in self._files()]
         return [{'kind': kind, 'name': path.stem, 'text': self._description(path)}
@@ -112,7 +112,7 @@ class Library:
         return name
 
     def resource(self, path):
-        """Return kind and bytes of the list of machines, or of a picture; None of what is not."""
+        """Return kind and bytes of the list of machines, or of a picture; None for others."""
         if path == '/machines.json':
             return 'application/json', json.dumps(self.machines()).encode()
         match = PICTURE.fullmatch(path)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Shapes by which machines are recognised: gears, racks, pulleys, cams, and guides of what slides.
+Characteristic shapes of machines: gears, racks, pulleys, cams, and guides of slides.
 
 Places are as a page has them, in the frames of bodies; a profile is an outline that is as deep as
 it says, about its origin along ``z``, and where it has a ``hole`` of as many places, a band.
@@ -38,7 +38,7 @@ CLOSED = 1e-9
 
 class MachineShapes:
     """
-    What makes a mechanism recognisable.
+    Characteristic shapes of a mechanism.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class MachineShapes:
         self._outlines = list(self._contacts(effects)) if mechanism.planar else []
 
     def _contacts(self, effects):
-        """Yield body, centre, closed outline of what touches, and whether it is free inside."""
+        """Yield body, centre, closed outline of a contact, and whether it is free inside."""
         for record in effects.values():
             if not isinstance(record, BodyContact):
                 continue
@@ -124,7 +124,7 @@ class MachineShapes:
     # What slides.
 
     def block(self, body):
-        """Return where the block of what slides is, in its body [m]; None without one."""
+        """Return the place of a sliding block, in its body [m]; None without one."""
         if any(rack.body == body for rack in self.racks):
             return None
         joint = next((joint for joint in self._mechanism.joints
@@ -141,7 +141,7 @@ class MachineShapes:
 
     def guides(self, rows, heights, thick):
         """
-        Return what guides that which slides along a line, as JSON can.
+        Return the guides of sliding joints, as JSON.
 
         Each has a body, a place and an axis in it, the mover and its place on it, and ``sides``:
         how far to the left of the line its two edges are [m].

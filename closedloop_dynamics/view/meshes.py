@@ -70,7 +70,7 @@ def read_mesh(path, most=MOST_TRIANGLES):
 
 
 def _merged(points, triangles, cells):
-    """Return a mesh whose points that lie in one cell of a grid are one, in their middle."""
+    """Return a mesh with the points of each cell of a grid merged, in their middle."""
     low, size = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     places = np.floor((points - low) * (cells / size)).astype(int)
     _, cell, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)

@@ -38,7 +38,7 @@ def _count(value):
 
 
 def _word(value):
-    """Return what may be the name of a joint or of one of its freedoms."""
+    """Return a possible name of a joint or of one of its freedoms."""
     if not isinstance(value, str):
         raise FieldError('a name', shown(value))
     return value
@@ -69,7 +69,7 @@ def _place(value):
 
 
 def _values(value):
-    """Return values of an effect or a method by key; what they mean is checked where it acts."""
+    """Return values of an effect or a method by key; their meaning is checked later."""
     found = {}
     for key, item in mapping(value).items():
         with at(key):
@@ -127,7 +127,7 @@ def drives_told(drives):
 
 
 def drive_of(drives, joint):
-    """Return what drives a joint; raise FieldError where nothing does."""
+    """Return the drive of a joint; raise FieldError where there is none."""
     if joint not in drives:
         raise FieldError(f'one of the driven joints ({", ".join(drives)})', shown(joint),
                          path=('joint',))
@@ -148,7 +148,7 @@ def require_kinematic(kinematic):
 
 def read(text):
     """
-    Return what a page asks for: JSON with what to do under ``do``, and the keys of that.
+    Return the request of a page: JSON with the action under ``do``, and its keys.
 
     Raises FieldError where it makes no sense.
 

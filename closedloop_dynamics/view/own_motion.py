@@ -18,7 +18,7 @@ MODES = TORQUE, POSITION, SPEED, EXPRESSION
 
 class OwnMotion:
     """
-    What drives a machine from the start.
+    The drives of a machine from the start.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class OwnMotion:
     """
 
     def __init__(self, controller=None, drives=None):
-        """Let drives that are given have their joints."""
+        """Assign the given drives to their joints."""
         self.controller = controller
         own = {} if controller is None else dict.fromkeys(
             controller.joints, (OWN, controller.name))
@@ -49,7 +49,7 @@ class OwnMotion:
 
 def chosen(drives, which=OWN, file=None):
     """
-    Return what gives the motion that was chosen, for a scene and what a controller knows of it.
+    Return a function that gives the chosen motion of a scene and a controller's model.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def _single(mechanism):
 
 def own_motion(scene, model=None):
     """
-    Return what moves a scene: a shipped controller, drives shipped with it, or its effects.
+    Return the drives of a scene: a shipped controller, shipped drives, or its effects.
 
     ``model`` is what a controller knows of it, by default the scene.
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What hands feel: moving a mechanism along its closed loops, and the inertia against that."""
+"""Moving a mechanism by hand along its closed loops, and the inertia felt."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def felt_inertia(simulation):
 
 def felt_mass(simulation, name):
     """
-    Return the mass that who pulls a named point feels in the present position, all joints free.
+    Return the effective mass at a named point in the present position, all joints free.
 
     It is a symmetric matrix of shape (2, 2), in space (3, 3) [kg]; zero where the loops hold the
     point in all directions.
@@ -105,7 +105,7 @@ def joint_to(simulation, name, value):
 
 
 def _follow(simulation, goal):
-    """Correct the state until what ``goal`` says is missing is gone, or cannot be."""
+    """Correct the state until the error given by ``goal`` vanishes, or cannot."""
     for _ in range(CORRECTIONS):
         free = _free(simulation)
         if not free.shape[1]:

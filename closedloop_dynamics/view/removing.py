@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Parts that a scene can do without: what goes with each, and what cannot go."""
+"""Removal of parts of a scene, with the parts that depend on them."""
 
 from dataclasses import fields
 
@@ -14,7 +14,7 @@ SECTIONS = {BODY: ('bodies',), JOINT: ('cut_joints', 'joints'), POINT: ('points'
 
 
 def removable(scene):
-    """Return the names of what can be removed, by kind, as JSON can."""
+    """Return the names of removable parts, by kind, as JSON."""
     mechanism = scene.mechanism
     carriers = {joint.parent for joint in mechanism.joints}
     joints = [cut.name for cut in mechanism.cut_joints]
@@ -29,7 +29,7 @@ def removable(scene):
 
 def without(scene, text, kind, name):
     """
-    Return the text of a scene without a part, and what else has gone.
+    Return the text of a scene without a part, and the other parts removed.
 
     With a body go its joints and points, and the effects and couplings of these.
 
@@ -95,7 +95,7 @@ def _require(scene, kind, name):
 
 
 def _with_body(scene, name):
-    """Return what goes with a body, kinds and names, and its joints."""
+    """Return the parts removed with a body, kinds and names, and its joints."""
     mechanism = scene.mechanism
     joints = [joint.name for joint in mechanism.joints if joint.child == name]
     joints += [cut.name for cut in mechanism.cut_joints if name in (cut.body_a, cut.body_b)]
@@ -118,7 +118,7 @@ def _names(value, names):
 
 
 def _less(text, kind, name):
-    """Return a text without a part; None where it does not stand there."""
+    """Return a text without a part; None where it is not in it."""
     if kind == EFFECT:
         return without_entry(text, ('effects', name))
     for section in SECTIONS.get(kind, ('couplings',)):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A simulation that runs live under what pages ask for."""
+"""A live simulation controlled by the requests of pages."""
 
 from dataclasses import replace
 import math
@@ -94,7 +94,7 @@ class Hand:
     """
 
     def __init__(self, scene, size):
-        """Add what is needed."""
+        """Set the initial values."""
         mechanism = scene.mechanism
         taken = {point.name for point in mechanism.points}
         self._points, added = {}, []
@@ -139,7 +139,7 @@ class Hand:
 
 class Runner(Shown):
     """
-    Runs a simulation, shows it to a feed and does what its pages ask for.
+    Runs a simulation, shows it to a feed and carries out the requests of its pages.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class Runner(Shown):
         self._before = simulation.time, self.rows.row()
 
     def _describe(self):
-        """Let the pages have what is shown, as it is now."""
+        """Send the description of the machine to the pages, as it is now."""
         scene, simulation = self.editor.scene, self.simulation
         position = np.array(scene.initial.position)
         self.described = describe(
@@ -240,13 +240,13 @@ class Runner(Shown):
     # What drives are given.
 
     def _modes(self, name):
-        """Return what a drive can be told."""
+        """Return the modes of a drive."""
         controller = self._own.controller
         known = controller is not None and name in controller.joints
         return (*MODES, OWN) if known else MODES
 
     def _start_drives(self):
-        """Let each drive do what the machine begins with."""
+        """Start each drive with the machine's own motion."""
         self._restart_controller()
         for name, drive in self.drives.items():
             (mode, value), (time, position) = self._own.start(name), self._now_at(name)
@@ -266,7 +266,7 @@ class Runner(Shown):
                 for name, inertia in zip(self._places, felt)}
 
     def _reach(self, name, place):
-        """Return the largest torque of a slider: that of the drive, or what moves briskly."""
+        """Return the largest torque of a slider: that of the drive, or one for a brisk motion."""
         for record in self.simulation.effects.values():
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
@@ -387,7 +387,7 @@ class Runner(Shown):
                 time.sleep(max(0.0, due - self._clock()))
 
     def tick(self):
-        """Follow what was asked for, advance to the present, show it."""
+        """Carry out requests, advance to the present, show the state."""
         if self._follow():
             self._changed = True
         if self._clock() >= self._own_due and not self._editing:
@@ -431,7 +431,7 @@ class Runner(Shown):
         self._send_controls()
 
     def _say_slow(self, elapsed):
-        """Tell the pages how slow it is while a part of a step takes so long [s]."""
+        """Report to the pages how slow it is while a part of a step takes so long [s]."""
         share = self._part * self.simulation.step_size / elapsed
         self.feed.send_controls(achieved=float(f'{share:.1g}'))
 
@@ -444,7 +444,7 @@ class Runner(Shown):
         return float(f'{(pacer.simulated - simulated) / (pacer.elapsed - elapsed):.2g}')
 
     def _guarded(self, action):
-        """Do what may fail as simulations do; stand still if it does, the state kept."""
+        """Run an action that may fail as simulations do; pause if it does, the state kept."""
         try:
             with warnings.catch_warnings():
                 # The report has it.
@@ -594,7 +594,7 @@ class Runner(Shown):
         self._busily('preparing the method', change)
 
     def _busily(self, what, action):
-        """Do what may take long, saying so; time stands still meanwhile."""
+        """Run a long action with a message to the pages; time is paused meanwhile."""
         running = self.playing
         if running:
             self._pacer.stop()
@@ -703,7 +703,7 @@ class Runner(Shown):
         self._describe()
 
     def _renew_controller(self):
-        """Let a controller have the machine as it is now."""
+        """Rebuild a controller for the machine as it is now."""
         self._own_due = math.inf
         if self._own.controller is None:
             return
@@ -726,7 +726,7 @@ class Runner(Shown):
     # Files.
 
     def resource(self, path):
-        """Return kind and bytes of what a page can ask for by a path, or None."""
+        """Return kind and bytes of a resource that a page requests by a path, or None."""
         if path == '/scene.yaml':
             with self._lock:
                 return 'application/yaml; charset=utf-8', self.editor.text()[0].encode()

@@ -72,7 +72,7 @@ def recorded(motion, most):
 
 
 def _thinned(motion, every, coarse):
-    """Return times and rows: every so manieth, and what lines between these would miss."""
+    """Return times and rows: every n-th, and those that lines between these would miss."""
     mechanism = motion.mechanism
     columns = motion_columns(mechanism)
     thinning = Thinning(columns.plots, len(mechanism.points), extent(mechanism), coarse)

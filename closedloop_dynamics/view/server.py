@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Serves pages over HTTP and what they show over websockets, in a thread of its own.
+Serves pages over HTTP and their data over websockets, in a thread of its own.
 
 A page gets frames as fast as it says that it has shown them, always the newest. It may be slow,
 go away, or send nonsense: what computes does not wait for it.
@@ -146,7 +146,7 @@ class Server:
         return None
 
     def _may(self, request, address):
-        """Return whether a request is from a page of this server, by who may see it."""
+        """Return whether a request comes from a permitted page of this server."""
         host = request.headers.get('Host', '')
         if self.token is None:
             # A name that leads here by the DNS of somebody else is none of ours.
@@ -200,7 +200,7 @@ class _Page:
         changed.set()
 
     def hear(self, text):
-        """Take what the page sends."""
+        """Receive the messages of the page."""
         seen = self._feed.accept(self, text)
         if seen in self._sent:
             del self._sent[:self._sent.index(seen) + 1]

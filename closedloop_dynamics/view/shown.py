@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What pages ask of a machine, whether it is simulated here or by a node elsewhere."""
+"""Requests of pages to a machine, simulated here or by a node elsewhere."""
 
 from .messages import drive_of, require_kinematic
 from .posing import joint_to, point_to
@@ -45,14 +45,14 @@ class Shown:
         raise NotImplementedError
 
     def _on_posed(self):
-        """Let others know the pose."""
+        """Report the pose to subclasses."""
 
     def _take_hold(self, name, place):
         """Begin to pull a named point to a place."""
         raise NotImplementedError
 
     def _pull(self, place):
-        """Pull what is held to another place."""
+        """Pull the held point to another place."""
         raise NotImplementedError
 
     def _release(self):
@@ -66,7 +66,7 @@ class Shown:
         self._thinning, self._newest = Thinning(plots, points, size), None
 
     def _look(self, time, row, values):
-        """Look at a state; tell the one before where a line to this would miss it."""
+        """Check a state; send the one before where a line to this would miss it."""
         if self._thinning.misses(time, values):
             self.feed.sample(*self._newest)
         self._newest = time, row
@@ -74,7 +74,7 @@ class Shown:
     # What pages ask for.
 
     def _follow(self):
-        """Do what was asked for since the last time; return whether there was something."""
+        """Carry out the requests since the last time; return whether there were any."""
         asked = list(self.feed.messages())
         latest = {}
         for number, (page, message) in enumerate(asked):

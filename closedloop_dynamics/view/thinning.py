@@ -59,7 +59,7 @@ class Thinning:
         self._seen = 0
 
     def keep(self, time, values):
-        """Let the lines begin at a state that is kept anyway."""
+        """Begin the lines at a state that is kept anyway."""
         self._kept = self._last = time, values
         self._least.fill(-np.inf)
         self._most.fill(np.inf)

@@ -36,7 +36,7 @@ class Watchdog:
         self._thread = threading.Thread(target=self._look, name='watchdog', daemon=True)
 
     def __enter__(self):
-        """Start to look."""
+        """Start to watch."""
         self._thread.start()
         return self
 

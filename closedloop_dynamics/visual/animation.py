@@ -54,7 +54,7 @@ def frame_times(motion, rate, speed):
 
 
 def between(motion, times):
-    """Return a motion at other times, linearly between the instants that are known."""
+    """Return a motion at other times, by linear interpolation."""
     def at(values):
         flat = values.reshape(len(values), -1)
         columns = [np.interp(times, motion.time, column) for column in flat.T]
@@ -76,7 +76,7 @@ class _Trail(Artist):
 
     def __init__(self, line, path, reached, places):
         """
-        Take over a line that has the style.
+        Adopt a line that has the style.
 
         ``path``: shape (m, 2), in the coordinates of the line; of each frame ``reached``, the
         number of the last point of the path, and ``places``, shape (n, 2), where the point is.
@@ -294,7 +294,7 @@ def _write_gif(animation, path, rate, progress):
 
 
 class _Frames(Figure):
-    """A stand-in for a matplotlib figure whose picture is already drawn."""
+    """A replacement of a matplotlib figure whose picture is already drawn."""
 
     def __init__(self, picture):
         height, width, _ = picture.shape

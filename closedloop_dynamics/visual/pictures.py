@@ -217,7 +217,7 @@ def shapes(mechanism, deflections, title):
 
 
 def _largest_force(motion):
-    """Return the largest constraint force that is known [N]."""
+    """Return the largest constraint force, unknown ones apart [N]."""
     return np.nanmax(magnitudes(motion.forces))
 
 

@@ -124,7 +124,7 @@ class Placement:
             body_velocities(self._mechanism, position, np.eye(count), (body,))[:, 0].T])
 
     def _errors(self, position, body, pose):
-        """Return what is missing of closures and of a pose, shape (nc + 6,)."""
+        """Return the errors of closures and of a pose, shape (nc + 6,)."""
         now = poses_in_space(body_poses(self._mechanism, position, (body,))[0])
         return np.concatenate([
             -self._closures.move(position).closures()[0], pose[:3] - now[:3],

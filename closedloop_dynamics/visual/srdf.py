@@ -23,7 +23,7 @@ GROUP = 'driven'
 
 def srdf(mechanism, states=None):
     """
-    Return the SRDF that goes with the URDF of a mechanism.
+    Return the SRDF to the URDF of a mechanism.
 
     Parameters
     ----------

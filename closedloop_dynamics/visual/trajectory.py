@@ -39,7 +39,7 @@ def wrench_parts(mechanism):
 
 
 def without_marks(names):
-    """Return the names of columns without what tells of forces that they are not unique."""
+    """Return the names of columns without the marks of forces that are not unique."""
     return [name.removesuffix(LEAST) for name in names]
 
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Gears, racks and belts that couplings stand for: their radii and teeth follow from ratio and place.
+Gears, racks and belts of couplings: radii and teeth from ratio and place.
 
 Two wheels turn by psi_1 and psi_2 about axes that are fixed in one body, their carrier, and a
 coupling says a_1 psi_1 + a_2 psi_2 = constant. Where they roll on one another, their radii are as
@@ -72,7 +72,7 @@ class Wheel(NamedTuple):
 
     @property
     def module(self):
-        """Return what teeth are drawn by [m]: the pitch diameter over the number of teeth."""
+        """Return the module of the teeth [m]: the pitch diameter over the number of teeth."""
         return 2.0 * self.radius / (self.teeth or 36)
 
     @property
@@ -114,7 +114,7 @@ class Belt(NamedTuple):
 
 
 class _Hinge(NamedTuple):
-    """What turns about an axis; turn: the child's axes in the parent at zero."""
+    """A body that turns about an axis; turn: the child's axes in the parent at zero."""
 
     name: str
     parent: str
@@ -213,7 +213,7 @@ def rack_profile(rack):
 
 def outlines(mechanism):
     """
-    Return what pictures draw of wheels, racks and belts, in the frames of bodies.
+    Return the outlines of wheels, racks and belts, in the frames of bodies.
 
     Returns
     -------
@@ -265,7 +265,7 @@ def _circle(count):
 
 
 class _Train:
-    """What is found: wheels, how they mesh, and racks before their teeth are cut."""
+    """Found parts: wheels, their meshing, and racks before their teeth are cut."""
 
     def __init__(self, mechanism):
         self.mechanism = mechanism
@@ -436,7 +436,7 @@ class _Train:
             seat.place + size * normal, turn, self._ahead(seat, normal)))
 
     def _wheel(self, kind, seat, center, radius, apex=0.0):
-        """Return the number of a wheel, which may be known."""
+        """Return the number of a wheel, new or found before."""
         key = (kind, seat.body, *np.round(center / radius, 4), f'{radius:.6g}')
         if key not in self._known:
             self._known[key] = len(self.wheels)
@@ -571,7 +571,7 @@ def _on_one_axis(hinge, arm):
 
 
 def _upright(seat):
-    """Return a seat whose axis is the one of two that its body knows as positive."""
+    """Return a seat with the axis, of the two directions, that its body has as positive."""
     axis = seat.turn.T @ seat.axis
     if axis[np.argmax(np.abs(axis))] > 0.0:
         return seat
