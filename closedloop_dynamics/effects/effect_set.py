@@ -105,7 +105,7 @@ class EffectSet:
         self._bare = (model.body.copy(), model.tree[:, [TYPE, VARIES]].copy(),
                       model.gravity.copy())
         elements = {name: record.element(machine) for name, record in effects.items()}
-        self._linked = None
+        self._linked = self._scene = None
         self._rows = [name for name, element in elements.items() if element is not None]
         self.elements = tuple(elements[name] for name in self._rows)
         self.cuts, states = cuts, states_of(self.elements, cuts)
@@ -126,7 +126,10 @@ class EffectSet:
             Empty where there are none.
 
         """
-        self._table, self._system, self._linked = system.effects, system, None
+        self._table, self._system = system.effects, system
+        self._linked = pieces.structure(self._model)
+        # What the code of the scene is of, on whatever equations it works.
+        self._scene = live_laws.known_structure(system.table)
         if self._table is None:
             self._table = build_table((), system.tau, 0, 0)
         self._fill([row for row, name in enumerate(self._rows) if not self.enabled[name]])
@@ -134,7 +137,8 @@ class EffectSet:
 
     def move(self, system):
         """Adopt a system that works on other equations; the arrays of effects are shared."""
-        self._system, self._model, self._linked = system, system.model, None
+        self._system, self._model = system, system.model
+        self._linked = pieces.structure(self._model)
         # Their multipliers have other places.
         self._refill(PRESCRIBED_MOTION)
 
@@ -153,8 +157,8 @@ class EffectSet:
                 table.output[row] = 0.0
                 table.index[row, LOADED] = 0
                 table.loaded[0] = table.index[:, LOADED].sum()
-        if rows:
-            live_laws.update(self._model, table, self._system.table)
+        if rows and self._system.is_unrolled:
+            live_laws.update(self._model, table, self._system.table, self._scene)
 
     @property
     def by_name(self):
@@ -206,6 +210,7 @@ class EffectSet:
             codegen.relink(
                 self._model, self._system.table, self._system.joints, (EVALUATION,))
             live_laws.link(self._model, self._table, self._system.table)
+            self._scene = live_laws.known_structure(self._system.table)
         self._linked = structure
 
     def vary(self, mechanism, records, weigh):

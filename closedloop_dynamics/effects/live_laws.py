@@ -120,7 +120,7 @@ def _power(exponent):
 _known = {}
 
 
-def link(model, table, functions):
+def link(model, table, functions, scene=None):
     """
     Give a function table the evaluation of a scene, if there is one.
 
@@ -132,10 +132,13 @@ def link(model, table, functions):
         Its effects.
     functions : ndarray of int
         The function table.
+    scene : tuple, optional
+        Structure that the effects had when code was generated; where they have another one now,
+        there is no evaluation until they have this one again.
 
     """
     key, address = structure(model, table), 0
-    if key is not None:
+    if key is not None and scene in (None, key):
         address = address_of_scene(model, key, lambda: LiveLaws(table))
         _known[address] = key
     functions[calls.EVALUATION] = address
@@ -143,10 +146,18 @@ def link(model, table, functions):
     table.code.fits[0] = address != 0
 
 
-def update(model, table, functions):
+def known_structure(functions):
+    """Return the structure that the evaluation of a scene has in a function table; or None."""
+    return _known.get(int(functions[calls.EVALUATION]))
+
+
+def update(model, table, functions, scene):
     """Record whether the evaluation of a scene still is that of its effects; see ``link``."""
-    address = int(functions[calls.EVALUATION])
-    table.code.fits[0] = address != 0 and _known.get(address) == structure(model, table)
+    known, present = known_structure(functions), structure(model, table)
+    if known is None and scene is not None and present == scene:
+        link(model, table, functions, scene)
+    else:
+        table.code.fits[0] = known is not None and known == present
 
 
 def fit_lanes(table):

@@ -312,7 +312,9 @@ void evaluate_state(const System & system, Values state)
   system.work.health[health::WRITTEN] = 0.0;
   if (system.has_effects()) {
     take_states(system, state);
-    if (!prepare_code(system.effects) || !call(system.table, routine::EVALUATION, q, qd)) {
+    if (!system.is_unrolled() || !prepare_code(system.effects) ||
+      !call(system.table, routine::EVALUATION, q, qd))
+    {
       evaluate(system, q, qd);
     }
   } else if (!system.is_unrolled()) {

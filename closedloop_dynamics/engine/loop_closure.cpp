@@ -172,6 +172,24 @@ static void sum_of_joints(
   }
 }
 
+/// The code for a cut joint computes all equations that it may have: leave those that are kept.
+static void leave_kept(Index possible, Index kept, Index size, double * equation)
+{
+  double * next = equation;
+  for (; possible != 0; possible >>= 1, kept >>= 1) {
+    if ((possible & 1) == 0) {
+      continue;
+    }
+    if ((kept & 1) != 0) {
+      if (next != equation) {
+        std::copy(equation, equation + size, next);
+      }
+      next += size;
+    }
+    equation += size;
+  }
+}
+
 void measure(const Model & model, const Workspace & work, Index a)
 {
   const Indexes & cut = model.cut;
@@ -203,6 +221,10 @@ void measure(const Model & model, const Workspace & work, Index a)
   call_joint_kernel(
     work.cut_piece(a, stage::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
     work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
+  if (cut(a, cut::KEPT) != cut(a, cut::POSSIBLE)) {
+    leave_kept(
+      cut(a, cut::POSSIBLE), cut(a, cut::KEPT), 3 + 2 * work.size(), work.equation.data);
+  }
 }
 
 void update(const Model & model, const Workspace & work, Responses responses)

@@ -115,9 +115,18 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
 void wrenches_of_cut(
   Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a)
 {
+  // The code computes with all equations that there may be: those left out exert nothing.
+  double multiplier[6];
+  const double * next = lam.data + cut(a, cut::CUT_ROW);
+  double * last = multiplier;
+  for (Index n = 0; n < 6; ++n) {
+    if ((cut(a, cut::POSSIBLE) >> n & 1) != 0) {
+      *last++ = (cut(a, cut::KEPT) >> n & 1) != 0 ? *next++ : 0.0;
+    }
+  }
   call_joint_kernel(
     cut_piece(a, stage::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
-    body.row(cut(a, cut::BODY_B)), lam.data + cut(a, cut::CUT_ROW), share.data);
+    body.row(cut(a, cut::BODY_B)), multiplier, share.data);
 }
 
 /// Carry the wrench of a body's row to its parent's.

@@ -4,6 +4,7 @@
 #include "validation.hpp"
 
 #include <algorithm>
+#include <bitset>
 #include <cmath>
 #include <iterator>
 
@@ -30,6 +31,17 @@ bool is_place(Index place, Index size) {return place >= 0 && place < size;}
 bool is_range(Index first, Index last, Index size)
 {
   return first >= 0 && first <= last && last <= size;
+}
+
+/// How many equations of a cut joint these are, as bits.
+Index count(Index equations) {return static_cast<Index>(std::bitset<6>(equations).count());}
+
+/// Whether the equations of a cut joint that are kept are among those that it may have.
+bool are_kept(const Index * cut)
+{
+  const Index possible = cut[cut::POSSIBLE], kept = cut[cut::KEPT];
+  return possible >= 0 && possible < 64 && (kept & ~possible) == 0 &&
+         count(kept) == cut[cut::ROWS];
 }
 
 /// Whether all entries of a column are within bounds.
@@ -107,7 +119,8 @@ const char * misfit_of_cuts(const Model & model)
     equations += rows;
     if (!is_range(cut[cut::ROW], cut[cut::ROW] + rows, nc) ||
       !is_range(cut[cut::CUT_ROW], cut[cut::CUT_ROW] + rows, nc) ||
-      !is_place(cut[cut::NUMBER], cuts) || (cut[cut::LENGTHS] > 1 && rows < 2))
+      !is_place(cut[cut::NUMBER], cuts) || (cut[cut::LENGTHS] > 1 && rows < 2) ||
+      !are_kept(cut))
     {
       return "model.cut: places of equations";
     }
@@ -214,9 +227,10 @@ const char * misfit(const Workspace & work, const Model & model)
   const Index bodies = model.tree.rows, nv = bodies - 1, nc = model.equations();
   const bool planar = model.gravity.size == 2;
   const Index size = planar ? 3 : 6, entries = model.path_body.size;
-  Index most = 3;
+  Index most = 3, possible = 3;
   for (Index a = 0; a < model.cut.rows; ++a) {
     most = std::max(most, model.cut(a, cut::ROWS));
+    possible = std::max(possible, count(model.cut(a, cut::POSSIBLE)));
   }
   bool reads = false;
   for (Index i = 1; planar && i < bodies; ++i) {
@@ -233,7 +247,7 @@ const char * misfit(const Workspace & work, const Model & model)
     work.factor.size == model.row.size && has_shape(work.joint, bodies, 3) &&
     work.change.size == nv && work.pivot_inverse.size == nc && work.right.size == nc &&
     work.scatter.size == nc && work.closure.size == nc && work.closure_rate.size == nc &&
-    work.bias.size == nc && work.equation.size >= work.response.columns * (3 + 2 * size) &&
+    work.bias.size == nc && work.equation.size >= possible * (3 + 2 * size) &&
     has_shape(work.wrench, 2, size) && work.share.size == 3 * size && work.torque.size == nv &&
     has_shape(work.force, bodies, 2 * size) && work.piece.rows == bodies &&
     work.piece.columns == BODY_STAGES && work.cut_piece.rows == model.cut.rows &&

@@ -57,6 +57,27 @@ class JointPlaces(NamedTuple):
     point: np.ndarray
 
 
+class Code(NamedTuple):
+    """
+    What code is generated for a mechanism.
+
+    Attributes
+    ----------
+    routines : tuple of int
+        Places in the function table; none: loops over bodies do it all.
+    scene : tuple, optional
+        Structure of the effects (``live_laws.structure``) as they are in the evaluation of the
+        scene; None: as they are at present.
+
+    """
+
+    routines: tuple
+    scene: Optional[tuple]
+
+
+LOOPS = Code((), None)
+
+
 class System(NamedTuple):
     """
     One mechanism with all that an evaluation of its motion reads and writes.
@@ -145,6 +166,13 @@ class System(NamedTuple):
         """Places of its routines in the table."""
         return tuple(np.flatnonzero(self.table[:calls.BODY]).tolist())
 
+    @property
+    def code(self):
+        """What others that work on other equations of this mechanism are to have: ``Code``."""
+        # Forces in joints are published or plotted, not integrated.
+        return Code(tuple(one for one in self.routines if one not in codegen.OF_FORCES),
+                    live_laws.known_structure(self.table))
+
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
         return _relinked, (self.routines, *self._replace(table=None, native=None))
@@ -225,8 +253,8 @@ def _can_be_unrolled(model):
     return codegen.unrolled_size(model) <= MOST_UNROLLED_OPERATIONS
 
 
-def _linked(system, routines):
-    """Return a system with the addresses of its own arrays and of these routines."""
+def _linked(system, routines, scene=None):
+    """Return a system with the addresses of its own arrays and of these routines, as ``Code``."""
     model, work, effects = system.model, system.work, system.effects
     pieces.connect(model, work.piece, work.cut_piece)
     if effects is not None:
@@ -253,7 +281,7 @@ def _linked(system, routines):
     elif system.is_unrolled:
         codegen.link(model, table, tuple(
             one for one in routines if one != calls.EVALUATION), system.joints)
-        live_laws.link(model, effects, table)
+        live_laws.link(model, effects, table, scene)
     return _bound(system._replace(table=table, whole=whole))
 
 
@@ -318,7 +346,7 @@ def parts_of_state(system):
             end if system.manifold is None else end + 1)
 
 
-def with_equations(system, model):
+def with_equations(system, model, code=LOOPS):
     """
     Return a system that works on other closure equations.
 
@@ -328,11 +356,12 @@ def with_equations(system, model):
         As it was; its state, torques and effects are shared.
     model : Model
         Of the same mechanism with other equations kept; it shares all other arrays.
+    code : Code
+        What is generated for these equations; by default nothing, so that nobody waits.
 
     Returns
     -------
     System
-        Without routines of forces in joints, for which a run should not wait.
 
     """
     work = unconnected(model)
@@ -340,8 +369,8 @@ def with_equations(system, model):
     return _linked(system._replace(
         model=model, work=work, whole=None, lam=np.zeros(len(work.closure)),
         dense=allocate_dense(model, int(system.settings[FORMULATION])),
-        partition=allocate_partition(model, system.is_independent)), tuple(
-            one for one in system.routines if one not in codegen.OF_FORCES))
+        partition=allocate_partition(model, system.is_independent),
+        corrections=np.zeros((2, len(system.qdd) if code.routines else 0))), *code)
 
 
 def with_partition(system, used):

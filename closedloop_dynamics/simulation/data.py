@@ -35,7 +35,7 @@ from ..effects.effect_set import EffectSet
 from ..engine import native
 from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.system import (
-    build_system, parts_of_state, Probe, refine, System, with_equations)
+    build_system, LOOPS, parts_of_state, Probe, refine, System, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Point
@@ -111,6 +111,7 @@ class Data(Names):
         # Where it was found last which rates are decided, and which ones are.
         self._decided: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
+        self._code = self.system.code
         self.inverse = self._inverse_dynamics()
         self._set_probes()
 
@@ -491,8 +492,21 @@ class Data(Names):
 
     def exchange(self, model: t.Model) -> None:
         """Evaluate with other closure equations, from the same state."""
-        self._rebind(with_equations(self.system, model))
+        # By loops over bodies where they are too many to have code: whether it is there must not
+        # decide, as results differ in their last digits.
+        code = self._code if self._geometry.has_code(model, self._initial[0]) else LOOPS
+        self._rebind(with_equations(self.system, model, code))
         self._fresh = False
+
+    def prepare_exchanges(self) -> None:
+        """
+        Generate the code for all closure equations that may come to be worked on.
+
+        What runs live calls this before: else a run waits for code where the mechanism moves so
+        far that equations which were left out are taken instead of others. Results are the same.
+        """
+        for kept in self._geometry.choices(self._initial[0]) if self._code.routines else ():
+            with_equations(self.system, self._geometry.of(kept)[0], self._code)
 
     def _rebind(self, system: System) -> None:
         """Evaluate by a system that works on the equations that are kept."""

@@ -4,14 +4,17 @@
 """The model of a mechanism, with redundant closure equations left out of the elimination."""
 
 from contextlib import suppress
+from itertools import combinations
+import math
 
 import numpy as np
 
 from .assembly import Assembler, MOST_EQUATIONS, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
 from .modeling import mechanism_arrays
+from ..core.codegen import unrolled_size
 from ..core.equations import Equations
-from ..integration.system import JointPlaces
+from ..integration.system import JointPlaces, MOST_UNROLLED_OPERATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
@@ -27,6 +30,10 @@ MOST_TRIES = 6
 # moves: by at most so many times as much as they are off, and never by more than the second, in
 # sizes of the machine. Others are open by rounding, the third.
 FARTHER, MOST_OPEN, AS_GOOD_AS_CLOSED = 30.0, 5e-6, 1e-9
+
+
+# Code is made for so many choices of equations at most, as it takes a third of a second each.
+MOST_CHOICES = 16
 
 
 class LoopModel:
@@ -66,6 +73,7 @@ class LoopModel:
         self._first, self._known, self.model = None, {}, None
         # Where equations were last chosen, and those that have been worked on there.
         self._place, self._tried = b'', set()
+        self._choices = None
         self.opening, self.by_masses = AS_GOOD_AS_CLOSED, False
         self.keep(None)
 
@@ -187,6 +195,46 @@ class LoopModel:
                 self.opening = max(self.opening, opening)
                 return self.keep(kept)
         return self.keep(None)
+
+    def choices(self, q):
+        """
+        Return the choices of equations that the elimination may come to work on, if they are few.
+
+        Which equations are independent is the same almost everywhere on the way of a mechanism:
+        where it is asked first.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            The start, closing the loops.
+
+        Returns
+        -------
+        list of ndarray of bool, shape (nc,)
+            Empty where no equation repeats others, or there are more than ``MOST_CHOICES`` to try,
+            or fewer where the mechanism is large.
+
+        """
+        if self._choices is None:
+            self._choices = self._independent_choices(q)
+        return self._choices
+
+    def _independent_choices(self, q):
+        assembler, found = Assembler(self.mechanism, self.equations), []
+        jac = assembler.jacobian(assembler.of_largest_rank(q, 0))
+        count = int(independent(jac, self.equations.groups)[0].sum())
+        most = min(MOST_CHOICES, MOST_UNROLLED_OPERATIONS // unrolled_size(self.model))
+        if count == len(jac) or math.comb(len(jac), count) > most:
+            return found
+        for rows in combinations(range(len(jac)), count):
+            kept = np.isin(np.arange(len(jac)), rows)
+            if distinctness(jac, self.equations.groups, kept) > RANK_TOLERANCE:
+                found.append(kept)
+        return found
+
+    def has_code(self, model, q):
+        """Return whether a model that was made here is of one of ``choices``."""
+        return any(model is self.of(kept)[0] for kept in self.choices(q))
 
     def _jacobian(self, q):
         """Return the Jacobian of all equations at a position, or near it where it is singular."""

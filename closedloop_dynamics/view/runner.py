@@ -181,6 +181,7 @@ class Runner(Shown):
         """Show a scene from its start; nothing changes where that fails."""
         hand = Hand(scene, extent(scene.mechanism))
         simulation = Simulation(hand.scene)
+        simulation.prepare_exchanges()
         motion = own(scene, hand.scene)
         self.editor, self._choose_own = Editor(scene), own
         self._failure, self.start_pose, self._own = None, None, motion
@@ -683,6 +684,7 @@ class Runner(Shown):
         old, scene = self.simulation, self.editor.scene
         hand = Hand(scene, extent(scene.mechanism))
         new = Simulation(replace(hand.scene, method=old.scene.method))
+        new.prepare_exchanges()
         if hand.gravity not in scene.effects and hand.gravity in old.effects:
             # Of no scene, and so nothing that is edited.
             new.set_effect(hand.gravity, hand.gravity in old.enabled_effects,

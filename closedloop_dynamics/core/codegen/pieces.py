@@ -21,7 +21,7 @@ from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, COUPLED_WORK_COLUMNS, CUT_TYPE, DINV, DZ,
     ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, POSITION,
-    PRESCRIBED_PLACE, RATE, READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
+    POSSIBLE, PRESCRIBED_PLACE, RATE, READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
 
 # Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
 # and two more.
@@ -332,15 +332,17 @@ class _Cut:
     NAMES = ('equations', 'wrench')
 
     def __init__(self, arrays, model, row):
-        self.arrays = arrays
-        self.model = model._replace(cut=model.cut[[row]], cut_point=model.cut_point[[row]])
+        self.arrays, cut = arrays, model.cut[[row]]
+        # Which of them are kept is the engine's matter, and may change in a run.
+        cut[:, KEPT] = cut[:, POSSIBLE]
+        self.model = model._replace(cut=cut, cut_point=model.cut_point[[row]])
 
     @staticmethod
     def kind(model, row):
         """Return the key of the code, beside the structure of the constants."""
         # Right-hand sides of prescribed motions are the last columns, wherever these are.
         width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] >= PRESCRIBED_PLACE else []
-        return *model.cut[row, [CUT_TYPE, KEPT]].tolist(), *width
+        return *model.cut[row, [CUT_TYPE, POSSIBLE]].tolist(), *width
 
     def pieces(self):
         """Return the kernels, in the order of their entries in the table."""

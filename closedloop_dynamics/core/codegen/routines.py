@@ -79,15 +79,19 @@ def addresses(model, which, form=SCALAR, joints=None):
 
     """
     form = form_for(model, form)
-    key = topology(model), which, form
-    if LEAST_FORCES in which:
-        key = *key, joint_forces.structure(model, joints)
-    if key not in _addresses:
+    key = topology(model), form
+    # Of each mechanism those that were asked for, whichever were asked for together.
+    known = _addresses.setdefault(key, {})
+    one_by_one = {one: (one, joint_forces.structure(model, joints)) if one == LEAST_FORCES else one
+                  for one in which}
+    missing = tuple(one for one in which if one_by_one[one] not in known)
+    if missing:
         find = machine_code(
-            key, lambda: [MechanismTrace(model, joints).routine(one) for one in which], form,
-            len(which), unrolled_size(model) / A_SECOND)
-        _addresses[key] = {one: find(NAMES[one]) for one in which}
-    return _addresses[key]
+            (key, tuple(one_by_one[one] for one in missing)),
+            lambda: [MechanismTrace(model, joints).routine(one) for one in missing], form,
+            len(missing), unrolled_size(model) / A_SECOND)
+        known.update((one_by_one[one], find(NAMES[one])) for one in missing)
+    return {one: known[one_by_one[one]] for one in which}
 
 
 def unrolled_size(model):

@@ -7,7 +7,7 @@ import numpy as np
 
 from . import pieces, space
 from ..types import (
-    BODY_STAGES, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, READ, ROWS,
+    BODY_STAGES, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, POSSIBLE, READ, ROWS,
     WORK_COLUMNS, Workspace)
 
 
@@ -46,6 +46,8 @@ def unconnected(model):
     """
     entries, bodies, rows = len(model.path_body), len(model.tree), len(model.column) - 1
     most = max(3, model.cut[:, ROWS].max(initial=0))
+    # The code for a cut joint computes all equations that it may have.
+    possible = max([3, *(bin(one).count('1') for one in model.cut[:, POSSIBLE].tolist())])
     spatial = space.is_spatial(model)
     columns = COUPLED_WORK_COLUMNS if model.tree[:, READ].any() else WORK_COLUMNS
     body = np.zeros((bodies, space.WORK_COLUMNS if spatial else columns))
@@ -58,7 +60,7 @@ def unconnected(model):
         joint=np.zeros((bodies, JOINT_COLUMNS)), change=np.zeros(bodies - 1),
         pivot_inverse=np.zeros(rows), right=np.zeros(rows), scatter=np.zeros(rows),
         closure=np.zeros(rows), closure_rate=np.zeros(rows), bias=np.zeros(rows),
-        equation=np.zeros(most * (3 + 2 * size)), wrench=np.zeros((2, size)),
+        equation=np.zeros(possible * (3 + 2 * size)), wrench=np.zeros((2, size)),
         share=np.zeros(3 * size), torque=np.zeros(bodies - 1), force=np.zeros((bodies, 2 * size)),
         piece=np.zeros((bodies, BODY_STAGES), dtype=np.int64),
         cut_piece=np.zeros((len(model.cut), 2), dtype=np.int64), health=np.zeros(HEALTH_COLUMNS))
