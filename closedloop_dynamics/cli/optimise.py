@@ -57,7 +57,7 @@ def _add_arguments(parser):
     add_drive(parser, f' (default: one turn of the one actuated joint, or from limit to limit, in '
                       f'{POSES} poses)')
     add_set(parser)
-    how = parser.add_argument_group('how it is looked for')
+    how = parser.add_argument_group('how to search')
     how.add_argument('--starts', type=_count, default=STARTS, metavar='N',
                      help='the scene as it is, and N - 1 machines that are drawn (default: '
                           f'{STARTS})')

@@ -229,7 +229,7 @@ def _summary(simulation, report, arguments, estimate):
         lines.insert(1, '  error     unknown: the second, finer run for its estimate failed')
     if math.isfinite(cost.local_error):
         lines.insert(2, f'  steps     local error {cost.local_error:.2g} rad or m in the worst '
-                        f'step looked at')
+                        f'step checked')
     if simulation.shared_forces:
         lines.append(f'  forces    of {", ".join(simulation.shared_forces)} are not unique, as '
                      'equations repeat others: the least are written')

@@ -44,7 +44,7 @@ def require_one_drive_each(records):
             other = moved.setdefault(motion, name)
             if other != name:
                 raise FieldError('one motion for each joint or point',
-                                 f'a second one of what {other!r} moves', path=(name,))
+                                 f'a second one beside {other!r}', path=(name,))
         if record.drive() is not None:
             joint, _ = record.drive()
             other = drives.setdefault(joint, name)

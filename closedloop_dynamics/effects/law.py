@@ -193,7 +193,7 @@ def _take(known, path, symbol):
     """Bind a name to a symbol, unless it is bound already."""
     each = path[-1]
     if each in known or each in CONSTANTS or each in FUNCTIONS:
-        raise FieldError('a name that stands for nothing else', shown(each), path=path)
+        raise FieldError('a name that is not in use', shown(each), path=path)
     known[each] = symbol
 
 

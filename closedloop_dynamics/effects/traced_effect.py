@@ -351,7 +351,7 @@ def _require_gap(law):
     """Refuse an event that depends on values without a rate before the accelerations."""
     with at('event'):
         if not isinstance(law.gap, Symbol):
-            raise FieldError('a gap that follows from what is measured', shown(law.gap))
+            raise FieldError('a gap that depends on measured coordinates', shown(law.gap))
         known = {one.value.place for one in law.coordinates}
         for place in needed_for(law.graph.operations, [law.gap.place]):
             operation = law.graph.operations[place]

@@ -100,8 +100,8 @@ def omissions(mujoco, compiled, name, carried, no_drag):
             f'kg/m^3, viscosity {compiled.opt.viscosity:g} Pa s)', drag, 'N')
     driven = int(np.count_nonzero(compiled.body_plugin >= 0))
     if driven:
-        found['plugin', 0] = Omission(f'what programs do to {driven} bodies', 'model', name,
-                                      'programs are not run')
+        found['plugin', 0] = Omission(f'forces of plugins on {driven} bodies', 'model', name,
+                                      'plugins are not run')
     if compiled.nflex:
         found['flex', 0] = Omission(f'elasticity of {compiled.nflex} flexes', 'model', name,
                                     'bodies are rigid')

@@ -57,7 +57,8 @@ def read_pictures(mujoco, text, folder, model, links):
         compiled = spec.compile()
     except (ValueError, RuntimeError, AttributeError, TypeError, mujoco.FatalError) as error:
         reason = ' '.join(str(error).split())
-        model.ignored['what bodies are drawn as, and touch'] = f'MuJoCo does not read it: {reason}'
+        model.ignored['shapes of bodies, drawn and touching'] = (
+            f'MuJoCo does not read it: {reason}')
         return 0
     left_out = set()
     for geom, name in zip(geoms, names):

@@ -83,7 +83,7 @@ class Parameters:
                     if not NAME_PATTERN.fullmatch(key) or key in CONSTANTS or key in FUNCTIONS:
                         raise FieldError(
                             'a name of letters, digits and underscores that starts with a letter '
-                            'and stands for nothing else', shown(key))
+                            'and is not in use', shown(key))
                     found.values[key] = number(given.get(key, found.evaluated(value)))
         return found
 
@@ -263,7 +263,7 @@ def put_changes(value, before, after):
         return {**value, **{key: put_changes(value[key], before[key], after[key])
                             for key in after}}
     if isinstance(after, tuple) and any(map(is_dataclass, after)):
-        raise FieldError('what the file has, whose numbers follow from its parameters',
+        raise FieldError('the section of the file, whose numbers depend on its parameters',
                          'a section that was changed since')
     return after
 

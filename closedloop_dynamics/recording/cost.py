@@ -82,10 +82,10 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
     Notes
     -----
     The run is made for up to ``LONGEST`` of CPU time. Where it is not at its end by then, the rest
-    is expected to cost what the later half of the probe did, with the companion of ``integrator:
-    auto`` in its windows alone, where it doubles the cost. Where the finer run did not get as far
-    as the other, it is expected to cost as many times more for the rest as it did up to there: a
-    machine that stands still at times may have done so in the longer probe alone.
+    is expected to cost what the later half of the probe did, with the reference run of
+    ``integrator: auto`` in its windows alone, where it doubles the cost. Where the finer run did
+    not get as far as the other, it is expected to cost as many times more for the rest as it did
+    up to there: a machine that stands still at times may have done so in the longer probe alone.
 
     """
     method = simulation.scene.method.without_budget

@@ -150,7 +150,7 @@ def forces_along(simulation, joints, times, positions, deviation=0.0):
         if completion.passed:
             raise CompletionError(
                 f'at {times[k]:.6g} s the motion touches a singular position, where branches '
-                'meet: on which one it goes on does not follow from these joints')
+                'meet: these joints do not determine the one on which it goes on')
         q, qd = completion.position, completion.velocity
         torque, _ = simulation.inverse_dynamics(q, qd, completion.accelerations(acceleration))
         simulation.integrated[:nq] = q

@@ -288,8 +288,8 @@ class _State:
         except (OSError, TypeError, ValueError, AttributeError, KeyError) as error:
             if isinstance(error, WorkspaceFileError):
                 raise
-            raise WorkspaceFileError(f'{file}: expected a map that was begun, got what cannot be '
-                                     f'read as one ({error})') from None
+            raise WorkspaceFileError(f'{file}: expected a map of an earlier run, got a file that '
+                                     f'cannot be read ({error})') from None
         variables = {name: values.astype(values.dtype.newbyteorder('='))
                      for name, values in variables.items()}
         self = cls(tuple(Axis(name, variables[name]) for name in order),

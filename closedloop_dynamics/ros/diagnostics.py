@@ -147,7 +147,7 @@ class Diagnostics:
         finding.values = {
             'mode': mode.name, 'simulated time [s]': self._live.simulation.time,
             'real-time factor, last second': now['factor'],
-            'real-time factor, asked for': 'any' if wanted is None else wanted,
+            'real-time factor, requested': 'any' if wanted is None else wanted,
             'simulated time dropped, last second [s]': now['dropped'],
             'simulated time dropped [s]': pacer.dropped,
             'missed ticks, last second': now['missed'], 'missed ticks': mode.missed_ticks,
@@ -246,7 +246,7 @@ def method_finding(report, load):
         'share of real time [%]': 100.0 * report.share,
         'local error [rad or m]': report.local_error,
         'bound of the error within a second [rad or m]': report.error_bound,
-        'bound in the latest second looked at [rad or m]': report.present_bound,
+        'bound in the latest second checked [rad or m]': report.present_bound,
         'accuracy [rad or m within a second]': report.accuracy,
         'evaluations per simulated second': report.evaluation_rate,
         'budget [share of real time]': report.budget,
@@ -259,7 +259,7 @@ def accuracy_summary(report, residual):
     return '\n'.join(text.format(value) for text, value in (
         ('closure {:.1e} m or rad', report.closure),
         ('error {:.1e} rad or m within a second', report.error_bound),
-        ('energy {:+.1e} of what moved', share)) if math.isfinite(value))
+        ('energy {:+.1e} of that exchanged', share)) if math.isfinite(value))
 
 
 def closure_finding(closure):

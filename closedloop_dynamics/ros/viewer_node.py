@@ -430,8 +430,8 @@ class RemoteSimulator(Shown):
         if between > SWING * size:
             self._let_go()
             self.feed.refuse(
-                f'let go: the point moves by {between:.2g} m from one state to the next, too far '
-                'to be pulled by what is known of it')
+                f'released: the point moves by {between:.2g} m from one state to the next, '
+                'too far for a stable pull')
             return
         stretch = np.array(self._at) - now
         stretch *= min(1.0, STRETCH * size / max(np.linalg.norm(stretch), 1e-9))

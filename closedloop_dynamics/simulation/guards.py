@@ -239,7 +239,7 @@ class EnergyGuard:
         if not self.worst > ENERGY_WARN:
             return ''
         return (f'the energy balance misses {self.worst_lost:.3g} J of the '
-                f'{self.worst_moved:.3g} J that moved until t = {self.worst_time:.6g} s: '
+                f'{self.worst_moved:.3g} J exchanged until t = {self.worst_time:.6g} s: '
                 f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
 
     def problem(self, simulation):
@@ -250,10 +250,10 @@ class EnergyGuard:
         rate, size = self._rate(simulation.integrated), self._method.step_size
         kept = f'The state of t = {before:.9g} s is kept.'
         what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
-                f'{simulation.time:.9g} s, where {moving:.3g} J moved')
+                f'{simulation.time:.9g} s, where {moving:.3g} J were exchanged')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
             what = (f'The energy balance misses {self.worst_lost:.3g} J of the '
-                    f'{self.worst_moved:.3g} J that moved until t = {self.worst_time:.6g} s, '
+                    f'{self.worst_moved:.3g} J exchanged until t = {self.worst_time:.6g} s, '
                     f'{worst:.0%}')
         if rate * size > self._limit:
             return StiffnessError(

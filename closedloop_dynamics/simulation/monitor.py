@@ -53,7 +53,7 @@ class RunReport:
         The most energy that has moved since the start [J]; NaN before the first look.
     error_bound : float
         Of ``integrator: auto``: largest error of coordinates within a second [rad or m], by a
-        companion run with a larger tolerance: a tenth of the distance to it, all of it where the
+        reference run with a larger tolerance: a tenth of the distance to it, all of it where the
         run came next to a singular configuration; NaN for other methods, and where the energy
         balance contradicts.
     findings : tuple of str
@@ -64,7 +64,7 @@ class RunReport:
         As ``error_bound``, in the latest second that was looked at alone [rad or m].
     budget, budget_used : float
         Computing time per time of the clock that is allowed, and that the latest tenth of a second
-        took, the companion run included throughout [1]; NaN without a budget.
+        took, the reference run included throughout [1]; NaN without a budget.
 
     """
 
@@ -105,13 +105,13 @@ class RunReport:
             f'cost         {_number(1e6 * self.time_per_step)} us per step, '
             f'{_number(100.0 * self.share)} % of real time ({self.method}; {self.steps} steps, '
             f'{self.evaluations} evaluations)',
-            f'local error  {_number(self.local_error, 2)} rad or m in the worst step looked at '
+            f'local error  {_number(self.local_error, 2)} rad or m in the worst step checked '
             '(the error of one step, not of the run)',
             f'closure      {_number(self.closure, 2)} m or rad',
             f'energy       {energy_in_words(self.energy_error, self.energy_moved)}']
         if not math.isnan(self.error_bound):
             lines.insert(1, f'error        at most about {_number(self.error_bound, 2)} rad or m '
-                            'within a second, by a companion run')
+                            'within a second, by a reference run')
         if not math.isnan(self.budget):
             lines.insert(1, f'accuracy     {self.accuracy:g} rad or m within a second: the best '
                             f'that {self.budget:g} of real time allows now')
@@ -120,7 +120,7 @@ class RunReport:
 
 def energy_in_words(error, moved):
     """Return the error of the energy balance in words, with the energy exchanged."""
-    of_what = '' if math.isnan(moved) else f' of {_number(moved)} J that moved'
+    of_what = '' if math.isnan(moved) else f' of {_number(moved)} J exchanged'
     if error == 0.0:
         return f'balanced to the last digit{of_what}'
     return f'{_number(abs(error), 2)} J too {"much" if error > 0.0 else "little"}{of_what}'
@@ -186,7 +186,7 @@ class Monitor:
 
     @property
     def work(self):
-        """Return the evaluations in steps of ``integrator: auto`` and of its companion."""
+        """Return the evaluations in steps of ``integrator: auto`` and of its reference run."""
         return self.driver.work if isinstance(self.driver, Switching) else (0.0, 0.0)
 
     @property
@@ -291,7 +291,7 @@ class Monitor:
             error = float(control[columns.LARGEST_ERROR]) * watch[columns.TOLERANCE]
             bound, present = watch[[columns.LARGEST_BOUND, columns.BOUND]].tolist()
             if energy_guard.failed or energy_guard.finding:
-                # The companion is as wrong as the run.
+                # The reference run is as wrong as the run.
                 bound = present = math.nan
             if bound > KEPT * self._method.accuracy:
                 cause = (

@@ -448,15 +448,15 @@ def _require_differentiable(method: Method) -> None:
     require_no_budget(method, 'a trajectory with derivatives')
     integrator = INTEGRATORS[method.integrator]
     if method.integrator not in _METHODS:
-        reason = ('its steps are as long as errors let them be, which jumps'
+        reason = ('its step sizes depend on error estimates, and jump'
                   if integrator.kind != FIXED else
-                  'its steps depend on derivatives, of which it would take those of second order')
+                  'its steps use derivatives, so that second derivatives would be needed')
         raise FieldError(f'{among(_METHODS)}, with derivatives', f'{method.integrator}: {reason}',
                          '', ('method', 'integrator'))
     if method.stabilisation not in _STABILISATIONS:
         reason = ('the coordinates that it integrates are exchanged in a motion'
                   if method.stabilisation == 'independent' else
-                  'what it adds to the accelerations has no derivative here')
+                  'its correction of the accelerations has no derivative here')
         raise FieldError(f'{among(_STABILISATIONS)}, with derivatives',
                          f'{method.stabilisation}: {reason}', '', ('method', 'stabilisation'))
 

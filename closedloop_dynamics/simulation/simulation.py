@@ -732,8 +732,8 @@ class Simulation(Readings):
         if status == CONTACT_PASSED:
             return NumericalError(
                 f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
-                f't = {self.time:.9g} s, between evaluations that felt nothing of it; the state '
-                'before is kept. Take a smaller step, or a method with error control, such as '
+                f't = {self.time:.9g} s, undetected between evaluations; the state before is '
+                'kept. Take a smaller step, or a method with error control, such as '
                 'integrator: auto.')
         return NumericalError(
             f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
@@ -747,7 +747,7 @@ class Simulation(Readings):
         if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
             return ('Take smaller torques (largest now '
                     f'{np.abs(self.system.tau).max(initial=0.0):g}), allow a larger error, or '
-                    'leave out what is so fast.')
+                    'leave out the effect that is so fast.')
         return ('Closure equations depend on others next to this position, where an evaluation '
                 f'counts as {RANK_REVEALING_WORK}. ' + (
                     'No independent coordinates describe the motion through it: take '
@@ -925,7 +925,7 @@ class Simulation(Readings):
         if stabilisation != 'none' and self.closure > self.system.settings[CLOSURE_LIMIT]:
             raise ClosureError(
                 f'The loops have drifted apart by {self.closure:.3g} m or rad: more than '
-                f'{stabilisation} may be asked to close. Reset, or set a state, first.')
+                f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
         if stabilisation == 'independent':
             self._fresh = False
             self._assembler.require_independent(self._q)

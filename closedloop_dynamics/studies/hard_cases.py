@@ -440,7 +440,7 @@ def _pendulum_scene(bodies, joints, method, effects, points=()):
 
 
 def _nearly_rigid(effect):
-    """Swing two bars, joined by a very stiff bushing, like one for a second."""
+    """Swing two bars, held together by a very stiff effect, like one for a second."""
     def run(method, quick):
         upper, lower = bar('upper', 1.0, 1.0), bar('lower', 2.0, 0.5)
         pivot = hinge('pivot', 'ground', 'upper')

@@ -628,9 +628,8 @@ class _Along:
             completion.complete(position, rate)
             if completion.passed:
                 raise CompletionError(
-                    f'motion: sample {k} touches a singular position, where branches meet: on '
-                    'which one the motion goes on does not follow from '
-                    f'{", ".join(self._joints)}')
+                    f'motion: sample {k} touches a singular position, where branches meet: '
+                    f'{", ".join(self._joints)} do not determine the one on which it goes on')
             found.append((completion.position.copy(), completion.velocity.copy(),
                           completion.accelerations(acceleration)))
         return found

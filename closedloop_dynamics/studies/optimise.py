@@ -637,8 +637,8 @@ class _Log:
         except (OSError, ValueError, TypeError, KeyError) as error:
             if isinstance(error, OptimumFileError):
                 raise
-            raise OptimumFileError(f'{self._file}: expected results that were begun, got what '
-                                   f'cannot be read as such ({error})') from None
+            raise OptimumFileError(f'{self._file}: expected results of an earlier run, got '
+                                   f'a file that cannot be read ({error})') from None
         # Without the line that was being written when it ended.
         self._file.write_text(whole, encoding='utf-8')
 

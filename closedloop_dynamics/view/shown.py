@@ -87,7 +87,7 @@ class Shown:
                 what = message.pop('do')
                 action = getattr(self, f'_do_{what}', None)
                 if action is None:
-                    raise FieldError('what can be asked of this machine', shown(what),
+                    raise FieldError('an action that this machine has', shown(what),
                                      path=('do',))
                 action(page, **message)
             except (ValueError, SimulationError) as error:

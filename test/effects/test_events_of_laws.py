@@ -115,7 +115,7 @@ def test_a_fixed_step_takes_the_side_of_the_sign():
     ({'event': {'on': 'x - v'}}, 'event: expected a gap of coordinates'),
     ({'event': {'on': '3'}}, 'event: expected a gap'),
     ({'event': {'on': 'x', 'off': 'x - 1'}}, 'event: expected at most 1 event'),
-    ({'event': {'x': 'x'}}, 'event.x: expected a name that stands for nothing else'),
+    ({'event': {'x': 'x'}}, 'event.x: expected a name that is not in use'),
     ({'event': {'on': 'x*on'}}, "event.on: .* unknown name 'on'"),
     ({'event': {}}, 'event: expected a mapping'),
     ({'event': 'x'}, 'event: expected a mapping')])

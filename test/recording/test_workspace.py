@@ -282,7 +282,7 @@ def test_what_was_interrupted_is_gone_on_with(three_rrr, tmp_path, request_, ask
 def test_file_that_is_no_map(three_rrr, tmp_path):
     file = tmp_path / 'map.nc'
     file.write_text('no map')
-    with pytest.raises(WorkspaceFileError, match='expected a map that was begun'):
+    with pytest.raises(WorkspaceFileError, match='expected a map of an earlier run'):
         compute(three_rrr, Request(CENTER, GRID, (0.3,)), 1, file, resume=True)
     with pytest.raises(WorkspaceFileError):
         read(file)

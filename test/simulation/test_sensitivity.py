@@ -376,8 +376,8 @@ def test_accelerations_by_parameters_are_those_of_other_models(three_rrr):
 
 
 @pytest.mark.parametrize('method, reason', [
-    ('auto', 'as errors let them be'), ('dop853', 'as errors let them be'),
-    ('scipy_radau', 'as errors let them be'), ('rodas4_fixed', 'second order'),
+    ('auto', 'depend on error estimates'), ('dop853', 'depend on error estimates'),
+    ('scipy_radau', 'depend on error estimates'), ('rodas4_fixed', 'second derivatives'),
     ({'integrator': 'rk4', 'stabilisation': 'independent'}, 'are exchanged'),
     ({'integrator': 'rk4', 'stabilisation': 'baumgarte', 'baumgarte_time_constant': 0.05},
      'has no derivative')])
