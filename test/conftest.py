@@ -15,6 +15,8 @@ import os
 from pathlib import Path
 import sys
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 if not list((ROOT / 'closedloop_dynamics' / 'engine').glob('native*.so')):
     # pytest puts the sources first again for every file: the package is found once, here.
@@ -69,3 +71,17 @@ def pytest_collection_modifyitems(config, items):
     if slow:
         config.hook.pytest_deselected(items=slow)
         items[:] = kept
+
+
+@pytest.fixture
+def wanted(monkeypatch):
+    """Return a list of the names of code that was asked for, found or compiled, since."""
+    from closedloop_dynamics.core import cache
+    names, read = [], cache.read
+
+    def noted(name):
+        names.append(name)
+        return read(name)
+
+    monkeypatch.setattr(cache, 'read', noted)
+    return names

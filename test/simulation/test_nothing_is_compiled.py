@@ -6,7 +6,6 @@
 from dataclasses import fields, replace
 from itertools import product
 
-from closedloop_dynamics.core import cache
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.payload import Payload
@@ -23,19 +22,6 @@ import pytest
 
 # Bennett's linkage turns round several times in so many calls.
 CALLS, DURATION = 2000, 0.01
-
-
-@pytest.fixture
-def wanted(monkeypatch):
-    """Return a list of the names of code that was asked for, found or compiled, since."""
-    names, read = [], cache.read
-
-    def noted(name):
-        names.append(name)
-        return read(name)
-
-    monkeypatch.setattr(cache, 'read', noted)
-    return names
 
 
 def of_many_joints():

@@ -482,3 +482,25 @@ def test_own_motion_held_and_free():
     assert ask('reset')['motion'] == 'own' and simulation.time == 0.0
     refused = ask('command', joint='slew', value=1.0)['notes'][-1]['text']
     assert 'another mode' in refused
+
+
+def test_no_request_compiles_while_it_runs(shown, wanted):
+    at, refused = [0.1, 0.1, 0.0], shown.feed.refused
+    wanted.clear()
+    for request in (
+            ('play', {}), ('command', {'joint': 'theta_1', 'value': 1.0}),
+            ('grab', {'body': 3, 'place': 0, 'at': at}), ('pull', {'at': [0.2, 0.1, 0.0]}),
+            ('release', {}), ('drive', {'joint': 'theta_1', 'mode': 'position'}),
+            ('drive', {'joint': 'theta_1', 'mode': 'expression'}), ('motion', {'which': 'free'}),
+            ('effect', {'name': 'gravity', 'enabled': False}),
+            ('effect', {'name': 'gravity', 'enabled': True}),
+            *(('method', {'values': {'integrator': integrator, 'stabilisation': stabilisation}})
+              for integrator, stabilisation in (
+                  ('dopri5', 'independent'), ('rodas4', 'baumgarte'), ('auto', 'projection'))),
+            ('speed', {'factor': 0.1}), ('pause', {}), ('step', {'count': 3}),
+            ('kinematic', {'on': True}), ('pose', {'joint': 'theta_1', 'value': 0.5}),
+            ('kinematic', {'on': False}), ('reset', {}), ('play', {})):
+        what, more = request
+        shown.ask(what, **more)
+        shown.run(3)
+        assert not wanted and shown.feed.refused == refused, request
