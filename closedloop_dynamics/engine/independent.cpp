@@ -4,6 +4,7 @@
 #include "independent.hpp"
 
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "loop_closure.hpp"
@@ -24,6 +25,8 @@ enum : Index {CHOSEN_RATIO, RATIO, SWITCHES};
 // of RK4 at 1 ms: 8e-3 rad at 0.2, 5e-6 at 0.5, 1.5e-6 at 0.8), a change costs one factorization.
 constexpr double WORN = 0.8;
 constexpr int MOST_ITERATIONS = 12;
+// Rounding errors of coordinates, relative, and of what follows from them on the way to a cut joint.
+constexpr double ROUNDING = 16.0 * std::numeric_limits<double>::epsilon();
 
 /// Choose the dependent coordinates, first in `order`, by complete pivoting of the Jacobian.
 void choose(const Partition & partition)
@@ -65,6 +68,25 @@ void choose(const Partition & partition)
   partition.record[SWITCHES] += 1.0;
 }
 
+/// Whether closure errors are what rounding of the coordinates alone makes of them: where a slide
+/// has gone a thousand sizes of the mechanism far, that is more than the tolerance.
+bool is_rounding(
+  const Partition & partition, const Manifold & manifold, Values q, Values error,
+  double tolerance)
+{
+  for (Index k = 0; k < partition.jac.rows; ++k) {
+    double moved = 0.0;
+    for (Index j = 0; j < partition.jac.columns; ++j) {
+      const Index place = manifold.empty() ? j : manifold.place[j];
+      moved += std::abs(partition.jac(k, j) * (place < 0 ? 1.0 : q[place]));
+    }
+    if (!(std::abs(error[k]) <= tolerance + ROUNDING * moved)) {
+      return false;
+    }
+  }
+  return true;
+}
+
 bool close(
   const Model & model, const Workspace & work, const Partition & partition,
   const Manifold & manifold, Values q, Values qd, double tolerance)
@@ -74,6 +96,7 @@ bool close(
   const Indices & order = partition.order;
   const Table & matrix = partition.matrix;
   bool closed = false;
+  double before = std::numeric_limits<double>::infinity();
   for (int iteration = 0; iteration < MOST_ITERATIONS; ++iteration) {
     outward(model, q, qd, work);
     update(model, work, Responses::NONE);
@@ -88,10 +111,13 @@ bool close(
       }
     }
     partition.record[RATIO] = factorize(matrix, partition.pivots);
-    if (largest(right) <= tolerance) {
-      closed = true;
+    const double error = largest(right);
+    closed = error <= tolerance || (
+      !(error < 0.5 * before) && is_rounding(partition, manifold, q, right, tolerance));
+    if (closed) {
       break;
     }
+    before = error;
     solve(matrix, partition.pivots, right);
     partition.change.fill(0.0);
     for (Index k = 0; k < nc; ++k) {
