@@ -3,15 +3,15 @@
 
 """Writer of traced arithmetic on LLVM vectors, with one state in each lane."""
 
-from llvmlite import ir
-
 from . import sincos
 from .emit import Writer
 from .expression_graph import COSINE, LOAD, SINE
 from .function_table import BAUMGARTE, LANES, SHARED
+from .llvm_text import DOUBLE, integer, numbers, vector_of, WORD
 
-_VECTOR, _INDEX = ir.VectorType(ir.DoubleType(), LANES), ir.IntType(32)
-_BITS, _WORD = ir.IntType(LANES), ir.IntType(64)
+_VECTOR, _BITS = vector_of(DOUBLE, LANES), f'i{LANES}'
+# Arrays begin at any number: a vector is not where its own size divides the address.
+_ALIGNED = ', align 8'
 
 
 class LaneWriter(Writer):
@@ -19,13 +19,6 @@ class LaneWriter(Writer):
     Writes one routine for several states at once.
 
     It returns 0 where the results of any lane are not to be used.
-
-    Parameters
-    ----------
-    module : llvmlite.ir.Module
-        Where the function goes.
-    routine : Routine
-        What it computes in every lane.
 
     """
 
@@ -35,32 +28,27 @@ class LaneWriter(Writer):
         """Return the result of a function: LLVM's of vectors, others lane by lane."""
         if name == self.ROOT:
             return super().call(name, *numbers)
-        builder, found = self.builder, ir.Constant(_VECTOR, ir.Undefined)
-        for lane in range(LANES):
-            found = builder.insert_element(found, super().call(name, *(
-                builder.extract_element(each, _INDEX(lane)) for each in numbers)), _INDEX(lane))
-        return found
+        take = self.function.take
+        return self.function.gather([
+            self.function.call(name, [take(each, lane) for each in numbers])
+            for lane in range(LANES)])
 
     def number(self, operand):
         """Return the vector of an operand."""
         if isinstance(operand, int):
             return self.values[operand]
-        return ir.Constant(_VECTOR, [operand] * LANES)
+        return numbers([operand] * LANES)
 
     def place(self, source, place):
         """Return the address of a number of all lanes."""
-        return self.builder.bitcast(
-            self.address(source, LANES * place), _VECTOR.as_pointer())
+        return self.function.convert(
+            'bitcast', self.address(source, LANES * place), f'{_VECTOR}*')
 
     def load(self, source, place):
         """Read a number of all lanes, or one that they share."""
         if source not in (BAUMGARTE, SHARED):
-            return self.builder.load(self.place(source, place), align=8)
-        undefined = ir.Constant(_VECTOR, ir.Undefined)
-        first = self.builder.insert_element(
-            undefined, self.builder.load(self.address(source, place)), _INDEX(0))
-        return self.builder.shuffle_vector(
-            first, undefined, ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES))
+            return self.function.load(self.place(source, place), _ALIGNED)
+        return self.function.repeat(self.function.load(self.address(source, place)), LANES)
 
     def write(self):
         """Write the function."""
@@ -73,20 +61,21 @@ class LaneWriter(Writer):
                 angle = operands[0]
                 if angle not in turned:
                     value = self.values[angle]
-                    turned[angle] = sincos.polynomials(self.builder, value, _VECTOR)
-                    within.append(sincos.within(self.builder, value, _VECTOR))
+                    turned[angle] = sincos.polynomials(self.function, value, LANES)
+                    within.append(sincos.within(self.function, value, LANES))
                 self.values[place] = turned[angle][kind == COSINE]
             else:
                 self.values[place] = (self.load(*operands) if kind == LOAD
                                       else self.operation(kind, *operands))
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
-            self.builder.store(self.number(known), self.place(source, place), align=8)
+            self.function.store(self.number(known), self.place(source, place), _ALIGNED)
         guard = self.routine.graph.guard
         for condition in [] if guard is None else [self.values[guard.place]]:
             within.append(condition)
-        good = _BITS(-1)
+        good = integer(-1, _BITS)
         for condition in within:
-            good = self.builder.and_(good, self.builder.bitcast(condition, _BITS))
-        self.builder.ret(self.builder.zext(
-            self.builder.icmp_unsigned('==', good, _BITS(-1)), _WORD))
+            good = self.function.binary(
+                'and', good, self.function.convert('bitcast', condition, _BITS))
+        self.function.end(self.function.convert(
+            'zext', self.function.compare('icmp eq', good, integer(-1, _BITS)), WORD))

@@ -3,27 +3,14 @@
 
 """From unrolled arithmetic to LLVM vectors, where branches of a mechanism do the same."""
 
-from llvmlite import ir
-
 from .emit import Writer
 from .expression_graph import COSINE, needed_for, SINE
+from .llvm_text import DOUBLE, numbers, vector_of
 from .packing import packing_of
-
-_DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(32)
 
 
 class PackedWriter(Writer):
-    """
-    Writes one routine, in vectors where operations are the same on other inputs.
-
-    Parameters
-    ----------
-    module : llvmlite.ir.Module
-        Where the function goes.
-    routine : Routine
-        What it computes.
-
-    """
+    """Writes one routine, in vectors where operations are the same on other inputs."""
 
     def write(self):
         """Write the function."""
@@ -51,8 +38,7 @@ class PackedWriter(Writer):
         """Return the value of an operand, out of its lane where it is in one."""
         if isinstance(operand, int) and operand not in self.values:
             number, lane = self.packing.at[operand]
-            self.values[operand] = self.builder.extract_element(
-                self.vectors[number], _INDEX(lane))
+            self.values[operand] = self.function.take(self.vectors[number], lane)
         return super().number(operand)
 
     def _compute(self, operations, members):
@@ -67,18 +53,14 @@ class PackedWriter(Writer):
         if operands in self.gathered:
             return self.gathered[operands]
         width, padded, number, lanes = self.packing.gathered(operands)
-        kind = ir.VectorType(_DOUBLE, width)
         if not any(isinstance(one, int) for one in operands):
-            return ir.Constant(kind, [float(one) for one in padded])
-        if number is not None:
-            vector = self.vectors[number]
-            if width != vector.type.count or lanes[:len(operands)] != list(range(len(operands))):
-                vector = self.builder.shuffle_vector(
-                    vector, ir.Constant(vector.type, ir.Undefined),
-                    ir.Constant(ir.VectorType(_INDEX, width), lanes))
+            return numbers([float(one) for one in padded])
+        if number is None:
+            vector = self.function.gather([self.number(one) for one in padded])
         else:
-            vector = ir.Constant(kind, ir.Undefined)
-            for lane, one in enumerate(padded):
-                vector = self.builder.insert_element(vector, self.number(one), _INDEX(lane))
+            vector = self.vectors[number]
+            if vector[0] != vector_of(DOUBLE, width) or (
+                    lanes[:len(operands)] != list(range(len(operands)))):
+                vector = self.function.shuffle(vector, lanes)
         self.gathered[operands] = vector
         return vector

@@ -44,7 +44,7 @@ def by_number(seed):
     return len(seed) if len(seed) <= WIDEST else 0, max(seed)
 
 
-def bundles(operations, use, apart, first):
+def alike(operations, use, apart):
     """
     Find operations that are the same on other inputs.
 
@@ -56,50 +56,35 @@ def bundles(operations, use, apart, first):
         Places of those that are needed, in their order.
     apart : set of int
         Places that are to stay alone.
-    first : callable
-        Of the places of operations that are the same: the largest have the first choice.
 
     Returns
     -------
-    list of tuple of int
-        Places of operations that go into the lanes of a vector.
+    kinds : dict of int to int
+        The same number for operations that are the same, at whatever inputs.
+    groups : list of list of int
+        Places of operations that are the same, each of other inputs.
 
     """
-    inputs, kinds, alike = support(operations, use), {}, {}
-    groups = defaultdict(lambda: defaultdict(list))
+    inputs, kinds, numbers = support(operations, use), {}, {}
+    found = defaultdict(lambda: defaultdict(list))
     for place in use:
         kind, *operands = operations[place]
         if kind == LOAD:
             key = kind, operands[0]
         else:
             key = (kind, *(kinds[o] if isinstance(o, int) else (o,) for o in operands))
-        kinds[place] = alike.setdefault(key, len(alike))
+        kinds[place] = numbers.setdefault(key, len(numbers))
         if kind in _PACKED and place not in apart:
             bits = inputs[place]
-            groups[kinds[place], bin(bits).count('1')][bits].append(place)
-    seeds = []
-    for members in groups.values():
-        for number in range(max(map(len, members.values()))):
-            seeds.append([places[number] for _, places in sorted(members.items())
-                          if len(places) > number])
-    found, taken = [], set(apart)
-
-    def free(one):
-        return isinstance(one, int) and one not in taken and operations[one][0] in _PACKED
-
-    for seed in sorted(seeds, key=first, reverse=True):
-        left = [place for place in seed if place not in taken]
-        for begin in range(0, len(left) - FEWEST + 1, WIDEST):
-            rest = [tuple(left[begin:begin + WIDEST])]
-            while rest:
-                # Then what they work on, in the same lanes.
-                members = rest.pop()
-                if len(members) >= FEWEST and len(set(members)) == len(members) and all(
-                        map(free, members)) and len({kinds[one] for one in members}) == 1:
-                    taken.update(members)
-                    found.append(members)
-                    rest += zip(*(operations[one][1:] for one in members))
-    return found
+            found[kinds[place], bits.bit_count()][bits].append(place)
+    groups = []
+    for members in found.values():
+        members = [places for _, places in sorted(members.items())]
+        for number in range(max(map(len, members))):
+            group = [places[number] for places in members if len(places) > number]
+            if len(group) >= FEWEST:
+                groups.append(group)
+    return kinds, groups
 
 
 class Packing:
@@ -112,8 +97,6 @@ class Packing:
         What is computed.
     angles : sequence of int
         Places of what sines and cosines are taken of.
-    first : callable
-        As for ``bundles``.
 
     Attributes
     ----------
@@ -126,21 +109,55 @@ class Packing:
 
     """
 
-    def __init__(self, routine, angles, first):
+    def __init__(self, routine, angles):
         """Find the bundles."""
         self.operations = routine.graph.operations
         self.use = sorted(routine.needed())
-        self.users = defaultdict(list)
+        stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
+        if routine.graph.guard is not None:
+            stored.add(routine.graph.guard.place)
+        self._fused = self._fusions(stored)
+        apart = needed_for(self.operations, angles)
+        kinds, groups = alike(self.operations, self.use, apart)
+        best = None
+        for first in by_number, max:
+            self._bundle(kinds, sorted(groups, key=first, reverse=True), set(apart))
+            if best is None or self.saved > len(best[1]) - len(best[0]):
+                best = self.bundles, self.at
+        self.bundles, self.at = best
+
+    def _fusions(self, stored):
+        """Return the only user of each product, or its negative, that may fuse with it."""
+        users, twice = {}, set(stored)
         for place in self.use:
             if self.operations[place][0] != LOAD:
-                for operand in set(self.operations[place][1:]):
-                    if isinstance(operand, int):
-                        self.users[operand].append(place)
-        self.stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
-        if routine.graph.guard is not None:
-            self.stored.add(routine.graph.guard.place)
-        self.bundles = dict(enumerate(bundles(
-            self.operations, self.use, needed_for(self.operations, angles), first)))
+                for operand in self.operations[place][1:]:
+                    if isinstance(operand, int) and users.setdefault(operand, place) != place:
+                        twice.add(operand)
+        return {place: user for place, user in users.items()
+                if self.operations[place][0] in (MULTIPLY, NEGATE) and place not in twice
+                and self.operations[user][0] in (ADD, SUBTRACT, NEGATE)}
+
+    def _bundle(self, kinds, groups, taken):
+        """Choose bundles: the first groups have the first choice."""
+        operations, found = self.operations, []
+
+        def free(one):
+            return isinstance(one, int) and one not in taken and operations[one][0] in _PACKED
+
+        for group in groups:
+            left = [place for place in group if place not in taken]
+            for begin in range(0, len(left) - FEWEST + 1, WIDEST):
+                rest = [tuple(left[begin:begin + WIDEST])]
+                while rest:
+                    # Then what they work on, in the same lanes.
+                    members = rest.pop()
+                    if len(members) >= FEWEST and len(set(members)) == len(members) and all(
+                            map(free, members)) and len({kinds[one] for one in members}) == 1:
+                        taken.update(members)
+                        found.append(members)
+                        rest += zip(*(operations[one][1:] for one in members))
+        self.bundles = dict(enumerate(found))
         self.at = {place: (number, lane) for number, members in self.bundles.items()
                    for lane, place in enumerate(members)}
         dropped = [0]
@@ -159,27 +176,17 @@ class Packing:
         """Return the number of an operation's bundle, None where it is alone."""
         return self.at.get(place, (None,))[0]
 
-    def _alone(self, place):
-        """Return the operation that may fuse with a product or its negative; None for none."""
-        if self.operations[place][0] not in (MULTIPLY, NEGATE) or place in self.stored or len(
-                self.users[place]) != 1:
-            return None
-        user, = self.users[place]
-        return user if self.operations[user][0] in (ADD, SUBTRACT, NEGATE) else None
-
     def _fuses_otherwise(self, number):
         """Return whether a fused product and addition would be separated."""
-        members = self.bundles[number]
-        users = [self._alone(place) for place in members]
+        members, fused = self.bundles[number], self._fused
+        users = [fused.get(place) for place in members]
         if users.count(None) < len(users) and not self._in_lanes(users):
             return True
         if self.operations[members[0]][0] == MULTIPLY:
             return False
-        for operands in zip(*(self.operations[place][1:] for place in members)):
-            if any(isinstance(one, int) and self._alone(one) is not None
-                   for one in operands) and not self._in_lanes(operands):
-                return True
-        return False
+        return any(any(isinstance(one, int) and one in fused for one in operands)
+                   and not self._in_lanes(operands)
+                   for operands in zip(*(self.operations[place][1:] for place in members)))
 
     def _in_lanes(self, places):
         """Return whether operations are all those of a bundle, each in its lane."""
@@ -254,6 +261,5 @@ def packing_of(routine, angles):
     Packing or None
 
     """
-    found = max((Packing(routine, angles, first) for first in (by_number, max)),
-                key=lambda one: one.saved)
+    found = Packing(routine, angles)
     return None if found.saved < WORTH * len(found.use) else found

@@ -11,9 +11,8 @@ good to one unit in the last place.
 
 """
 
-from llvmlite import ir
+from .llvm_text import CONTRACT, DOUBLE, integer, numbers, repeated, vector_of, WORD
 
-_DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 # pi/2 in three parts of 33 bits: their products with integers below 2^20 are exact.
 PARTS = (1.57079632673412561417e+00, 6.07710050630396597660e-11, 2.02226624871116645580e-21)
 SINE = (1.58969099521155010221e-10, -2.50507602534068634195e-08, 2.75573137070700676789e-06,
@@ -26,13 +25,13 @@ ROUNDER = 6755399441055744.0
 LARGEST = 1.6e6
 
 
-def write(builder, angles):
+def write(function, angles):
     """
     Write the code for the sines and cosines of some angles.
 
     Parameters
     ----------
-    builder : llvmlite.ir.IRBuilder
+    function : Function
         Left in the block where both are known.
     angles : sequence of double values
         [rad].
@@ -43,114 +42,93 @@ def write(builder, angles):
 
     """
     count = len(angles)
-    vector = ir.VectorType(_DOUBLE, count)
-    packed = ir.Constant(vector, ir.Undefined)
-    for n, angle in enumerate(angles):
-        packed = builder.insert_element(packed, angle, ir.IntType(32)(n))
-    function = builder.function
-    quick, slow, after = (function.append_basic_block() for _ in range(3))
-    good = builder.icmp_unsigned(
-        '==', builder.bitcast(within(builder, packed, vector), ir.IntType(count)),
-        ir.IntType(count)(-1))
-    builder.cbranch(good, quick, slow)
-    builder.position_at_end(quick)
-    quick_sine, quick_cosine = polynomials(builder, packed, vector)
-    builder.branch(after)
-    builder.position_at_end(slow)
-    slow_sine, slow_cosine = (_library(builder, name, angles, vector) for name in ('sin', 'cos'))
-    builder.branch(after)
-    builder.position_at_end(after)
-    results = []
-    for fast, exact in ((quick_sine, slow_sine), (quick_cosine, slow_cosine)):
-        joined = builder.phi(vector)
-        joined.add_incoming(fast, quick)
-        joined.add_incoming(exact, slow)
-        results.append(joined)
-    return [[builder.extract_element(result, ir.IntType(32)(n)) for n in range(count)]
-            for result in results]
+    packed, bits = function.gather(angles), f'i{count}'
+    function.branch_if(
+        function.compare('icmp eq', function.convert(
+            'bitcast', within(function, packed, count), bits), integer(-1, bits)),
+        'quick', 'slow')
+    function.begin('quick')
+    quick = polynomials(function, packed, count)
+    function.branch('known')
+    function.begin('slow')
+    slow = [function.gather([function.call(f'llvm.{name}.f64', [angle]) for angle in angles])
+            for name in ('sin', 'cos')]
+    function.branch('known')
+    function.begin('known')
+    return [[function.take(result, n) for n in range(count)] for result in [
+        function.joined(quick=fast, slow=exact) for fast, exact in zip(quick, slow)]]
 
 
-def _library(builder, name, angles, vector):
-    """Ask the C library, one angle after the other."""
-    module = builder.module
-    function = module.globals.get(f'llvm.{name}.f64') or ir.Function(
-        module, ir.FunctionType(_DOUBLE, [_DOUBLE]), f'llvm.{name}.f64')
-    packed = ir.Constant(vector, ir.Undefined)
-    for n, angle in enumerate(angles):
-        packed = builder.insert_element(packed, builder.call(function, [angle]),
-                                        ir.IntType(32)(n))
-    return packed
-
-
-def within(builder, angle, vector):
+def within(function, angle, count):
     """
     Write the code that decides for which angles the polynomials hold.
 
     Parameters
     ----------
-    builder : llvmlite.ir.IRBuilder
+    function : Function
         Where it goes.
     angle : vector value
         [rad].
-    vector : llvmlite.ir.VectorType
-        Its type.
+    count : int
+        Of angles.
 
     Returns
     -------
     vector of bits
 
     """
-    largest, least = (ir.Constant(vector, [limit] * vector.count)
-                      for limit in (LARGEST, -LARGEST))
-    return builder.and_(builder.fcmp_ordered('<', angle, largest),
-                        builder.fcmp_ordered('>', angle, least))
+    return function.binary(
+        'and', function.compare('fcmp olt', angle, numbers([LARGEST] * count)),
+        function.compare('fcmp ogt', angle, numbers([-LARGEST] * count)))
 
 
-def polynomials(builder, angle, vector):
+def polynomials(function, angle, count):
     """
     Reduce angles to a quarter turn around zero, and sum up both series.
 
     Parameters
     ----------
-    builder : llvmlite.ir.IRBuilder
+    function : Function
         Where the code goes.
     angle : vector value
         [rad], ``within`` the limits.
-    vector : llvmlite.ir.VectorType
-        Its type.
+    count : int
+        Of angles.
 
     Returns
     -------
     sine, cosine : vector values
 
     """
-    count = vector.count
-
     def constant(value):
-        return ir.Constant(vector, [value] * count)
+        return numbers([value] * count)
+
+    def exact(operation, first, second):
+        return function.binary(operation, first, second)
 
     def times(first, second):
-        return builder.fmul(first, second, flags=('contract',))
+        return function.binary('fmul', first, second, CONTRACT)
 
     def plus(first, second):
-        return builder.fadd(first, second, flags=('contract',))
+        return function.binary('fadd', first, second, CONTRACT)
 
     def minus(first, second):
-        return builder.fsub(first, second, flags=('contract',))
+        return function.binary('fsub', first, second, CONTRACT)
 
-    shifted = builder.fadd(builder.fmul(angle, constant(0.6366197723675814)), constant(ROUNDER))
-    quarter = builder.bitcast(shifted, ir.VectorType(_WORD, count))
-    turns = builder.fsub(shifted, constant(ROUNDER))
+    shifted = exact(
+        'fadd', exact('fmul', angle, constant(0.6366197723675814)), constant(ROUNDER))
+    quarter = function.convert('bitcast', shifted, vector_of(WORD, count))
+    turns = exact('fsub', shifted, constant(ROUNDER))
     # x + tail is what is left: the products are exact, so are both differences but the last.
     near = minus(angle, times(turns, constant(PARTS[0])))
     part = times(turns, constant(PARTS[1]))
-    x = builder.fsub(near, part)
-    tail = builder.fsub(builder.fsub(builder.fsub(near, x), part),
-                        times(turns, constant(PARTS[2])))
+    x = exact('fsub', near, part)
+    tail = exact('fsub', exact('fsub', exact('fsub', near, x), part),
+                 times(turns, constant(PARTS[2])))
     # Both series take the tail to first order only: it must be the rounding of x.
     coarse = x
-    x = builder.fadd(coarse, tail)
-    tail = builder.fadd(builder.fsub(coarse, x), tail)
+    x = exact('fadd', coarse, tail)
+    tail = exact('fadd', exact('fsub', coarse, x), tail)
     z = times(x, x)
     series = constant(SINE[0])
     for coefficient in SINE[1:-1]:
@@ -163,28 +141,29 @@ def polynomials(builder, angle, vector):
     for coefficient in COSINE[1:]:
         series = plus(times(series, z), constant(coefficient))
     # cos(x + tail) = 1 - z / 2 + (z^2 series - x tail), the rounding of 1 - z / 2 kept.
-    half = builder.fmul(constant(0.5), z)
-    coarse = builder.fsub(constant(1.0), half)
-    lost = builder.fsub(builder.fsub(constant(1.0), coarse), half)
+    half = exact('fmul', constant(0.5), z)
+    coarse = exact('fsub', constant(1.0), half)
+    lost = exact('fsub', exact('fsub', constant(1.0), coarse), half)
     cosine = plus(coarse, plus(lost, minus(times(times(z, z), series), times(x, tail))))
-    return _turned(builder, quarter, sine, cosine, vector)
+    return _turned(function, quarter, sine, cosine, count)
 
 
-def _turned(builder, quarter, sine, cosine, vector):
+def _turned(function, quarter, sine, cosine, count):
     """Bring the results back to the quarter turn that the angle is in."""
-    words = ir.VectorType(_WORD, vector.count)
-
     def constant(value):
-        return ir.Constant(words, [value] * vector.count)
+        return repeated(value, WORD, count)
 
-    odd = builder.icmp_unsigned('!=', builder.and_(quarter, constant(1)), constant(0))
-    sign = builder.shl(builder.and_(quarter, constant(2)), constant(62))
-    other = builder.shl(
-        builder.and_(builder.add(quarter, constant(1)), constant(2)), constant(62))
+    def sign(number):
+        """Return the last but one bit of an integer, as that of a sign."""
+        return function.binary(
+            'shl', function.binary('and', number, constant(2)), constant(62))
 
     def signed(value, bits):
-        return builder.bitcast(
-            builder.xor(builder.bitcast(value, words), bits), vector)
+        return function.convert('bitcast', function.binary(
+            'xor', function.convert('bitcast', value, bits[0]), bits), vector_of(DOUBLE, count))
 
-    return (signed(builder.select(odd, cosine, sine), sign),
-            signed(builder.select(odd, sine, cosine), other))
+    odd = function.compare('icmp ne', function.binary('and', quarter, constant(1)), constant(0))
+    first = sign(quarter)
+    second = sign(function.binary('add', quarter, constant(1)))
+    return (signed(function.select(odd, cosine, sine), first),
+            signed(function.select(odd, sine, cosine), second))
