@@ -41,9 +41,9 @@ INTRODUCTION = """\
 # Gallery
 
 Twelve machines, each with the commands that made its picture and its numbers.
-`python doc/make_gallery.py` makes them again; the words are in
+`python doc/make_gallery.py` makes them again; the terms are explained in
 [recipes.md](recipes.md#words-of-the-trade).
-Better numbers for a machine: [optimise.md](optimise.md).
+[optimise.md](optimise.md) improves the numbers of a machine.
 """
 
 

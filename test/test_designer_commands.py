@@ -206,7 +206,7 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
     code, text, errors = call(
         capsys, 'report', tmp_path / 'scene.yaml', '--output', tmp_path / 'page.html')
     assert code == 0, errors
-    assert 'least  25.2088  0 deg' in text and 'crank-rocker (Grashof)' in text
+    assert 'minimum  angle [deg] 25.2088  at 0 deg' in text and 'crank-rocker (Grashof)' in text
     page = (tmp_path / 'page.html').read_text()
     for words in ('Transmission angle', '25.2088', 'time ratio', 'Shaking force', 'worst case',
                   'data:image/png;base64,', 'base 6 m, input 2 m, coupler 7 m, output 9 m'):

@@ -72,7 +72,8 @@ def _run(arguments):
         arguments.output.write_text(_page(arguments, scene, sections), encoding='utf-8')
     for title, rows, _ in sections:
         for row in rows[1:] if title in IN_SHORT else []:
-            print('  '.join([f'{title}:', *row]).rstrip())
+            print('  '.join([f'{title}:', *(f'{name} {cell}'.strip()
+                                            for name, cell in zip(rows[0], row))]))
     print(arguments.output)
     if run.end is not None:
         print(f'{arguments.prog}: pose {len(run.time)}: {run.end.reason}', file=sys.stderr)
@@ -91,7 +92,7 @@ def _sections(arguments, scene, run, table, spent):
     at = _drive_shown(run)
     found = [_mechanism(scene, run, table, at)]
     found.append(('Motion', [
-        ('', 'least', 'at', 'most', 'at', 'stroke', 'dwell', 'time ratio'),
+        ('', 'minimum', 'at', 'maximum', 'at', 'stroke', 'dwell', 'time ratio'),
         *((what, f'{one.least.value:.6g}', at(one.least.drive), f'{one.most.value:.6g}',
            at(one.most.drive), f'{one.most.value - one.least.value:.6g}', at(one.dwell),
            '-' if math.isnan(one.time_ratio) else f'{one.time_ratio:.4g}')
@@ -105,12 +106,12 @@ def _sections(arguments, scene, run, table, spent):
         found.append(('Transmission angle', [
             ('', 'angle [deg]', 'at'),
             *((what, f'{math.degrees(one.value):.4f}', at(one.drive)) for what, one in (
-                ('least', design.extreme(angle, values, np.argmin)),
-                ('most', design.extreme(angle, values))))], []))
+                ('minimum', design.extreme(angle, values, np.argmin)),
+                ('maximum', design.extreme(angle, values))))], []))
     found += _loads(run, column, values, at)
     found.append(_tolerances(arguments, scene, run))
     found.append(('Accuracy', [
-        ('', ''), ('largest error of the loops', f'{column["closure"].max():.2g} m or rad'),
+        ('', ''), ('largest closure error', f'{column["closure"].max():.2g} m or rad'),
         ('CPU time', f'{spent:.3g} s for {len(run.time)} poses')], [
         '<p class="note">Positions, rates and accelerations solve the closure equations to '
         'rounding: nothing is integrated.</p>']))
@@ -134,9 +135,9 @@ def _mechanism(scene, run, table, at):
         rows += [('lengths', f'base {base:.6g} m, input {crank:.6g} m, coupler {coupler:.6g} m, '
                              f'output {rocker:.6g} m'),
                  ('Grashof', f'{bars.kind} ({bars.grashof})'),
-                 ('folds at', ', '.join(f'+-{math.degrees(one):.6g} deg between input link and '
-                                        'base' for one in bars.limits) or
-                  'no position: the input turns round')]
+                 ('limit positions', ', '.join(
+                     f'+-{math.degrees(one):.6g} deg between input link and base'
+                     for one in bars.limits) or 'none: the input turns round')]
     rows += [(f'end stop {what}', f'{one} goes beyond it by at most {most.value:.6g} at '
                                   f'{at(most.drive)}')
              for (what, one), most in design.stops_met(run, table).items()]
@@ -161,8 +162,8 @@ def _loads(run, column, values, at):
     if exerted:
         yield 'Energy', [
             ('', '[J]'), ('work of the drives', f'{trapezoid(power, run.time):.6g}'),
-            ('work that they put in', f'{trapezoid(np.maximum(power, 0.0), run.time):.6g}'),
-            ('work that they take back',
+            ('supplied by the drives', f'{trapezoid(np.maximum(power, 0.0), run.time):.6g}'),
+            ('absorbed by the drives',
              f'{trapezoid(np.maximum(-power, 0.0), run.time):.6g}')], []
     yield 'Forces in the joints', [('', 'largest [N]', 'at'), *(
         (what, f'{one.value:.6g}', at(one.drive)) for what, one in (
@@ -175,8 +176,8 @@ def _loads(run, column, values, at):
         one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
         rows.append((what, f'{one.value:.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
     yield 'Shaking force and moment', rows, [
-        '<p class="note">What the inertia of the bodies exerts on the ground; weights and other '
-        'forces are not part of it.</p>']
+        '<p class="note">Force and moment of the bodies\' inertia on the ground, without weights '
+        'and other forces.</p>']
 
 
 def _tolerances(arguments, scene, run):
