@@ -4,6 +4,7 @@
 """A live simulation controlled by the requests of pages."""
 
 from dataclasses import replace
+from functools import partial
 import math
 from threading import Lock
 import time
@@ -11,6 +12,7 @@ import warnings
 
 import numpy as np
 
+from .background import Background
 from .columns import SimulationRows
 from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive, EARTH, grabs
@@ -162,6 +164,9 @@ class Runner(Shown):
     editor : editing.Editor
         Of the scene.
     playing : bool
+    renewing : bool
+        Whether a machine that was edited, or a controller for it, is being made while the one
+        before moves.
 
     """
 
@@ -171,6 +176,8 @@ class Runner(Shown):
         super().__init__()
         self._clock, self.playing, self._editing = clock, False, False
         self._choose_own, self._lock = own, Lock()
+        # A machine that was edited, and a controller for it, are made while the one before moves.
+        self._machines, self._controllers = Background(), Background()
         self._failure = None
         self._achieved, self._speed = None, 1.0
         self._watchdog = None
@@ -179,13 +186,13 @@ class Runner(Shown):
 
     def _begin(self, scene, own):
         """Show a scene from its start; nothing changes where that fails."""
-        hand = Hand(scene, extent(scene.mechanism))
-        simulation = Simulation(hand.scene)
-        simulation.prepare_exchanges()
+        hand, simulation = _built(scene, scene.method)
         motion = own(scene, hand.scene)
+        self._machines.drop()
+        self._controllers.drop()
         self.editor, self._choose_own = Editor(scene), own
         self._failure, self.start_pose, self._own = None, None, motion
-        self._own_due = math.inf
+        self._own_due, self._own_waits = math.inf, False
         self._put(hand, simulation)
         for name in motion.starts:
             drive_of(self.drives, name)
@@ -376,6 +383,11 @@ class Runner(Shown):
         """Whether frames come faster than steps."""
         return self._pacer.real_time_factor / RATE < 2.0 * self.simulation.step_size
 
+    @property
+    def renewing(self):
+        """Return whether a machine that was edited, or a controller for it, is being made."""
+        return self._machines.busy or self._controllers.busy
+
     # The loop.
 
     def run(self, keep_going=lambda: True):
@@ -391,6 +403,8 @@ class Runner(Shown):
         """Carry out requests, advance to the present, show the state."""
         if self._follow():
             self._changed = True
+        self._machines.tick()
+        self._controllers.tick()
         if self._clock() >= self._own_due and not self._editing:
             self._renew_controller()
         if self.playing or self._single > 0.0:
@@ -674,17 +688,54 @@ class Runner(Shown):
             before = self.editor.state
             try:
                 change()
-                self._renew()
+                if not self.playing:
+                    self._renew()
+                elif not self._machines.busy:
+                    self._renew_meanwhile(before)
             except (ValueError, SimulationError):
                 self.editor.withdraw(before)
                 raise
 
     def _renew(self):
         """Go on with the scene as it is edited, near the present state if it runs."""
+        self._machines.drop()
+        self._adopt(*_built(self.editor.scene, self.simulation.scene.method))
+
+    def _renew_meanwhile(self, good):
+        """
+        Do so once the machine is built; the one before moves on.
+
+        ``good`` is the editor's state to go back to where there is no such machine. What is edited
+        meanwhile follows next.
+
+        """
+        scene, state = self.editor.scene, self.editor.state
+
+        def take(built):
+            newest = self.editor.scene
+            try:
+                machine = built()
+                if _alike(scene, newest):
+                    self._adopt(*machine)
+                if newest is not scene:
+                    self._renew_meanwhile(state)
+            except (ValueError, SimulationError) as error:
+                if newest is not scene:
+                    self._renew_meanwhile(good)
+                    return
+                with self._lock:
+                    self.editor.withdraw(good)
+                self.feed.refuse(error)
+                self._changed = True
+
+        self._machines.start(partial(_built, scene, self.simulation.scene.method), take)
+
+    def _adopt(self, hand, new):
+        """Go on with another machine, near the present state if the one before runs."""
         old, scene = self.simulation, self.editor.scene
-        hand = Hand(scene, extent(scene.mechanism))
-        new = Simulation(replace(hand.scene, method=old.scene.method))
-        new.prepare_exchanges()
+        if new.scene.method != old.scene.method:
+            # It has been changed meanwhile.
+            new.prepare_method(**{key: getattr(old.scene.method, key) for key in METHOD_KEYS})()
         if hand.gravity not in scene.effects and hand.gravity in old.effects:
             # Of no scene, and so nothing that is edited.
             new.set_effect(hand.gravity, hand.gravity in old.enabled_effects,
@@ -701,6 +752,7 @@ class Runner(Shown):
             drive.set(mode, value, *self._now_at(name))
         same = old.coordinates.names == new.coordinates.names
         # What has other coordinates cannot wait.
+        self._own_waits = same and self.playing
         self._own_due = self._clock() + SETTLED * same
         self._describe()
 
@@ -709,9 +761,18 @@ class Runner(Shown):
         self._own_due = math.inf
         if self._own.controller is None:
             return
+        fit = partial(self._own.controller.on, self._hand.scene)
+        if self._own_waits:
+            self._controllers.start(fit, self._take_controller)
+            return
+        self._controllers.drop()
         self.feed.send_controls(busy='fitting the controller to the machine')
+        self._take_controller(fit)
+
+    def _take_controller(self, fitted):
+        """Go on with the controller that a function returns, or, where it raises, without."""
         try:
-            self._own = OwnMotion(self._own.controller.on(self._hand.scene), {
+            self._own = OwnMotion(fitted(), {
                 joint: start for joint, start in self._own.starts.items() if start[0] != OWN})
         except (StartError, SimulationError, ValueError) as error:
             self._own = OwnMotion()
@@ -773,6 +834,22 @@ class Runner(Shown):
                 self.editor.pose(self.start_pose)
             self._do_reset(page)
         self._kinematic = on
+
+
+def _built(scene, method):
+    """Return a hand in a scene, and the simulation of that by a method."""
+    hand = Hand(scene, extent(scene.mechanism))
+    simulation = Simulation(replace(hand.scene, method=method))
+    simulation.prepare_exchanges()
+    return hand, simulation
+
+
+def _alike(scene, other):
+    """Return whether two scenes differ in numbers of their mechanisms alone."""
+    return (scene.effects, scene.switched_off) == (other.effects, other.switched_off) and all(
+        [part.name for part in getattr(scene.mechanism, parts)]
+        == [part.name for part in getattr(other.mechanism, parts)]
+        for parts in ('bodies', 'joints', 'cut_joints', 'points'))
 
 
 def round_up(value):

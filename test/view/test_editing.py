@@ -4,12 +4,15 @@
 """Scenes that are edited by hand: loops stay closed, words stay, what cannot be is refused."""
 
 import json
+from threading import Event
+import time
 
 from closedloop_dynamics.control.files import Controller as OwnController
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view import runner
 from closedloop_dynamics.view.coupler_curves import curves
 from closedloop_dynamics.view.editing import Editor
 from closedloop_dynamics.view.library import Library
@@ -37,6 +40,12 @@ class Edited:
         for _ in range(frames):
             self.now += 1.0 / RATE
             self.runner.tick()
+
+    def settle(self):
+        """Wait until what was edited while it runs is there; the clock stands still."""
+        while self.runner.renewing:
+            self.runner.tick()
+            time.sleep(0.001)
 
     @property
     def scene(self):
@@ -156,20 +165,64 @@ def test_effects_are_saved_as_they_were_changed(tmp_path):
 def test_edits_while_it_moves_go_on_from_there():
     edited = Edited()
     edited.ask('play', frames=60)
-    time = edited.runner.simulation.time
+    begin = edited.runner.simulation.time
     position = edited.runner.simulation.position.copy()
     told = edited.ask('set', key='length.rocker.cut_1', value=0.27)
+    edited.settle()
     assert told['playing'] and told['undoable'] == [True, False]
     simulation = edited.runner.simulation
-    assert time <= simulation.time < time + 0.05
+    assert begin <= simulation.time < begin + 0.05
     assert np.abs(simulation.position - position).max() < 0.3
     edited.run(60)
-    assert simulation.time > time + 0.9 and simulation.closure < 1e-9
+    assert simulation.time > begin + 0.9 and simulation.closure < 1e-9
     assert json.loads(edited.runner.feed.controls)['failure'] is None
     # The crank keeps its speed.
     assert simulation.velocity[0] == pytest.approx(2.0 * np.pi, rel=0.05)
     edited.ask('undo')
     assert edited.runner.editor.scene.mechanism == load_scene('four_bar').mechanism
+
+
+def test_a_machine_moves_on_while_it_is_built_with_another_number(monkeypatch):
+    edited, gate, built = Edited(), Event(), []
+
+    def waiting(scene):
+        built.append(scene.mechanism)
+        assert gate.wait(60.0)
+        return Simulation(scene)
+
+    edited.ask('play', frames=30)
+    before = edited.runner.simulation
+    begin = before.time
+    monkeypatch.setattr(runner, 'Simulation', waiting)
+    for value in (0.27, 0.26, 0.25):
+        edited.ask('set', key='length.rocker.cut_1', value=value)
+    edited.run(30)
+    assert edited.runner.simulation is before and before.time > begin + 0.45
+    edited.ask('effect', name='gravity', enabled=False)
+    gate.set()
+    edited.settle()
+    # The first one, and then the newest: those between would be seen for no frame.
+    assert len(built) == 2
+    now = edited.runner.simulation
+    assert now.mechanism == built[-1] == edited.runner.simulation.scene.mechanism
+    assert 'gravity' not in now.enabled_effects and now.time == before.time
+    cut, = now.mechanism.cut_joints
+    assert np.hypot(*cut.point_b) == pytest.approx(0.25)
+    assert now.closure < 1e-9
+
+
+def test_a_machine_that_cannot_be_built_while_it_moves_goes_back():
+    edited = Edited()
+    edited.ask('play', frames=30)
+    before, mechanism = edited.runner.simulation, edited.runner.editor.scene.mechanism
+    edited.ask('set', key='length.coupler.cut_1', value=2.0)
+    edited.settle()
+    edited.run(10)
+    told = json.loads(edited.runner.feed.controls)
+    assert 'closed' in told['notes'][-1]['text'] and told['playing']
+    assert told['undoable'] == [False, False]
+    assert edited.runner.simulation is before
+    assert edited.runner.editor.scene.mechanism == mechanism
 
 
 def test_what_cannot_be_assembled_goes_back():
@@ -341,3 +394,28 @@ def test_a_controller_is_fitted_once_what_is_edited_moves_again(monkeypatch):
     edited.ask('add', what='link', body_a='ground', a=[2.0, 0.0, 0.0], b=[2.0, 0.3, 0.0])
     told = edited.ask('play', frames=5)
     assert len(fitted) == 2 and told['failure'] is None
+
+
+def test_a_controller_is_fitted_beside_a_machine_that_moves(monkeypatch):
+    gate, fit = Event(), OwnController.on
+
+    def on(controller, scene):
+        assert gate.wait(60.0)
+        return fit(controller, scene)
+
+    edited = Edited('three_rrr')
+    edited.ask('play', frames=10)
+    monkeypatch.setattr(OwnController, 'on', on)
+    edited.ask('set', key='mechanism.bodies.platform.mass', value=9.0)
+    gate.set()
+    edited.settle()
+    gate.clear()
+    begin = edited.runner.simulation.time
+    # The change settles, and the machine moves on by the controller that it had.
+    edited.run(60)
+    assert edited.runner.renewing and edited.runner.simulation.time > begin + 0.9
+    gate.set()
+    edited.settle()
+    edited.run(20)
+    told = json.loads(edited.runner.feed.controls)
+    assert told['drives']['theta_1']['mode'] == 'own' and told['failure'] is None

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What takes longer than a frame, such as code for a machine that is edited, beside a run."""
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+
+# How often something is begun again that was stopped.
+MOST_TRIES = 100
+
+
+class Background:
+    """
+    Compute one thing at a time on a thread of its own, while a machine moves.
+
+    Attributes
+    ----------
+    busy : bool
+        Whether something is computed, or waits to be taken.
+
+    """
+
+    def __init__(self):
+        """Compute nothing yet."""
+        self._pool = ThreadPoolExecutor(1)
+        self._future = self._take = None
+
+    @property
+    def busy(self):
+        """Return whether something is computed, or waits to be taken."""
+        return self._future is not None
+
+    def start(self, compute, take):
+        """
+        Begin to compute; what was computed before is dropped.
+
+        Parameters
+        ----------
+        compute : callable
+            Without arguments; touches nothing that the run does.
+        take : callable
+            Is called by ``tick`` with a function that returns the result, or raises the error.
+
+        """
+        self._future, self._take = self._pool.submit(_again_if_stopped, compute), take
+
+    def drop(self):
+        """Forget what is computed."""
+        self._future = self._take = None
+
+    def tick(self):
+        """Let what has been computed be taken."""
+        if self._future is not None and self._future.done():
+            future, take = self._future, self._take
+            self.drop()
+            take(future.result)
+
+
+def _again_if_stopped(compute):
+    """Compute; a watchdog that stops a step of the run stops this, too."""
+    for _ in range(MOST_TRIES):
+        with suppress(KeyboardInterrupt):
+            return compute()
+    return compute()
