@@ -11,6 +11,7 @@ Keys and defaults are those of the records, meanings and units those of their do
 from dataclasses import fields, MISSING
 import inspect
 from pathlib import Path
+import re
 
 from closedloop_dynamics.effects.external_force import BODY, WORLD
 from closedloop_dynamics.effects.registry import EFFECTS
@@ -22,7 +23,7 @@ from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
 from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
-from closedloop_dynamics.simulation.scene_records import AUTO, FORMULATIONS, Initial, Method
+from closedloop_dynamics.simulation.scene_records import FORMULATIONS, Initial, Method
 
 PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
@@ -49,19 +50,19 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'dict of str to float': 'number by joint name', 'tuple of Visual': 'list of shapes',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
-CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,
+CHOICES = {'integrator': INTEGRATORS, 'stabilisation': STABILISATIONS,
            'formulation': FORMULATIONS, 'axes': (WORLD, BODY)}
 HEAD = """\
 # Keys of mechanism and scene files
 
 Written by `python doc/make_scene_keys.py` from the code that reads the files; a test compares.
-SI units and radians. [Describe your own mechanism](describe_a_mechanism.md) shows them at work,
+SI units and radians. [Describe your own mechanism](describe_a_mechanism.md) shows them in use,
 [effects.md](effects.md) describes the effects.
 """
 
 
 def default(record_type, key):
-    """Return how a file would say what holds where a key is left out."""
+    """Return the default of a key as a file would have it."""
     value = next(field.default for field in fields(record_type) if field.name == key)
     if value is MISSING or value in (None, (), '', UNTURNED):
         return 'none'
@@ -73,15 +74,21 @@ def default(record_type, key):
 def table(record_type, keys):
     """Return the lines of a table of keys."""
     required, optional = keys
-    told = documented(record_type)
+    texts = documented(record_type)
     lines = ['| Key | | Value | Meaning |', '|---|---|---|---|']
     for key in (*required, *optional):
-        kind, meaning = TYPES[told[key][0]], told[key][1] or 'Its name.'
+        kind, meaning = TYPES[texts[key][0]], texts[key][1] or 'Its name.'
         if key in CHOICES:
             kind = ', '.join(f'`{choice}`' for choice in CHOICES[key])
         given = 'required' if key in required else f'optional, {default(record_type, key)}'
-        lines.append(f'| `{key}` | {given} | {kind} | {meaning.replace("``", "`")} |')
+        lines.append(f'| `{key}` | {given} | {kind} | {_plain(meaning)} |')
     return lines
+
+
+def _plain(text):
+    """Return the text of a docstring for readers of files: names without quotes."""
+    return re.sub(r'`+\'?([^`\']*)\'?`+', r'`\1`', text).replace('None for', 'none for').replace(
+        'None where', 'none where')
 
 
 def page():

@@ -39,7 +39,7 @@ class Actuator(Effect):
     max_torque : float or None
         Largest torque, positive [N m; N in a prismatic joint]; None for no limit.
     max_speed : float or None
-        Where the driving torque has faded, positive [rad/s; m/s]; None for no limit.
+        Speed at which the driving torque is zero, positive [rad/s; m/s]; None for no limit.
     lag : float
         Time constant T, zero or more [s].
     delay : float

@@ -40,7 +40,7 @@ class ForceTable(Effect):
     strokes : tuple of floats
         Joint coordinates or distances, growing [rad; m].
     forces : tuple of floats
-        What acts there: on the joint, or pulling the points together [N m; N].
+        Torques or forces there, on the joint or pulling the points together [N m; N].
     joint : str or None
         Where it acts: a joint, or
     point_a : str or None

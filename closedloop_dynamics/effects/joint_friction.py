@@ -48,9 +48,9 @@ class JointFriction(Effect):
     stribeck_velocity : float
         v_s, where the excess has fallen to 37 %, positive [rad/s; m/s].
     friction_coefficient : float
-        mu, zero or more; zero: the joint's constraint force does not matter.
+        mu, of the friction by the joint's constraint force, zero or more.
     radius : float
-        r, at which it rubs, positive [m]; 1 in a prismatic joint.
+        r, arm of that friction, positive [m]; 1 in a prismatic joint.
     load_time : float
         T, positive [s].
 

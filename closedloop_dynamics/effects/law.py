@@ -105,16 +105,16 @@ class Law(TracedEffect):
     states : dict of str to str, or None
         States of its own by name, and their rates.
     start : dict of str to float, or None
-        Of states at the start; 0 when not given.
+        Values of states at the start; 0 when not given.
     energy : str or None
-        What it stores [J].
+        Stored energy [J].
     dissipation : str or None
-        What it dissipates [W].
+        Dissipated power [W].
     event : dict of str to str, or None
         A name, which stands for 1 where the expression is less than zero and for 0 elsewhere; a
         step ends where its sign changes.
     readings : dict of str to str, or None
-        What is to be read beside its power, 3 at most.
+        Further readings beside its power, 3 at most.
 
     """
 

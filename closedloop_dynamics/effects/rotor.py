@@ -23,7 +23,7 @@ the link; flywheels.
 
 At a joint that closes a loop its torque -I_r qdd depends on accelerations that follow from it: it
 is found with them, as friction at rest is (``engine/sticking.hpp``), by one evaluation more. In
-space only where the joint's carrier, body B, is the ground, or where its turning does not count.
+space only where the joint's carrier, body B, is the ground, or where its rotation is negligible.
 
 """
 
@@ -41,7 +41,7 @@ from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import COUPLED, FIXED, GROUND, PRISMATIC, Vector3
 from ..mechanism.rotations import of_quaternion
 
-# Gear ratio beyond which the turning of the carrier does not count.
+# Gear ratio beyond which the rotation of the carrier is negligible.
 ENDLESS = 1e9
 
 
@@ -53,8 +53,8 @@ class Rotor(Effect):
     Attributes
     ----------
     joint : str
-        Of one freedom; with a ``gear_ratio`` beyond 1e9, whose carrier's turning does not count,
-        any freedom of the tree; of a spherical or free joint, named as a whole, all turns alike.
+        Of one freedom; with a ``gear_ratio`` beyond 1e9, at which the carrier's rotation is
+        negligible, any freedom of the tree, or a spherical or free joint as a whole: all axes.
     inertia : float
         J of the rotor about its own axis, zero or more [kg m^2].
     gear_ratio : float
@@ -84,7 +84,7 @@ class Rotor(Effect):
         """
         Return the names that ``joint`` may be: of joints of one freedom.
 
-        Where the turning of the carrier does not count, of any freedom with a number in the tree,
+        Where the rotation of the carrier is negligible, of any freedom with a number in the tree,
         and of balls: about all three axes.
 
         """

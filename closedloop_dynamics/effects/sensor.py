@@ -36,7 +36,7 @@ class Sensor(Effect):
     position_resolution, velocity_resolution : float
         Step of quantisation; 0 for none [rad, m; rad/s, m/s].
     delay : float
-        Age of what is measured, zero or more [s]; interpolated between steps.
+        Age of the measured state, zero or more [s]; interpolated between steps.
     seed : int
         Of the noise, zero or more.
 

@@ -124,8 +124,8 @@ class Body:
         Mass and inertia are zero on purpose: a link that only guides. The loops must then
         determine its motion.
     visual : tuple of Visual
-        Shapes that it is drawn as, which follow from ``shape`` if that is given; otherwise it is
-        drawn through its joints and points. Not compared.
+        Shapes of the drawing; ``shape`` gives them where they are left out, else lines through
+        its joints and points.
 
     """
 
@@ -222,7 +222,7 @@ class CutJoint:
         or spherical where its coordinates are zero (not given: as body B, turned from there only
         so far that the axes lie as the joint holds them).
     length : float or None
-        Of ``'distance'``: how far apart the two points stay, as the ends of a massless rod [m].
+        Of ``'distance'``: the distance of the two points, the length of a massless rod [m].
     lead : float or None
         Of a helical joint [m/rad].
     actuated : bool
@@ -264,8 +264,8 @@ class Coupling:
     offset : float
         That sum.
     radius : float or None
-        Pitch radius of the wheel that the first joint turns [m], positive; None where no force of
-        teeth or of a belt is asked for. That force is the torque in this joint over the radius.
+        Pitch radius of the wheel that the first joint turns [m], positive. With it the
+        force of the teeth or the belt is reported: the torque in this joint over the radius.
 
     """
 

@@ -69,17 +69,17 @@ class Method:
     Attributes
     ----------
     integrator : str
-        A name of ``integration.registry.INTEGRATORS``; ``'auto'`` keeps ``accuracy``.
+        Method of the time integration; ``'auto'`` keeps ``accuracy``.
     step_size : float
-        Size of the steps, or, with an error-controlled integrator, the raster on which the
-        state is asked for [s]; at least 1e-9.
+        Size of the steps, or, with an error-controlled integrator, the interval of the output
+        grid [s]; at least 1e-9.
     stabilisation : str
-        How the loops are kept closed: a name of ``integration.registry.STABILISATIONS``.
+        How the loops are kept closed.
     tolerance : float
         Local error that an error-controlled integrator allows per step [rad, m; rad/s, m/s].
     baumgarte_time_constant : float or None
-        In which Baumgarte's method lets a closure error decay [s], positive; ten steps where
-        none is given.
+        Of the decay of closure errors in Baumgarte's method [s], positive; ten steps where none
+        is given.
     formulation : str
         ``'subsystem'``, ``'system'`` or ``'augmented'``.
     accuracy : float
