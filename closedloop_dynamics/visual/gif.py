@@ -42,8 +42,9 @@ class Gif:
         self._palette = sample.quantize(COLORS, Image.Quantize.MAXCOVERAGE)
         # A colour of the palette is a mean of several; the most frequent of these is shown, so
         # that areas have their colours, white is white, and gray has no tint.
-        colors, counts = np.unique(np.asarray(sample).reshape(-1, 3), axis=0, return_counts=True)
-        colors = colors[np.argsort(counts)]
+        numbers, counts = np.unique(
+            np.asarray(sample) @ np.array([1 << 16, 1 << 8, 1]), return_counts=True)
+        colors = (numbers[np.argsort(counts), np.newaxis] >> [16, 8, 0]).astype(np.uint8)
         shown = np.zeros((COLORS + 1, 3), dtype=np.uint8)
         shown[self._numbers(Image.fromarray(colors[np.newaxis]))[0]] = colors
         self._colors = shown.tobytes()
