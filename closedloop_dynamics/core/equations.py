@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from .codegen import pieces
+from .codegen import joint_kernels
 from .codegen.workspace import allocate
 from .manifold import manifold_of
 from .types import (
@@ -33,7 +33,7 @@ def with_all_equations(model):
         return model
     cut = model.cut.copy()
     cut[:, KEPT] = cut[:, POSSIBLE]
-    pieces.arrays_of(model).number_equations(cut)
+    joint_kernels.arrays_of(model).number_equations(cut)
     return model._replace(cut=cut, column=np.zeros(cut[:, ROWS].sum() + 1, dtype=np.int64))
 
 
@@ -69,7 +69,7 @@ class Equations:
         """Allocate a workspace."""
         self.model = with_all_equations(model)
         self.work, self._constants = allocate(self.model), self._present_constants()
-        self._connected = pieces.structure(self.model)
+        self._connected = joint_kernels.structure(self.model)
         self.nv, self.nc = len(model.tree) - 1, len(self.work.closure)
         by_user = np.argsort(model.cut[:, CUT_NUMBER])
         self._order = np.zeros(self.nc, dtype=int)
@@ -78,7 +78,7 @@ class Equations:
             self._order[cut[CUT_ROW] + rows] = cut[ROW] + rows
         self.counts = self.model.cut[by_user, ROWS].tolist()
         self.kept, groups = np.ones(self.nc, dtype=bool), []
-        group_of = pieces.arrays_of(model).group_of
+        group_of = joint_kernels.arrays_of(model).group_of
         for number, (cut, count) in enumerate(zip(model.cut[by_user], self.counts)):
             possible = [n for n in range(6) if cut[POSSIBLE] >> n & 1]
             self.kept[len(groups):len(groups) + count] = [cut[KEPT] >> n & 1 for n in possible]
@@ -107,9 +107,9 @@ class Equations:
         present = self._present_constants()
         if self._constants == present:
             return
-        self._constants, structure = present, pieces.structure(self.model)
+        self._constants, structure = present, joint_kernels.structure(self.model)
         if self._connected != structure:
-            pieces.connect(self.model, self.work.piece, self.work.cut_piece)
+            joint_kernels.connect(self.model, self.work.kernel, self.work.cut_kernel)
             self._connected = structure
 
     def move(self, q, qd=None):
@@ -243,5 +243,5 @@ class Equations:
         model, work = self.model, self.work
         found = np.empty((len(model.cut), work.wrench.shape[1]))
         native.cut_wrenches(
-            model.cut, model.cut_point, work.cut_piece, body, lam, work.share, found)
+            model.cut, model.cut_point, work.cut_kernel, body, lam, work.share, found)
         return found

@@ -59,15 +59,15 @@ WORK_COLUMNS = 31
 POSITION, RATE = 31, 32
 COUPLED_WORK_COLUMNS = 33
 
-# Workspace.piece, one row a body: addresses of what the loops call (``codegen.pieces``).
+# Workspace.kernel, one row a body: addresses of what the loops call (``codegen.joint_kernels``).
 # Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
 # acceleration; a wrench carried inward, less what joints give way to, by levers, or as it is;
 # inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque; the
 # first of the wrenches where a force acts in the joint itself.
 (MOVE, ELIMINATE, ELIMINATE_MASSLESS, ACCELERATE, REDUCE, LEVER, CARRY, COMPOSE, MEASURE, NEWTON,
  SHIFT, TORQUE, REDUCE_COUPLED) = range(13)
-BODY_STAGES = 13
-# Workspace.cut_piece, one row a cut joint: its equations; the wrenches of its multipliers.
+BODY_KERNELS = 13
+# Workspace.cut_kernel, one row a cut joint: its equations; the wrenches of its multipliers.
 EQUATIONS, WRENCH = range(2)
 
 # What ``Recursion.update`` computes of the unit cut forces: nothing, their shares at the joints
@@ -205,13 +205,13 @@ class Workspace(NamedTuple):
     wrench : ndarray, shape (2, 3 or 6)
         On their way inward.
     share : ndarray, shape (9 or 18,)
-        What a piece leaves.
+        Output of a joint kernel.
     torque : ndarray, shape (nv,)
         In the world's axes.
     force : ndarray, shape (nb + 1, 6 or 12)
         Wrenches, and accelerations, of inverse dynamics.
-    piece : ndarray of int, shape (nb + 1, BODY_STAGES)
-    cut_piece : ndarray of int, shape (number of cuts, 2)
+    kernel : ndarray of int, shape (nb + 1, BODY_KERNELS)
+    cut_kernel : ndarray of int, shape (number of cuts, 2)
     health : ndarray, shape (HEALTH_COLUMNS,)
 
     """
@@ -235,8 +235,8 @@ class Workspace(NamedTuple):
     share: np.ndarray
     torque: np.ndarray
     force: np.ndarray
-    piece: np.ndarray
-    cut_piece: np.ndarray
+    kernel: np.ndarray
+    cut_kernel: np.ndarray
     health: np.ndarray
 
 

@@ -20,7 +20,7 @@ from .table import (
     states_of, STORED, WORK)
 from .traced_effect import TracedEffect
 from ..core import codegen
-from ..core.codegen import pieces
+from ..core.codegen import joint_kernels
 from ..core.codegen.function_table import EVALUATION
 from ..core.types import TYPE, VARIES
 from ..engine import native
@@ -127,7 +127,7 @@ class EffectSet:
 
         """
         self._table, self._system = system.effects, system
-        self._linked = pieces.structure(self._model)
+        self._linked = joint_kernels.structure(self._model)
         # What the code of the scene is of, on whatever equations it works.
         self._scene = live_laws.known_structure(system.table)
         if self._table is None:
@@ -138,7 +138,7 @@ class EffectSet:
     def move(self, system):
         """Adopt a system that works on other equations; the arrays of effects are shared."""
         self._system, self._model = system, system.model
-        self._linked = pieces.structure(self._model)
+        self._linked = joint_kernels.structure(self._model)
         # Their multipliers have other places.
         self._refill(PRESCRIBED_MOTION)
 
@@ -200,10 +200,10 @@ class EffectSet:
 
     def _link(self):
         """Link the system to the code for its bodies: a rotor makes another kind of one."""
-        structure = pieces.structure(self._model)
+        structure = joint_kernels.structure(self._model)
         if structure == self._linked:
             return
-        pieces.connect(self._model, self._system.work.piece, self._system.work.cut_piece)
+        joint_kernels.connect(self._model, self._system.work.kernel, self._system.work.cut_kernel)
         if self._system.is_unrolled and self._system.effects is None:
             codegen.relink(self._model, self._system.table, self._system.joints)
         elif self._system.is_unrolled:

@@ -227,7 +227,7 @@ const Entry entries[] = {
   entry<generalized_inertia_matrix>(
     "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
   entry<cut_wrenches>(
-    "cut_wrenches", "cut_wrenches(cut, cut_point, cut_piece, body, lam, share, out)"),
+    "cut_wrenches", "cut_wrenches(cut, cut_point, cut_kernel, body, lam, share, out)"),
   entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
   entry<joint_wrenches>("joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
   entry<tree_torque>("tree_torque", "tree_torque(model, work, qdd, out)"),

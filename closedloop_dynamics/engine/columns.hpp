@@ -47,8 +47,8 @@ enum : Index
 };
 }
 
-/// Workspace.piece and Workspace.cut_piece: addresses of the code generated for each joint type.
-namespace stage
+/// Workspace.kernel and Workspace.cut_kernel: addresses of the code generated for each joint type.
+namespace kernel
 {
 enum : Index
 {

@@ -95,7 +95,7 @@ Eigen::VectorXd terms(
   for (Index a = 0; a < model.cut.rows; ++a) {
     const Index k = row.size + model.cut(a, cut::NUMBER), first = model.cut(a, cut::CUT_ROW);
     if (k < count) {
-      wrenches_of_cut(model.cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
+      wrenches_of_cut(model.cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
       next = terms_of_wrench(work.share.data, planar, arms[k], unit, next);
     } else {
       for (Index n = first; n < first + model.cut(a, cut::ROWS); ++n) {

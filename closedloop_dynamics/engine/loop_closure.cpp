@@ -13,13 +13,13 @@ namespace closedloop
 
 /// Carry a wrench inward over entries of a path; keep its share in each joint.
 static void carry(
-  const Model & model, const Workspace & work, Index piece, Index first, Index last,
+  const Model & model, const Workspace & work, Index which, Index first, Index last,
   double * wrench, Index row)
 {
   for (Index entry = first; entry < last; ++entry) {
     const Index i = model.path_body[entry];
     call_joint_kernel(
-      work.piece(i, piece), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
+      work.kernel(i, which), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
       work.share.data);
     work.response(entry, row) = work.share[0];
     work.response_scaled(entry, row) = work.share[1];
@@ -39,7 +39,7 @@ static void clear_arrived(const Model & model, const Workspace & work, Index fir
 
 /// Respond to a coupling of joints; a path entry's body comes before its parent.
 static void respond_in_joints(
-  const Model & model, const Workspace & work, Index piece, Index a, Index row)
+  const Model & model, const Workspace & work, Index which, Index a, Index row)
 {
   const Indexes & cut = model.cut;
   const Table & arrived = work.force;
@@ -51,14 +51,14 @@ static void respond_in_joints(
     const double factor = model.cut_point(a, cut::FACTORS + entry - first);
     share[0] = factor;
     share[1] = 0.0;
-    if (piece == stage::REDUCE) {
+    if (which == kernel::REDUCE) {
       call_joint_kernel(
-        work.piece(i, stage::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
+        work.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
         work.body.row(i), arrived.row(i), share.data);
       for (Index n = 0; n < 6; ++n) {
         arrived(p, n) += arrived(i, n);
       }
-    } else if (piece == stage::LEVER && work.planar()) {
+    } else if (which == kernel::LEVER && work.planar()) {
       // A joint's angle is its body's less its parent's; a slide turns with its parent.
       if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
         arrived(p, 0) += arrived(i, 0);
@@ -73,7 +73,7 @@ static void respond_in_joints(
 }
 
 /// Respond to a place or angle of two bodies that joints are coupled to.
-static void respond_in_both(const Model & model, const Workspace & work, Index piece, Index a)
+static void respond_in_both(const Model & model, const Workspace & work, Index which, Index a)
 {
   const Indexes & cut = model.cut;
   const Table & arrived = work.force;
@@ -94,9 +94,9 @@ static void respond_in_both(const Model & model, const Workspace & work, Index p
     const double factor = model.cut_point(a, before + entry);
     share[0] = factor;
     share[1] = 0.0;
-    const bool reduces = piece == stage::REDUCE;
+    const bool reduces = which == kernel::REDUCE;
     call_joint_kernel(
-      work.piece(i, reduces ? static_cast<Index>(stage::REDUCE_COUPLED) : piece),
+      work.kernel(i, reduces ? static_cast<Index>(kernel::REDUCE_COUPLED) : which),
       model.body.row(i), work.body.row(i), work.body.row(i), arrived.row(i), share.data);
     if (!reduces) {
       share[0] += factor;
@@ -104,7 +104,7 @@ static void respond_in_both(const Model & model, const Workspace & work, Index p
     for (Index n = 0; n < size; ++n) {
       arrived(p, n) += arrived(i, n);
     }
-    if (piece == stage::LEVER && size == 3) {
+    if (which == kernel::LEVER && size == 3) {
       // As above, in a column that no planar wrench has.
       if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
         arrived(p, 3) += arrived(i, 3);
@@ -118,17 +118,17 @@ static void respond_in_both(const Model & model, const Workspace & work, Index p
   }
 }
 
-void respond(const Model & model, const Workspace & work, Index piece, Index a, Index row)
+void respond(const Model & model, const Workspace & work, Index which, Index a, Index row)
 {
   const Indexes & cut = model.cut;
   const Table & wrench = work.wrench;
   const Index size = work.size();
   if (cut(a, cut::TYPE) == cut::COUPLING || cut(a, cut::TYPE) == cut::PRESCRIBED_JOINT) {
-    respond_in_joints(model, work, piece, a, row);
+    respond_in_joints(model, work, which, a, row);
     return;
   }
   if (cut(a, cut::TYPE) >= cut::COUPLED_PLACE) {
-    respond_in_both(model, work, piece, a);
+    respond_in_both(model, work, which, a);
     return;
   }
   const Index place = row * (3 + 2 * size) + 3;
@@ -138,14 +138,14 @@ void respond(const Model & model, const Workspace & work, Index piece, Index a, 
   }
   const Index middle = cut(a, cut::PATH_B), common = cut(a, cut::PATH_COMMON);
   const Index end = cut(a, cut::PATH_END);
-  carry(model, work, piece, cut(a, cut::PATH_A), middle, wrench.row(0), row);
+  carry(model, work, which, cut(a, cut::PATH_A), middle, wrench.row(0), row);
   if (middle < end) {
-    carry(model, work, piece, middle, common, wrench.row(1), row);
+    carry(model, work, which, middle, common, wrench.row(1), row);
     if (common < end) {
       for (Index n = 0; n < size; ++n) {
         wrench(0, n) += wrench(1, n);
       }
-      carry(model, work, piece, common, end, wrench.row(0), row);
+      carry(model, work, which, common, end, wrench.row(0), row);
     }
   }
 }
@@ -219,7 +219,7 @@ void measure(const Model & model, const Workspace & work, Index a)
     point(a, last + 2) = 0.0;
   }
   call_joint_kernel(
-    work.cut_piece(a, stage::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
+    work.cut_kernel(a, kernel::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
     work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
   if (cut(a, cut::KEPT) != cut(a, cut::POSSIBLE)) {
     leave_kept(
@@ -242,7 +242,7 @@ void update(const Model & model, const Workspace & work, Responses responses)
       if (responses != Responses::NONE) {
         respond(
           model, work,
-          responses == Responses::REDUCED ? stage::REDUCE : stage::LEVER, a, k);
+          responses == Responses::REDUCED ? kernel::REDUCE : kernel::LEVER, a, k);
       }
     }
   }

@@ -15,8 +15,8 @@ namespace closedloop
 void measure(const Model &, const Workspace &, Index a);
 
 /// Response of the joints on the path of cut `a` to a unit multiplier of its equation `row`;
-/// `piece` is a column of Workspace.piece: REDUCE, LEVER or CARRY.
-void respond(const Model &, const Workspace &, Index piece, Index a, Index row);
+/// `which` is a column of Workspace.kernel: REDUCE, LEVER or CARRY.
+void respond(const Model &, const Workspace &, Index which, Index a, Index row);
 
 /// Closure errors, rates and biases of all cuts, and the responses that are asked for.
 void update(const Model &, const Workspace &, Responses);

@@ -64,8 +64,8 @@ struct Workspace
   Values share;
   Values torque;
   Table force;
-  Indexes piece;
-  Indexes cut_piece;
+  Indexes kernel;
+  Indexes cut_kernel;
   Values health;
 
   bool planar() const {return wrench.columns == 3;}
@@ -81,8 +81,8 @@ struct Workspace
   void fields(Visitor && visit)
   {
     visit(body, response, response_scaled, factor, scale, lever, joint, change, pivot_inverse,
-      right, scatter, closure, closure_rate, bias, equation, wrench, share, torque, force, piece,
-      cut_piece, health);
+      right, scatter, closure, closure_rate, bias, equation, wrench, share, torque, force, kernel,
+      cut_kernel, health);
   }
 };
 

@@ -224,14 +224,14 @@ inline constexpr auto precondition<generalized_inertia_matrix> =
 
 template<>
 inline constexpr auto precondition<cut_wrenches> =
-  [](Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share,
+  [](Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
     Table out) {
     const bool planar = share.size == 9;
     const Index least = planar ? static_cast<Index>(plane::CUT_POINT_COLUMNS) :
       static_cast<Index>(space::CUT_POINT_COLUMNS);
     bool good = cut.columns == cut::LENGTHS + 1 && cut_point.rows == cut.rows &&
-      (cut.rows == 0 || cut_point.columns >= least) && cut_piece.rows == cut.rows &&
-      cut_piece.columns == 2 && (planar || share.size == 18) &&
+      (cut.rows == 0 || cut_point.columns >= least) && cut_kernel.rows == cut.rows &&
+      cut_kernel.columns == 2 && (planar || share.size == 18) &&
       expected::are_bodies(body, planar) && expected::has_shape(out, cut.rows, planar ? 3 : 6);
     for (Index a = 0; good && a < cut.rows; ++a) {
       const Index first = cut(a, cut::CUT_ROW), rows = cut(a, cut::ROWS);

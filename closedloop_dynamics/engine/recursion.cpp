@@ -20,7 +20,7 @@ void outward(const Model & model, Values q, Values qd, const Workspace & work)
   }
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.piece(i, stage::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      work.kernel(i, kernel::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       q.data + tree(i, tree::COORDINATE), qd.data + tree(i, tree::DOF));
   }
 }
@@ -50,10 +50,10 @@ void inward(const Model & model, Values tau, const Workspace & work, bool massle
     work.torque[i] = tau[i];
   }
   turn_spherical(tree, body, work.torque.data, true);
-  const Index which = massless ? stage::ELIMINATE_MASSLESS : stage::ELIMINATE;
+  const Index which = massless ? kernel::ELIMINATE_MASSLESS : kernel::ELIMINATE;
   for (Index i = tree.rows - 1; i > 0; --i) {
     call_joint_kernel(
-      work.piece(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      work.kernel(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       work.torque.data + tree(i, tree::DOF), work.torque.data);
   }
 }
@@ -64,7 +64,7 @@ void outward_acceleration(const Model & model, const Workspace & work, Values qd
   const Table & body = work.body;
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.piece(i, stage::ACCELERATE), model.body.row(i), body.row(i),
+      work.kernel(i, kernel::ACCELERATE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), qdd.data + tree(i, tree::DOF), qdd.data);
   }
   turn_spherical(tree, body, qdd.data, false);
@@ -78,7 +78,7 @@ void energies(const Model & model, const Workspace & work, Values qd, Values out
   out[0] = out[1] = 0.0;
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.piece(i, stage::MEASURE), model.body.row(i), body.row(i),
+      work.kernel(i, kernel::MEASURE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), moment, qd.data + tree(i, tree::DOF));
     out[0] += 0.5 * moment[0];
     for (Index k = 0; k < model.gravity.size; ++k) {
@@ -107,13 +107,13 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
   turn_spherical(tree, body, work.torque.data, true);
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.piece(i, stage::NEWTON), model.body.row(i), body.row(i),
+      work.kernel(i, kernel::NEWTON), model.body.row(i), body.row(i),
       wrench.row(tree(i, tree::PARENT)), wrench.row(i), work.torque.data + tree(i, tree::DOF));
   }
 }
 
 void wrenches_of_cut(
-  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a)
+  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a)
 {
   // The code computes with all equations that there may be: those left out exert nothing.
   double multiplier[6];
@@ -125,7 +125,7 @@ void wrenches_of_cut(
     }
   }
   call_joint_kernel(
-    cut_piece(a, stage::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
+    cut_kernel(a, kernel::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
     body.row(cut(a, cut::BODY_B)), multiplier, share.data);
 }
 
@@ -133,7 +133,7 @@ void wrenches_of_cut(
 static void shift(const Model & model, const Workspace & work, Table wrench, Index i)
 {
   call_joint_kernel(
-    work.piece(i, stage::SHIFT), model.body.row(i), work.body.row(i),
+    work.kernel(i, kernel::SHIFT), model.body.row(i), work.body.row(i),
     wrench.row(model.tree(i, tree::PARENT)), wrench.row(i), work.share.data);
 }
 
@@ -152,7 +152,7 @@ static void subtract_cut_wrenches(
   const Indexes & cut = model.cut;
   const Index size = work.size();
   for (Index a = 0; a < cut.rows; ++a) {
-    wrenches_of_cut(cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
+    wrenches_of_cut(cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
     for (Index n = 0; n < size; ++n) {
       wrench(cut(a, cut::BODY_A), n) -= work.share[size + n];
       wrench(cut(a, cut::BODY_B), n) -= work.share[2 * size + n];
@@ -177,11 +177,11 @@ void wrenches_of_multipliers(
 }
 
 void cut_wrenches(
-  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share,
+  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
   Table out)
 {
   for (Index a = 0; a < out.rows; ++a) {
-    wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a);
+    wrenches_of_cut(cut, cut_point, cut_kernel, body, lam, share, a);
     for (Index n = 0; n < out.columns; ++n) {
       out(cut(a, cut::NUMBER), n) = share[n];
     }
@@ -195,7 +195,7 @@ void tree_torque(const Model & model, const Workspace & work, Values qdd, Values
   newton(model, work, qdd, wrench);
   for (Index i = model.tree.rows - 1; i > 0; --i) {
     call_joint_kernel(
-      work.piece(i, stage::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
+      work.kernel(i, kernel::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
       wrench.row(i), out.data + model.tree(i, tree::DOF));
     shift(model, work, wrench, i);
   }
@@ -209,7 +209,7 @@ void constraint_jacobian(const Model & model, const Workspace & work, Table jac)
   for (Index a = 0; a < cut.rows; ++a) {
     measure(model, work, a);
     for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
-      respond(model, work, stage::CARRY, a, k);
+      respond(model, work, kernel::CARRY, a, k);
       double * row = jac.row(cut(a, cut::CUT_ROW) + k);
       for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
         row[model.tree(model.path_body[entry], tree::DOF)] = work.response(entry, k);
@@ -228,13 +228,13 @@ void generalized_inertia_matrix(const Model & model, const Workspace & work, Tab
   for (Index i = tree.rows - 1; i > 0; --i) {
     // Force of the composite body for a unit acceleration of its joint, then inward.
     call_joint_kernel(
-      work.piece(i, stage::COMPOSE), model.body.row(i), body.row(i),
+      work.kernel(i, kernel::COMPOSE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), wrench, work.share.data);
     const Index row = tree(i, tree::DOF);
     gim(row, row) = work.share[0];
     for (Index k = tree(i, tree::PARENT); k > 0; k = tree(k, tree::PARENT)) {
       call_joint_kernel(
-        work.piece(k, stage::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
+        work.kernel(k, kernel::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
         work.share.data);
       gim(row, tree(k, tree::DOF)) = gim(tree(k, tree::DOF), row) = work.share[0];
     }

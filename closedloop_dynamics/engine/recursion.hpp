@@ -43,11 +43,11 @@ void wrenches_of_multipliers(const Model &, const Workspace &, Values lam, Table
 /// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and
 /// B.
 void wrenches_of_cut(
-  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a);
+  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a);
 
 /// Wrenches at the cut joints, shape (number of cuts, 3 or 6), in the user's order.
 void cut_wrenches(
-  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share,
+  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
   Table out);
 
 /// Joint torques of the tree alone for given accelerations, shape (nv,).

@@ -16,8 +16,8 @@ inline void call_joint_kernel(
   Index address, const double * constant, double * own, double * other, double * first,
   double * second)
 {
-  using Piece = Index (*)(const double *, double *, double *, double *, double *);
-  reinterpret_cast<Piece>(address)(constant, own, other, first, second);
+  using Kernel = Index (*)(const double *, double *, double *, double *, double *);
+  reinterpret_cast<Kernel>(address)(constant, own, other, first, second);
 }
 
 /// Call the code generated for a law of force: its parameters, the coordinates that it measures,

@@ -14,7 +14,7 @@ namespace closedloop
 namespace
 {
 constexpr Index TREE_COLUMNS = 7, CUT_COLUMNS = 14, HEALTH_COLUMNS = 11;
-constexpr Index BODY_STAGES = 13;
+constexpr Index BODY_KERNELS = 13;
 constexpr Index INDEX_COLUMNS = 6, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
 constexpr Index CUT_INDEX_COLUMNS = 8, CUT_VALUE_COLUMNS = 20;
 // Among the values of a cable in space: the row of the body that the axis turns with.
@@ -249,9 +249,9 @@ const char * misfit(const Workspace & work, const Model & model)
     work.scatter.size == nc && work.closure.size == nc && work.closure_rate.size == nc &&
     work.bias.size == nc && work.equation.size >= possible * (3 + 2 * size) &&
     has_shape(work.wrench, 2, size) && work.share.size == 3 * size && work.torque.size == nv &&
-    has_shape(work.force, bodies, 2 * size) && work.piece.rows == bodies &&
-    work.piece.columns == BODY_STAGES && work.cut_piece.rows == model.cut.rows &&
-    work.cut_piece.columns == 2 && work.health.size == HEALTH_COLUMNS;
+    has_shape(work.force, bodies, 2 * size) && work.kernel.rows == bodies &&
+    work.kernel.columns == BODY_KERNELS && work.cut_kernel.rows == model.cut.rows &&
+    work.cut_kernel.columns == 2 && work.health.size == HEALTH_COLUMNS;
   return fits ? nullptr : "workspace";
 }
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.codegen import pieces
+from ..core.codegen import joint_kernels
 from ..core.codegen.workspace import unconnected
 from ..core.equations import Equations, with_all_equations
 from ..core.types import Model, Workspace
@@ -58,10 +58,10 @@ def all_equations(model, work, before=None):
     whole = with_all_equations(model)
     if whole is model:
         return None
-    shared = unconnected(whole)._replace(body=work.body, piece=work.piece, health=work.health)
-    pieces.connect(whole, shared.piece, shared.cut_piece)
+    shared = unconnected(whole)._replace(body=work.body, kernel=work.kernel, health=work.health)
+    joint_kernels.connect(whole, shared.kernel, shared.cut_kernel)
     # The bodies' own code may be exchanged when effects change their inertia.
-    own = unconnected(whole)._replace(piece=work.piece, cut_piece=shared.cut_piece)
+    own = unconnected(whole)._replace(kernel=work.kernel, cut_kernel=shared.cut_kernel)
     return AllEquations(
         whole, shared, np.zeros(len(shared.closure)), Equations(model).kept.astype(np.int64), own,
         np.zeros(4) if before is None else before.numbers, np.zeros(2))

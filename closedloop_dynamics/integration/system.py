@@ -9,7 +9,7 @@ import numpy as np
 
 from .left_out import all_equations, AllEquations
 from ..core import codegen
-from ..core.codegen import function_table as calls, pieces, space
+from ..core.codegen import function_table as calls, joint_kernels, space
 from ..core.codegen.workspace import unconnected
 from ..core.equations import with_all_equations
 from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
@@ -256,7 +256,7 @@ def _can_be_unrolled(model):
 def _linked(system, routines, scene=None):
     """Return a system with the addresses of its own arrays and of these routines, as ``Code``."""
     model, work, effects = system.model, system.work, system.effects
-    pieces.connect(model, work.piece, work.cut_piece)
+    joint_kernels.connect(model, work.kernel, work.cut_kernel)
     if effects is not None:
         # Of a copy, too, what laws write is what routines read.
         system = system._replace(applied=effects.applied[:len(system.qdd)])

@@ -12,7 +12,7 @@ from .assembly import Assembler, rank_of
 from .errors import AssemblyError
 from .geometry import Geometry
 from .loop_model import scaled
-from ..core.codegen import pieces, space
+from ..core.codegen import joint_kernels, space
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import GROUND, MechanismError
 
@@ -144,7 +144,7 @@ def _moment(arm, force):
 
 def _names(mechanism, geometry):
     """Return the cut joint or coupling and the name of each equation that may fail to hold."""
-    found, held = [], pieces.arrays_of(geometry.model).HELD
+    found, held = [], joint_kernels.arrays_of(geometry.model).HELD
     for cut in geometry.model.cut[np.argsort(geometry.model.cut[:, CUT_NUMBER])]:
         equations = space.equation_names(cut[CUT_TYPE], held)
         found += [(mechanism.closures[cut[CUT_NUMBER]].name, equation)

@@ -9,7 +9,7 @@ import math
 import pickle
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import announced_by, pieces, relink
+from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
     cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
 from closedloop_dynamics.core.codegen.machine_code import machine_code, PACKED, SCALAR
@@ -75,7 +75,7 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_again():
                 system.model.gravity[0] = 2.0
             if change == 2:
                 system.model.tree[3, TYPE], system.model.body[3, 7] = REVOLUTE_ARMATURE, 0.7
-                pieces.connect(system.model, system.work.piece, system.work.cut_piece)
+                joint_kernels.connect(system.model, system.work.kernel, system.work.cut_kernel)
                 if system.is_unrolled:
                     relink(system.model, system.table)
             native.evaluate(system.native, q, qd)

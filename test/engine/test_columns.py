@@ -27,8 +27,8 @@ ENUMS = {
     'work': (types, {}),
     'plane': (types, {}),
     'space': (code_in_space, {}),
-    'stage': (types, {}),
-    'stage.Cut': (types, {}),
+    'kernel': (types, {}),
+    'kernel.Cut': (types, {}),
     'joint': (types, {}),
     'cut': (types, {'TYPE': 'CUT_TYPE', 'NUMBER': 'CUT_NUMBER'}),
     'cut.Type': (types, {'PRISMATIC': 'CUT_PRISMATIC', 'COUPLING': 'CUT_COUPLING'}),
@@ -102,7 +102,7 @@ CONSTANTS = {
     'joint_laws.cpp': (actuator, ('FADING',)),
     'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),
     'sticking.hpp': (stick_slip, ('REST',)),
-    'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_STAGES')),
+    'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_KERNELS')),
 }
 RECORDS = {
     'Model': types.Model, 'Workspace': types.Workspace, 'Manifold': manifold.Manifold,

@@ -37,7 +37,7 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
         ('bennett', 'rk4'), ('scissor_lift', 'rk4'), ('stewart_platform', 'rk4'),
         ('differential', 'auto')]
 # Addresses of code, which nothing can check.
-ADDRESSES = ('piece', 'cut_piece', 'table')
+ADDRESSES = ('kernel', 'cut_kernel', 'table')
 NAMELESS_ADDRESSES = {('run_batch', (0, 0)), ('system', (0, 10)), ('cut_wrenches', (2,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
 LINKED = ('system', 'run_batch')

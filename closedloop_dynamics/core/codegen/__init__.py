@@ -8,7 +8,7 @@ The recursions over the bodies are written once, in space (``spatial``), and run
 (``expression_graph``); a mechanism in the plane (``plane``) reduces them to its own. The
 arithmetic that is left is compiled (``emit``) to routines that the engine calls by their address
 (``function_table``): a whole evaluation of a mechanism of a few bodies (``routines``), or its
-stages for each kind of body, which the engine's loops over bodies call (``pieces``).
+kernels for each kind of body, which the engine's loops over bodies call (``joint_kernels``).
 
 """
 

@@ -136,7 +136,7 @@ class Writer:
         return self.function.call(name, numbers)
 
 
-class PieceWriter(Writer):
+class KernelWriter(Writer):
     """Writes a joint kernel: a function of the rows that it reads and writes."""
 
     ARGUMENTS = 5 * (DOUBLES,)
@@ -146,7 +146,7 @@ class PieceWriter(Writer):
         return self.function.address(self.function.arguments[source], place)
 
 
-class LawWriter(PieceWriter):
+class LawWriter(KernelWriter):
     """Writes a law of force; its few sines are computed one by one."""
 
     def turn(self, operations, angles):

@@ -68,7 +68,7 @@ class Routine:
     Notes
     -----
     An input is the place of an array's address in the function table, Q or QD, or a row of a
-    piece.
+    kernel.
 
     """
 

@@ -16,8 +16,8 @@ from importlib import import_module
 from .. import cache
 
 # How routines are written: module and class.
-SCALAR, PIECE, LAW, LANES, PACKED = (
-    ('.emit', 'Writer'), ('.emit', 'PieceWriter'), ('.emit', 'LawWriter'),
+SCALAR, KERNEL, LAW, LANES, PACKED = (
+    ('.emit', 'Writer'), ('.emit', 'KernelWriter'), ('.emit', 'LawWriter'),
     ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
@@ -57,7 +57,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     routines : callable
         Returns the list of Routine; called only where nothing is stored.
     form : tuple
-        ``SCALAR``, ``PIECE``, ``LAW``, ``LANES`` or ``PACKED``.
+        ``SCALAR``, ``KERNEL``, ``LAW``, ``LANES`` or ``PACKED``.
     parts : int
         Of how many objects the code is, at most as many as there are routines.
     seconds : float

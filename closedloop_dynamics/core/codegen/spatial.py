@@ -11,7 +11,7 @@ anything is compiled. Of a planar mechanism the planar recursions are left.
 
 A row of the tree is a body with a joint of one degree of freedom. The methods of ``Recursion``
 are the recursions of ``forward_dynamics``; for mechanisms too large to be unrolled the engine
-loops over kernels of single bodies instead (``pieces``, ``engine/recursion.cpp``,
+loops over kernels of single bodies instead (``joint_kernels``, ``engine/recursion.cpp``,
 ``loop_closure.cpp``).
 
 """

@@ -5,9 +5,9 @@
 
 import numpy as np
 
-from . import pieces, space
+from . import joint_kernels, space
 from ..types import (
-    BODY_STAGES, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, POSSIBLE, READ, ROWS,
+    BODY_KERNELS, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, POSSIBLE, READ, ROWS,
     WORK_COLUMNS, Workspace)
 
 
@@ -26,7 +26,7 @@ def allocate(model):
 
     """
     work = unconnected(model)
-    pieces.connect(model, work.piece, work.cut_piece)
+    joint_kernels.connect(model, work.kernel, work.cut_kernel)
     return work
 
 
@@ -62,5 +62,5 @@ def unconnected(model):
         closure=np.zeros(rows), closure_rate=np.zeros(rows), bias=np.zeros(rows),
         equation=np.zeros(possible * (3 + 2 * size)), wrench=np.zeros((2, size)),
         share=np.zeros(3 * size), torque=np.zeros(bodies - 1), force=np.zeros((bodies, 2 * size)),
-        piece=np.zeros((bodies, BODY_STAGES), dtype=np.int64),
-        cut_piece=np.zeros((len(model.cut), 2), dtype=np.int64), health=np.zeros(HEALTH_COLUMNS))
+        kernel=np.zeros((bodies, BODY_KERNELS), dtype=np.int64),
+        cut_kernel=np.zeros((len(model.cut), 2), dtype=np.int64), health=np.zeros(HEALTH_COLUMNS))
