@@ -5,17 +5,27 @@
 The longest gap between two states of a live simulator while it is disturbed, with empty caches.
 
 Starts a real simulator at 200 Hz for each scene, with a directory of compiled code of its own that
-is empty, and disturbs it as a user would: effects switched off and on, other methods and ways to
-keep the loops closed, a wrench on a body, a state set, a reset; a parallelogram is driven through
-its flat position and set onto it. Printed are the longest gap in the seconds after each
-disturbance, by the times at which DDS sent the states, what the simulator answered, and the
-longest gaps of a bare sleeping loop before and after.
+is empty, and disturbs it as a user would: effects switched off and on, rotors, payloads and
+friction that were off among them, and their numbers changed, other methods and ways to keep the
+loops closed, a wrench on a body, a state set, a motion commanded, a reset; a parallelogram is
+driven through its flat position and set onto it, Bennett's linkage turns until it works on other
+equations, a ladder has more joints than are unrolled. Printed are the longest gap in the seconds
+after each disturbance, by the times at which DDS sent the states, what the simulator answered, and
+the longest gaps of a bare sleeping loop before and after.
+
+With ``--pages`` the frames of ``closedloop view`` at 60 Hz instead, without a browser: a point is
+pulled as by a mouse, drives, effects and methods are changed, and so are sliders of the machine
+while it moves.
 
 """
 
 import argparse
+from dataclasses import replace
+import json
 import os
 from pathlib import Path
+import subprocess
+import sys
 import tempfile
 import time
 
@@ -29,12 +39,31 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_text import write_scene
+from closedloop_dynamics.studies.families import ladder
+from closedloop_dynamics.view.own_motion import own_motion
+from closedloop_dynamics.view.runner import RATE as FRAMES, Runner
 
 RATE = 200.0
 NODE = 'closedloop_simulator'
-SCENES = ('three_rrr_payload_friction', 'bennett', 'stewart_platform')
+SCENES = ('three_rrr_payload_friction', 'bennett', 'stewart_platform', 'ladder')
+PAGES = ('three_rrr_vertical', 'bennett', 'stewart_platform')
+# Effects that are off, and numbers of them that are changed once they are on.
+NUMBERS = {'part': ('mass', 0.8), 'disc': ('inertia', 0.02), 'grease': ('coulomb', 0.2),
+           'rubber': ('parameters.k', 0.2)}
+# Of the ladder, two joints each and one more: more than are unrolled.
+LOOPS = 24
+# Joints whose motion is commanded.
+MOVED = {'four_bar': 'crank_joint'}
 METHODS = ('rk4', 'semi_implicit_euler', 'dopri5', 'dop853', 'rodas4', 'auto')
 # Without stabilisation a parallelogram ends at its flat position, with an error.
 STABILISATIONS = ('baumgarte', 'velocity_projection', 'independent', 'projection')
@@ -61,6 +90,8 @@ initial:
   hold: [crank_joint]
 effects:
   gravity: {type: gravity, acceleration: [0.0, -9.81]}
+  rubber:
+    {type: law, joints: {x: crank_joint}, parameters: {k: 0.1}, forces: {x: -k*x}, enabled: false}
 """}
 
 
@@ -118,9 +149,13 @@ class Live:
     def disturbances(self):
         """Yield names of disturbances, and functions that return what was answered."""
         for name in self.scene.effects:
-            for value in (False, True):
+            off = name in self.scene.switched_off
+            for value in (off, not off):
                 yield f'{name} {"on" if value else "off"}', self.set(
                     f'effects.{name}.enabled', value)
+                if off and value:
+                    key, number = NUMBERS[name]
+                    yield f'{name}.{key}', self.set(f'effects.{name}.{key}', number)
         for name in METHODS:
             yield name, self.set('integrator', name)
         for name in STABILISATIONS:
@@ -130,6 +165,12 @@ class Live:
         wrench.wrench.force.x = 0.5
         yield 'wrench', self.send('external_wrench', wrench)
         yield 'reset', self.reset
+        yield 'moves on', lambda: ''
+        if self.scene.name in MOVED:
+            point = JointTrajectoryPoint(positions=[2.0])
+            point.time_from_start.sec = 1
+            yield 'motion', self.send('motion_command', JointTrajectory(
+                joint_names=[MOVED[self.scene.name]], points=[point]))
         if self.scene.mechanism.name == 'parallelogram':
             yield 'driven through flat', self.send('torque_command', Float64MultiArray(data=[8.0]))
             yield 'reset', self.reset
@@ -142,9 +183,12 @@ def measure(scene, duration):
     with tempfile.TemporaryDirectory() as folder:
         os.environ['CLOSEDLOOP_CACHE_DIR'] = folder
         live = Live(scene)
-        simulator = start('simulator', f'scene:={scene}', f'publish_rate:={RATE}')
+        moved = MOVED.get(live.scene.name)
+        simulator = start('simulator', f'scene:={scene}', f'publish_rate:={RATE}',
+                          *([] if moved is None else [f'motion_joints:={moved}']))
         try:
-            live.subscriber.take_until(lambda: len(live.sent) > RATE)
+            live.subscriber.take_until(
+                lambda: len(live.sent) > RATE or simulator.poll() is not None)
             for name, disturb in (('nothing', lambda: ''), *live.disturbances()):
                 del live.sent[:-1]
                 answer, begin = disturb(), time.monotonic()
@@ -160,6 +204,65 @@ def measure(scene, duration):
             live.subscriber.close()
 
 
+def with_more(name, folder):
+    """Write a scene with rotors, payloads and friction that are off; return its path."""
+    if name == 'ladder':
+        mechanism, position = ladder(LOOPS)
+        scene = Scene(name, None, '', validate_mechanism(mechanism), Initial(
+            position, len(position) * (0.0,)), {'gravity': Gravity((0.0, -9.81))}, Method())
+    else:
+        scene = load_scene(name)
+    joint = next(one.name for one in scene.mechanism.joints if one.actuated)
+    more = {'part': Payload(scene.mechanism.bodies[-1].name, 0.5), 'disc': Rotor(joint, 0.01),
+            'grease': JointFriction(joint, coulomb=0.1)}
+    path = Path(folder, f'{name}.yaml')
+    write_scene(replace(scene, effects={**scene.effects, **more},
+                        switched_off=(*scene.switched_off, *more)), path)
+    return path
+
+
+def requests(runner):
+    """Yield requests of a page, each once it is due."""
+    yield 'play', {'do': 'play'}
+    at = np.zeros(3)
+    place = runner.simulation.body_poses[-1]
+    at[:2] = place[-2:] if runner.simulation.mechanism.planar else place[:2]
+    body = len(runner.simulation.mechanism.bodies) - 1
+    yield 'grab', {'do': 'grab', 'body': body, 'place': 0, 'at': at.tolist()}
+    yield 'pull', {'do': 'pull', 'at': (at + 0.1).tolist()}
+    yield 'release', {'do': 'release'}
+    for name in runner.editor.scene.effects:
+        for enabled in (False, True):
+            yield f'{name} {"on" if enabled else "off"}', {
+                'do': 'effect', 'name': name, 'enabled': enabled}
+    for values in ({'integrator': 'dopri5'}, {'stabilisation': 'independent'},
+                   {'integrator': 'rodas4', 'stabilisation': 'baumgarte'},
+                   {'integrator': 'auto', 'stabilisation': 'projection'}):
+        yield ' '.join(values.values()), {'do': 'method', 'values': values}
+    for slider in runner.editor.sliders()[::3]:
+        yield slider['key'], {
+            'do': 'set', 'key': slider['key'], 'value': 1.02 * slider['value']}
+
+
+def measure_page(scene, duration):
+    """Print the lines of a scene that a page shows."""
+    runner = Runner(load_scene(scene), own=own_motion)
+    period = 1.0 / FRAMES
+    for name, message in requests(runner):
+        refused = runner.feed.refused
+        runner.feed.accept('page', json.dumps(message))
+        moments, end = [time.monotonic()], time.monotonic() + duration
+        while moments[-1] < end or runner.renewing:
+            runner.tick()
+            time.sleep(max(0.0, moments[-1] + period - time.monotonic()))
+            moments.append(time.monotonic())
+        told = json.loads(runner.feed.controls)
+        print(f'{runner.editor.scene.mechanism.name:18}{name:32}'
+              f'{1e3 * np.diff(moments).max():8.1f}  '
+              f'{told["failure"] or ("refused" if runner.feed.refused > refused else "accepted")}',
+              flush=True)
+
+
 def main(argv=None):
     """Measure and print."""
     parser = argparse.ArgumentParser(
@@ -167,14 +270,31 @@ def main(argv=None):
     parser.add_argument('--scenes', nargs='*', default=SCENES, help='default: %(default)s')
     parser.add_argument('--duration', type=float, default=2.0,
                         help='after each disturbance [s] (default: %(default)s)')
+    parser.add_argument('--pages', nargs='*', metavar='SCENE', help=(
+        f'frames of closedloop view (with no name of: {", ".join(PAGES)})'))
+    parser.add_argument('--page', help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
+    if arguments.page:
+        measure_page(arguments.page, arguments.duration)
+        return
     print(description())
+    if arguments.pages is not None:
+        print(floor(FRAMES), '(the last number: off by at most [ms])')
+        print(f'{"mechanism":18}{"request":32}gap [ms]  answer', flush=True)
+        for scene in arguments.pages or PAGES:
+            with tempfile.TemporaryDirectory() as folder:
+                subprocess.run([sys.executable, __file__, '--page', scene, '--duration',
+                                str(arguments.duration)], check=True,
+                               env={**os.environ, 'CLOSEDLOOP_CACHE_DIR': folder})
+        print(floor(FRAMES))
+        return
     print(floor(RATE), '(the last number: off by at most [ms])')
     print(f'{"mechanism":18}{"disturbance":24}gap [ms]  answer')
     with tempfile.TemporaryDirectory() as folder:
         for name, text in FILES.items():
             Path(folder, name).write_text(text)
-        for scene in (Path(folder, 'scene.yaml'), *arguments.scenes):
+        for scene in (Path(folder, 'scene.yaml'), *(
+                with_more(name, folder) for name in arguments.scenes), *MOVED):
             measure(scene, arguments.duration)
     print(floor(RATE))
 
