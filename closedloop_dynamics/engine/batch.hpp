@@ -44,7 +44,7 @@ struct Batch
   }
 };
 
-/// A run of a lane by itself: its guards look at it (integration/batch.py).
+/// A run of a lane by itself, for its guards (integration/batch.py).
 struct Lane
 {
   const System * system = nullptr;

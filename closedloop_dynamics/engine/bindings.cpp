@@ -303,9 +303,9 @@ const Entry entries[] = {
   released<advance_run>(
     "advance_run", "advance_run(system, run, tau, steps): why it pauses, 0 where all are made"),
   released<resume_run>("resume_run", "resume_run(system, run): as of advance_run"),
-  entry<look_at_energy>("look_at_energy", "look_at_energy(system, run): as of advance_run"),
-  entry<note_energy>("note_energy", "note_energy(system, run, out): the energy balance"),
-  entry<note_loss>("note_loss", "note_loss(numbers, lost, moved, rounding, time)"),
+  entry<check_energy>("check_energy", "check_energy(system, run): as of advance_run"),
+  entry<record_energy>("record_energy", "record_energy(system, run, out): the energy balance"),
+  entry<record_loss>("record_loss", "record_loss(numbers, lost, moved, rounding, time)"),
   entry<add_held_work>("add_held_work", "add_held_work(system, account, state)"),
   entry<fill_balance>("fill_balance", "fill_balance(system, account, state, out)"),
   released<run_samples, Length::ANY, Length::ROWS_OF_STATE>(

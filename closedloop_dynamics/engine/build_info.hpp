@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /// @file
-/// What this binary was compiled from, by what and how.
+/// Sources, compiler and options of this binary.
 
 #pragma once
 

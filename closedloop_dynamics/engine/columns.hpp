@@ -115,7 +115,7 @@ enum Array : Index
 /// What `update` computes of unit cut forces.
 enum class Responses {NONE, REDUCED, LEVERS};
 
-/// What a rank-revealing solution is asked for.
+/// Unknowns of a rank-revealing solution.
 enum class Level : Index {POSITION, VELOCITY, ACCELERATION};
 
 /// How a state is corrected after a step.

@@ -82,7 +82,7 @@ void forget(const Contacts & contacts)
   clear(contacts);
 }
 
-/// Store what the laws have written as that of the start.
+/// Store the gaps of the laws as those of the start.
 void store_start(const Contacts & contacts, Index row)
 {
   for (Index i = 0; i < ERROR; ++i) {
@@ -161,7 +161,7 @@ bool is_judged(const EffectTable & effects, Index row)
 }
 
 /// Whether a contact has less dissipated energy than before a step, by more than errors of
-/// integration: no law does that, but those that tell theirs otherwise.
+/// integration: no law does that, except those with another account of it.
 bool has_gained(const EffectTable & effects, Index row)
 {
   const Index kind = effects.kind[row];
@@ -536,7 +536,7 @@ bool dips(const Contacts & contacts, Index row, double size)
          (0.0 < other && other < 1.0 && cubic(other) < -slight);
 }
 
-/// Let the laws see a state; gaps need no accelerations.
+/// Evaluate the gaps of a state, which need no accelerations.
 void update_gaps(const System & system, Values state)
 {
   take_states(system, state);

@@ -42,11 +42,11 @@ bool may_be_passed(double gap, double other, double wrong, double fastest, doubl
 /// begin or cease just here.
 bool freeze_modes(const System &);
 
-/// Let gaps decide again which bodies touch, after a step.
+/// Release the modes after a step: gaps decide again.
 void release_modes(const System &);
 
-/// Forget the bracket and the rates of former trials: one that fails for other reasons than
-/// contacts says nothing about them.
+/// Clear the bracket and the rates of former trials: a failure for another reason than contacts
+/// does not bear on them.
 void forget_trials(const System &);
 
 /// The search for the instant at which a contact begins or ends within a step.

@@ -37,7 +37,7 @@ constexpr double SHORTEST = 1e-13;
 // The same between neighbours of a grid, of which another one may lead on.
 constexpr double SHORTEST_TO_NEIGHBOUR = 1e-6, SHORTEST_ACROSS = 1e-2;
 
-/// One position of a branch, and what leads on from it.
+/// One position of a branch, and the predictor of the next.
 class Follower
 {
 public:
@@ -151,7 +151,7 @@ public:
     return done;
   }
 
-  /// Note what the position taken last leads on by, and go on from there again.
+  /// Store the predictor at the position accepted last.
   void keep()
   {
     kept_inverse_ = inverse_;
@@ -256,7 +256,7 @@ private:
     }
   }
 
-  /// Displacements that take what the kept equations are off by away.
+  /// Displacements that remove the errors of the kept equations.
   void solve(Values ordered, Values out)
   {
     collect(ordered);

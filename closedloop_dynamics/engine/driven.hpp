@@ -22,7 +22,7 @@ namespace closedloop
 /// (nv,); `open` is the closure error that is taken for zero; `begin`: the driven values of `q`;
 /// `values`: driven values, rates and accelerations, shape (n, drives, 3). `q` becomes the last
 /// position of the branch. Returned are how many of the n were reached and the share of the way
-/// to the next one at which the branch ends, or `interrupted` asks to stop.
+/// to the next one at which the branch ends, or `interrupted` returns true.
 std::pair<double, double> follow_drives(
   const Model &, const Workspace &, const Manifold &, Indices drives, Indices kept, Values unit,
   Table anchors, double open, Values begin, Cube<double> values, Values q, Table position,

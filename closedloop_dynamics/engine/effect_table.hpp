@@ -81,7 +81,7 @@ enum Entry : Index {MEASURED, FIRST, SECOND, POINT_A, POINT_B = 6, COLUMNS = 9};
 enum Measured : Index {JOINT, DISTANCE, COMPONENT};
 }
 
-/// Joints at rest under dry friction, and what holds them.
+/// Joints at rest under dry friction, and their holding forces.
 struct Sticking
 {
   Indices rows;

@@ -43,7 +43,7 @@ struct Energies
   /// Its error.
   double residual = 0.0;
 
-  /// Energy that has moved since another balance, beside what was kinetic.
+  /// Energy exchanged since another balance, beside the kinetic energy.
   double apart(const Energies & other) const
   {
     return std::abs(stored - other.stored) + std::abs(dissipated - other.dissipated) +

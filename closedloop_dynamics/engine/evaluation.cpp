@@ -118,7 +118,7 @@ void restore_forces(const System & system, Values q, Values qd)
   }
 }
 
-/// Accelerations where the elimination alone will not do, by what follows it.
+/// Accelerations where the elimination alone does not suffice: by refinement or decompositions.
 void accelerate_beyond_elimination(const System & system, Values q, Values qd)
 {
   if (system.table[routine::REFINED_ACCELERATION] != 0) {
@@ -211,7 +211,7 @@ void evaluate_joint_loads(const System & system, Values q, Values qd)
   }
 }
 
-/// Add what depends on the accelerations.
+/// Evaluate acceleration-dependent forces: static friction, driving forces, joint loads.
 void complete(const System & system, Values q, Values qd)
 {
   if (!system.has_effects()) {

@@ -21,7 +21,7 @@ void evaluate_in_parts(const System &, Values q, Values qd);
 /// The same of a state vector, shape (ns,), with the effects' states in it.
 void evaluate_with_poses(const System &, Values state);
 
-/// Poses, velocities and what effects store and read, without accelerations.
+/// Poses, velocities, stored energies and readings of effects, without accelerations.
 void measure(const System &, Values state);
 
 /// Whether an elimination alone gives the accelerations of a state.

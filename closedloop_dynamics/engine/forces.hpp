@@ -69,7 +69,7 @@ inline Vector3 vector_at(const double * at, Vector3) {return vector3(at);}
 /// What turns about: in the plane a number.
 inline double turning_at(const double * at, Vector2) {return at[0];}
 inline Vector3 turning_at(const double * at, Vector3) {return vector3(at);}
-/// How many numbers a vector has, and what turns.
+/// Dimensions of a vector and of a rotation.
 constexpr Index size_of(Vector2) {return 2;}
 constexpr Index size_of(Vector3) {return 3;}
 constexpr Index turning_size(Vector2) {return 1;}

@@ -21,18 +21,18 @@ namespace closedloop
 
 namespace
 {
-// Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
-// that end the run; what of them may be rounding, of the energy there is; what counts as little
-// between two looks, of all that has moved, and after few steps, of what the scene's forces would
-// do along its length; what of that is nothing.
+// Errors of the energy balance, relative to the energy exchanged, that give a warning and that end
+// the run; rounding, relative to the energy; a negligible error between two checks, relative to the
+// energy exchanged, and after few steps to the work of the scene's forces along its length;
+// rounding of that.
 constexpr double ENERGY_WARN = 1e-3, ENERGY_ERROR = 0.1;
 constexpr double ROUNDING = 1e-9, LITTLE = 1e-6, NOTHING = 1e-13;
-// A winding that changes by more between two looks has leapt by a whole turn [rad].
+// A winding that changes by more between two checks has leapt by a whole turn [rad].
 constexpr double LEAP = 1.5 * M_PI;
 
 using namespace guard;  // NOLINT
 
-// What is to be looked at, in this order; bits of DUE.
+// Checks, in this order; bits of DUE.
 constexpr Index CABLES = 1, ENERGY = 2, EQUATIONS = 4, LOOPS = 8;
 
 /// Call with every array that outlasts a restart of the method.
@@ -117,8 +117,8 @@ double winding(const System & system, const GuardedRun & run, Index k)
   return data[place] / std::abs(data[place - 1]);
 }
 
-/// Take note of windings that are well, as the state was evaluated.
-void take_windings(const System & system, const GuardedRun & run, const Energies & balance)
+/// Store good windings, of the evaluated state.
+void accept_windings(const System & system, const GuardedRun & run, const Energies & balance)
 {
   for (Index k = 0; k < run.windings.size; ++k) {
     run.windings[k] = winding(system, run, k);
@@ -126,51 +126,51 @@ void take_windings(const System & system, const GuardedRun & run, const Energies
   keep(system, run, run.kept_by_cables);
   run.numbers[CABLE_TIME] = run.time();
   run.numbers[CABLE_RESIDUAL] = balance.residual;
-  run.counts[CABLES_LOOKED] = 1;
+  run.counts[CABLES_CHECKED] = 1;
 }
 
-/// Take note that the guard has seen a balance that is well.
-void take(const System & system, const GuardedRun & run, const Energies & balance)
+/// Store a good balance.
+void accept_balance(const System & system, const GuardedRun & run, const Energies & balance)
 {
   keep(system, run, run.kept);
-  write(balance, at(run, LOOK));
-  run.numbers[LOOK_TIME] = run.time();
-  run.counts[LOOKED] = AT_BALANCE;
+  write(balance, at(run, CHECK));
+  run.numbers[CHECK_TIME] = run.time();
+  run.counts[CHECKED] = AT_BALANCE;
   if (run.counts[BEGUN] == 0) {
     write(balance, at(run, BEGIN));
     run.counts[BEGUN] = 1;
   }
 }
 
-/// See where a run, or what follows a jump, begins.
+/// Check the start of a run, or the state after a jump.
 Pause begin(const System & system, const GuardedRun & run)
 {
-  const bool cables = run.watch.windings.size > 0 && run.counts[CABLES_LOOKED] == 0;
-  if (run.counts[LOOKED] != NOT && !cables) {
+  const bool cables = run.watch.windings.size > 0 && run.counts[CABLES_CHECKED] == 0;
+  if (run.counts[CHECKED] != NOT && !cables) {
     return Pause::NONE;
   }
-  // A short run need not cost a look at the start.
+  // A short run needs no check at the start.
   const bool at_start = !knows_start(run) && run.time() == 0.0;
   if (!knows_start(run) && (cables || !at_start)) {
     return Pause::START_ENERGY;
   }
   if (at_start) {
     keep(system, run, run.kept);
-    run.numbers[LOOK_TIME] = 0.0;
-    run.counts[LOOKED] = AT_STATE;
+    run.numbers[CHECK_TIME] = 0.0;
+    run.counts[CHECKED] = AT_STATE;
     return Pause::NONE;
   }
   const Energies balance = draw_balance(system, run.account, run.state);
-  if (run.counts[LOOKED] == NOT) {
-    take(system, run, balance);
+  if (run.counts[CHECKED] == NOT) {
+    accept_balance(system, run, balance);
   }
   if (cables) {
-    take_windings(system, run, balance);
+    accept_windings(system, run, balance);
   }
   return Pause::NONE;
 }
 
-Pause look_at_cables(const System & system, const GuardedRun & run)
+Pause check_cables(const System & system, const GuardedRun & run)
 {
   const Energies balance = draw_balance(system, run.account, run.state);
   for (Index k = 0; k < run.windings.size; ++k) {
@@ -178,33 +178,33 @@ Pause look_at_cables(const System & system, const GuardedRun & run)
       return Pause::CABLE_LEAPT;
     }
   }
-  take_windings(system, run, balance);
+  accept_windings(system, run, balance);
   return Pause::NONE;
 }
 
-/// Note how much energy has moved, and the error of a balance; return what of it is little [J].
-double note(const System & system, const GuardedRun & run, const Energies & present)
+/// Record the energy exchanged and the error of a balance; return the negligible part of it [J].
+double record_balance(const System & system, const GuardedRun & run, const Energies & present)
 {
-  if (run.counts[LOOKED] == AT_STATE) {
+  if (run.counts[CHECKED] == AT_STATE) {
     const Values & known = run.account.numbers;
     write(
       {known[account::START_KINETIC], known[account::START_STORED], 0.0, 0.0, 0.0},
-      at(run, LOOK));
-    copy(at(run, LOOK), at(run, BEGIN));
-    run.counts[LOOKED] = AT_BALANCE;
+      at(run, CHECK));
+    copy(at(run, CHECK), at(run, BEGIN));
+    run.counts[CHECKED] = AT_BALANCE;
     run.counts[BEGUN] = 1;
   }
-  // A step in which something begins to move may lose all of what is hardly anything.
+  // A step in which a motion begins may lose all of a tiny energy.
   const double little = ROUNDING * (present.kinetic + std::abs(present.stored)) +
     (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * energy_scale(system, run);
   const Energies start = run.counts[BEGUN] != 0 ? read(at(run, BEGIN)) : present;
-  note_loss(
+  record_loss(
     run.numbers, std::abs(present.residual - start.residual),
     present.kinetic + present.apart(start), little, run.time());
   return little;
 }
 
-Pause look_at_loops(const System & system, const GuardedRun & run)
+Pause check_loops(const System & system, const GuardedRun & run)
 {
   if (run.watch.regular && system.work.health[health::SINGULAR_COUNT] > 0.0) {
     return Pause::NOT_REGULAR;
@@ -222,27 +222,27 @@ Pause look_at_loops(const System & system, const GuardedRun & run)
   return closure <= run.watch.closure ? Pause::NONE : Pause::LOOPS_OPEN;
 }
 
-/// Look at what is due first.
-Pause look(const System & system, const GuardedRun & run)
+/// Make the first check that is due.
+Pause check(const System & system, const GuardedRun & run)
 {
   Index & due = run.counts[DUE];
   if ((due & CABLES) != 0) {
     due -= CABLES;
-    return look_at_cables(system, run);
+    return check_cables(system, run);
   }
   if ((due & ENERGY) != 0) {
     if (!knows_start(run)) {
       return Pause::START_ENERGY;
     }
     due -= ENERGY;
-    return look_at_energy(system, run);
+    return check_energy(system, run);
   }
   if ((due & EQUATIONS) != 0) {
     due -= EQUATIONS;
     return Pause::CHOICE;
   }
   due -= LOOPS;
-  return look_at_loops(system, run);
+  return check_loops(system, run);
 }
 
 /// Book steps that were made.
@@ -337,13 +337,13 @@ Pause go_on(const System & system, const GuardedRun & run)
   const Indices & counts = run.counts;
   while (true) {
     while (counts[DUE] != 0) {
-      const Pause pause = look(system, run);
+      const Pause pause = check(system, run);
       if (pause != Pause::NONE) {
         return pause;
       }
     }
     if (counts[LEFT] <= 0) {
-      // A look after a call, unless that would cost more than its few steps.
+      // A check after a call, unless that would cost more than its few steps.
       if (counts[SINCE] == 0 || counts[CALL] < run.watch.call) {
         return Pause::NONE;
       }
@@ -414,10 +414,10 @@ Pause resume_run(const System & system, const GuardedRun & run)
   return go_on(system, run);
 }
 
-void note_loss(Values numbers, double lost, double moved, double rounding, double time)
+void record_loss(Values numbers, double lost, double moved, double rounding, double time)
 {
   if (numbers.size != NUMBERS) {
-    throw std::invalid_argument("note_loss: numbers of another length");
+    throw std::invalid_argument("record_loss: numbers of another length");
   }
   if (moved > numbers[MOVED]) {
     numbers[MOVED] = moved;
@@ -435,18 +435,18 @@ void note_loss(Values numbers, double lost, double moved, double rounding, doubl
   }
 }
 
-void note_energy(const System & system, const GuardedRun & run, Values out)
+void record_energy(const System & system, const GuardedRun & run, Values out)
 {
   require_fitting(system, run);
   if (out.size != 5 || !knows_start(run)) {
-    throw std::invalid_argument("note_energy: 5 numbers, of a run whose start is known");
+    throw std::invalid_argument("record_energy: 5 numbers, of a run whose start is known");
   }
   const Energies present = draw_balance(system, run.account, run.state);
-  note(system, run, present);
+  record_balance(system, run, present);
   write(present, out);
 }
 
-Pause look_at_energy(const System & system, const GuardedRun & run)
+Pause check_energy(const System & system, const GuardedRun & run)
 {
   require_fitting(system, run);
   if (!knows_start(run)) {
@@ -455,11 +455,11 @@ Pause look_at_energy(const System & system, const GuardedRun & run)
   const Values & numbers = run.numbers;
   const Energies present = draw_balance(system, run.account, run.state);
   write(present, at(run, PRESENT));
-  const bool compares = run.counts[LOOKED] != NOT;
-  const double little = note(system, run, present);
+  const bool compares = run.counts[CHECKED] != NOT;
+  const double little = record_balance(system, run, present);
   run.counts[SINCE] = 0;
   if (compares) {
-    const Energies before = read(at(run, LOOK));
+    const Energies before = read(at(run, CHECK));
     const double moving = before.kinetic + present.apart(before);
     const double lost = std::abs(present.residual - before.residual);
     numbers[LOST] = lost;
@@ -470,7 +470,7 @@ Pause look_at_energy(const System & system, const GuardedRun & run)
       return Pause::ENERGY_LOST;
     }
   }
-  take(system, run, present);
+  accept_balance(system, run, present);
   return numbers[WORST] > ENERGY_WARN && run.counts[WARNED] == 0 ?
          Pause::INACCURATE : Pause::NONE;
 }
@@ -509,14 +509,14 @@ void CopiedRun::begin(const System & system, Values start)
   std::copy(health.begin(), health.end(), system.work.health.begin());
   numbers[TIME_BASE] = 0.0;
   numbers.part(MOVED, LOST - MOVED).fill(0.0);
-  for (const Index zero : {STEPS, DUE, HANDED, SINCE, EQUATIONS_SINCE, BEGUN, CABLES_LOOKED,
+  for (const Index zero : {STEPS, DUE, HANDED, SINCE, EQUATIONS_SINCE, BEGUN, CABLES_CHECKED,
       WARNED, FAILED})
   {
     counts[zero] = 0;
   }
   counts[BETWEEN] = run_.watch.first;
   counts[TO_SAMPLE] = -1;
-  counts[LOOKED] = AT_STATE;
+  counts[CHECKED] = AT_STATE;
 }
 
 void CopiedRun::command(const System & system, Values torque)
@@ -540,7 +540,7 @@ Status CopiedRun::advance(const System & system, Index steps)
 
 bool CopiedRun::keeps_energy(const System & system)
 {
-  const Pause pause = look_at_energy(system, run_);
+  const Pause pause = check_energy(system, run_);
   return pause == Pause::NONE || pause == Pause::INACCURATE;
 }
 
@@ -551,7 +551,7 @@ bool CopiedRun::keeps_to(
   run_.counts[STEPS] = steps;
   run_.account.numbers[account::HELD_WORK] = work;
   return (!at_energy || keeps_energy(system)) && (
-    std::isinf(run_.watch.closure) || look_at_loops(system, run_) == Pause::NONE);
+    std::isinf(run_.watch.closure) || check_loops(system, run_) == Pause::NONE);
 }
 
 void CopiedRun::report(Values found) const

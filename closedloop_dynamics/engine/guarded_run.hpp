@@ -9,25 +9,25 @@
 #include "energy_balance.hpp"
 #include "stepper.hpp"
 
-// A run that is watched while it is made: its energy balance, its loops, windings of cables. Here
-// it is found that something is to be told; simulation/guards.py tells it.
+// A run that is checked while it is made: its energy balance, its loops, windings of cables.
+// Findings are made here; simulation/guards.py reports them.
 
 namespace closedloop
 {
 
-/// When a run is looked at, and what must hold then.
+/// Times and limits of the checks of a run.
 struct Watch
 {
-  /// Steps before the energy balance is looked at first, and the most between two looks.
+  /// Steps before the first check of the energy balance, and the most between two checks.
   Index first = 1;
   Index rarely = 1;
-  /// Steps that must be made at once so that it is looked at after them.
+  /// Least steps of a call after which it is checked.
   Index call = 1;
-  /// Whether nothing is looked at before all steps are made that are made at once.
+  /// Whether checks wait for the end of a call.
   bool whole = false;
-  /// Whether equations that repeat others are left out again, where all had to be taken.
+  /// Whether redundant equations are left out again, where all had to be kept.
   bool chooses = false;
-  /// The most steps between two looks at loops or cables.
+  /// The most steps between two checks of loops or cables.
   Index most = 1;
   /// Closure error at which loops count as open; infinite where the method closes them.
   double closure = 0.0;
@@ -35,12 +35,12 @@ struct Watch
   bool regular = false;
   /// Of the mechanism [m].
   double extent = 0.0;
-  /// Torques up to this one are not asked for what they would do within a step [N m or N].
+  /// Torques up to this one are not checked for their effect within a step [N m or N].
   double usual = 0.0;
   /// Whether the CPU time of the thread is measured, too: as long as an evaluation or two.
   bool timed = false;
-  /// Places, among the data of effects, of the windings of cables round pulleys; the radii stand
-  /// before them.
+  /// Places, among the data of effects, of the windings of cables round pulleys; each behind its
+  /// radius.
   Indices windings;
 
   template<class Visitor>
@@ -56,35 +56,34 @@ namespace guard
 /// GuardedRun.numbers: the time is TIME_BASE and STEPS times STEP_SIZE [s]; the size of the steps
 /// that are made now, and how far the portion came that failed [s]; what steps have cost: time
 /// simulated [s], steps, time of the clock spent and, where it is measured, CPU time of the thread
-/// [ns]; the most energy that has moved up to any look [J], the largest error of the balance
-/// relative to what had moved by then, when it was found, itself and what had moved [J]; the
-/// balance at the latest look less that of the one before, and what moved in between [J]; when
-/// these looks were [s]; balances where the guard began, at the latest look
-/// that was well and now; when cables were looked at and the error of the balance then; the mass of
-/// the mechanism [kg].
+/// [ns]; the largest energy exchanged up to any check [J]; the largest error of the balance
+/// relative to the energy exchanged by then, its time, itself and that energy [J]; the error since
+/// the latest check, and the energy exchanged since [J]; the time of the latest check [s]; balances
+/// where the guard began, at the latest good check and now; time of the latest check of cables and
+/// the error of the balance then; the mass of the mechanism [kg].
 enum Number : Index
 {
   TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
-  COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME,
-  BEGIN, LOOK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, MASS, NUMBERS
+  COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, CHECK_TIME,
+  BEGIN, CHECK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, MASS, NUMBERS
 };
 /// GuardedRun.counts: steps since TIME_BASE; those left of the present call, and all of it; the
-/// portion handed to the host, how many steps of it were made, and how it ended; what is to be
-/// looked at; steps until the error of one is estimated, negative where none is; steps since the
-/// latest look at energy, and between two; the same for equations; whether the guards have seen
-/// where they begin; whether the guard has warned, and has ended a run.
+/// portion handed to the host, how many steps of it were made, and how it ended; the checks that
+/// are due; steps until the error of one is estimated, negative where none is; steps since the
+/// latest check of energy, and between two; the same for equations; whether the guards have checked
+/// the start; whether the guard has warned, and has ended a run.
 enum Count : Index
 {
   STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
-  EQUATIONS_BETWEEN, LOOKED, BEGUN, CABLES_LOOKED, WARNED, FAILED, COUNTS
+  EQUATIONS_BETWEEN, CHECKED, BEGUN, CABLES_CHECKED, WARNED, FAILED, COUNTS
 };
-/// Values of LOOKED: not; at the state alone; at its balance, too.
-enum Looked : Index {NOT, AT_STATE, AT_BALANCE};
+/// Values of CHECKED: not; at the state alone; at its balance, too.
+enum Checked : Index {NOT, AT_STATE, AT_BALANCE};
 }  // namespace guard
 
-/// Why a run pauses: all is made; or the host is to check torques, find the energy at the start,
-/// estimate an error, make steps itself, go on after a failure or tell it, choose equations anew;
-/// or there is to be told of energy that is lost, a little or too much, a cable that has leapt, a
+/// Why a run pauses: all steps are made; or the host is to check torques, find the energy at the
+/// start, estimate an error, make steps itself, go on after a failure or report it, choose other
+/// equations; or to report a small or large error of the energy balance, a leap of a cable, a
 /// singular position, open loops.
 enum class Pause : Index
 {
@@ -101,10 +100,10 @@ struct GuardedRun
   Values state;
   /// Scratch: the state before the steps that are made now.
   Values before;
-  /// State and memory of the method at the latest look at energy, and at cables.
+  /// State and memory of the method at the latest check of energy, and of cables.
   Values kept;
   Values kept_by_cables;
-  /// At the latest look at cables.
+  /// At the latest check of cables.
   Values windings;
   Values numbers;
   Indices counts;
@@ -123,23 +122,23 @@ struct GuardedRun
   }
 };
 
-/// Let torques act and make steps, until all are made or the host has something to do.
+/// Apply torques and make steps, until all are made or the host has to act.
 Pause advance_run(const System &, const GuardedRun &, const Given & tau, Index steps);
 
-/// Go on with what is left of a call.
+/// Go on with the rest of a call.
 Pause resume_run(const System &, const GuardedRun &);
 
-/// Look at the energy balance now.
-Pause look_at_energy(const System &, const GuardedRun &);
+/// Check the energy balance now.
+Pause check_energy(const System &, const GuardedRun &);
 
-/// Draw the energy balance and compare it, without a verdict: `out` becomes the balance, shape (5,).
-void note_energy(const System &, const GuardedRun &, Values out);
+/// Draw and compare the energy balance, without a finding: `out` becomes the balance, shape (5,).
+void record_energy(const System &, const GuardedRun &, Values out);
 
-/// Compare an error of the energy balance with the energy that moved, both [J], at a time [s].
-void note_loss(Values numbers, double lost, double moved, double rounding, double time);
+/// Compare an error of the energy balance with the energy exchanged, both [J], at a time [s].
+void record_loss(Values numbers, double lost, double moved, double rounding, double time);
 
-/// Columns of the findings: the largest error of the energy balance relative to the energy that had
-/// moved by then; that error and that energy [J]; when it was found [s].
+/// Columns of the findings: the largest error of the energy balance relative to the energy
+/// exchanged by then; that error and that energy [J]; its time [s].
 namespace finding
 {
 enum : Index {SHARE, LOST, MOVED, TIME, COLUMNS};
@@ -155,15 +154,15 @@ public:
 
   /// Begin at a state, its energy known.
   void begin(const System &, Values start);
-  /// Let torques act.
+  /// Apply torques.
   void command(const System &, Values torque);
   Values state() const {return run_.state;}
-  /// Make steps; DOUBTFUL where the host alone can tell how the run ends.
+  /// Make steps; DOUBTFUL where the host has to decide how the run ends.
   Status advance(const System &, Index steps);
-  /// Look at energy; whether the run goes on.
+  /// Check the energy; whether the run goes on.
   bool keeps_energy(const System &);
-  /// Look at a state that steps and torques, the work of which is known [J], led to elsewhere: at
-  /// its loops, and if asked at its energy; whether the run goes on.
+  /// Check a state after steps made elsewhere, by torques of a known work [J]: its loops and, if
+  /// requested, its energy; whether the run goes on.
   bool keeps_to(const System &, Values state, Index steps, double work, bool at_energy);
   /// What is known of the energy.
   void report(Values found) const;

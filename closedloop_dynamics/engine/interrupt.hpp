@@ -11,7 +11,7 @@
 namespace closedloop
 {
 
-/// Tells a computation that takes long whether its caller wants it to stop.
+/// Polls, in a long computation, whether its caller wants it to stop.
 class Interrupt
 {
 public:

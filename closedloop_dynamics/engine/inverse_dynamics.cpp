@@ -237,7 +237,7 @@ private:
   LargeSingular of_nothing_;
 };
 
-/// Let friction feel the reactions; return whether these are what it felt before.
+/// Update the joint loads of friction; return whether they are as before.
 bool settle(const EffectTable & table)
 {
   double change = 0.0, most = 0.0;

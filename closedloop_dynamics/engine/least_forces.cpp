@@ -20,7 +20,7 @@ namespace
 // Pivots below this times the largest belong to equations that repeat others.
 constexpr double REPEATED = 1e-9;
 
-/// From where a wrench is told to the joint's points on its two bodies [m].
+/// From the reference point of a wrench to the joint's points on its two bodies [m].
 struct Arms
 {
   Vector3 a, b;
@@ -38,25 +38,25 @@ Vector3 joint_point(const JointPlaces & joints, const Workspace & work, Index k,
   return position(work.body, row, vector3(point));
 }
 
-/// Those of all joints: wrenches in the tree are told at origins, those of cut joints at A's point.
+/// Those of all joints: wrenches in the tree refer to origins, those of cut joints to A's point.
 std::vector<Arms> arms_of_joints(const JointPlaces & joints, const Workspace & work)
 {
   std::vector<Arms> found;
   for (Index k = 0; k < joints.body.rows; ++k) {
     const Vector3 a = joint_point(joints, work, k, 0), b = joint_point(joints, work, k, 1);
-    Vector3 told = a;
+    Vector3 reference = a;
     if (k < joints.row.size && work.planar()) {
       const Vector2 origin = origin_in_plane(work.body, joints.row[k]);
-      told = {origin.x, origin.y, 0.0};
+      reference = {origin.x, origin.y, 0.0};
     } else if (k < joints.row.size) {
-      told = origin_in_space(work.body, joints.row[k]);
+      reference = origin_in_space(work.body, joints.row[k]);
     }
-    found.push_back({told - a, told - b});
+    found.push_back({reference - a, reference - b});
   }
   return found;
 }
 
-/// Write what counts of a wrench: the force and both moments; return where the next may be written.
+/// Write the terms of a wrench: the force and both moments; return the place of the next ones.
 double * terms_of_wrench(
   const double * wrench, bool planar, const Arms & arms, double unit, double * out)
 {

@@ -7,8 +7,8 @@
 #include "system.hpp"
 
 // Whether the closure equations that are kept stand for all, where some that repeat others are not.
-// Which equations repeat others changes with the position: those that are kept may come to depend
-// on one another, and part from those that are left out.
+// Which equations are redundant changes with the position: kept ones may come to depend on one
+// another, and left-out ones may become independent.
 
 namespace closedloop
 {

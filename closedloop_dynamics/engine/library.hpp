@@ -6,8 +6,7 @@
 
 #include "array.hpp"
 
-// Functions that generated code calls, where what is computed is searched for in a list of numbers:
-// the entries of an effect. All take the same arguments, and return the first of their results.
+// Search functions that generated code calls, on the entries of an effect. All take the same arguments, and return the first of their results.
 
 namespace closedloop
 {

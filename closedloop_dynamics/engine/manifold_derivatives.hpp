@@ -7,7 +7,7 @@
 #include "model.hpp"
 
 // Derivatives of the functions of manifold.hpp, each number of a quaternion changed alone: forward,
-// what results change by; in reverse, what weights of results are as weights of arguments. Shapes
+// changes of results; in reverse, weights of arguments from weights of results. Shapes
 // are those of coordinates, (nq,), and of rates and displacements, (nv,).
 
 namespace closedloop

@@ -29,7 +29,7 @@ constexpr double WEAK = 0.1;
 /// Rounding of scaled places and terms.
 constexpr double ROUNDING = 2e-15;
 
-/// What a rank-revealing solution found of the closure equations.
+/// Rank of the closure equations, by a rank-revealing solution.
 struct Rank
 {
   Index taken = 0;  ///< Number of equations taken
@@ -86,7 +86,7 @@ struct Decomposition
   double largest = 0.0;  ///< Entry of J
   bool finite = false;
 
-  /// Take what J and I are there.
+  /// Decompose J; store I.
   void decompose(const Model &, Table jac, Table gim);
 };
 

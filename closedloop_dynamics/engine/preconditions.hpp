@@ -32,9 +32,9 @@
 #include "switching.hpp"
 #include "validation.hpp"
 
-// What the functions that Python calls expect of their arguments beside the lengths that
-// bindings.cpp names: kernels index blindly. Each returns what does not fit, or nullptr. Those that
-// take only the first parameters are asked when these are bound, not at each call.
+// Preconditions on the arguments of functions that Python calls, beside the lengths that
+// bindings.cpp names: kernels index blindly. Each returns a message, or nullptr. Those of the first
+// parameters alone are checked when these are bound, not at each call.
 
 namespace closedloop
 {
@@ -54,7 +54,7 @@ inline const char * first_of(const char * one, const char * other)
   return one != nullptr ? one : other;
 }
 
-/// A model and its workspace, and what else must be true then.
+/// A model and its workspace, and a further condition.
 template<class Condition>
 const char * machine(const Model & model, const Workspace & work, Condition && condition)
 {

@@ -25,16 +25,16 @@ constexpr int MOST_CORRECTIONS = 4;
 constexpr double SETTLED = 1e-10;
 // Singular values below this: rounding, divided three times by s, would show in accelerations.
 constexpr double CLOSE = 1e-3;
-// Places around a state where the branch is asked instead: at -4 to 4 times `aside`, but not at 0.
+// Positions around a state that are evaluated instead: at -4 to 4 times `aside`, but not at 0.
 // The eighth power of that distance is the error of the interpolation, which is nothing beside the
 // tightest tolerance; that of four places, 1e-7, was found by step after step of an
 // error-controlled method.
 constexpr int PLACES = 8;
-// Smallest singular value at which a place is asked. Where many loops come to lie in one line at
-// once, singular values grow slowly with the distance. The places are then taken farther away, at
-// most FARTHEST times as far, asked if singular values there are BETTER times those here, and
-// believed if all but the outermost agree: up to APART of the largest acceleration, or what
-// rounding, NOISE, makes of the state's own.
+// Smallest singular value at which a position is evaluated. Where many loops come to lie in one
+// line at once, singular values grow slowly with the distance. The places are then taken farther
+// away, at most FARTHEST times as far, evaluated if singular values there are BETTER times those
+// here, and accepted if all but the outermost agree: up to APART of the largest acceleration, or
+// what rounding, NOISE, makes of the state's own.
 constexpr double ENOUGH = 2.0 * CLOSE, LEAST_ENOUGH = 0.1 * CLOSE;
 constexpr double FARTHEST = 8.0, BETTER = 2.0, APART = 1e-6, NOISE = 1e-18;
 
@@ -72,7 +72,7 @@ double share_of(double place, int half)
   return share;
 }
 
-/// The equations of one mechanism, decomposed once at each place that is looked at.
+/// The equations of one mechanism, decomposed once at each position.
 template<int Most>
 class Solver
 {

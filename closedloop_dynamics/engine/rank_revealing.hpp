@@ -12,8 +12,9 @@
 namespace closedloop
 {
 
-/// Accelerations and multipliers, after `outward` and the effects; `aside` [rad] is how far from
-/// the state the branch is asked where the state itself does not determine them.
+/// Accelerations and multipliers, after `outward` and the effects; `aside` [rad] is the
+/// distance of the positions on the branch at which they are found where the state does not
+/// determine them.
 void accelerate_rank_revealing(
   const Model &, const Workspace &, Values tau, double baumgarte, double aside, const Manifold &,
   Values q, Values qd, Values qdd, Values lam);

@@ -145,7 +145,7 @@ static void shift_to_joints(const Model & model, const Workspace & work, Table w
   }
 }
 
-/// Subtract from the bodies' wrenches what the multipliers exert on them.
+/// Subtract the multipliers' wrenches from those of the bodies.
 static void subtract_cut_wrenches(
   const Model & model, const Workspace & work, Values lam, Table wrench)
 {

@@ -30,7 +30,7 @@ void energies(const Model &, const Workspace &, Values qd, Values out);
 /// Copy the bodies' bias forces into the first columns of `out`, shape (nb + 1, 3 or more).
 void bias_forces(const Workspace &, Table out);
 
-/// Add what accelerations take to the wrenches: Newton's and Euler's equations, outward.
+/// Add inertial forces to the wrenches: Newton's and Euler's equations, outward.
 void newton(const Model &, const Workspace &, Values qdd, Table wrench);
 
 /// Wrenches in the joints of the tree from bias forces, accelerations and multipliers.

@@ -124,7 +124,7 @@ void unclosed(
   }
 }
 
-/// Let the stand-ins' forces act, instead of their inertias; return the sum of their squares.
+/// Apply the forces of the small inertias instead of these; return the sum of their squares.
 double hand_over(const Model & model, const Workspace & work)
 {
   const Indexes & tree = model.tree;

@@ -42,7 +42,7 @@ bool spread(Vector<Number> torque, Indices actuated, Values tau)
   return all_finite(tau);
 }
 
-/// Let the effects' own states begin: friction by the rates.
+/// Initialise the effects' own states: friction from the rates.
 void begin_effects(const System & system, const Request & request)
 {
   const Values own = request.state.part(system.own(), request.own.size);
@@ -85,13 +85,13 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
   return serves;
 }
 
-/// Whether a routine can go on from what the latest evaluation has left.
+/// Whether a routine can continue from the results of the latest evaluation.
 bool is_left_to(const System & system, Index which)
 {
   return system.table[which] != 0 && system.work.health[health::WRITTEN] == 1.0;
 }
 
-/// Let friction at rest at cut joints act as in the latest evaluation.
+/// Apply static friction at cut joints as in the latest evaluation.
 void hold_as_evaluated(const EffectTable & effects)
 {
   const Sticking & sticking = effects.sticking;

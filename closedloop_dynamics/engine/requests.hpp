@@ -6,7 +6,7 @@
 
 #include "system.hpp"
 
-// What is asked of one state at a time, from outside a run: each is one call.
+// Evaluations of single states from Python, outside a run: each is one call.
 
 namespace closedloop
 {
@@ -29,14 +29,14 @@ struct Request
   void fields(Visitor && visit) {visit(state, own, torque, actuated, lam, held);}
 };
 
-/// Copy what is handed over, if it is an array of as many numbers.
+/// Copy a given array, if it has as many numbers.
 bool take(const Given &, Values to);
 
 /// Put the torques of actuated joints, none for zero, in their places in System.tau, -1 where none
 /// may act; false where they are no array of as many finite numbers, or one acts that may not.
 bool spread_torques(Indices actuated, Values tau, const Given &);
 
-/// How what is handed over compares with numbers: the same, others of at most a size, or neither.
+/// How a given array compares with numbers: the same, others of at most a size, or neither.
 enum class Comparison : Index {EQUAL, USUAL, OTHER};
 Comparison compare(Values, double usual, const Given &);
 
@@ -48,12 +48,12 @@ bool is_position(const Manifold &, Values q);
 
 /// Evaluate coordinates, rates and torques, none for zero; false where they are no arrays of finite
 /// numbers of these lengths, quaternions of norm 1, or where the equations that the elimination
-/// works on do not do: nothing is to be read then.
+/// works on do not suffice: the results are undefined then.
 bool evaluate_given(
   const System &, const Request &, const Given & q, const Given & qd, const Given & torque);
 
-/// Evaluate the state and the torques of a request; `whole` works on all equations, and is asked
-/// where those that `system` works on do not do. False where the numbers are no state.
+/// Evaluate the state and the torques of a request; `whole` works on all equations, and is used
+/// where those of `system` do not suffice. False where the numbers are no state.
 bool evaluate_request(const System & system, const System & whole, const Request &);
 
 /// Multipliers of all equations in an evaluated state, where the elimination works on some: those

@@ -34,16 +34,16 @@ struct RunBuffer
 /// Make whole runs, n of them, like one at its start. `start` has a state for each, shape (n, ns),
 /// or one for all; `torque` joint torques, shape (n or 1, rows, nv), each row acting for
 /// `zero_order_hold` steps. States after every `decimation` steps, the start first, are written to
-/// `states`, shape (n, instants, ns), how the runs ended to `status`, shape (n,), and what is known
-/// of their energy to `found`, shape (n, finding::COLUMNS). DOUBTFUL: a guard ends the run, or the
-/// host has something to do. The system and the run are left as they were.
+/// `states`, shape (n, instants, ns), how the runs ended to `status`, shape (n,), and findings on
+/// their energy to `found`, shape (n, finding::COLUMNS). DOUBTFUL: a guard ends the run, or the
+/// host has to act. The system and the run are left as they were.
 void run_samples(
   const System &, const GuardedRun &, Table start, Cube<double> torque, Index zero_order_hold,
   Index decimation, Index steps, Cube<double> states, Indices status, Table found);
 
 /// Whether states, shape (n, ns), are to start from as they are: loops and their rates closed to
 /// `tolerance` [m or rad], far from singular positions, and with a step that can be made; `fine`, of
-/// shape (n,), is 1 then, 0 where only an assembly can tell. Friction follows the rates, in place.
+/// shape (n,), is 1 then, 0 where only an assembly can decide. Friction follows the rates, in place.
 /// The system and the run are left as they were.
 void check_starts(
   const System &, const GuardedRun &, double tolerance, Table states, Indices fine);

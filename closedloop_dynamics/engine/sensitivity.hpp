@@ -40,7 +40,7 @@ struct SteppedRun
   }
 };
 
-/// What its derivatives need to know of a run.
+/// Data of a run for its derivatives.
 struct Tape
 {
   Table state;  ///< Shape (steps + 1, ns)
@@ -68,7 +68,7 @@ struct StepRoutines
   void fields(Visitor && visit) {visit(table, qdd, lam, seed, result);}
 };
 
-/// Changes or weights of what a run depends on.
+/// Changes or weights of the inputs of a run.
 struct RunInputs
 {
   Values start;  ///< Shape (nq + nv,)

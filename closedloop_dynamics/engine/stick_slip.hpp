@@ -22,12 +22,12 @@ double least_part(double size, int cuts);
 double locate_stick_event(
   const System &, Values before, Values after, double size, double floor);
 
-/// Update which joints stick or slip after an accepted step, in place, and take what is left of
-/// their rates from those that stick.
+/// Update the stick/slip modes after an accepted step, in place, and set the remaining rates of
+/// stuck joints to zero by an impulse.
 void update_friction_modes(const System &, Values state);
 
-/// Let the modes of joints under dry friction begin as the rates of all joints are, those of cut
-/// joints behind, in the effects' own states.
+/// Initialise the modes of joints under dry friction from the rates of all joints, those of cut
+/// joints last, in the effects' own states.
 void begin_friction(const EffectTable &, Values rates, Values own);
 
 }  // namespace closedloop

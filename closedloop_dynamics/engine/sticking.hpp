@@ -41,8 +41,7 @@ void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
 /// EffectTable.applied and the readings.
 void balance_friction(const EffectTable &, Values qdd, Values lam);
 
-/// Take what is left of their rates from the joints that stay at rest, by an impulse; `qd` as
-/// `qdd`.
+/// Set the remaining rates of the joints at rest to zero, by an impulse; `qd` as `qdd`.
 void stop_sticking_joints(const EffectTable &, Values qd);
 
 /// Minimise x matrix x / 2 + right x in a box, with `count` unknowns, by the active-set method.

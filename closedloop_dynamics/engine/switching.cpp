@@ -34,7 +34,7 @@ constexpr double EXPLICIT_WORK = 12.0;
 // Restarts after which DOPRI5 is tried again where its step did not last until the next one.
 constexpr double SHORT_PATIENCE = 50.0;
 
-/// Let the other method go on.
+/// Change to the other method.
 void change(Values control, double stiff)
 {
   control[switching::STIFF] = stiff;
@@ -171,7 +171,7 @@ void Pair::begin(double time, Values state)
   explicit_run(RUN).begin(time, state);
   choose_order(control);
   if (control[switching::STIFF_THRESHOLD] == 0.0) {
-    // Nothing that was before says anything about this state.
+    // The past has no bearing on this state.
     control[switching::STIFF_THRESHOLD] = FIRST_THRESHOLD;
     control[switching::SHORT] = control[switching::SHORT_STEP] = 0.0;
     control[switching::SHORT_WAIT] = 0.0;
@@ -206,7 +206,7 @@ void Pair::open_window()
   set_reference_back();
 }
 
-/// Let the reference run go on from where the run is.
+/// Restart the reference run at the state of the run.
 void Pair::set_reference_back()
 {
   const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
@@ -244,8 +244,8 @@ bool Pair::same_for_reference() const
   return std::equal(before.begin(), before.end(), runs_.scratch[REFERENCE][scratch::AFTER].begin());
 }
 
-/// Let the reference run make the same step, without evaluations. Its distance says nothing of the
-/// error then: the bound grows by the estimate of the step's own.
+/// Copy the same step to the reference run, without evaluations. Its distance does not measure the
+/// error then: the bound grows by the step's own estimate.
 void Pair::take_same()
 {
   const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
@@ -395,7 +395,7 @@ Status Pair::advance(Values state, const Grid & grid)
     const Index which = follows ? REFERENCE : RUN;
     double limit = control[control::REACHED];
     if (!follows) {
-      // A stiff step ends on the grid, where the state may be asked for.
+      // A stiff step ends on the grid, where the state may be output.
       const double passed =
         std::floor((control[control::REACHED] - grid.origin) / grid.step_size + 1e-6);
       limit = grid.origin + (passed + 1.0) * grid.step_size;

@@ -15,7 +15,7 @@
 // whichever takes less work for the same time goes on; work is counted in evaluations, so that the
 // same run changes at the same steps every time.
 //
-// The local tolerance is a thousandth of the accuracy that is asked for. Whether that is enough is
+// The local tolerance is a thousandth of the requested accuracy. Whether that is enough is
 // monitored: in windows of one second a reference run with a tolerance 30 times as large starts
 // from the same state. The distance of the two bounds the global error of the run within a second;
 // the tolerance of both is tightened where that bound comes near the accuracy. Where torques are held

@@ -33,7 +33,7 @@ Line<V> component(Table body, Index row, V point, V axis)
     dot(axis, velocity_at(body, row, place))};
 }
 
-/// Measure the coordinates, let the law give the forces along them, and apply these.
+/// Measure the coordinates, evaluate the law, and apply the forces along them.
 template<class V>
 void apply_law(const EffectTable & table, Index row, Table body, Values q, Values qd)
 {

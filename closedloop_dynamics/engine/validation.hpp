@@ -6,7 +6,7 @@
 
 #include "system.hpp"
 
-// Whether arrays fit together, asked where they are handed over: kernels index blindly.
+// Checks that arrays fit together, where they are handed over: kernels index blindly.
 
 namespace closedloop
 {

@@ -27,7 +27,7 @@ from closedloop_dynamics.ros.demo_drive import (
     aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
 from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, summary)
-from closedloop_dynamics.ros.programs import LOOK, ProgramError, Programs, READY
+from closedloop_dynamics.ros.programs import POLL, ProgramError, Programs, READY
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
 from closedloop_dynamics.visual.progress import progress_to
@@ -202,7 +202,7 @@ def _let_run(programs, duration, name):
         while (elapsed := time.monotonic() - begin) < duration:
             show(elapsed)
             programs.check()
-            time.sleep(LOOK)
+            time.sleep(POLL)
         show(duration)
 
 

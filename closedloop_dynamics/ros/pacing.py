@@ -23,7 +23,7 @@ IDLE_TICK = 0.05
 # A mode that runs as fast as possible attends to messages so often [s].
 SLICE = 0.005
 # States published between two looks whether reliable subscribers have received them.
-LOOK_EVERY = 200
+CHECK_EVERY = 200
 # Steps made at once, between which a signal may end the process. Always the same: splitting the
 # way differently would give error-controlled methods other last digits.
 PORTION = 200
@@ -205,12 +205,12 @@ class AsFastAsPossible(_Periodic):
         if not self.running:
             self._machine.refresh()
             return
-        if self._on_the_way >= LOOK_EVERY:
+        if self._on_the_way >= CHECK_EVERY:
             if not self._machine.is_received():
                 return
             self._on_the_way = 0
         end = time.monotonic() + SLICE
-        while self.running and self._on_the_way < LOOK_EVERY and time.monotonic() < end:
+        while self.running and self._on_the_way < CHECK_EVERY and time.monotonic() < end:
             steps = min(self._left, PORTION)
             self._advance(steps)
             self._left -= steps

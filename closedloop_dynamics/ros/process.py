@@ -49,7 +49,7 @@ LONGEST_WAIT = 0.1
 NEAR, BEFORE = 0.004, 0.002
 # A beat that takes longer than this lets another thread run the callbacks; which looks so often,
 # and gives the executor back after so long [s].
-LONG_BEAT, LOOK, TURN = 0.5, 0.1, 0.02
+LONG_BEAT, POLL, TURN = 0.5, 0.1, 0.02
 # For a node to end after a signal, before its process does so without it [s].
 STOP_PATIENCE = 1.5
 
@@ -296,7 +296,7 @@ class _Attendant:
         while not self._over:
             since = self._since
             if since is None or time.monotonic() - since < LONG_BEAT:
-                time.sleep(LOOK)
+                time.sleep(POLL)
                 continue
             with self._turn:
                 if self._since is None:

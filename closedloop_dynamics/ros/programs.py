@@ -31,7 +31,7 @@ READY = {
 }
 # The first start may compile everything [s].
 PATIENCE = 240.0
-LOOK = 0.02
+POLL = 0.02
 LINES_SHOWN = 12
 _STARTER = """\
 import signal
@@ -93,7 +93,7 @@ class Program:
             if time.monotonic() > deadline:
                 raise ProgramError(f"{self.executable} did not say '{text}' within "
                                    f'{patience:g} s, but ({self.log}):{self._last()}')
-            time.sleep(LOOK)
+            time.sleep(POLL)
         return self
 
     def wait_until_ready(self):

@@ -4,8 +4,8 @@
 """
 Guards of a run: error of the energy balance, loops that open, steps that cannot be stable.
 
-The engine looks, by the numbers here (``engine/guarded_run.hpp``); its findings are reported here,
-and raised where the motion has become meaningless.
+The engine makes the checks (``engine/guarded_run.hpp``), with the constants here; its findings are
+reported here, and raised where the motion has become meaningless.
 
 The fastest rate of the motion, the largest eigenvalue of the derivative's
 Jacobian J, is estimated by a power iteration on differences of the derivative, J v =
@@ -32,31 +32,31 @@ from ..integration.system import parts_of_state
 # imaginary axis (springs without damping) or the negative real one (dampers).
 STABILITY_LIMITS = {'semi_implicit_euler': 2.0, 'heun': 2.0, 'rk4': 2.78}
 # Error-controlled explicit methods stay stable by taking steps as small as it needs; more than
-# this many of them for one step of the raster is no simulation but a standstill.
+# this many of them for one interval of the output grid is no simulation but a standstill.
 MOST_SMALL_STEPS = 3000.0
 PAIRS = 4
 DIFFERENCE = 1e-7
 
-# The energy balance is looked at after so many steps at first, then twice as rarely each time.
-# With methods of order 1 the first steps miss as much as they move: that says nothing of the rest.
-FIRST_LOOK, FIRST_LOOK_ORDER_1, LOOK_EVERY = 16, 128, 512
+# The energy balance is checked after so many steps at first, then half as often each time. With
+# methods of order 1 the error of the first steps is as large as the energy exchanged in them.
+FIRST_CHECK, FIRST_CHECK_ORDER_1, CHECK_EVERY = 16, 128, 512
 # The same with fixed steps among force laws: contacts and stops are left quickly.
-LOOK_EVERY_AMONG_LAWS = 100
-# After calls of so many steps it is looked at in any case: that costs them a twentieth at most.
+CHECK_EVERY_AMONG_LAWS = 100
+# After calls of so many steps it is checked in any case: that costs them a twentieth at most.
 SEVERAL = 5
-# Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
-# that end the run.
+# Errors of the energy balance, relative to the energy exchanged, that give a warning and that end
+# the run.
 ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
-# Steps between two looks at the closure; and the closure error, against the size of the mechanism,
-# at which loops count as open.
-CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
-# Steps between two looks whether equations can be left out again, at first and at most.
-EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 64, 4096
-# Torques up to this one are not asked for what they would do within a step [N m or N].
+# Steps between two checks of the closure; and the closure error, against the size of the
+# mechanism, at which loops count as open.
+CLOSURE_CHECK_EVERY, OPEN = 500, 1e-3
+# Steps between two checks whether equations can be left out again, at first and at most.
+EQUATIONS_FIRST_CHECK, EQUATIONS_CHECK_EVERY = 64, 4096
+# Torques up to this one are not checked for their effect within a step [N m or N].
 USUAL_TORQUE = 1e6
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
-# What keeps the loops closed to rounding.
+# Stabilisations that keep the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 
 
@@ -123,33 +123,33 @@ class EnergyGuard:
     among_laws : bool
         Whether fixed steps are taken among effects with force laws.
     every_call : bool
-        Whether to look after every call, however few steps it makes.
+        Whether to check after every call, however few steps it makes.
 
     Attributes
     ----------
     among_laws : bool
         As given.
     first, rarely : int
-        Steps before the first look, and the most between two.
+        Steps before the first check, and the most between two.
     call : int
-        Steps that must be made at once so that there is a look after them.
+        Least steps of a call after which there is a check.
     whole : bool
-        Whether there is none before all of these are made.
+        Whether checks wait for the end of a call.
 
     """
 
     def __init__(self, method, rate, numbers, counts, limit=math.inf, among_laws=False,
                  every_call=False):
-        """Begin with nothing seen."""
+        """Begin without checks."""
         self._method, self._rate, self._limit = method, rate, limit
         self._numbers, self._counts = numbers, counts
         self.among_laws = among_laws
         integrator = INTEGRATORS[method.integrator]
-        self.first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
-        self._least = FIRST_LOOK_ORDER_1 if integrator.order == 1 else 1
-        # Where error control steps, how often it is looked at would show in the last digits.
+        self.first = FIRST_CHECK_ORDER_1 if integrator.order == 1 else FIRST_CHECK
+        self._least = FIRST_CHECK_ORDER_1 if integrator.order == 1 else 1
+        # With error control the frequency of checks would show in the last digits.
         self.whole = integrator.kind == ADAPTIVE
-        self.rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
+        self.rarely = CHECK_EVERY_AMONG_LAWS if among_laws else CHECK_EVERY
         # A contact may throw a body away within a step.
         self.call = self.first if integrator.order == 1 else (
             1 if every_call or among_laws else SEVERAL)
@@ -164,11 +164,11 @@ class EnergyGuard:
 
     def jump(self):
         """Reset the comparison: the state or an effect has been changed."""
-        self._counts[run.LOOKED] = run.NOT
+        self._counts[run.CHECKED] = run.NOT
 
     def pass_on(self, simulation):
         """
-        Look before a state is handed to others, however few steps have led to it.
+        Check before a state is handed to others, however few steps have led to it.
 
         Raises
         ------
@@ -177,12 +177,12 @@ class EnergyGuard:
 
         """
         if self._counts[run.SINCE] >= self._least:
-            simulation.look_at_energy()
+            simulation.check_energy()
 
     def missed(self, balance):
         """Return the error of the balance since the guard began [J]."""
         return balance.residual - (
-            float(self._numbers[run.LOOK - 1]) if self._counts[run.BEGUN] else 0.0)
+            float(self._numbers[run.CHECK - 1]) if self._counts[run.BEGUN] else 0.0)
 
     def compare(self, lost, moved, rounding, time):
         """
@@ -191,12 +191,12 @@ class EnergyGuard:
         Parameters
         ----------
         lost, moved, rounding : float
-            Error of the balance, energy that has moved, what of the error may be rounding [J].
+            Error of the balance, energy exchanged, possible rounding of the error [J].
         time : float
             [s].
 
         """
-        native.note_loss(self._numbers, lost, moved, rounding, time)
+        native.record_loss(self._numbers, lost, moved, rounding, time)
 
     @property
     def moved(self):
@@ -244,7 +244,7 @@ class EnergyGuard:
 
     def problem(self, simulation):
         """Return the error to raise where the latest check has ended a run."""
-        lost, moving, before = self._numbers[run.LOST:run.LOOK_TIME + 1].tolist()
+        lost, moving, before = self._numbers[run.LOST:run.CHECK_TIME + 1].tolist()
         # Where the balance is no number, not even the start of it may be believed.
         worst = self.worst if math.isfinite(lost) else math.inf
         rate, size = self._rate(simulation.integrated), self._method.step_size

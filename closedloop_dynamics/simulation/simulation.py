@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 
 from .assembly import angle_notes
 from .budget import Budget, INTERVAL
-from .cable_guard import explain, leapt, LOOK_EVERY as CABLE_LOOK_EVERY
+from .cable_guard import explain, leapt, CHECK_EVERY as CABLE_CHECK_EVERY
 from .data import Numbers, vector
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import (
-    CLOSING, CLOSURE_LOOK_EVERY, EnergyGuard, EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY,
+    CLOSING, CLOSURE_CHECK_EVERY, EnergyGuard, EQUATIONS_FIRST_CHECK, EQUATIONS_CHECK_EVERY,
     LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .model import Model
 from .modeling import extent
@@ -501,7 +501,7 @@ class Simulation(Readings):
             elif pause == guarded_run.CHOICE:
                 if self.leave_out_again():
                     self._counts[guarded_run.EQUATIONS_BETWEEN] = min(
-                        2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_LOOK_EVERY)
+                        2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_CHECK_EVERY)
             elif pause != COMMAND:
                 self._report_pause(pause)
             self._fresh = False
@@ -515,7 +515,7 @@ class Simulation(Readings):
         elif pause == guarded_run.ENERGY_LOST:
             problem = guard.problem(self)
             self.restore(self._run.kept, *numbers[
-                [guarded_run.LOOK_TIME, guarded_run.PRESENT - 1]].tolist())
+                [guarded_run.CHECK_TIME, guarded_run.PRESENT - 1]].tolist())
             raise problem
         elif pause == guarded_run.CABLE_LEAPT:
             before = dict(zip(self._effects.winding_places(), self._run.windings.tolist()))
@@ -526,7 +526,7 @@ class Simulation(Readings):
         else:
             raise opened_loops(self)
 
-    def look_at_energy(self) -> None:
+    def check_energy(self) -> None:
         """
         Look at the energy balance now: warn where it is a little off.
 
@@ -537,7 +537,7 @@ class Simulation(Readings):
 
         """
         self._start_balance()
-        pause = self._look_at_energy()
+        pause = self._check_energy()
         if pause:
             self._report_pause(pause)
 
@@ -553,8 +553,8 @@ class Simulation(Readings):
         """Restart the guards."""
         self.energy_guard.restart()
         counts = self._counts
-        counts[guarded_run.CABLES_LOOKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
-        counts[guarded_run.EQUATIONS_BETWEEN] = EQUATIONS_FIRST_LOOK
+        counts[guarded_run.CABLES_CHECKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
+        counts[guarded_run.EQUATIONS_BETWEEN] = EQUATIONS_FIRST_CHECK
 
     def _watch(self) -> Any:
         """Return the numbers by which the engine watches the run."""
@@ -563,8 +563,8 @@ class Simulation(Readings):
         drifts = method.stabilisation not in CLOSING
         return guarded_run.Watch(
             guard.first, guard.rarely, guard.call, guard.whole, self._geometry.may_leave_out,
-            min(CABLE_LOOK_EVERY if places else guarded_run.NEVER,
-                CLOSURE_LOOK_EVERY if drifts else guarded_run.NEVER),
+            min(CABLE_CHECK_EVERY if places else guarded_run.NEVER,
+                CLOSURE_CHECK_EVERY if drifts else guarded_run.NEVER),
             OPEN * size if drifts else math.inf, method.stabilisation == 'none', size,
             USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
 
@@ -582,9 +582,9 @@ class Simulation(Readings):
             run = run._replace(kept=before.kept, kept_by_cables=before.kept_by_cables,
                                windings=before.windings)
         self._run, engine = run, self.system.native
-        self._advance_run, self._resume_run, self._look_at_energy = (
+        self._advance_run, self._resume_run, self._check_energy = (
             native.bind(name, engine, run)
-            for name in ('advance_run', 'resume_run', 'look_at_energy'))
+            for name in ('advance_run', 'resume_run', 'check_energy'))
 
     def choose_equations(self, status: int) -> bool:
         """
@@ -661,7 +661,7 @@ class Simulation(Readings):
 
         """
         self._start_balance()
-        pause = self._look_at_energy()
+        pause = self._check_energy()
         if pause == guarded_run.ENERGY_LOST:
             self._report_pause(pause)
 
@@ -934,7 +934,7 @@ class Simulation(Readings):
         """Reset the guards after a discontinuity of the state."""
         self._fresh = False
         self.energy_guard.jump()
-        self._counts[guarded_run.CABLES_LOOKED] = 0
+        self._counts[guarded_run.CABLES_CHECKED] = 0
 
     def _take_method(self, method: Method, stiffness: StiffnessGuard) -> None:
         self._set_time(self.time, 0)
@@ -1085,7 +1085,7 @@ class Simulation(Readings):
 
         """
         self._start_balance()
-        native.note_energy(self.system.native, self._run, self._balance_found)
+        native.record_energy(self.system.native, self._run, self._balance_found)
         balance = Energies(*self._balance_found.tolist())
         return self._driver.report(
             self.closure, self.energy_guard.missed(balance), self.energy_guard,

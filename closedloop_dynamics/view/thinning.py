@@ -16,7 +16,7 @@ import numpy as np
 OF_RANGE, OF_SIZE, LEAST_RANGE = 1e-3, 5e-4, 1e-3
 # States after which the ranges are looked at again; the weight of old ones is halved after so many
 # states.
-LOOK_EVERY, HALVED = 16, 4096
+CHECK_EVERY, HALVED = 16, 4096
 
 
 class Thinning:
@@ -95,7 +95,7 @@ class Thinning:
     def _look(self, values):
         np.fmin(self._low, values, out=self._low)
         np.fmax(self._high, values, out=self._high)
-        if self._seen % LOOK_EVERY == 0:
+        if self._seen % CHECK_EVERY == 0:
             least = np.nan_to_num(np.abs(values[self._first:]))
             ranges = np.fmax(np.nan_to_num(self._high - self._low)[self._first:],
                              LEAST_RANGE * least)
@@ -104,7 +104,7 @@ class Thinning:
             self._tolerance[self._first:] = np.where(
                 self._silent, np.inf, self._share * self._ranges[self._group])
             # Peaks of long ago do not hide those of today.
-            forget = 1.0 - 0.5 ** (LOOK_EVERY / HALVED)
+            forget = 1.0 - 0.5 ** (CHECK_EVERY / HALVED)
             self._low += forget * (values - self._low)
             self._high += forget * (values - self._high)
         self._seen += 1

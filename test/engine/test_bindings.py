@@ -321,8 +321,8 @@ def test_runs_that_do_not_fit_their_system_are_refused(guarded):
     assert native.advance_run(system, run, tau, 1) == NONE
     refused = 0
     for wrong in shortened(run):
-        for arguments in (('advance_run', tau, 1), ('resume_run',), ('look_at_energy',),
-                          ('note_energy', np.zeros(5))):
+        for arguments in (('advance_run', tau, 1), ('resume_run',), ('check_energy',),
+                          ('record_energy', np.zeros(5))):
             with pytest.raises(ValueError, match='do not fit the system'):
                 getattr(native, arguments[0])(system, wrong, *arguments[1:])
         refused += 1

@@ -68,7 +68,7 @@ ENUMS = {
     'account': (energy_balance, {}),
     'guard.Number': (guarded_run, {}),
     'guard.Count': (guarded_run, {}),
-    'guard.Looked': (guarded_run, {}),
+    'guard.Checked': (guarded_run, {}),
     'Pause': (guarded_run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),

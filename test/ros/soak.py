@@ -40,7 +40,7 @@ GROWTH, GROWTH_PER_HOUR = 4e6, 4e6
 # Memory settles while the first messages, services and parameters are used [s].
 SETTLING = 20.0
 # Between two rounds of disturbances, and two looks at the memory [s].
-DISTURBANCE, LOOK = 2.0, 1.0
+DISTURBANCE, POLL = 2.0, 1.0
 # Between two looks for messages [s].
 POLL = 0.005
 
@@ -92,7 +92,7 @@ class Traffic:
             if now >= next_look:
                 assert simulator.popen.poll() is None, simulator.output
                 looks.append((now - begin, memory(simulator)))
-                next_look = now + LOOK
+                next_look = now + POLL
             if now >= next_disturbance:
                 self.disturb()
                 next_disturbance = now + DISTURBANCE

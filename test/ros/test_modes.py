@@ -4,7 +4,7 @@
 """Tests of the modes of closedloop_dynamics.ros.pacing with a machine that only counts."""
 
 from closedloop_dynamics.ros.pacing import (
-    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, period_steps, RealTime)
+    AsFastAsPossible, Lockstep, CHECK_EVERY, MOST_MADE_UP, period_steps, RealTime)
 from closedloop_dynamics.simulation.pacer import Pacer
 import pytest
 
@@ -150,10 +150,10 @@ def test_as_fast_as_possible_waits_for_its_subscribers(machine):
     machine.is_received = lambda: False
     for _ in range(20):
         mode.tick()
-    assert len(machine.published) == LOOK_EVERY
+    assert len(machine.published) == CHECK_EVERY
     machine.is_received = lambda: True
     mode.tick()
-    assert len(machine.published) > LOOK_EVERY
+    assert len(machine.published) > CHECK_EVERY
 
 
 def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine):
