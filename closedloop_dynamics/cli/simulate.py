@@ -85,7 +85,7 @@ def _run(arguments):
     estimated = arguments.error_estimate or (
         arguments.error_estimate is None and arguments.duration <= LONGEST_ESTIMATED)
     if arguments.dry_run:
-        return _tell_cost(simulation, torque, estimated, arguments)
+        return _print_cost(simulation, torque, estimated, arguments)
     report, failure = Report(), None
     estimate = ErrorEstimate(simulation) if estimated else None
     all_forces = arguments.forces == 'all'
@@ -128,7 +128,7 @@ def _run(arguments):
     return 128 + received[0] if received else FAILED if failure else 0
 
 
-def _tell_cost(simulation, torque, estimated, arguments):
+def _print_cost(simulation, torque, estimated, arguments):
     """Print the predicted cost of the run."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', InaccuracyWarning)

@@ -146,7 +146,7 @@ def _live(arguments):
             raise UsageError(f'{arguments.what}: {error}') from None
         except FieldError as error:
             raise UsageError(f'drives: {error}') from None
-    _complained(runner.described)
+    _with_warnings(runner.described)
     with program_watch.noting() as received:
         server = _served(arguments, [live_page(scene.name)], [runner.feed], runner.resource)
         try:
@@ -182,7 +182,7 @@ def _play(arguments):
     return 128 + received[0]
 
 
-def _complained(described):
+def _with_warnings(described):
     """Return a description; print the meshes that cannot be shown on stderr."""
     for text in described['missing']:
         print(f'closedloop view: {text}; drawn as lines', file=sys.stderr)
@@ -219,7 +219,7 @@ def _recorded_page(arguments):
               'that straight lines between them would miss', file=sys.stderr)
     title = recording.scene.name
     return recorded_page(
-        title, _complained(describe(
+        title, _with_warnings(describe(
             motion.mechanism, motion_columns(motion.mechanism), recording.scene.effects,
             mode='recording', title=title)), times, rows)
 
@@ -245,7 +245,7 @@ def _simulated_page(arguments):
         columns, times, rows = simulated(
             simulation, duration, arguments.rate or min(RATE, MOST_ROWS / duration), torque, show)
     return recorded_page(
-        scene.name, _complained(describe(
+        scene.name, _with_warnings(describe(
             scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),
         np.array(times), np.array(rows))
 

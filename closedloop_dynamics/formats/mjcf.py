@@ -23,8 +23,8 @@ import numpy as np
 from .mjcf_omissions import disabled, omissions, sides
 from .mjcf_pictures import read_pictures
 from .model import (
-    Asked, Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, Relation, Rope,
-    Spring)
+    Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, ReadOptions, Relation,
+    Rope, Spring)
 from .pose import IDENTITY, Pose, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -55,7 +55,7 @@ CONNECT, WELD, JOINT, TENDON = range(4)
 TORQUE_SCALE = 10
 
 
-def read_mjcf(path, asked=Asked()):
+def read_mjcf(path, options=ReadOptions()):
     """
     Return the Model in an MJCF file.
 
@@ -63,7 +63,7 @@ def read_mjcf(path, asked=Asked()):
 
     """
     path = Path(path)
-    root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], asked)
+    root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], options)
     _refuse_infinite(root)
     try:
         import mujoco
@@ -76,7 +76,7 @@ def read_mjcf(path, asked=Asked()):
     left_out, parts, assets = Counter(), {}, {}
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
-    _stripped(root, folder, left_out, asked, parts, assets)
+    _stripped(root, folder, left_out, options, parts, assets)
     # Shapes that may touch are counted below, with those that masses follow from.
     del left_out['geom']
     model.ignore(left_out, {**SECTIONS, **PARTS})
@@ -134,14 +134,14 @@ def _refuse_infinite(element):
         _refuse_infinite(child)
 
 
-def _included(element, folder, files, asked):
+def _included(element, folder, files, options):
     """Return an element with the files in it that it includes."""
     children = []
     for child in element.children:
         if child.tag != 'include':
-            children.append(_included(child, folder, files, asked))
+            children.append(_included(child, folder, files, options))
             continue
-        path = _inside(child, folder / child.word('file'), folder, asked, 'a file')
+        path = _inside(child, folder / child.word('file'), folder, options, 'a file')
         if path in files:
             raise child.error('files that do not include themselves, each once',
                               f'{path.name!r} again')
@@ -149,7 +149,7 @@ def _included(element, folder, files, asked):
             raise child.error(f'at most {MOST_INCLUDES} files', 'more')
         files.append(path)
         inside = read_xml(path, ('mujoco', 'mujocoinclude'))
-        children += _included(inside, folder, files, asked).children
+        children += _included(inside, folder, files, options).children
     element.children = children
     return element
 
@@ -190,16 +190,16 @@ def _key_frame(root):
     return None
 
 
-def _inside(element, path, folder, asked, what):
+def _inside(element, path, folder, options, what):
     """Return the path of a file that an element names; refuse one that is outside of a folder."""
     path = path.resolve()
-    if not (asked.anywhere or path.is_relative_to(folder)):
+    if not (options.anywhere or path.is_relative_to(folder)):
         raise element.error(f'{what} in the folder of the model or below', repr(str(path)),
                             '--anywhere, or anywhere: true in a scene, reads others')
     return path
 
 
-def _stripped(root, folder, left_out, asked, parts, assets):
+def _stripped(root, folder, left_out, options, parts, assets):
     """
     Remove elements of pictures and contacts only.
 
@@ -238,12 +238,12 @@ def _stripped(root, folder, left_out, asked, parts, assets):
     for mesh in needs:
         if 'file' in mesh.attributes:
             place = folder / compiler.get('meshdir', compiler.get('assetdir', ''))
-            file = _inside(mesh, place / mesh.attributes['file'], folder, asked, 'a mesh')
+            file = _inside(mesh, place / mesh.attributes['file'], folder, options, 'a mesh')
             _put(assets, mesh, file, read_bytes(file), MOST_MESHES)
         mesh.attributes.pop('material', None)
     attached = [part for part in found if part.tag == 'model']
     for part in attached:
-        _attach(part, folder, left_out, asked, parts, assets)
+        _attach(part, folder, left_out, options, parts, assets)
     if needs or attached:
         root.children.append(_section(root, 'asset', [*needs, *attached]))
     if any(_has(element, 'plugin') for element in root.children):
@@ -272,17 +272,17 @@ def _put(files, element, path, content, most):
         raise element.error(f'at most {most} files', 'more')
 
 
-def _attach(part, folder, left_out, asked, parts, assets):
+def _attach(part, folder, left_out, options, parts, assets):
     """Read a model that is attached to others, with the meshes that its masses need."""
-    path = _inside(part, folder / part.word('file'), folder, asked, 'a model')
+    path = _inside(part, folder / part.word('file'), folder, options, 'a model')
     known = part.word('file') in parts
     _put(parts, part, path, b'', MOST_INCLUDES)
     if known:
         return
-    root = _included(read_xml(path, ('mujoco',)), path.parent, [path], asked)
+    root = _included(read_xml(path, ('mujoco',)), path.parent, [path], options)
     _refuse_infinite(root)
     _name_bodies(root)
-    _stripped(root, path.parent, left_out, asked, parts, assets)
+    _stripped(root, path.parent, left_out, options, parts, assets)
     parts[part.word('file')] = path, _text(root).encode()
 
 

@@ -11,7 +11,7 @@ from .in_space import in_space
 from .mjcf import START
 from .pose import IDENTITY, joint_frame, Pose
 from .writing import (
-    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, reflected,
+    APART, chain, gravity_of, JOINT_EFFECTS, JointEffects, moments_of, numbers, reflected,
     Single, written)
 from ..mechanism.inertia import inertia_matrix, moments_in
 from ..mechanism.mechanism import (
@@ -46,7 +46,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     start : ndarray, shape (nq,), optional
         Coordinates, which become the key frame ``start``.
     left_out : dict, optional
-        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+        Filled with the names of effects that are not written, or in part: ``JointEffects.left``.
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one degree of freedom, None where there is none.
 
@@ -68,8 +68,9 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     bodies = {GROUND: ElementTree.SubElement(root, 'worldbody')}
     sections = {tag: ElementTree.SubElement(root, tag)
                 for tag in ('tendon', 'equality', 'actuator')}
-    acting = Acting(mechanism, effects, lambda joint: _singles(mechanism, joint), limits)
-    _add_bodies(mechanism, bodies, sections, acting)
+    joint_effects = JointEffects(
+        mechanism, effects, lambda joint: _singles(mechanism, joint), limits)
+    _add_bodies(mechanism, bodies, sections, joint_effects)
     for point in mechanism.points:
         ElementTree.SubElement(bodies[point.body], 'site', name=point.name,
                                pos=numbers(*point.position))
@@ -78,23 +79,23 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     for coupling in mechanism.couplings:
         _gear(sections, coupling.name, coupling.joints, coupling.offset)
     for name, values in (effects or {}).items():
-        if _along(name, values, mechanism, bodies[GROUND], sections['tendon'], acting):
-            del acting.left[name]
+        if _along(name, values, mechanism, bodies[GROUND], sections['tendon'], joint_effects):
+            del joint_effects.left[name]
     for joint in mechanism.joints:
         if joint.actuated:
             for single in _singles(mechanism, joint):
-                _add_motors(sections['actuator'], single, acting)
+                _add_motors(sections['actuator'], single, joint_effects)
     for tag, section in sections.items():
         if not len(section):
             root.remove(section)
     if start is not None:
         _add_key_frame(root, mechanism, start)
     if left_out is not None:
-        left_out.update(acting.left)
+        left_out.update(joint_effects.left)
     return written(root)
 
 
-def _along(name, values, mechanism, world, section, acting):
+def _along(name, values, mechanism, world, section, joint_effects):
     """Add the tendon that an effect is; return whether there is one."""
     kind, more = values['type'], {}
     places = [values[key] for key in ('point_a', 'point_b') if values.get(key)]
@@ -104,11 +105,11 @@ def _along(name, values, mechanism, world, section, acting):
         # Lengths of -1 are what MuJoCo finds where the model is drawn.
         if max(len(stiffness), len(damping)) > MOST_POWERS or np.all(rest == -1.0):
             return False
-        tendon = _fixed(section, values['arms'], acting)
+        tendon = _fixed(section, values['arms'], joint_effects)
         more = {'stiffness': stiffness, 'damping': damping, 'springlength': rest}
     elif kind in ALONG:
         key, attribute = ALONG[kind]
-        tendon = _fixed(section, values['arms'], acting)
+        tendon = _fixed(section, values['arms'], joint_effects)
         more = {attribute: [values.get(key, 0.0)]}
     elif kind == 'point_spring' or kind == 'cable' and not (
             values.get('damping') or any(values.get('radii') or ())):
@@ -131,11 +132,11 @@ def _along(name, values, mechanism, world, section, acting):
     return True
 
 
-def _fixed(section, arms, acting):
+def _fixed(section, arms, joint_effects):
     """Add a tendon of joints."""
     tendon = ElementTree.SubElement(section, 'fixed')
     for joint, arm in arms.items():
-        ElementTree.SubElement(tendon, 'joint', joint=acting.freedoms[joint][0],
+        ElementTree.SubElement(tendon, 'joint', joint=joint_effects.freedoms[joint][0],
                                coef=numbers(arm))
     return tendon
 
@@ -148,12 +149,12 @@ def _singles(mechanism, joint):
     return chain(mechanism, joint, balls=True)
 
 
-def _add_motors(section, single, acting):
+def _add_motors(section, single, joint_effects):
     """Add a motor for each freedom of a joint."""
     count = {SPHERICAL: 3, FREE: 6}.get(single.type, 1)
     for number in range(count):
         motor = ElementTree.SubElement(section, 'motor', joint=single.name)
-        torque, _ = acting.drive(single.name, speeds=False) if count == 1 else (None, None)
+        torque, _ = joint_effects.drive(single.name, speeds=False) if count == 1 else (None, None)
         if torque is not None:
             motor.set('ctrlrange', numbers(-torque, torque))
             motor.set('ctrllimited', 'true')
@@ -161,7 +162,7 @@ def _add_motors(section, single, acting):
             motor.set('gear', ' '.join('1' if number == k else '0' for k in range(count)))
 
 
-def _add_bodies(mechanism, bodies, sections, acting):
+def _add_bodies(mechanism, bodies, sections, joint_effects):
     """Add all bodies, each in the one that it moves against, with the joints between them."""
     carried, records = {}, {body.name: body for body in mechanism.bodies}
     for joint in mechanism.joints:
@@ -183,7 +184,7 @@ def _add_bodies(mechanism, bodies, sections, acting):
                     'it carries and no cut joint on it, to write MJCF')
             waiting.append((below[0], parent, singles, place))
             continue
-        _add_body(bodies, parent, body, singles, place, acting)
+        _add_body(bodies, parent, body, singles, place, joint_effects)
         waiting += [(one, body.name, (), IDENTITY) for one in below]
 
 
@@ -210,7 +211,7 @@ def _add_key_frame(root, mechanism, start):
                            qpos=numbers(*(one for name in order for one in values[name])))
 
 
-def _add_body(bodies, parent, body, singles, place, acting):
+def _add_body(bodies, parent, body, singles, place, joint_effects):
     """Add a body with the joints before it, which are given in frames along the way."""
     element = ElementTree.SubElement(
         bodies[parent], 'body', name=body.name, pos=numbers(*place.position),
@@ -222,7 +223,7 @@ def _add_body(bodies, parent, body, singles, place, acting):
             fullinertia=numbers(*_moments(body)))
     for single, at in singles:
         there = place.inverse @ at
-        attributes = _acting_on(single, acting)
+        attributes = _attributes_of(single, joint_effects)
         if single.type == FREE:
             tag, kind = ('joint', {'type': 'free'}) if attributes else ('freejoint', {})
             ElementTree.SubElement(element, tag, name=single.name, **kind, **attributes)
@@ -253,19 +254,19 @@ def _moments(body):
     return moments_in(whole)
 
 
-def _acting_on(single, acting):
+def _attributes_of(single, joint_effects):
     """Return attributes of the effects in a joint."""
     found = {}
     for kind, attribute in ATTRIBUTES.items():
-        values = acting.same(single.name, kind)
+        values = joint_effects.same(single.name, kind)
         if values is not None:
             found[attribute] = numbers(values[JOINT_EFFECTS[kind]])
             if values.get('rest'):
                 found['springref'] = numbers(values['rest'])
-    limits = acting.limits(single.name)
+    limits = joint_effects.limits(single.name)
     if limits is not None:
         found.update(range=numbers(*limits), limited='true')
-    rotor = acting.same(single.name, 'rotor')
+    rotor = joint_effects.same(single.name, 'rotor')
     if rotor is not None:
         found['armature'] = numbers(reflected(rotor))
     return found

@@ -295,7 +295,7 @@ class Omission:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadOptions:
     """
     Options of the reader of a file.
 

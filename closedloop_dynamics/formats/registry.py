@@ -43,7 +43,7 @@ def is_model(path):
     return Path(path).suffix.lower() in READERS
 
 
-def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
+def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options):
     """
     Read a model in another format as a mechanism.
 
@@ -57,8 +57,8 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
         Loops that the file does not tell (``loops``).
     mend_inertias : bool
         Whether moments of inertia that no body has are changed a little, not refused.
-    **asked
-        As ``model.Asked`` has it.
+    **options
+        As ``model.ReadOptions`` has it.
 
     Returns
     -------
@@ -79,12 +79,12 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
     # Here, as they are imported with the reader.
     from .building import mechanism_of
     from .loops import add_loops
-    from .model import Asked
+    from .model import ReadOptions
     from .xml_file import read_xml
     place = READERS[path.suffix.lower()]
     if place is ROOTS:
         place = ROOTS[read_xml(path, tuple(ROOTS)).tag]
-    model = _function(place)(path, Asked(**asked))
+    model = _function(place)(path, ReadOptions(**options))
     if loops is not None:
         add_loops(model, loops)
     return mechanism_of(model, end_stops, mend_inertias)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .model import (
-    Asked, Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Omission,
+    Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Omission, ReadOptions,
     Relation)
 from .pose import IDENTITY, Pose, unturned
 from .sdf_parts import (
@@ -47,7 +47,7 @@ REASONS = {
     'allow_auto_disable': 'for a simulator'}
 
 
-def read_sdf(path, asked=Asked()):
+def read_sdf(path, options=ReadOptions()):
     """
     Return the Model in an SDF file: its only model, or one of a world.
 
@@ -66,11 +66,11 @@ def read_sdf(path, asked=Asked()):
     written = {id(model): model for model, _ in models}
     for element in where.all('include'):
         try:
-            models.append(included(element, asked)[:2])
+            models.append(included(element, options)[:2])
             written[id(models[-1][0])] = element
         except MechanismError as error:
             missing.append((element, error))
-    element, version, still = _chosen(where, models, missing, asked)
+    element, version, still = _chosen(where, models, missing, options)
     model = Model(element.get('name') or path.stem, path)
     for include, error in missing:
         model.omitted.append(Omission(
@@ -86,7 +86,7 @@ def read_sdf(path, asked=Asked()):
                           if child.tag != 'joint' and child not in apart]
     around = {one.word('name'): one for one in where.all('frame')}
     around.update((one.get('name'), one) for one, _ in models if not one.get('placement_frame'))
-    flattened(element, version, asked)
+    flattened(element, version, options)
     reader = _Reader(element, model, version, around=around)
     gravity = world and world.child('gravity')
     if gravity:
@@ -94,13 +94,13 @@ def read_sdf(path, asked=Asked()):
     reader.read()
     for one, own in models:
         if one in still:
-            flattened(one, own, asked)
+            flattened(one, own, options)
             model.ground_visual += _Reader(one, model, own, around=around).drawn()
     leave_out(model, root, REASONS)
     return model
 
 
-def _chosen(where, models, missing, asked):
+def _chosen(where, models, missing, options):
     """Return the model to simulate, its version, and the static models."""
     moving, still = {}, []
     for model, version in models:
@@ -109,17 +109,17 @@ def _chosen(where, models, missing, asked):
             still.append(model)
         else:
             moving[model.word('name')] = model, version
-    if asked.model is not None and asked.model not in moving:
-        raise where.error(f'--model to be one of {among(moving)}', repr(asked.model),
-                          nearest(asked.model, moving))
+    if options.model is not None and options.model not in moving:
+        raise where.error(f'--model to be one of {among(moving)}', repr(options.model),
+                          nearest(options.model, moving))
     if not moving:
         if missing:
             raise missing[0][1]
         raise where.error('a model that moves', 'static ones' if still else 'none')
-    if asked.model is None and len(moving) > 1:
+    if options.model is None and len(moving) > 1:
         raise where.error('one <model> that moves', f'{len(moving)}: {among(moving)}',
                           '--model NAME, or model: NAME in a scene, takes one')
-    return (*moving[asked.model or next(iter(moving))], still)
+    return (*moving[options.model or next(iter(moving))], still)
 
 
 def _join_to_world(element, where, still, model):

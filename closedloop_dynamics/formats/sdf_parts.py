@@ -28,7 +28,7 @@ _TEXTS = ('parent', 'child', 'gearbox_reference_body', 'drake:ball_constraint_bo
 _ATTRIBUTES = ('attached_to', 'relative_to', 'frame', 'expressed_in', 'joint')
 
 
-def flattened(model, version, asked, opened=()):
+def flattened(model, version, options, opened=()):
     """
     Put the parts of the models in a model into it, in place.
 
@@ -38,7 +38,7 @@ def flattened(model, version, asked, opened=()):
         An element model.
     version : tuple of 2 ints
         Of the file that it is in.
-    asked : model.Asked
+    options : model.ReadOptions
         Whether files are read from anywhere.
     opened : tuple of pathlib.Path
         Files that it is included from.
@@ -57,8 +57,8 @@ def flattened(model, version, asked, opened=()):
         part, own, files, merged = child, version, opened, False
         if child.tag == 'include':
             merged = child.get('merge') in TRUE
-            part, own, files = included(child, asked, opened)
-        flattened(part, own, asked, files)
+            part, own, files = included(child, options, opened)
+        flattened(part, own, options, files)
         kept += _parts(part, own, merged)
     model.children = kept
 
@@ -71,7 +71,7 @@ def version_of(root):
     return tuple(map(int, words))
 
 
-def included(element, asked, opened=()):
+def included(element, options, opened=()):
     """
     Read the model that an element include names.
 
@@ -91,7 +91,7 @@ def included(element, asked, opened=()):
 
     """
     uri = element.required('uri')
-    path = _found(uri, asked)
+    path = _found(uri, options)
     if path in opened or len(opened) > MOST_FILES:
         raise uri.error('files that do not include themselves', repr(uri.text))
     root = read_xml(path, ('sdf',))
@@ -112,7 +112,7 @@ def included(element, asked, opened=()):
     return model, version_of(root), (*opened, path)
 
 
-def _found(uri, asked):
+def _found(uri, options):
     """Return the path of the file that a uri names."""
     folder = Path(uri.source).resolve().parent
     scheme, given, rest = uri.text.partition('://')
@@ -122,11 +122,11 @@ def _found(uri, asked):
                   for place in os.environ.get(variable, '').split(os.pathsep) if place]
         places = [place / rest for place in (folder, folder.parent, *listed)]
     elif given:
-        places = [Path(rest)] if scheme == 'file' and asked.anywhere else []
+        places = [Path(rest)] if scheme == 'file' and options.anywhere else []
     for place in places:
         try:
             place = place / 'model.sdf' if place.is_dir() else place
-            if place.is_file() and (asked.anywhere or given or place.resolve().is_relative_to(
+            if place.is_file() and (options.anywhere or given or place.resolve().is_relative_to(
                     folder)):
                 return place.resolve()
         except (OSError, ValueError):

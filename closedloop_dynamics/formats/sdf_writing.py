@@ -16,8 +16,8 @@ from .in_space import in_space
 from .model import MOMENTS, NO_LIMIT
 from .pose import IDENTITY, joint_frame, poses_at, unturned
 from .writing import (
-    Acting, APART, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of,
-    numbers, reflected, Single, written)
+    APART, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, JointEffects, mimics_of,
+    moments_of, numbers, reflected, Single, written)
 from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
@@ -50,7 +50,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     start : ndarray, shape (nq,), optional
         Coordinates of the position that is drawn, which closes the loops; zero if not given.
     left_out : dict, optional
-        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+        Filled with the names of effects that are not written, or in part: ``JointEffects.left``.
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one degree of freedom, None where there is none.
     drake : bool
@@ -93,7 +93,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     if writer.drakes:
         root.set('xmlns:drake', DRAKE)
     if left_out is not None:
-        left_out.update(writer.acting.left)
+        left_out.update(writer.joint_effects.left)
     return written(root)
 
 
@@ -103,7 +103,7 @@ class _Sdf:
     def __init__(self, mechanism, model, effects, limits):
         """Name the links, in SDF's one space of names for all, and write their inertias."""
         self.mechanism, self.model, self.mimics, self.drakes = mechanism, model, {}, False
-        self.acting = Acting(mechanism, effects, self._singles, limits)
+        self.joint_effects = JointEffects(mechanism, effects, self._singles, limits)
         taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
         taken |= {single.name for joint in mechanism.joints
                   for single in self._singles(joint)}
@@ -183,10 +183,11 @@ class _Sdf:
         axes = [single.axis] if single.axis is not None else []
         if joint.type == UNIVERSAL:
             axes.append(joint.second_axis)
-        acting = {kind: self.acting.each(single.name, kind) if axes else () for kind in DYNAMICS}
+        acting = {kind: self.joint_effects.each(single.name, kind) if axes else ()
+                  for kind in DYNAMICS}
         if joint.actuated and len(axes) == 1:
             # Drake's drives alone have rotors.
-            for values in self.acting.each(single.name, 'rotor'):
+            for values in self.joint_effects.each(single.name, 'rotor'):
                 self.drakes = True
                 _text(element, 'drake:rotor_inertia', reflected(values))
                 _text(element, 'drake:gear_ratio', 1)
@@ -194,11 +195,12 @@ class _Sdf:
             child = _add_axis(element, number, axis)
             limit = ElementTree.Element('limit')
             if len(axes) == 1:
-                for tag, one in zip(('lower', 'upper'), self.acting.limits(single.name) or ()):
+                ends = self.joint_effects.limits(single.name) or ()
+                for tag, one in zip(('lower', 'upper'), ends):
                     # Those that are none stay so wherever it is drawn.
                     _text(limit, tag, one if abs(one) >= NO_LIMIT else one - q[number])
             if joint.actuated:
-                torque, speed = self.acting.drive(single.name, speeds=True)
+                torque, speed = self.joint_effects.drive(single.name, speeds=True)
                 _text(limit, 'effort', torque or NO_LIMIT)
                 if speed is not None:
                     _text(limit, 'velocity', speed)

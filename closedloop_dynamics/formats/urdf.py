@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .model import (
-    Asked, Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Relation)
+    Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, ReadOptions, Relation)
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, Pose, unturned
 from .sdf import add_joints
@@ -53,7 +53,7 @@ REASONS = {
         'velocity_decay', 'enable_wind', 'allow_auto_disable', 'gazebo'), 'for a simulator')}
 
 
-def read_urdf(path, asked=Asked()):
+def read_urdf(path, options=ReadOptions()):
     """
     Return the Model in a URDF file; one that ends with .xacro goes through xacro first.
 
@@ -61,10 +61,10 @@ def read_urdf(path, asked=Asked()):
 
     """
     path = Path(path)
-    if asked.arguments and path.suffix != '.xacro':
+    if options.arguments and path.suffix != '.xacro':
         raise MechanismError(f'{path}: expected a xacro file, which has arguments, got another')
     robot = read_xml(path, ('robot',), _expanded(
-        path, asked) if path.suffix == '.xacro' else None)
+        path, options) if path.suffix == '.xacro' else None)
     model = Model(robot.get('name') or path.stem, path)
     _rename_ground(robot, model)
     colors = {material.get('name'): _color(material) for material in robot.all('material')}
@@ -105,7 +105,7 @@ def read_urdf(path, asked=Asked()):
     return model
 
 
-def _expanded(path, asked):
+def _expanded(path, options):
     """Return the text of a file expanded by xacro."""
     read_xml(path, ('robot',))
     try:
@@ -117,7 +117,7 @@ def _expanded(path, asked):
     try:
         with _packages_beside(path, substitution_args):
             return xacro.process_file(
-                str(path), mappings=dict(asked.arguments)).toxml(encoding='utf-8')
+                str(path), mappings=dict(options.arguments)).toxml(encoding='utf-8')
     except Exception as error:  # noqa: B902
         # Whatever the macros do: errors of a language of its own.
         raise MechanismError(f'{path}: expected what xacro can expand, got: {error}') from None

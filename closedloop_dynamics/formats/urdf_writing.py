@@ -12,8 +12,8 @@ from .model import GRAVITY, MOMENTS, NO_LIMIT
 from .pose import IDENTITY, joint_frame, poses_at
 from .urdf_loops import add_loops, add_origin, CONSTRAINT, GAZEBO
 from .writing import (
-    Acting, chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, moved,
-    numbers, written)
+    chain, counted_from, drawn, gravity_of, JOINT_EFFECTS, JointEffects, mimics_of, moments_of,
+    moved, numbers, written)
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import FREE, GROUND, HELICAL, PRISMATIC, REVOLUTE
 
@@ -36,7 +36,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
         Coordinates that close the loops; zero if not given. URDF has no place for them: they are
         drawn where loops are of the form ``gazebo``, which count coordinates from there.
     left_out : dict, optional
-        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+        Filled with the names of effects that are not written, or in part: ``JointEffects.left``.
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one degree of freedom, None where there is none.
     loops : str
@@ -66,7 +66,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
             ElementTree.SubElement(inertial, 'mass', value=numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 MOMENTS, map(numbers, moments_of(body)))))
-    acting = Acting(mechanism, effects, lambda joint: chain(mechanism, joint, balls=False), limits)
+    joint_effects = JointEffects(
+        mechanism, effects, lambda joint: chain(mechanism, joint, balls=False), limits)
     mimics = mimics_of(counted_from(mechanism, zero), 'URDF')
     for joint in mechanism.joints:
         parent, singles = joint.parent, chain(mechanism, joint, balls=False)
@@ -77,7 +78,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
                 child = f'{joint.name}_link_{number + 1}'
                 ElementTree.SubElement(robot, 'link', name=child)
             kind = {REVOLUTE: 'continuous', FREE: 'floating'}.get(single.type, single.type)
-            if kind == 'continuous' and acting.limits(single.name):
+            if kind == 'continuous' and joint_effects.limits(single.name):
                 kind = 'revolute'
             element = ElementTree.SubElement(robot, 'joint', name=single.name, type=kind)
             ElementTree.SubElement(element, 'parent', link=parent)
@@ -86,30 +87,31 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
                 add_origin(element, origin)
             if single.axis is not None:
                 ElementTree.SubElement(element, 'axis', xyz=numbers(*single.axis))
-            _add_dynamics(element, single, joint, acting, mimics, _counted(joint, q, number))
+            _add_dynamics(
+                element, single, joint, joint_effects, mimics, _counted(joint, q, number))
             parent = child
     add_loops(robot, mechanism.cut_joints, loops, poses_at(mechanism, zero))
     if left_out is not None:
-        left_out.update(acting.left)
+        left_out.update(joint_effects.left)
         if tuple(gravity_of(effects).tolist()) != GRAVITY:
             left_out['gravity'] = 'simulators of URDF take -9.81 m/s^2 along z'
     return written(robot)
 
 
-def _add_dynamics(element, single, joint, acting, mimics, zero):
+def _add_dynamics(element, single, joint, joint_effects, mimics, zero):
     """Add limits, counted from zero, effects on a joint, and the joint it mimics."""
     if single.type in (REVOLUTE, PRISMATIC):
-        torque, speed = acting.drive(single.name, speeds=True)
+        torque, speed = joint_effects.drive(single.name, speeds=True)
         limit = ElementTree.SubElement(
             element, 'limit', effort=numbers((torque or NO_LIMIT) if joint.actuated else 0.0),
             velocity=numbers(speed or NO_LIMIT))
-        ends = acting.limits(single.name)
+        ends = joint_effects.limits(single.name)
         if ends or single.type == PRISMATIC:
             for key, one in zip(('lower', 'upper'), ends or (-NO_LIMIT, NO_LIMIT)):
                 # Those that are none stay so wherever it is drawn.
                 limit.set(key, numbers(one if abs(one) >= NO_LIMIT else one - zero))
     if single.type in (REVOLUTE, PRISMATIC):
-        found = {kind: acting.each(single.name, kind) for kind in DYNAMICS}
+        found = {kind: joint_effects.each(single.name, kind) for kind in DYNAMICS}
         values = {DYNAMICS[kind]: numbers(keys[0][JOINT_EFFECTS[kind]])
                   for kind, keys in found.items() if keys}
         if values:

@@ -74,7 +74,7 @@ def chain(mechanism, joint, balls):
     return [Single(name, *kind) for name, kind in zip(names, kinds)]
 
 
-class Acting:
+class JointEffects:
     """
     Effects in the single joints that stand for the joints of a mechanism.
 

@@ -170,10 +170,10 @@ def factorize_well(model, work):
         Whether every pivot is good; if not, ``refinement`` must be asked.
 
     """
-    return note_well(model, work, factorize(model, work))
+    return record_good_pivot(model, work, factorize(model, work))
 
 
-def note_well(model, work, smallest):
+def record_good_pivot(model, work, smallest):
     """
     Record a smallest pivot in ``health`` where it is good.
 
@@ -194,11 +194,11 @@ def note_well(model, work, smallest):
     """
     fine = good(model, smallest, SMALL_PIVOT)
     # A small one may be that of the masses alone: the one reported comes from ``refinement``.
-    note(model, work, chosen(fine, smallest, 1.0))
+    record_pivot(model, work, chosen(fine, smallest, 1.0))
     return fine
 
 
-def note(model, work, smallest):
+def record_pivot(model, work, smallest):
     """
     Record a smallest pivot in ``health``.
 

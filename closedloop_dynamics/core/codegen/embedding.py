@@ -268,7 +268,8 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     recursion.update(model, work, NO_RESPONSES)
     right = [bias + baumgarte * (2.0 * rate + baumgarte * value) for bias, rate, value in zip(
         work.bias, work.closure_rate, work.closure)]
-    fine = elimination.note_well(model, work, _solve(recursion, model, work, tau, right, qdd))
+    smallest = _solve(recursion, model, work, tau, right, qdd)
+    fine = elimination.record_good_pivot(model, work, smallest)
     if not fine:
         return False
     to_user_order(model, work.right, lam)
@@ -300,4 +301,4 @@ def correct(recursion, model, work, error, out):
     recursion.force = [None] + (len(recursion.motion) - 1) * [2 * ZERO]
     smallest = _solve(recursion, model, work, len(out) * [0.0], error, out)
     recursion.motion, recursion.inertia, recursion.force = kept
-    return elimination.note_well(model, work, smallest)
+    return elimination.record_good_pivot(model, work, smallest)

@@ -5,7 +5,7 @@
 Forces in the joints after an evaluation, traced.
 
 Where closure equations repeat others, forces are not unique: those are chosen that are least in
-all joints together, as ``engine/least_forces.hpp`` says. There any equations are told apart by
+all joints together, as ``engine/least_forces.hpp`` says. There equations are separated by
 pivoting; here those that the elimination works on are taken in their order, and the results count
 where none of them depends on those before it.
 
@@ -200,9 +200,9 @@ class _Joint:
             self.place, self.arms = (k,), (ZERO, subtract(at_a, at_b))
         else:
             self.place = int(joints.row[k])
-            told = motion[self.place].origin
+            reference = motion[self.place].origin
             self.arms = (ZERO,) if _is_at_origin(trace.constant, joints, k) else (
-                subtract(told, at_a), subtract(told, at_b))
+                subtract(reference, at_a), subtract(reference, at_b))
 
     def product(self, one, other, share):
         """Return the inner product of two wrenches: ``share`` of their moments at each point."""

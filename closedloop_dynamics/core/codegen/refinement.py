@@ -123,7 +123,7 @@ def prepare(recursion, model, tau, work):
 
     """
     smallest = _geometry(recursion, model, work)
-    elimination.note(model, work, smallest)
+    elimination.record_pivot(model, work, smallest)
     if not elimination.good(model, smallest, elimination.POOR_PIVOT):
         return False
     recursion.inward(model, tau, work, True)
