@@ -72,9 +72,10 @@ SPRING, FRICTION, FLOOR = (
     {'type': 'joint_friction', 'joint': 'crank_joint', 'coulomb': 0.05},
     {'type': 'contact', 'point': 'coupler_point', 'origin': (0.0, 0.05), 'stiffness': 300.0,
      'exponent': 1.5, 'damping': 0.1, 'friction': 0.2})
+AT_REST = 'friction at rest'
 ROLLOUTS = {'a spring': (SPRING,), 'friction': (FRICTION,), 'contact': (FLOOR,),
             'all three': (SPRING, FRICTION, FLOOR),
-            'friction at rest': ({**FRICTION, 'coulomb': 5.0},)}
+            AT_REST: ({**FRICTION, 'coulomb': 5.0},)}
 SAMPLES, TORQUE, STEPS, EVERY = 64, 1.0, 2000, 200
 # Of a step that is measured [s]; blocks of steps, and seconds that each takes at least.
 STEP, BLOCKS, SECONDS = 1e-4, 31, 0.05
@@ -133,11 +134,11 @@ def record(scene, element):
         for key, value in element.items() if key != 'type'})
 
 
-def operations_of(simulation):
-    """Return how many operations the one routine of a scene takes."""
+def operations_of(simulation, at_rest=False):
+    """Return how many operations the one routine of a scene takes, or that of joints at rest."""
     model, table = simulation.system.model, simulation.system.effects
     return operations(model) if table is None else count(
-        LiveTrace(model, LiveLaws(table)).routine(EVALUATION))
+        LiveTrace(model, LiveLaws(table, at_rest)).routine(EVALUATION))
 
 
 def timed(pair, blocks, seconds):
@@ -191,7 +192,7 @@ def _time(simulation, count):
     return (process_time() - begin) / count
 
 
-def rolled_out(elements, blocks, steps):
+def rolled_out(elements, blocks, steps, at_rest=False):
     """
     Return times of a step of one sample [s] and operations, with effects and without.
 
@@ -203,6 +204,8 @@ def rolled_out(elements, blocks, steps):
         How often each is made.
     steps : int
         Of each.
+    at_rest : bool
+        Whether a joint under dry friction is at rest.
 
     Returns
     -------
@@ -223,7 +226,7 @@ def rolled_out(elements, blocks, steps):
             simulation.rollout(torques, steps=steps, every=EVERY, threads=1)
             found.append((process_time() - begin) / (SAMPLES * steps))
     times = np.array(found).reshape(-1, 2).min(axis=0)
-    return times.tolist(), [operations_of(simulation) for simulation in sims]
+    return times.tolist(), [operations_of(one, at_rest) for one in sims]
 
 
 def measure(quick=False):
@@ -251,7 +254,7 @@ def measure(quick=False):
     rollouts = []
     for name in QUICK_ROLLOUTS if quick else ROLLOUTS:
         times, counts = rolled_out(
-            ROLLOUTS[name], QUICK_BLOCKS, QUICK_STEPS if quick else STEPS)
+            ROLLOUTS[name], QUICK_BLOCKS, QUICK_STEPS if quick else STEPS, name == AT_REST)
         rollouts.append({'effects': name, 'times': times, 'operations': counts})
     return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found,
             'rollouts': rollouts}

@@ -7,8 +7,8 @@ Laws of effects on symbols as the engine runs them, within the evaluation of the
 Those of ``traced_laws`` and, with jumps, those of effects that begin and cease within a run. What
 is searched for (the piece of a course that is its turn, whether a contact is there) the engine has
 found before: it is a load. A scene with an effect that has no law here is evaluated in parts, its
-effects by the engine's own laws, and so is any while one of them is switched off, a joint under
-dry friction is at rest, or friction feels the reaction in its joint.
+effects by the engine's own laws, and so is any while one of them is switched off, several joints
+under dry friction are at rest, or friction feels the reaction in its joint.
 
 """
 
@@ -32,7 +32,7 @@ from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
 from ..core.codegen.live_scene import address_of_scene
-from ..core.codegen.machine_code import LANES
+from ..core.codegen.machine_code import LANES, SCALAR
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
@@ -41,6 +41,8 @@ from ..engine import native
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
 _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
                 'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
+# As of ``engine/sticking.hpp`` [rad/s; m/s].
+REST = 1e-6
 _COURSES = (PRESCRIBED_TORQUE, PRESCRIBED_FORCE, SPATIAL_PRESCRIBED_FORCE, PRESCRIBED_MOTION)
 
 
@@ -137,13 +139,14 @@ def link(model, table, functions, scene=None):
         there is no evaluation until they have this one again.
 
     """
-    key, address = structure(model, table), 0
+    key = structure(model, table)
+    functions[list(calls.OF_SCENE)] = 0
     if key is not None and scene in (None, key):
-        address = address_of_scene(model, key, lambda: LiveLaws(table))
-        _known[address] = key
-    functions[calls.EVALUATION] = address
+        for place, address in _addresses(model, table, key).items():
+            functions[place] = address
+        _known[int(functions[calls.EVALUATION])] = key
     functions[list(calls.FUNCTIONS)] = list(map(native.library_function, calls.FUNCTIONS))
-    table.code.fits[0] = address != 0
+    table.code.fits[0] = functions[calls.EVALUATION] != 0
 
 
 def known_structure(functions):
@@ -171,9 +174,9 @@ def fit_lanes(table):
                 and not len(table.cuts.index) and not np.isin(table.kind, _NOT_IN_LANES).any())
 
 
-def address_in_lanes(model, tables):
+def addresses_in_lanes(model, tables):
     """
-    Return the address of the evaluation of a scene in the lanes of a vector.
+    Return the addresses of the evaluations of a scene in the lanes of a vector.
 
     Parameters
     ----------
@@ -184,15 +187,26 @@ def address_in_lanes(model, tables):
 
     Returns
     -------
-    int or None
-        None where they are not of one structure.
+    dict of int to int, or None
+        By places of the function table. None where they are not of one structure.
 
     """
     first = tables[0]
     key = structure(model, first)
     if any(structure(model, table) != key for table in tables if table is not first):
         return None
-    return address_of_scene(model, key, lambda: LiveLaws(first), LANES)
+    return _addresses(model, first, key, LANES)
+
+
+def _addresses(model, table, key, form=SCALAR):
+    """Return the addresses of the evaluations of a scene by place of the function table."""
+    found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}
+    # Motions and cut joints would have parts in what responds to friction.
+    if JOINT_FRICTION in table.kind and PRESCRIBED_MOTION not in table.kind and not len(
+            table.cuts.index):
+        found[calls.AT_REST] = address_of_scene(
+            model, (*key, 'at rest'), lambda: LiveLaws(table, at_rest=True), form)
+    return found
 
 
 class LiveLaws:
@@ -203,12 +217,14 @@ class LiveLaws:
     ----------
     table : EffectTable
         Its structure counts, not its numbers.
+    at_rest : bool
+        Whether one joint under dry friction may be at rest; all slide otherwise.
 
     """
 
-    def __init__(self, table):
+    def __init__(self, table, at_rest=False):
         """Keep the table."""
-        self._table, self.states = table, len(table.states)
+        self._table, self.states, self.at_rest = table, len(table.states), at_rest
         self.columns = {calls.VALUES: VALUE_COLUMNS, calls.PRESENT: PRESENT_COLUMNS,
                         calls.GAPS: NODE_COLUMNS, calls.TRIALS: TRIAL_COLUMNS, calls.SIDES: 1,
                         calls.CUT_VALUES: CUT_VALUE_COLUMNS}
@@ -318,9 +334,20 @@ def _joint_friction(forces, table, row, values):
         ratio = rate / values[2]
         most = most * (1.0 + (values[1] - 1.0) * exponential(-(ratio * ratio)))
     direction = forces.state(0)
-    # At rest other forces follow from accelerations.
-    bool(abs(direction) > 0.5)
-    torque = chosen(direction < 0.0, most, -most)
+    slides = abs(direction) > 0.5
+    if forces.trace.laws.at_rest:
+        # One that breaks away within a step goes on as one that slides.
+        breaks_away = abs(rate) > REST
+        direction = chosen(slides, direction, rate)
+        # Where loops and motions hold it, no response decides.
+        limit = chosen(values[4] > 0.0, 0.0, most)
+        forces.resting.append((chosen(slides, 0.0, chosen(breaks_away, 0.0, limit)), arms))
+        sliding = chosen(direction < 0.0, most, -most)
+        torque = chosen(slides, sliding, chosen(breaks_away, sliding, 0.0))
+    else:
+        # At rest other forces follow from accelerations.
+        bool(slides)
+        torque = chosen(direction < 0.0, most, -most)
     for joint, arm in arms:
         forces.twist(joint, torque * arm)
     forces.flow(0.0, 0.0, -(torque * rate))

@@ -24,11 +24,11 @@ namespace
 constexpr int MOST_CORRECTIONS = 8;
 
 /// Time derivatives of all lanes; return whether the results are good.
-bool batch_derivative(const Batch & batch, Values state, Values out)
+bool batch_derivative(const Batch & batch, Index which, Values state, Values out)
 {
   const Index n = batch.qdd.size, first = LANES * batch.nq();
   const bool good =
-    call(batch.table, routine::EVALUATION, state.part(0, first), state.part(first, n));
+    call(batch.table, which, state.part(0, first), state.part(first, n));
   rates_of_coordinates(batch.manifold, state, batch.nv(), out, LANES);
   copy(batch.qdd, out.part(first, n));
   copy(batch.rates, out.part(first + n, batch.rates.size));
@@ -41,7 +41,7 @@ bool batch_step(
   const Batch & batch, const Tableau & tableau, Values state, double step_size, Table slopes,
   Values stage, Values out, LaneEvents & events)
 {
-  if (!batch_derivative(batch, state, slopes[0])) {
+  if (!batch_derivative(batch, events.routine(), state, slopes[0])) {
     return false;
   }
   events.store_start();
@@ -52,7 +52,7 @@ bool batch_step(
   }
   for (Index k = 1; k < stages; ++k) {
     combine(tableau.a.row(k), k, state, step_size, slopes, stage);
-    if (!batch_derivative(batch, stage, slopes[k])) {
+    if (!batch_derivative(batch, events.routine(), stage, slopes[k])) {
       return false;
     }
   }
@@ -217,6 +217,11 @@ bool fits(const Batch & batch)
          batch.rates.size % LANES == 0 && misfit(batch.manifold, batch.nq(), nv) == nullptr;
 }
 
+bool lists(const EffectTable & effects, Index kind)
+{
+  return std::find(effects.kind.begin(), effects.kind.end(), kind) != effects.kind.end();
+}
+
 bool same(Indices one, Indices other)
 {
   return std::equal(one.begin(), one.end(), other.begin(), other.end());
@@ -230,6 +235,8 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
          LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
          same(lane.system->effects.kind, first.system->effects.kind) &&
+         (batch.table[routine::AT_REST] != 0 ||
+         !lists(lane.system->effects, effect::JOINT_FRICTION)) &&
          lane.system->tau.size == batch.nv() && lane.run.stepper.kind == stepper::FIXED &&
          lane.run.stepper.stabilisation == first.run.stepper.stabilisation &&
          lane.run.numbers.size == guard::NUMBERS &&

@@ -312,8 +312,8 @@ void evaluate_state(const System & system, Values state)
   system.work.health[health::WRITTEN] = 0.0;
   if (system.has_effects()) {
     take_states(system, state);
-    if (!system.is_unrolled() || !prepare_code(system.effects) ||
-      !call(system.table, routine::EVALUATION, q, qd))
+    const Index which = system.is_unrolled() ? prepare_code(system.effects) : -1;
+    if (which < 0 || system.table[which] == 0 || !call(system.table, which, q, qd))
     {
       evaluate(system, q, qd);
     }

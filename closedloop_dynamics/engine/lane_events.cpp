@@ -26,10 +26,10 @@ LaneEvents::LaneEvents(const Batch & batch, const std::vector<Lane> & lanes)
   own_.resize(static_cast<std::size_t>(lanes[0].system->ns()));
 }
 
-bool LaneEvents::rests(Values state, std::size_t lane) const
+Index LaneEvents::resting(Values state, std::size_t lane) const
 {
   const Index own = batch_.nq() + batch_.nv();
-  return std::any_of(
+  return std::count_if(
     frictions_.begin(), frictions_.end(), [&](Index row) {
       return std::abs(state[LANES * (own + effects_.index(row, effect::STATE)) + lane]) < 0.5;
     });
@@ -42,9 +42,12 @@ Values LaneEvents::begin(Values state)
     batch_.trials.part(first, LANES * (contact::WRONG + 1)).fill(0.0);
   }
   bool any = false;
+  at_rest_ = false;
   Index ready = LANES;
   for (Index lane = LANES - 1; lane >= 0; --lane) {
-    alone_[lane] = rests(state, static_cast<std::size_t>(lane));
+    const Index count = resting(state, static_cast<std::size_t>(lane));
+    at_rest_ = at_rest_ || count == 1;
+    alone_[lane] = count > 1;
     any = any || alone_[lane];
     ready = alone_[lane] ? ready : lane;
   }
@@ -84,15 +87,35 @@ double LaneEvents::along(Index row, Values out, std::size_t lane) const
   return sum;
 }
 
+bool LaneEvents::creeps(Index row, Values out, std::size_t lane) const
+{
+  const double rate = along(row, out, lane);
+  if (std::abs(rate) > REST) {
+    const Index own = batch_.nq() + batch_.nv();
+    out[LANES * (own + effects_.index(row, effect::STATE)) + lane] = std::copysign(1.0, rate);
+    return false;
+  }
+  if (!(std::abs(rate) <= RATE_ROUNDING)) {
+    return true;
+  }
+  if (arm_count(effects_, row) == 0) {
+    out[LANES * (batch_.nq() + effects_.index(row, effect::FIRST)) + lane] = 0.0;
+  }
+  return false;
+}
+
 void LaneEvents::find(Values state, Values out, double size)
 {
   const Index own = batch_.nq() + batch_.nv();
   for (Index row : frictions_) {
     const Index mode = LANES * (own + effects_.index(row, effect::STATE));
     for (Index lane = 0; lane < LANES; ++lane) {
-      const double onwards = state[mode + lane] * along(row, out, static_cast<std::size_t>(lane));
+      const std::size_t place = static_cast<std::size_t>(lane);
+      const double direction = state[mode + lane];
       // Written so that a NaN is one, too.
-      alone_[lane] = alone_[lane] || !(onwards > REST);
+      alone_[lane] = alone_[lane] || (
+        std::abs(direction) < 0.5 ? creeps(row, out, place) :
+        !(direction * along(row, out, place) > REST));
     }
   }
   for (Index row : effects_.contacts.rows) {

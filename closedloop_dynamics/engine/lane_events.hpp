@@ -9,8 +9,9 @@
 #include "batch.hpp"
 
 // Steps in which something happens to the effects of one lane. The lanes of a vector make whole
-// steps alike; a lane in which a joint under dry friction is at rest or comes to rest, or a contact
-// may be passed unfelt, makes that step alone, as a single run does, and goes on with the others.
+// steps alike, with one joint under dry friction at rest in each lane, too; a lane in which several are, a
+// joint comes to rest or creeps, or a contact may be passed unfelt, makes that step alone, as a
+// single run does, and goes on with the others.
 
 namespace closedloop
 {
@@ -25,23 +26,31 @@ public:
   /// there is no lane that can.
   Values begin(Values state);
 
+  /// The routine that evaluates the states of the present step.
+  Index routine() const {return at_rest_ ? routine::AT_REST : routine::EVALUATION;}
+
   /// Take note of the gaps at the start of a step, after the evaluation there.
   void store_start();
 
-  /// Find the lanes to whose effects something has happened within a step to `out`.
+  /// Find the lanes to whose effects something has happened within a step to `out`, and whether
+  /// joints at rest in the others have broken away.
   void find(Values state, Values out, double size);
 
   /// Make the steps of lanes that are alone, of one size [s], into `out`.
   Status make(Values state, Values out, double size);
 
 private:
-  bool rests(Values state, std::size_t lane) const;
+  /// How many joints are at rest.
+  Index resting(Values state, std::size_t lane) const;
+  /// Look at a joint at rest at the end of a step; return whether it moves, but slowly.
+  bool creeps(Index row, Values out, std::size_t lane) const;
   double along(Index row, Values out, std::size_t lane) const;
 
   const Batch & batch_;
   const std::vector<Lane> & lanes_;
   const EffectTable & effects_;
   bool alone_[LANES] = {};
+  bool at_rest_ = false;
   /// Rows of effects that are dry friction.
   std::vector<Index> frictions_;
   std::vector<double> parked_;

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "columns.hpp"
 #include "course.hpp"
 
 namespace closedloop
@@ -38,20 +39,19 @@ void take_piece(const EffectTable & table, Index row)
 }
 }  // namespace
 
-bool prepare_code(const EffectTable & table)
+Index prepare_code(const EffectTable & table)
 {
   if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
-    return false;
+    return -1;
   }
+  Index resting = 0;
   for (Index row = 0; row < table.count(); ++row) {
     if (table.enabled[row] != 1) {
-      return false;
+      return -1;
     }
     switch (table.kind[row]) {
       case effect::JOINT_FRICTION:
-        if (std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5) {
-          return false;
-        }
+        resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
         break;
       case effect::PRESCRIBED_TORQUE:
       case effect::PRESCRIBED_FORCE:
@@ -63,11 +63,14 @@ bool prepare_code(const EffectTable & table)
         break;
     }
   }
+  if (resting > 1) {
+    return -1;
+  }
   for (Index row : table.contacts.rows) {
     table.code.sides[row] = static_cast<double>(table.contacts.mode[row]);
   }
   table.sticking.rows[0] = 0;
-  return true;
+  return resting == 1 ? routine::AT_REST : routine::EVALUATION;
 }
 
 }  // namespace closedloop

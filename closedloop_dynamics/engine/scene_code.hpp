@@ -11,10 +11,11 @@
 namespace closedloop
 {
 
-/// Whether that code evaluates the states of the effects that the table has now: it has the laws of
-/// these, all of them are switched on, and no joint under dry friction is at rest. What the laws
-/// would search for is found: pieces of courses, modes of contacts.
-bool prepare_code(const EffectTable &);
+/// The routine of that code that evaluates the states of the effects that the table has now; less
+/// than zero where there is none: effects have other laws, one of them is switched off, friction
+/// feels reactions, or several joints under dry friction are at rest. What the laws would search for
+/// is found: pieces of courses, modes of contacts.
+Index prepare_code(const EffectTable &);
 
 }  // namespace closedloop
 

@@ -17,8 +17,6 @@ namespace
 {
 // A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
 constexpr double ARRIVED = 1e-9;
-// A cut joint or a tendon at rest has rates of rounding [rad/s; m/s].
-constexpr double RATE_ROUNDING = 1e-12;
 // Cuts of one step: beyond, it is taken as it is.
 constexpr int MOST_CUTS = 200;
 // The least part of a step that is made.
@@ -59,7 +57,8 @@ double first_rest(
   return shortest > floor ? shortest : size;
 }
 
-/// Update the modes of joints by their rates; return whether one at rest still moves.
+/// Update the modes of joints by their rates, of which rounding is taken from joints of the tree at
+/// rest; return whether one at rest still moves.
 bool stick(const EffectTable & effects, Values rates, Values own)
 {
   bool slow = false;
@@ -74,8 +73,10 @@ bool stick(const EffectTable & effects, Values rates, Values own)
         mode = std::copysign(1.0, rate);
       } else if (rate * mode <= ARRIVED) {
         mode = 0.0;
-        // Rounding in the rate of a joint of the tree at rest: none.
-        slow = slow || std::abs(rate) > (in_tree ? 0.0 : RATE_ROUNDING);
+        slow = slow || std::abs(rate) > RATE_ROUNDING;
+        if (in_tree && std::abs(rate) <= RATE_ROUNDING) {
+          rates[effects.index(row, effect::FIRST)] = 0.0;
+        }
       }
     }
   }
@@ -120,12 +121,11 @@ void update_friction_modes(const System & system, Values state)
     rates_with_cuts(system, state, effects.cuts.qd);
     rates = effects.cuts.qd;
   }
-  if (!stick(effects, rates, state.from(system.own()))) {
-    return;
+  if (stick(effects, rates, state.from(system.own()))) {
+    evaluate_with_poses(system, state);
+    // The evaluation measures the rates of cut joints anew, of the same state.
+    stop_sticking_joints(effects, rates);
   }
-  evaluate_state(system, state);
-  // The evaluation measures the rates of cut joints anew, of the same state.
-  stop_sticking_joints(effects, rates);
   if (with_cuts) {
     copy(rates, system.qd(state));
   }

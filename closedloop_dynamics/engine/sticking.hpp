@@ -29,6 +29,8 @@ namespace closedloop
 /// Rates below this are rest while a step is made [rad/s; m/s]; wide enough for the finite
 /// differences that stiff methods and rate estimates take.
 constexpr double REST = 1e-6;
+/// A cut joint or a tendon at rest, and any after a correction, has rates of rounding [rad/s; m/s].
+constexpr double RATE_ROUNDING = 1e-12;
 
 /// Store accelerations and multipliers without the friction of the joints at rest.
 void keep_frictionless(const EffectTable &, Values qdd, Values lam);

@@ -5,9 +5,10 @@
 Whole runs of several mechanisms of one topology at once, one in every lane of a vector (SIMD).
 
 The steps are those of single runs, number by number; only the routines compute all lanes at
-once. A lane in which an effect begins or ceases within a step, or a joint under dry friction is at
-rest, makes that step alone (``engine/lane_events.cpp``). What else a lane alone would do otherwise
-(the rank-revealing path, a failure) ends the run: its mechanisms are then run one by one.
+once. A lane in which an effect begins or ceases within a step, or several joints under dry
+friction are at rest, makes that step alone (``engine/lane_events.cpp``). What else a lane alone
+would do otherwise (the rank-revealing path, a failure) ends the run: its mechanisms are then run
+one by one.
 
 """
 
@@ -87,17 +88,17 @@ def build_batch(systems):
     nv, nc = len(first.qdd), len(first.lam)
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
                             settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
-    evaluation = None
+    evaluations = None
     if first.effects is not None:
-        evaluation = live_laws.address_in_lanes(first.model, [
+        evaluations = live_laws.addresses_in_lanes(first.model, [
             system.effects for system in systems])
-        if evaluation is None:
+        if evaluations is None:
             return None
         arrays.update(_arrays_of_effects([system.effects for system in systems]))
         arrays[calls.COMMAND] = arrays[calls.TAU]
     nothing = np.zeros(0)
     return Batch(
-        table=lanes.connect(first.model, arrays, evaluation), tau=arrays[calls.TAU],
+        table=lanes.connect(first.model, arrays, evaluations), tau=arrays[calls.TAU],
         qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
         corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
         tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),

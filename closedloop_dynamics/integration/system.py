@@ -280,7 +280,7 @@ def _linked(system, routines, scene=None):
         codegen.link(model, table, routines, system.joints)
     elif system.is_unrolled:
         codegen.link(model, table, tuple(
-            one for one in routines if one != calls.EVALUATION), system.joints)
+            one for one in routines if one not in calls.OF_SCENE), system.joints)
         live_laws.link(model, effects, table, scene)
     return _bound(system._replace(table=table, whole=whole))
 

@@ -53,6 +53,13 @@ IN_PLANE = {
         ('joint_friction', {'joint': CRANK, 'coulomb': 0.3, 'static_ratio': 1.5}),
         ('joint_friction', {'joint': 'CUT', 'coulomb': 0.1}),
         ('actuator', {'joint': CRANK, 'max_torque': 1.5, 'max_speed': 20.0, 'lag': 0.02})],
+    'friction under a load': [
+        ('joint_friction', {'joint': CRANK, 'coulomb': 0.3, 'static_ratio': 1.5}),
+        ('external_force', {'point': 'ONE', 'force': (1.0, -2.0), 'torque': 0.3})],
+    'two frictions at rest': [
+        ('joint_friction', {'joint': CRANK, 'coulomb': 0.3}),
+        ('joint_friction', {'joint': 'slider_joint', 'coulomb': 0.2}),
+        ('external_force', {'point': 'ONE', 'force': (1.0, -2.0), 'torque': 0.3})],
     'contacts': [
         ('contact', {'point': 'ONE', 'origin': (0.0, 0.1), 'angle': 0.1, 'stiffness': 300.0,
                      'exponent': 1.5, 'damping': 0.2, 'friction': 0.3, 'scraping': 2.0}),
@@ -205,16 +212,37 @@ def test_a_term_that_the_code_does_not_have_acts():
     assert np.abs(changed - found(system, state)[0]).max() > 1e-3
 
 
-def test_friction_at_rest_is_evaluated_in_parts():
-    simulation = simulated('stop, friction, drive')
-    system = simulation.system
+def at_rest(name, **changes):
+    """Return the system of a simulation, and its state with all joints at rest."""
+    simulation = simulated(name)
+    simulation.set_effect('joint_friction_0', **changes)
     state = simulation.integrated.copy()
-    q, qd, own, _ = parts_of_state(system)
+    q, qd, own, _ = parts_of_state(simulation.system)
     state[qd] = 0.0
     simulation.effect_set.follow(state[own], simulation.effect_set.rates(state[q], state[qd]))
+    return simulation.system, state
+
+
+@pytest.mark.parametrize('coulomb, breaks_away', [(50.0, False), (0.01, True)])
+def test_one_routine_holds_a_joint_at_rest(coulomb, breaks_away):
+    """Up to the limit: under a larger load the joint sets out."""
+    system, state = at_rest('friction under a load', coulomb=coulomb)
+    ours = found(system, state)
+    # Nobody has asked what responds to it.
+    assert system.effects.sticking.rows[0] == 0
+    theirs = in_parts(system, state)
+    assert system.effects.sticking.rows[0] == 1
+    assert (np.abs(theirs[0]).max() > 1e-3) == breaks_away
+    for one, other in zip(ours, theirs):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
+            1.0 + np.abs(other).max(initial=0.0)))
+
+
+def test_several_joints_at_rest_are_evaluated_in_parts():
+    system, state = at_rest('two frictions at rest')
     assert all(np.array_equal(one, other) for one, other in zip(
         found(system, state), in_parts(system, state)))
-    assert system.effects.sticking.rows[0] > 0
+    assert system.effects.sticking.rows[0] == 2
 
 
 def test_what_has_no_law_in_code_is_evaluated_in_parts():

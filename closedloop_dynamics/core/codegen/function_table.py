@@ -17,12 +17,13 @@ import numpy as np
 # Addresses of routines: of a state the accelerations and multipliers; the outward recursion alone,
 # and what follows it; the corrections that close the loops; the latter two with refinement. After
 # them the forces in joints, or the wrenches; before that, where equations are left out, the
-# multipliers of all.
+# multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
- REACTIONS, WRENCHES, LEAST_FORCES) = range(9)
+ REACTIONS, WRENCHES, LEAST_FORCES, AT_REST) = range(10)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES)
+OF_SCENE = (EVALUATION, AT_REST)
 # Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,

@@ -20,7 +20,7 @@ from .routines import addresses
 from ..types import HEALTH_COLUMNS
 
 
-def connect(model, arrays, evaluation=None):
+def connect(model, arrays, evaluations=None):
     """
     Return the function table of the routines of a mechanism for several states at once.
 
@@ -31,8 +31,8 @@ def connect(model, arrays, evaluation=None):
     arrays : dict of int to ndarray
         From the places BODY to RATES, lane by lane, but for BAUMGARTE, which all share;
         they must live as long as the function table is used.
-    evaluation : int, optional
-        Address of that of a scene; where not given, of the mechanism alone.
+    evaluations : dict of int to int, optional
+        Addresses of those of a scene by place; where not given, that of the mechanism alone.
 
     Returns
     -------
@@ -40,11 +40,9 @@ def connect(model, arrays, evaluation=None):
 
     """
     table = connect_arrays(arrays)
-    alone = (EVALUATION, CORRECTION) if evaluation is None else (CORRECTION,)
-    for which, address in addresses(model, alone, IN_LANES).items():
+    alone = (EVALUATION, CORRECTION) if evaluations is None else (CORRECTION,)
+    for which, address in (addresses(model, alone, IN_LANES) | (evaluations or {})).items():
         table[which] = address
-    if evaluation is not None:
-        table[EVALUATION] = evaluation
     return table
 
 

@@ -13,7 +13,7 @@ is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
 
 import math
 
-from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, TAKE
+from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smaller, TAKE
 from .function_table import (
     ALWAYS, COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
@@ -69,7 +69,8 @@ class LiveTrace(MechanismTrace):
         ``effects.live_laws.LiveLaws``: ``act(forces)`` lets the effects act, ``motions(trace)``
         returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
         tells how many numbers the rows of arrays have, by their places; ``states`` how many states
-        the effects have, ``cuts`` the table of the cut joints that anything acts in.
+        the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``
+        whether one joint under dry friction may be at rest.
 
     """
 
@@ -104,11 +105,48 @@ class LiveTrace(MechanismTrace):
         self.laws.act(forces)
         torque = self.symbols(COMMAND, (self.nv,)) + forces.torque
         forces.exert()
-        lam = self.accelerate(tau=torque)
+        qdd, lam = self.accelerate(tau=torque)
+        if forces.resting:
+            qdd, lam = self.held(forces.resting, qdd, lam)
+        self.store_accelerations(qdd, lam)
         for place, multiplier, factor in forces.driven:
             forces.rates[place] = lam[multiplier] * factor
         self.store(RATES, forces.rates)
         self.outputs += forces.outputs
+
+
+    def held(self, resting, qdd, lam):
+        """
+        Let friction keep what is at rest there, up to its limit, as ``engine/sticking.hpp`` does.
+
+        Parameters
+        ----------
+        resting : list of (Symbol, list of (int, Symbol))
+            Limits of the frictions, all zero but one, and the joints that each acts on with its
+            moment arms.
+        qdd, lam : ndarray
+            Accelerations and multipliers without it.
+
+        Returns
+        -------
+        tuple of 2 ndarrays
+
+        """
+        most = zeros(self.nv)
+        for limit, arms in resting:
+            for joint, arm in arms:
+                most[joint] = most[joint] + limit * arm
+        more, added = self.response(most)
+        joints = {joint for _, arms in resting for joint, _ in arms}
+        pull, give = (sum(most[i] * one[i] for i in sorted(joints)) for one in (qdd, more))
+        share = -pull / chosen(give > 0.0, give, 1.0)
+        share = chosen(give > 0.0, larger(-1.0, smaller(1.0, share)), 0.0)
+        stays = chosen(abs(share) < 1.0, give, 0.0)
+        qdd, lam = qdd + more * share, lam + added * share
+        for limit, ((joint, arm), *others) in resting:
+            if arm == 1.0 and not others:
+                qdd[joint] = chosen(stays * limit > 0.0, 0.0, qdd[joint])
+        return qdd, lam
 
 
 class LiveForces(Forces):
@@ -125,6 +163,8 @@ class LiveForces(Forces):
         Of the effects' states.
     driven : list of (int, int, Symbol)
         States whose rates are multipliers times something.
+    resting : list of (Symbol, list of (int, Symbol))
+        As of ``LiveTrace.held``.
     outputs : list
         As of ``Routine``.
 
@@ -138,6 +178,7 @@ class LiveForces(Forces):
         self.efforts = zeros(len(trace.laws.cuts))
         self.row = self.first = 0
         self.rates, self.driven, self.outputs = zeros(trace.laws.states), [], []
+        self.resting = []
 
     def numbers(self, row):
         """Return the numbers of a row of the table of effects."""

@@ -206,7 +206,7 @@ class MechanismTrace:
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
-        self.accelerate()
+        self.store_accelerations(*self.accelerate())
 
     def outward(self):
         """Poses, velocities and inertial forces, to which effects add."""
@@ -261,7 +261,7 @@ class MechanismTrace:
     def acceleration(self, by=None):
         """Accelerations and multipliers after ``outward`` and the effects."""
         self.read()
-        self.accelerate(by)
+        self.store_accelerations(*self.accelerate(by))
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)
 
@@ -287,8 +287,8 @@ class MechanismTrace:
 
         Returns
         -------
-        ndarray, shape (nc,)
-            Multipliers.
+        tuple of 2 ndarrays, shapes (nv,) and (nc,)
+            Accelerations and multipliers, to be stored.
 
         """
         if by is None:
@@ -298,10 +298,24 @@ class MechanismTrace:
         if tau is None:
             tau = self.symbols(TAU, (self.nv,))
         bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
+        self.store(HEALTH, self.work.health)
+        return qdd, lam
+
+    def store_accelerations(self, qdd, lam):
+        """Add accelerations and multipliers to the outputs."""
         self.store(QDD, qdd)
         self.store(LAM, lam)
-        self.store(HEALTH, self.work.health)
-        return lam
+
+    def response(self, tau):
+        """Return the accelerations and multipliers that torques alone add, at this position."""
+        recursion = Recursion(
+            self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
+        work = Workspace(*(zeros(*array.shape) for array in unconnected(self.constant)))
+        recursion.outward(self.model, self.q, zeros(self.nv), work)
+        qdd, lam = zeros(self.nv), zeros(self.nc)
+        bool((embedding if self.embeds() else forward_dynamics).accelerate(
+            recursion, self.model, work, tau, 0.0, qdd, lam))
+        return qdd, lam
 
     def reactions(self):
         """Sum up the forces in the joints of the trees, after the accelerations."""
