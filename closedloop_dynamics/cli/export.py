@@ -113,7 +113,7 @@ def _write_c(arguments):
     header.write_text(declared, encoding='utf-8')
     print(f'{arguments.output}, {header}: {len(simulation.position)} coordinates, '
           f'{len(simulation.joint_names)} rates, {len(simulation.system.lam)} multipliers')
-    _tell_left_out(simulation)
+    _print_left_out(simulation)
     return 0
 
 
@@ -129,7 +129,7 @@ def _write_fmu(arguments):
           f'{len(unit.variables)} variables')
     if unit.no_exchange:
         print(f'no model exchange: {unit.no_exchange}')
-    _tell_left_out(simulation)
+    _print_left_out(simulation)
     return 0
 
 
@@ -148,7 +148,7 @@ def _coded(arguments, write):
         raise UsageError(f'--output: {error}') from None
 
 
-def _tell_left_out(simulation):
+def _print_left_out(simulation):
     """Name the effects that have no part in the motion."""
     from ..simulation.c_source import left_out
     sensors = left_out(simulation)

@@ -33,7 +33,7 @@ def _run(arguments):
         recording = recording_of(arguments, arguments.bag, other_machine=True)
     with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:
         result = replay(recording, show)
-    _tell(arguments, recording, result)
+    _print_summary(arguments, recording, result)
     if arguments.picture:
         title = f'{recording.scene.name}: recorded minus re-simulated'
         pictures.deviations(result, title).savefig(arguments.picture)
@@ -56,7 +56,7 @@ def _judged(arguments, result):
     return 0
 
 
-def _tell(arguments, recording, result):
+def _print_summary(arguments, recording, result):
     motion = recording.motion
     print(f'{arguments.bag}: {len(motion.time)} states of {recording.scene.name}, '
           f'{motion.time.max() - motion.time.min():.6g} s, simulated again')

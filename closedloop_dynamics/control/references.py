@@ -23,7 +23,7 @@ from ..mechanism.rotations import composed, CONJUGATE, quaternion_about
 POSITIONS = 128
 # Newton steps for each of them, and what must be left at most [m or rad].
 ITERATIONS, TOLERANCE = 30, 1e-11
-# Slopes are found anew where a step does not make what is left smaller by this factor.
+# Slopes are found again where a step does not make what is left smaller by this factor.
 SLOW = 0.1
 DIFFERENCE = 1e-6
 # Of a straight way between two places, which a spline goes through.

@@ -220,7 +220,7 @@ class Effect:
         """
 
     @property
-    def feels_reactions(self):
+    def depends_on_reactions(self):
         """Whether its force depends on the reaction in its joint."""
         return False
 

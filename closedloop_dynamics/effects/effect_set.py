@@ -91,7 +91,7 @@ class EffectSet:
     attends : bool
         Whether either is so: commands that are late, or sensors that remember.
     follows_time : bool
-        Whether any effect has states that ``follow_time`` sets.
+        Whether any effect has states that ``begin_at_time`` sets.
     cuts : tuple of 2 ndarrays or None
         Of the cut joints that anything acts in, as for ``table.build_table``.
 
@@ -383,7 +383,7 @@ class EffectSet:
             cuts.qd)
         return cuts.qd.copy()
 
-    def follow_angles(self, states):
+    def restart_angles(self, states):
         """Set the angles that count turns to those of the latest evaluation, in place."""
         cuts = self._table.cuts
         for k, row in enumerate(cuts.index):
@@ -423,7 +423,7 @@ class EffectSet:
         places, arms = table.data[begin:begin + 2 * count].reshape(count, 2).T
         return arms @ joints[places.astype(int)]
 
-    def follow_time(self, states, time):
+    def begin_at_time(self, states, time):
         """Initialise the own states of time-dependent effects at a time [s], in place."""
         if self._clocks[0] != time:
             clocks = {self._table.index[row, STATE]: self.records[self._rows[row]].clock(time)

@@ -88,7 +88,7 @@ class JointFriction(Effect):
         return ((self.joint, 1.0),)
 
     @property
-    def feels_reactions(self):
+    def depends_on_reactions(self):
         """Whether its force depends on the reaction in its joint."""
         return self.friction_coefficient * self.radius > 0.0
 
@@ -101,7 +101,7 @@ class JointFriction(Effect):
         return ForceElement(
             JOINT_FRICTION, (machine.joint(self.joint), machine.joint_row(self.joint)),
             tuple(values),
-            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), loaded=self.feels_reactions,
+            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), loaded=self.depends_on_reactions,
             sticks=True)
 
     def direction(self, rate):

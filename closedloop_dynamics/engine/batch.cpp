@@ -158,8 +158,8 @@ public:
       runs_.back()->begin(*lane.system, state_of(state, runs_.size() - 1));
     }
   }
-  /// Look at all lanes after so many steps, and the work of their torques up to then.
-  void look(Values state, const double (&work)[LANES], Index done, bool at_energy)
+  /// Check all lanes after so many steps, and the work of their torques up to then.
+  void check(Values state, const double (&work)[LANES], Index done, bool at_energy)
   {
     for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
       const System & system = *lanes_[lane].system;
@@ -286,9 +286,9 @@ Status run_batch(
     };
   LaneEvents events(batch, lanes);
   WatchedLanes watched(lanes, state, status);
-  const auto look = [&](Index done, bool at_energy) {
+  const auto check = [&](Index done, bool at_energy) {
       add_work_since();
-      watched.look(state, worked, done, at_energy);
+      watched.check(state, worked, done, at_energy);
     };
   const auto step_together = [&](Values from) {
       if (!batch_step(batch, tableau, from, step_size, slopes, stage, out, events)) {
@@ -324,7 +324,7 @@ Status run_batch(
     };
   record(state, position, velocity, 0);
   copy(state, since);
-  Index unseen = 0, between = watch.first;
+  Index unchecked = 0, between = watch.first;
   for (Index done = 0; done < steps; ) {
     if (done % zero_order_hold == 0) {
       add_work_since();
@@ -334,7 +334,7 @@ Status run_batch(
     const Index at_once = std::min(
       {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
     for (Index left = at_once; left > 0; ) {
-      const Index portion = std::min({left, watch.most, between - unseen});
+      const Index portion = std::min({left, watch.most, between - unchecked});
       for (Index made = 0; made < portion; ++made) {
         const Status ended = step();
         if (ended != Status::DONE) {
@@ -343,19 +343,19 @@ Status run_batch(
       }
       left -= portion;
       done += portion;
-      unseen += portion;
-      const bool at_energy = unseen >= between;
+      unchecked += portion;
+      const bool at_energy = unchecked >= between;
       if (at_energy) {
         between = std::max(std::min(2 * between, watch.rarely), watch.first);
-        unseen = 0;
+        unchecked = 0;
       }
       if (at_energy || !std::isinf(watch.closure)) {
-        look(done, at_energy);
+        check(done, at_energy);
       }
     }
-    if (unseen > 0 && (at_once >= watch.call || done == steps)) {
-      unseen = 0;
-      look(done, true);
+    if (unchecked > 0 && (at_once >= watch.call || done == steps)) {
+      unchecked = 0;
+      check(done, true);
     }
     if (done % decimation == 0) {
       record(state, position, velocity, done / decimation);

@@ -101,11 +101,11 @@ bool factorize_well(const Model & model, const Workspace & work)
   const double smallest = factorize(model, work);
   const bool fine = good(model, smallest, SMALL_PIVOT);
   // A small one may be that of the masses alone: refinement reports what it finds.
-  note(model, work, fine ? smallest : 1.0);
+  record_pivot(model, work, fine ? smallest : 1.0);
   return fine;
 }
 
-void note(const Model & model, const Workspace & work, double smallest)
+void record_pivot(const Model & model, const Workspace & work, double smallest)
 {
   const Values & health = work.health;
   health[health::RANK] = static_cast<double>(model.equations());

@@ -30,7 +30,7 @@ bool factorize_well(const Model &, const Workspace &);
 bool good(const Model &, double smallest, double limit);
 
 /// Report a smallest pivot in Workspace.health.
-void note(const Model &, const Workspace &, double smallest);
+void record_pivot(const Model &, const Workspace &, double smallest);
 
 /// Solve in place, in elimination order, shape (nc,).
 void solve(const Model &, const Workspace &, Values right);

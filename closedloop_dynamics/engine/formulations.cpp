@@ -166,7 +166,7 @@ bool accelerate_dense(
   }
   work.health[health::EVALUATIONS] += 1.0;
   const bool fine = ratio >= POOR_PIVOT;
-  note(model, work, fine ? ratio : 1.0);
+  record_pivot(model, work, fine ? ratio : 1.0);
   return fine;
 }
 

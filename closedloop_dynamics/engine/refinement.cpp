@@ -145,7 +145,7 @@ double hand_over(const Model & model, const Workspace & work)
 bool prepare_refined(const Model & model, Values tau, const Workspace & work, double limit)
 {
   const double smallest = factor_geometry(model, work);
-  note(model, work, smallest);
+  record_pivot(model, work, smallest);
   if (!good(model, smallest, limit)) {
     return false;
   }

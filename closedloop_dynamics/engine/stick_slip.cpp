@@ -123,7 +123,7 @@ void update_friction_modes(const System & system, Values state)
   }
   if (stick(effects, rates, state.from(system.own()))) {
     evaluate_with_poses(system, state);
-    // The evaluation measures the rates of cut joints anew, of the same state.
+    // The evaluation measures the rates of cut joints again, of the same state.
     stop_sticking_joints(effects, rates);
   }
   if (with_cuts) {

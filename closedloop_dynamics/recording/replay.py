@@ -187,7 +187,7 @@ class _Logged(_Player):
                       else 'the first recorded state')
         else:
             if self._scene.method.by_budget and log.whole is not None:
-                self.simulation.take_accuracy(log.whole[before])
+                self.simulation.adopt_accuracy(log.whole[before])
             self._advance(k, log.time[k] - log.time[before])
             if k == self._known:
                 self._start(log.whole[k], log.time[k])

@@ -432,7 +432,7 @@ def _reach_all(platform, state, request, workers, show, keep_going):
                         raise
                     state.done[k] = 2
                     continue
-        finished = grid.spread(keep_going, done) and grid.look_elsewhere(keep_going, done)
+        finished = grid.spread(keep_going, done) and grid.search_elsewhere(keep_going, done)
         if len(state.reached):
             state.reached[:] = grid.reached
             state.position[:], state.rates[:] = grid.position, grid.rates

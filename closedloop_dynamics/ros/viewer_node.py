@@ -30,7 +30,7 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import motion_columns, motion_looked_at, motion_rows
+from closedloop_dynamics.view.columns import motion_columns, motion_thinning_values, motion_rows
 from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
@@ -38,7 +38,7 @@ from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
-from closedloop_dynamics.view.runner import Hand, LOOKING_SHARE, round_up
+from closedloop_dynamics.view.runner import Hand, SAMPLING_SHARE, round_up
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
 from closedloop_dynamics.visual.trajectory import Trajectory
@@ -57,7 +57,7 @@ from std_srvs.srv import SetBool, Trigger
 NAME = 'closedloop_viewer'
 # Frames per second; time between two looks for simulators; how long one may be silent before it is
 # said [s].
-RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
+RATE, POLL_PERIOD, SILENCE = 60.0, 0.25, 3.0
 # Where all simulators are shown: how long to look for more after the first [s].
 GATHERING = 2.0
 # What stands for the topic of wrenches.
@@ -200,7 +200,7 @@ class RemoteSimulator(Shown):
             self._start = stamp
         passed = stamp - self._start - self._time
         self._time, self._fresh = stamp - self._start, True
-        self._look_between()
+        self._sample_between()
         if passed > 0.0:
             self._passed.append(passed)
             if any(mode == POSITION for mode, *_ in self.drives.values()):
@@ -227,11 +227,11 @@ class RemoteSimulator(Shown):
         """Show new states, and handle the requests of the pages."""
         if self.feed is None:
             return
-        self._follow()
+        self._handle_requests()
         if self._fresh and self.feed.pages:
             self._fresh = False
             row, values = self._row()
-            self._look(self._time, row, values)
+            self._thin(self._time, row, values)
             self.feed.show(self._time, row)
             self._thinning.keep(self._time, values)
         self._send_controls()
@@ -242,14 +242,14 @@ class RemoteSimulator(Shown):
             values[np.newaxis] for values in (
                 self._position, self._velocity, self._effort, self._forces)))
         rows = motion_rows(motion)
-        return rows[0], motion_looked_at(self._columns, motion, rows)[0]
+        return rows[0], motion_thinning_values(self._columns, motion, rows)[0]
 
-    def _look_between(self):
+    def _sample_between(self):
         """Look at a state between frames, if that takes no more than its share of the clock."""
         begin = time.monotonic()
-        if not self.feed.pages or begin - self._looked_at < self._look_time / LOOKING_SHARE:
+        if not self.feed.pages or begin - self._looked_at < self._look_time / SAMPLING_SHARE:
             return
-        self._look(self._time, *self._row())
+        self._thin(self._time, *self._row())
         self._looked_at, self._look_time = begin, time.monotonic() - begin
 
     def _send_controls(self):
@@ -264,7 +264,7 @@ class RemoteSimulator(Shown):
                 self._scene.effects, lambda name: name not in self._scene.switched_off))
 
     def _do_play(self, page):
-        self._let_go()
+        self._end_grab()
         self._kinematic, self._playing = False, True
         self._call(self._pause, SetBool.Request(data=False))
 
@@ -370,7 +370,7 @@ class RemoteSimulator(Shown):
         if on and not self._kinematic:
             self._do_pause(None)
             self._update_model()
-        self._let_go()
+        self._end_grab()
         self._kinematic = on
 
     def _on_posed(self):
@@ -398,7 +398,7 @@ class RemoteSimulator(Shown):
                 raise FieldError('kinematic mode, or a simulator that takes wrenches', 'neither')
             self._update_model()
 
-    def _take_hold(self, name, place):
+    def _begin_grab(self, name, place):
         self._mass, self._felt_at = felt_mass(self._model, name), self._time
         self._pull(place)
 
@@ -428,7 +428,7 @@ class RemoteSimulator(Shown):
         period, size = self._period, self._hand.size
         between = np.linalg.norm(velocity) * period
         if between > SWING * size:
-            self._let_go()
+            self._end_grab()
             self.feed.refuse(
                 f'released: the point moves by {between:.2g} m from one state to the next, '
                 'too far for a stable pull')
@@ -504,7 +504,7 @@ class ViewerNode(Node):
                         if name.strip()]
         self._offered, self._shown, self._first = {}, {}, None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(LOOK_PERIOD, self.poll_simulators, clock=steady)
+        self._timer = self.create_timer(POLL_PERIOD, self.poll_simulators, clock=steady)
         self.create_timer(1.0 / RATE, self.tick, clock=steady)
         self.get_logger().info(
             f'looking for {", ".join(self._wanted) or "simulators"} ...')

@@ -453,15 +453,15 @@ class Data(Names):
         with at(what):
             return self.coordinates.filled(what, values, present)
 
-    def _feel_loads(self) -> None:
+    def _begin_loads(self) -> None:
         """Initialise effects with the present rates and reactions of their joints."""
         if self._effects.cuts is not None:
             self._fresh = False
             self._evaluate()
-            self._effects.follow_angles(self._own)
+            self._effects.restart_angles(self._own)
             self._fresh = False
         self._effects.follow(self._own, self._effects.rates(self._q, self._qd))
-        self._effects.follow_time(self._own, self.time)
+        self._effects.begin_at_time(self._own, self.time)
         if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
             places, rows = self._effects.loaded()
@@ -677,7 +677,7 @@ class Data(Names):
         """
         self._fresh = False
         if self._effects.follows_time:
-            self._effects.follow_time(self._table.states, self.time)
+            self._effects.begin_at_time(self._table.states, self.time)
         found = self.inverse.solve_given(position, velocity, acceleration)
         if found is not None:
             return found
@@ -709,7 +709,7 @@ class Data(Names):
         """
         self._fresh = False
         if self._effects.follows_time:
-            self._effects.follow_time(self._table.states, self.time)
+            self._effects.begin_at_time(self._table.states, self.time)
         return self.inverse.needed(position, velocity, acceleration)
 
 

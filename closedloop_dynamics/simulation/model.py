@@ -483,7 +483,7 @@ class _Workspace(Readings):
         """Return a state in which the effects begin again, as it is."""
         self._put(time, q, qd, self._effects.initial)
         self.system.tau[:] = 0.0
-        self._feel_loads()
+        self._begin_loads()
         return self.snapshot()
 
     def assembled(self, position: Numbers, velocity: Optional[Numbers], hold: Sequence[str],

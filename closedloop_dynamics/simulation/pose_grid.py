@@ -398,7 +398,7 @@ class PoseGrid:
         finally:
             free.put(kinematics)
 
-    def look_elsewhere(self, keep_going=lambda: True, show=lambda count: None):
+    def search_elsewhere(self, keep_going=lambda: True, show=lambda count: None):
         """
         Search from random starts for parts that are not connected with the reached ones.
 

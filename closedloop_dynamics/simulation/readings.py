@@ -529,7 +529,7 @@ class Readings(Data):
 
         """
         loaded = {name: record for name, record in self._effects.records.items()
-                  if record.feels_reactions and self._effects.enabled[name]}
+                  if record.depends_on_reactions and self._effects.enabled[name]}
         if not loaded:
             return []
         components = self.redundancy().components

@@ -312,7 +312,7 @@ def _values_asked_for(simulation, buffer, tau, schedule, quantities):
         simulation.integrated[:] = buffer.state[instant]
         simulation.system.tau[:] = efforts[instant]
         simulation.touch()
-        _note(simulation, others, instant)
+        _write_instant(simulation, others, instant)
     return values
 
 
@@ -331,7 +331,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
     actuated = tau[:, simulation.actuated]
     try:
         simulation.advance(tau[0], 0)
-        _note(simulation, values, 0)
+        _write_instant(simulation, values, 0)
         done = 0
         while done < schedule.intervals:
             row = done // schedule.zero_order_hold
@@ -345,7 +345,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
                 simulation.step(actuated[row], schedule.interval)
             done += portion
             if done % schedule.decimation == 0:
-                _note(simulation, values, done // schedule.decimation)
+                _write_instant(simulation, values, done // schedule.decimation)
         simulation.judge()
         failure = simulation.energy_guard.finding or None
     except SimulationError as error:
@@ -353,7 +353,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
     return RunResult(values, failure)
 
 
-def _note(simulation, values, instant):
+def _write_instant(simulation, values, instant):
     """Write one instant."""
     for name, rows in values.items():
         rows[instant] = getattr(simulation, name)

@@ -394,7 +394,7 @@ class Simulation(Readings):
         if accuracy != present:
             self._driver.driver.aim(accuracy)
 
-    def take_accuracy(self, state: ArrayLike) -> None:
+    def adopt_accuracy(self, state: ArrayLike) -> None:
         """
         Keep the accuracy that another run of ``integrator: auto`` kept from a state on.
 
@@ -808,7 +808,7 @@ class Simulation(Readings):
         health = self.system.work.health
         health[:] = 0.0
         health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
-        self._feel_loads()
+        self._begin_loads()
         if self.system.manifold is not None:
             self._state[-1] = 0.0
         self._balance.restart(self._by_freedom())
@@ -864,7 +864,7 @@ class Simulation(Readings):
         """
         method = replace(self.scene.method, step_size=step_size)
         self._stiffness.check(self._state, method.step_size)
-        self._take_method(method, self._stiffness)
+        self._set_method(method, self._stiffness)
 
     def prepare_method(self, **changes: Any) -> Callable[[], None]:
         """
@@ -916,7 +916,7 @@ class Simulation(Readings):
                 self.exchanges += 1
             self.system = system
             self._driver = Monitor(driver, system, method, self._numbers, self._counts)
-            self._take_method(method, guard)
+            self._set_method(method, guard)
 
         return take_effect
 
@@ -936,7 +936,7 @@ class Simulation(Readings):
         self.energy_guard.jump()
         self._counts[guarded_run.CABLES_CHECKED] = 0
 
-    def _take_method(self, method: Method, stiffness: StiffnessGuard) -> None:
+    def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
         self._set_time(self.time, 0)
         self.scene = replace(self.scene, method=method)
         self._set_guards(stiffness, method)
@@ -988,7 +988,7 @@ class Simulation(Readings):
         self._effects.reset_states(self._own)
         self._driver.restart(moved=True)
         self._jump()
-        self._feel_loads()
+        self._begin_loads()
         self._jump_balance(self.energy - before)
 
     def _jump_balance(self, energy: float) -> None:
@@ -1194,15 +1194,15 @@ class Simulation(Readings):
         restarted = self._try_effect(name, enabled, parameters)
         self._own[restarted] = self._effects.initial[restarted]
         self._set_run()
-        self._effects.follow_time(self._own, self.time)
+        self._effects.begin_at_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):
             self.exchange(self._geometry.keep(None))
         self._driver.restart()
         self._jump()
         if len(restarted):
-            self._feel_loads()
+            self._begin_loads()
         self._jump_balance(self.energy - before)
-        if self._effects.records[name].feels_reactions:
+        if self._effects.records[name].depends_on_reactions:
             for note in self.load_notes():
                 warnings.warn(note, RuntimeWarning, stacklevel=2)
 

@@ -90,7 +90,7 @@ def judge(case, method, quick):
 # Singular configurations.
 
 LOOKS = 100
-# Of error-controlled methods, which would not notice another raster.
+# Of error-controlled methods, which would not notice another output grid.
 TRIAL_TOLERANCE = 1e-8
 
 

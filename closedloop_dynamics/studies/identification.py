@@ -886,7 +886,7 @@ def _refuse(data):
         if not effects.enabled[name] or record.drive() is not None:
             continue
         reason = (
-            'depends on the force in its joint' if record.feels_reactions else
+            'depends on the force in its joint' if record.depends_on_reactions else
             'follows the time' if record.clock(0.0) is not None else
             'has states of its own' if element.kind != JOINT_FRICTION and any(
                 state.role == OWN for state in element.states) else None)

@@ -429,7 +429,7 @@ class _Search:
                 self._plain = Quantities(
                     with_values(self._scene, self._problem.variables, self._values(z)),
                     self._problem.driven)
-                self._look_at(z)
+                self._consider(z)
                 self._evaluations += 1
             except Infeasible as error:
                 self._plain = error
@@ -443,7 +443,7 @@ class _Search:
             self._sloped = self._plain.by(self._problem.variables)
         return self._sloped
 
-    def _look_at(self, z):
+    def _consider(self, z):
         """Keep the machine if it is the best one so far: fewer violations, or a better value."""
         missed = max((one.missed(self._plain) for one in self._requirements), default=0.0)
         rank = (missed if missed > TOLERANCE else 0.0,

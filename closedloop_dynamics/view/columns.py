@@ -155,7 +155,7 @@ def motion_columns(mechanism):
     return Columns(mechanism, plots=_joint_plots(mechanism))
 
 
-def motion_looked_at(columns, motion, rows):
+def motion_thinning_values(columns, motion, rows):
     """
     Return the values for ``thinning.Thinning`` in the rows of a motion.
 
@@ -242,13 +242,13 @@ class SimulationRows:
         self._plotted = slice(starts['plots'], starts['others'])
         self._looked = np.zeros(3 * points + len(plots))
         self._has_drives = any(plot.name == 'held drives' for plot in plots)
-        self._rarely = np.full(6, np.nan)
+        self._costly = np.full(6, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
         self._actuated = simulation.actuated_in_tree
-        self.look()
+        self.refresh()
 
-    def look(self):
+    def refresh(self):
         """
         Update the costly values: errors, cost, motions freed by a singularity.
 
@@ -262,7 +262,7 @@ class SimulationRows:
         if before is not None and report.time > before[0]:
             _, share, evaluations = np.subtract(self._cost, before) / (report.time - before[0])
         sine = self._sine()
-        self._rarely[:] = (sine, report.local_error, report.error_bound, report.accuracy,
+        self._costly[:] = (sine, report.local_error, report.error_bound, report.accuracy,
                            100.0 * share, evaluations)
         self._direction[:] = np.nan
         if self._pivot() < WARN_BELOW or abs(sine) < NEAR:
@@ -308,20 +308,20 @@ class SimulationRows:
         simulation = self._simulation
         forces = simulation.constraint_forces
         poses = poses_in_space(simulation.body_poses)
-        balance, told = simulation.energy_balance, self._told()
+        balance, readings = simulation.energy_balance, self._own_readings()
         pivot = max(self._pivot(), 0.0)
-        sine, *told_rarely = self._rarely
+        sine, *costly = self._costly
         return np.concatenate([
-            poses.ravel(), in_three(force_of(forces)).ravel(), self._arrows(told).ravel(),
+            poses.ravel(), in_three(force_of(forces)).ravel(), self._arrows(readings).ravel(),
             self._direction, simulation.position[self._numbers],
             simulation.velocity,
-            simulation.effort[self._actuated], magnitudes(forces), self._readings(told),
+            simulation.effort[self._actuated], magnitudes(forces), self._readings(readings),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
-            [abs(sine)] * self._has_drives, told_rarely, simulation.position[self._turns],
+            [abs(sine)] * self._has_drives, costly, simulation.position[self._turns],
             simulation.effort[self._undriven]]).astype(np.float32)
 
-    def looked_at(self, row):
+    def thinning_values(self, row):
         """Return the values for ``thinning.Thinning`` of the present state, whose row is given."""
         places = self._simulation.points[:self._points]
         values = self._looked.copy()
@@ -329,27 +329,28 @@ class SimulationRows:
         values[3 * self._points:] = row[self._plotted]
         return values
 
-    def _told(self):
+    def _own_readings(self):
         """Return the effects' own readings, by name; nothing of those switched off."""
         enabled = self._simulation.enabled_effects
         return {name: self._simulation.effect_readings(name)
                 for name in self._telling if name in enabled}
 
-    def _readings(self, told):
+    def _readings(self, readings):
         """Return the plotted readings of effects; NaN for those that are switched off."""
-        return [told[name][reading] if name in told else np.nan for name, reading in self._read]
+        return [readings[name][reading] if name in readings else np.nan
+                for name, reading in self._read]
 
-    def _arrows(self, told):
+    def _arrows(self, readings):
         """Return foot and force of each load, shape (number of loads, 6)."""
         arrows = np.full((len(self.columns.loads), ARROW), np.nan)
         row = 0
         for name, record in self._loads.items():
             first, row = row, row + len(_kinds(record))
-            if name not in told:
+            if name not in readings:
                 continue
             foot = self._simulation.point(getattr(record, 'point', None) or record.point_a)
             record = self._simulation.effects[name]
-            feet, forces = self._force(name, record, foot, told[name])
+            feet, forces = self._force(name, record, foot, readings[name])
             arrows[first:row] = 0.0
             arrows[first:row, :len(foot)] = feet
             arrows[first:row, 3:3 + len(foot)] = forces

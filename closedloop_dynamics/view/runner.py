@@ -43,10 +43,10 @@ from ..simulation.simulation import Simulation
 
 # Frames per second; share of their period that may go into computing; between two looks at what
 # takes long [s].
-RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
+RATE, COMPUTING_SHARE, POLL_PERIOD = 60.0, 0.6, 0.25
 # Share of the clock that may go into looking at states between frames, for paths and plots; how
 # fast the measured duration of a look follows.
-LOOKING_SHARE, FOLLOWED = 0.2, 0.05
+SAMPLING_SHARE, FOLLOWED = 0.2, 0.05
 # A step that takes longer than the first, on the clock, is made in parts of about the second [s];
 # no part is shorter than this share of the step.
 LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
@@ -313,7 +313,7 @@ class Runner(Shown):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation = self.simulation
         every = most = max(1, math.ceil(self._pacer.real_time_factor * self._look_time / (
-            LOOKING_SHARE * simulation.step_size)))
+            SAMPLING_SHARE * simulation.step_size)))
         modes = {drive.mode for drive in self.drives.values()} - {TORQUE}
         if modes:
             most = min(most, max(1, round((
@@ -338,13 +338,13 @@ class Runner(Shown):
             steps -= portion
             self._unseen += portion
             if self._unseen >= every and not self._slow:
-                self._look_between()
+                self._sample_between()
         return None
 
-    def _look_between(self):
+    def _sample_between(self):
         """Look at the present state, noting how long that takes; return its row."""
         begin, row = self._clock(), self.rows.row()
-        self._look(self.simulation.time, row, self.rows.looked_at(row))
+        self._thin(self.simulation.time, row, self.rows.thinning_values(row))
         self._unseen = 0
         self._look_time += FOLLOWED * (self._clock() - begin - self._look_time)
         return row
@@ -355,7 +355,7 @@ class Runner(Shown):
         if self._measured(lambda: simulation.step(
                 self._torques()[simulation.actuated], part * simulation.step_size), part) == 0.0:
             return 0.0
-        self._look_between()
+        self._sample_between()
         return part
 
     def _measured(self, advance, steps):
@@ -393,7 +393,7 @@ class Runner(Shown):
     def run(self, keep_going=lambda: True):
         """Run with a frame every sixtieth of a second, as long as ``keep_going()``."""
         due = self._clock()
-        with Watchdog(LONGEST_WAIT, self.feed.is_waiting, self._say_slow) as self._watchdog:
+        with Watchdog(LONGEST_WAIT, self.feed.is_waiting, self._report_slow) as self._watchdog:
             while keep_going():
                 self.tick()
                 due = max(due + 1.0 / RATE, self._clock() - 1.0 / RATE)
@@ -401,7 +401,7 @@ class Runner(Shown):
 
     def tick(self):
         """Carry out requests, advance to the present, show the state."""
-        if self._follow():
+        if self._handle_requests():
             self._changed = True
         self._machines.tick()
         self._controllers.tick()
@@ -428,13 +428,13 @@ class Runner(Shown):
 
     def _show(self):
         now = self._clock()
-        if now - self._looked > LOOK_PERIOD or not self.playing:
+        if now - self._looked > POLL_PERIOD or not self.playing:
             self._looked = now
-            self._findings = self.rows.look().findings
+            self._findings = self.rows.refresh().findings
             self._achieved = self._real_time_share()
         time_now = self.simulation.time
-        row = self._look_between() if self._unseen and not self._slow else self.rows.row()
-        self._thinning.keep(time_now, self.rows.looked_at(row))
+        row = self._sample_between() if self._unseen and not self._slow else self.rows.row()
+        self._thinning.keep(time_now, self.rows.thinning_values(row))
         if self.playing and self._slow:
             begin, before = self._before
             share = self._pacer.portion_of_step
@@ -445,7 +445,7 @@ class Runner(Shown):
         self._changed = False
         self._send_controls()
 
-    def _say_slow(self, elapsed):
+    def _report_slow(self, elapsed):
         """Report to the pages how slow it is while a part of a step takes so long [s]."""
         share = self._part * self.simulation.step_size / elapsed
         self.feed.send_controls(achieved=float(f'{share:.1g}'))
@@ -626,7 +626,7 @@ class Runner(Shown):
     def _posed(self):
         return self.simulation
 
-    def _take_hold(self, name, place):
+    def _begin_grab(self, name, place):
         self.simulation.set_effect(
             self._hand.spring, True, anchor=tuple(place[:self._hand.dimensions]), point_a=name)
 
@@ -646,7 +646,7 @@ class Runner(Shown):
             return
         if self._kinematic:
             self._do_kinematic(page, False)
-        self._let_go()
+        self._end_grab()
         self._editing = on
         if self.start_pose is not None:
             # Of a simulation that starts there.
@@ -763,13 +763,13 @@ class Runner(Shown):
             return
         fit = partial(self._own.controller.on, self._hand.scene)
         if self._own_waits:
-            self._controllers.start(fit, self._take_controller)
+            self._controllers.start(fit, self._accept_controller)
             return
         self._controllers.drop()
         self.feed.send_controls(busy='fitting the controller to the machine')
-        self._take_controller(fit)
+        self._accept_controller(fit)
 
-    def _take_controller(self, fitted):
+    def _accept_controller(self, fitted):
         """Go on with the controller that a function returns, or, where it raises, without."""
         try:
             self._own = OwnMotion(fitted(), {
@@ -823,7 +823,7 @@ class Runner(Shown):
 
     def _do_kinematic(self, page, on):
         self._stop()
-        self._let_go()
+        self._end_grab()
         if on:
             self._editing, self._failure = False, None
             self.simulation.set_state(self.simulation.position)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from .columns import motion_columns, motion_looked_at, motion_rows, SimulationRows
+from .columns import motion_columns, motion_thinning_values, motion_rows, SimulationRows
 from .thinning import Thinning
 from ..recording.run import Report, run
 from ..simulation.modeling import extent
@@ -35,7 +35,7 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
 
     def on_step():
         row = shown.row()
-        if thinning.misses(simulation.time, shown.looked_at(row)):
+        if thinning.misses(simulation.time, shown.thinning_values(row)):
             times.append(before[0])
             rows.append(before[1])
         before[:] = simulation.time, row
@@ -43,11 +43,11 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
     def on_row(values):
         nonlocal count
         if count % looks == 0:
-            shown.look()
+            shown.refresh()
         count += 1
         times.append(values[0])
         rows.append(shown.row())
-        thinning.keep(values[0], shown.looked_at(rows[-1]))
+        thinning.keep(values[0], shown.thinning_values(rows[-1]))
         progress(values[0])
 
     run(simulation, duration, rate, torque, report=Report(), on_row=on_row, on_step=on_step)
@@ -80,7 +80,7 @@ def _thinned(motion, every, coarse):
     for first in range(0, len(motion.time), BLOCK):
         part = motion.part(slice(first, first + BLOCK))
         rows = motion_rows(part)
-        for k, values in enumerate(motion_looked_at(columns, part, rows)):
+        for k, values in enumerate(motion_thinning_values(columns, part, rows)):
             time = float(part.time[k])
             if thinning.misses(time, values):
                 times.append(before[0])

@@ -47,7 +47,7 @@ class Shown:
     def _on_posed(self):
         """Report the pose to subclasses."""
 
-    def _take_hold(self, name, place):
+    def _begin_grab(self, name, place):
         """Begin to pull a named point to a place."""
         raise NotImplementedError
 
@@ -65,7 +65,7 @@ class Shown:
         """Look for states between frames, as ``thinning.Thinning`` does."""
         self._thinning, self._newest = Thinning(plots, points, size), None
 
-    def _look(self, time, row, values):
+    def _thin(self, time, row, values):
         """Check a state; send the one before where a line to this would miss it."""
         if self._thinning.misses(time, values):
             self.feed.sample(*self._newest)
@@ -73,7 +73,7 @@ class Shown:
 
     # What pages ask for.
 
-    def _follow(self):
+    def _handle_requests(self):
         """Carry out the requests since the last time; return whether there were any."""
         asked = list(self.feed.messages())
         latest = {}
@@ -100,12 +100,12 @@ class Shown:
         self._hand_is_there()
         self._hand.require_near(at)
         name = self._hand.point(body, place)
-        self._let_go()
+        self._end_grab()
         self.holder, self._grabbed = page, [body, place]
         if self._kinematic:
             self._pose_to(at)
         else:
-            self._take_hold(name, at)
+            self._begin_grab(name, at)
 
     def _hand_is_there(self):
         """Raise FieldError where nothing can be taken hold of."""
@@ -121,9 +121,9 @@ class Shown:
 
     def _do_release(self, page):
         if page is self.holder:
-            self._let_go()
+            self._end_grab()
 
-    def _let_go(self):
+    def _end_grab(self):
         if self._grabbed is not None and not self._kinematic:
             self._release()
         self.holder = self._grabbed = None

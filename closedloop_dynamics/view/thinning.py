@@ -69,7 +69,7 @@ class Thinning:
         Return whether the state before has to be kept; this one may be the next.
 
         ``values``, shape (3 points + plots,): places, and what is plotted. Where the time [s] does
-        not rise, the lines begin anew.
+        not rise, the lines begin again.
 
         """
         self._look(values)

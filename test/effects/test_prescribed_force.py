@@ -19,7 +19,7 @@ from .machines import assert_balanced, block, flyer, pendulum, simulated
 
 EARTH = Gravity((0.0, -9.81))
 PULSE = PrescribedForce('trapezoid', 'slide', amplitude=3.0, start=0.1234, rise=0.0, hold=0.5111)
-# Corners everywhere but on the raster.
+# Corners everywhere but on the output grid.
 CORNERS = PrescribedForce('table', 'slide', times=(0.05, 0.11, 0.333, 0.3339, 0.7777),
                           values=(1.0, -2.0, 5.0, -5.0, 0.5))
 

@@ -74,8 +74,8 @@ def test_error_control_reaches_what_it_promises(scene, integrator, references):
 @pytest.mark.parametrize('integrator', ['dopri5', 'dop853'])
 def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
-    for raster in (0.1, 1e-3):
-        simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=raster)
+    for interval in (0.1, 1e-3):
+        simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=interval)
         counts.append(simulation.monitor.driver.control[ACCEPTED])
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
