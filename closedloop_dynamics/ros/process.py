@@ -30,6 +30,7 @@ from contextlib import contextmanager
 import gc
 from importlib import import_module
 from importlib.util import find_spec
+import inspect
 import math
 import os
 import sys
@@ -162,6 +163,8 @@ def _run_in_context(create_node, name, timed, loses_nothing):
     except (StartError, NameValidationException) as error:
         get_logger(name).fatal(_one_line(error))
         return 2
+    # rclpy looks up where a message that it logs comes from: among all modules, the first time.
+    inspect.getmodule(inspect.currentframe())
     # What was loaded stays: looking through half a million objects for garbage takes tens of
     # milliseconds, in which nothing is published.
     gc.freeze()
