@@ -10,8 +10,8 @@ friction that were off among them, and their numbers changed, other methods and 
 loops closed, a wrench on a body, a state set, a motion commanded, a reset; a parallelogram is
 driven through its flat position and set onto it, Bennett's linkage turns until it works on other
 equations, a ladder has more joints than are unrolled. Printed are the longest gap in the seconds
-after each disturbance, by the times at which DDS sent the states, what the simulator answered, and
-the longest gaps of a bare sleeping loop before and after.
+after each disturbance, by the times at which DDS sent the states, that of a bare loop which sleeps
+beside it, of what the machine itself causes, and what the simulator answered.
 
 With ``--pages`` the frames of ``closedloop view`` at 60 Hz instead, without a browser: a point is
 pulled as by a mouse, drives, effects and methods are changed, and so are sliders of the machine
@@ -22,6 +22,7 @@ while it moves.
 import argparse
 from dataclasses import replace
 import json
+import multiprocessing
 import os
 from pathlib import Path
 import subprocess
@@ -31,7 +32,7 @@ import time
 
 from geometry_msgs.msg import WrenchStamped
 from machine import description
-from node_rate import floor, start, Subscriber
+from node_rate import start, Subscriber
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
@@ -65,7 +66,8 @@ LOOPS = 24
 # Joints whose motion is commanded.
 MOVED = {'four_bar': 'crank_joint'}
 METHODS = ('rk4', 'semi_implicit_euler', 'dopri5', 'dop853', 'rodas4', 'auto')
-# Without stabilisation a parallelogram ends at its flat position, with an error.
+# Without stabilisation of positions a parallelogram ends at its flat position, with an error.
+DRIFTING = 'velocity_projection'
 STABILISATIONS = ('baumgarte', 'velocity_projection', 'independent', 'projection')
 # Waited for answers at most [s].
 PATIENCE = 60.0
@@ -93,6 +95,37 @@ effects:
   rubber:
     {type: law, joints: {x: crank_joint}, parameters: {k: 0.1}, forces: {x: -k*x}, enabled: false}
 """}
+
+
+class BareLoop:
+    """A process that does nothing but sleep until the next period is over."""
+
+    def __init__(self, rate):
+        """Start it, and wait until it sleeps."""
+        context = multiprocessing.get_context('spawn')
+        self._longest = context.Value('d', 0.0)
+        context.Process(target=_sleep, args=(rate, self._longest), daemon=True).start()
+        while self._longest.value == 0.0:
+            time.sleep(1.0 / rate)
+
+    def restart(self):
+        """Forget the longest gap so far."""
+        self._longest.value = 0.0
+
+    @property
+    def longest(self):
+        """Return the longest gap [ms]."""
+        return 1e3 * self._longest.value
+
+
+def _sleep(rate, longest):
+    before = due = time.perf_counter()
+    while True:
+        due = max(due + 1.0 / rate, before)
+        time.sleep(max(0.0, due - time.perf_counter()))
+        now = time.perf_counter()
+        longest.value = max(longest.value, now - before)
+        before = now
 
 
 class Live:
@@ -158,8 +191,10 @@ class Live:
                     yield f'{name}.{key}', self.set(f'effects.{name}.{key}', number)
         for name in METHODS:
             yield name, self.set('integrator', name)
+        flat = self.scene.mechanism.name == 'parallelogram'
         for name in STABILISATIONS:
-            yield name, self.set('stabilisation', name)
+            if not (flat and name == DRIFTING):
+                yield name, self.set('stabilisation', name)
         wrench = WrenchStamped()
         wrench.header.frame_id = self.scene.mechanism.bodies[0].name
         wrench.wrench.force.x = 0.5
@@ -171,14 +206,14 @@ class Live:
             point.time_from_start.sec = 1
             yield 'motion', self.send('motion_command', JointTrajectory(
                 joint_names=[MOVED[self.scene.name]], points=[point]))
-        if self.scene.mechanism.name == 'parallelogram':
+        if flat:
             yield 'driven through flat', self.send('torque_command', Float64MultiArray(data=[8.0]))
             yield 'reset', self.reset
             yield 'set onto flat', self.send(f'{NODE}/set_state', JointState(
                 name=['crank_joint', 'coupler_joint', 'rocker_joint'], position=[0.0, 0.0, 0.0]))
 
 
-def measure(scene, duration):
+def measure(scene, duration, bare):
     """Print the lines of a scene."""
     with tempfile.TemporaryDirectory() as folder:
         os.environ['CLOSEDLOOP_CACHE_DIR'] = folder
@@ -191,13 +226,15 @@ def measure(scene, duration):
                 lambda: len(live.sent) > RATE or simulator.poll() is not None)
             for name, disturb in (('nothing', lambda: ''), *live.disturbances()):
                 del live.sent[:-1]
+                bare.restart()
                 answer, begin = disturb(), time.monotonic()
                 live.subscriber.take_until(lambda: time.monotonic() - begin > duration)
                 if simulator.poll() is not None:
                     print(f'{live.scene.mechanism.name:18}{name:24}   ended  {answer}')
                     return
                 print(f'{live.scene.mechanism.name:18}{name:24}'
-                      f'{1e-6 * np.diff(live.sent).max():8.1f}  {answer}', flush=True)
+                      f'{1e-6 * np.diff(live.sent).max():8.1f}{bare.longest:8.1f}  {answer}',
+                      flush=True)
         finally:
             simulator.terminate()
             simulator.wait()
@@ -247,9 +284,10 @@ def requests(runner):
 def measure_page(scene, duration):
     """Print the lines of a scene that a page shows."""
     runner = Runner(load_scene(scene), own=own_motion)
-    period = 1.0 / FRAMES
+    period, bare = 1.0 / FRAMES, BareLoop(FRAMES)
     for name, message in requests(runner):
         refused = runner.feed.refused
+        bare.restart()
         runner.feed.accept('page', json.dumps(message))
         moments, end = [time.monotonic()], time.monotonic() + duration
         while moments[-1] < end or runner.renewing:
@@ -258,7 +296,7 @@ def measure_page(scene, duration):
             moments.append(time.monotonic())
         told = json.loads(runner.feed.controls)
         print(f'{runner.editor.scene.mechanism.name:18}{name:32}'
-              f'{1e3 * np.diff(moments).max():8.1f}  '
+              f'{1e3 * np.diff(moments).max():8.1f}{bare.longest:8.1f}  '
               f'{told["failure"] or ("refused" if runner.feed.refused > refused else "accepted")}',
               flush=True)
 
@@ -279,24 +317,21 @@ def main(argv=None):
         return
     print(description())
     if arguments.pages is not None:
-        print(floor(FRAMES), '(the last number: off by at most [ms])')
-        print(f'{"mechanism":18}{"request":32}gap [ms]  answer', flush=True)
+        print(f'{"mechanism":18}{"request":32}gap [ms]    bare  answer', flush=True)
         for scene in arguments.pages or PAGES:
             with tempfile.TemporaryDirectory() as folder:
                 subprocess.run([sys.executable, __file__, '--page', scene, '--duration',
                                 str(arguments.duration)], check=True,
                                env={**os.environ, 'CLOSEDLOOP_CACHE_DIR': folder})
-        print(floor(FRAMES))
         return
-    print(floor(RATE), '(the last number: off by at most [ms])')
-    print(f'{"mechanism":18}{"disturbance":24}gap [ms]  answer')
+    bare = BareLoop(RATE)
+    print(f'{"mechanism":18}{"disturbance":24}gap [ms]    bare  answer', flush=True)
     with tempfile.TemporaryDirectory() as folder:
         for name, text in FILES.items():
             Path(folder, name).write_text(text)
         for scene in (Path(folder, 'scene.yaml'), *(
                 with_more(name, folder) for name in arguments.scenes), *MOVED):
-            measure(scene, arguments.duration)
-    print(floor(RATE))
+            measure(scene, arguments.duration, bare)
 
 
 if __name__ == '__main__':
