@@ -314,6 +314,7 @@ def test_a_full_disk_is_named(capsys):
     ('plot none.csv --scene four_bar --output here', 'none.csv'),
     ('plot none --output here', 'expected a rosbag2 bag'),
     ('animate run.csv --scene four_bar --output no/x.gif', '--output'),
+    ('forces none --scene four_bar --output x.csv', 'expected a rosbag2 bag'),
     ('replay none', 'expected a rosbag2 bag'),
     ('replay none --picture x.docx', '--picture: expected a name that ends with'),
     ('identify run.csv four_bar --vary mechanism.bodies --picture x.docx',

@@ -48,14 +48,16 @@ def _run(arguments):
     if arguments.output.suffix != '.csv' and arguments.output.exists():
         raise UsageError(f'--output: {arguments.output} exists; name another bag')
     require_free(arguments, arguments.output)
+    scene = with_numbers(load_scene(arguments.scene), arguments)
+    mechanism = scene.mechanism
+    joints = [name.strip() for name in arguments.joints.split(',')] if arguments.joints else [
+        name for name in mechanism.actuated_joints if name in mechanism.coordinates.names]
     with announced('Reading and compiling ...'):
-        simulation = Simulation.from_scene(with_numbers(load_scene(arguments.scene), arguments))
-        joints = [name.strip() for name in arguments.joints.split(',')] if arguments.joints else [
-            name for name in simulation.actuated_joints if name in simulation.joint_names]
         try:
             stamps, positions = measured_positions(arguments.bag, arguments.topic, joints)
         except (RecordingError, BagReadError) as error:
             raise UsageError(str(error)) from None
+        simulation = Simulation.from_scene(scene)
     times = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
     largest = _Largest(simulation)
     with _opened(arguments, simulation) as write, progress_to(
