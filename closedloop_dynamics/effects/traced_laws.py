@@ -20,7 +20,7 @@ from .registry import effect_type
 from .table import (
     BUSHING, DATA, END_STOP, ENTRIES, EXTERNAL_FORCE, FIRST, FLUID_DRAG, JOINT_DAMPING,
     JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_BUSHING, SPATIAL_FLUID_DRAG, SPATIAL_FORCE,
-    SPATIAL_POINT_SPRING, SPATIAL_TRACED, TENDON, TRACED)
+    SPATIAL_POINT_SPRING, SPATIAL_TRACED, STATE, TENDON, TRACED)
 from .traced_effect import COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS
 from ..core.codegen.expression_graph import chosen, larger, replayed, smaller, square_root
 from ..core.codegen.vectors import add, cross, dot, in_space, scale, subtract, ZERO
@@ -90,6 +90,7 @@ def act(table, forces, laws=None):
     if table is None:
         return
     for row in np.flatnonzero(table.enabled):
+        forces.first = int(table.index[row, STATE])
         if laws and row in laws:
             _of_user(forces, laws[row], entries_of(table, row), forces.numbers(row))
         else:
@@ -147,7 +148,12 @@ def _of_user(forces, law, entries, values):
     results = replayed(law.graph, law.results, lambda source, place: inputs[source][place])
     for push, force in zip(pushes, results):
         push(force)
-    forces.store(results[len(entries) + len(law.states)])
+    # Behind forces and the rates of states the energy, and what is lost of it, where that is told.
+    stored, lost = results[len(entries) + len(law.states):][:2]
+    forces.store(stored)
+    rates = measured[FIRST_COORDINATE + 1::2]
+    forces.flow(lost if law.energy is not None or law.dissipation is not None else dot(
+        results[:len(rates)], rates))
 
 
 def _push_along(forces, axis, body, offset, force):

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <optional>
 
+#include "batch.hpp"
 #include "contact_events.hpp"
 #include "evaluation.hpp"
 #include "fixed_steps.hpp"
@@ -14,6 +15,7 @@
 #include "lu.hpp"
 #include "manifold.hpp"
 #include "projection.hpp"
+#include "routines.hpp"
 #include "stick_slip.hpp"
 #include "time_events.hpp"
 
@@ -79,6 +81,45 @@ double fastest_rate(Table matrix, Values direction, Values once, Values twice)
   return std::pow(length, 0.25);
 }
 
+/// Fill in -J at a state by generated code; return whether that is there, and good in this state.
+bool differentiate(const System & system, Values state, Values moved, Table matrix)
+{
+  const AccelerationDerivatives & code = system.derivatives;
+  const Index nv = system.nv(), columns = 2 * nv;
+  // Of quaternions each number is a state.
+  if (code.empty() || !system.manifold.empty() || system.is_independent() ||
+    system.settings[setting::BAUMGARTE_GAIN] != 0.0)
+  {
+    return false;
+  }
+  // The code works on accelerations and multipliers of this state.
+  derivative(system, state, moved);
+  bool good = call(code.table, 0, system.q(state), system.qd(state));
+  for (Index block = 0; good && LANES * block < columns; ++block) {
+    good = call(code.table, 1, code.columns[block], code.found[block]);
+  }
+  if (!good) {
+    return false;
+  }
+  for (Index i = 0; i < nv; ++i) {
+    for (Index j = 0; j < columns; ++j) {
+      const double found = code.found(j / LANES, LANES * i + j % LANES);
+      if (!std::isfinite(found)) {
+        return false;
+      }
+      matrix(i, j) = j == nv + i ? -1.0 : 0.0;
+      matrix(nv + i, j) = -found;
+    }
+  }
+  // No rate depends on the effects' states: these are energies that are gained or lost.
+  for (Index i = 0; i < state.size; ++i) {
+    for (Index j = i < columns ? columns : 0; j < state.size; ++j) {
+      matrix(i, j) = j < columns ? -code.flows(j, i - columns) : 0.0;
+    }
+  }
+  return true;
+}
+
 /// Factor I / (h gamma) - J at a state; return the fastest rate of the motion there [1/s], none
 /// where that was interrupted.
 std::optional<double> factor_jacobian(
@@ -88,7 +129,8 @@ std::optional<double> factor_jacobian(
   const Values stage = scratch[STAGE], slope = scratch[SLOPE], moved = scratch[MOVED];
   const Index n = state.size;
   copy(state, stage);
-  for (Index j = 0; j < n; ++j) {
+  const bool generated = differentiate(system, state, moved, matrix);
+  for (Index j = 0; !generated && j < n; ++j) {
     stage[j] = state[j] + DIFFERENCE * std::max(1.0, std::abs(state[j]));
     // The change that the rounded sum really made.
     const double change = stage[j] - state[j];

@@ -10,7 +10,8 @@
 
 // RODAS4, a linearly implicit method for stiff scenes: L-stable, stiffly accurate, order 4(3). Each
 // step solves six linear systems with one factorization of I - h gamma J; the Jacobian J comes from
-// finite differences of the derivative. Its cost grows with the cube of the number of states.
+// generated code where the scene has derivatives and the system has that code, else from finite
+// differences of the derivative. Its cost grows with the cube of the number of states.
 //
 // Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed. (1996), section
 // VI.4, in the form that needs no product with J.

@@ -48,6 +48,25 @@ struct JointPlaces
   void fields(Visitor && visit) {visit(row, body, point);}
 };
 
+/// Generated derivatives of the accelerations (simulation/derivative_code.py); empty where there are
+/// none.
+struct AccelerationDerivatives
+{
+  /// As for call_for_columns; its first place is 0 while the code is not that of the effects.
+  Indices table;
+  /// Shape (blocks, LANES (nv + nc)): of LANES columns each, lane by lane, by coordinates, rates and
+  /// torques.
+  Table columns;
+  Table found;
+  /// Shape (2 nv, nz): changes of the rates of the effects' states.
+  Table flows;
+
+  bool empty() const {return table.size == 0 || table[0] == 0;}
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(table, columns, found, flows);}
+};
+
 /// One mechanism with all that an evaluation of its motion reads and writes
 /// (integration/system.py). A state vector has the coordinates, shape (nq,), the rates, shape
 /// (nv,), the effects' own states, and, where there are quaternions, the work of their torques.
@@ -68,6 +87,7 @@ struct System
   Manifold manifold;
   AllEquations whole;
   JointPlaces joints;
+  AccelerationDerivatives derivatives;
   /// Returns whether a computation that takes long is to stop; none: never. Set by the host.
   bool (* interrupted)() = nullptr;
 
@@ -89,7 +109,7 @@ struct System
   void fields(Visitor && visit)
   {
     visit(model, work, dense, partition, settings, tau, qdd, lam, applied, effects, table,
-      corrections, manifold, whole, joints);
+      corrections, manifold, whole, joints, derivatives);
   }
 };
 

@@ -8,6 +8,8 @@
 #include <cmath>
 #include <iterator>
 
+#include "batch.hpp"
+
 namespace closedloop
 {
 
@@ -694,6 +696,16 @@ const char * misfit(const System & system)
     !within(joints.body, 0, 0, 0, nv) || !within(joints.body, 1, 0, 0, nv))
   {
     return "joints";
+  }
+  const AccelerationDerivatives & derivatives = system.derivatives;
+  if (derivatives.table.size > 0 && (
+      derivatives.table.size < 2 || derivatives.table[1] == 0 ||
+      derivatives.columns.rows * LANES < 2 * nv ||
+      !has_shape(derivatives.columns, derivatives.columns.rows, LANES * (nv + nc)) ||
+      !has_shape(derivatives.found, derivatives.columns.rows, LANES * (nv + nc)) ||
+      !has_shape(derivatives.flows, 2 * nv, system.effects.states.size)))
+  {
+    return "derivatives";
   }
   if (!system.has_effects()) {
     return system.tau.size == nv ? nullptr : "tau";

@@ -57,6 +57,28 @@ class JointPlaces(NamedTuple):
     point: np.ndarray
 
 
+class AccelerationDerivatives(NamedTuple):
+    """
+    Generated derivatives of the accelerations, which the stiff method takes its Jacobian from.
+
+    Attributes
+    ----------
+    table : ndarray of int
+        Addresses of the routines and of all that they read; place 0 is 0 while they are not those
+        of the effects.
+    columns, found : ndarray, shape (blocks, LANES (nv + nc))
+        Changes of the residuals, and of accelerations and multipliers by them.
+    flows : ndarray, shape (2 nv, nz)
+        Changes of the rates of the effects' states.
+
+    """
+
+    table: np.ndarray
+    columns: np.ndarray
+    found: np.ndarray
+    flows: np.ndarray
+
+
 class Code(NamedTuple):
     """
     What code is generated for a mechanism.
@@ -113,6 +135,8 @@ class System(NamedTuple):
         Where the elimination works on some of them only.
     joints : JointPlaces or None
         Where the joints are, for forces that are not unique; None: there are none of these.
+    derivatives : AccelerationDerivatives or None
+        None: the stiff method takes differences.
     native
         The engine's view of all these.
 
@@ -139,6 +163,7 @@ class System(NamedTuple):
     manifold: Optional[Manifold]
     whole: Optional[AllEquations]
     joints: Optional[JointPlaces]
+    derivatives: Optional[AccelerationDerivatives]
     native: object
 
     @property
@@ -175,7 +200,8 @@ class System(NamedTuple):
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, (self.routines, *self._replace(table=None, native=None))
+        return _relinked, (
+            self.routines, *self._replace(table=None, derivatives=None, native=None))
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -227,7 +253,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
-        whole=None, joints=joints, native=None)
+        whole=None, joints=joints, derivatives=None, native=None)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
     return _linked(system, (*codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ()),
@@ -367,7 +393,7 @@ def with_equations(system, model, code=LOOPS):
     work = unconnected(model)
     work.health[:] = system.work.health
     return _linked(system._replace(
-        model=model, work=work, whole=None, lam=np.zeros(len(work.closure)),
+        model=model, work=work, whole=None, derivatives=None, lam=np.zeros(len(work.closure)),
         dense=allocate_dense(model, int(system.settings[FORMULATION])),
         partition=allocate_partition(model, system.is_independent),
         corrections=np.zeros((2, len(system.qdd) if code.routines else 0))), *code)
@@ -390,6 +416,25 @@ def with_partition(system, used):
 
     """
     return _bound(system._replace(partition=allocate_partition(system.model, used)))
+
+
+def with_derivatives(system, derivatives):
+    """
+    Return a system whose stiff method takes its Jacobian from generated code.
+
+    Parameters
+    ----------
+    system : System
+        As it was; all else is shared.
+    derivatives : AccelerationDerivatives
+        For this system's mechanism and effects.
+
+    Returns
+    -------
+    System
+
+    """
+    return _bound(system._replace(derivatives=derivatives))
 
 
 def number_of_states(system):

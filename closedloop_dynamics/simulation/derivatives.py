@@ -3,19 +3,16 @@
 
 """Derivatives of accelerations and multipliers of a scene, by generated code."""
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
+from .derivative_code import DerivativeCode
 from .errors import SimulationError, SingularityError
 from .parameters import parameter_arrays
 from .step_derivatives import StepDerivatives
-from .traced_scene import laws_of, require_derivatives, TracedScene
-from ..core.codegen import function_table as calls
-from ..core.codegen.derivatives import COLUMN, DerivativeTrace, RATE
-from ..core.codegen.machine_code import LANES, machine_code, PACKED
-from ..core.codegen.routines import topology
+from .traced_scene import laws_of, require_derivatives
+from ..core.codegen.function_table import LANES
 from ..engine import native
 
 
@@ -122,27 +119,7 @@ class Differentiator:
         self._system = system = simulation.system
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
-        # Of LANES columns side by side, the changes of the residuals and the derivatives.
-        shape = -(-3 * nv // calls.LANES), (nv + nc) * calls.LANES
-        self._columns, self._found = np.zeros(shape), np.zeros(shape)
-        self._rates = np.zeros((2 * nv, nc))
-        self._scene = TracedScene(simulation)
-        key = 'derivatives', topology(system.model), *self._scene.key
-        routines = cache(self._routines)
-        first = machine_code(key, lambda: routines()[0], PACKED)
-        count = np.zeros(1)
-        native.call(np.array([first('shared')]), 0, count, count)
-        self._factors = np.zeros(int(count[0]))
-        self._table = self._scene.table({
-            calls.QDD: self._qdd, calls.LAM: self._lam, RATE: self._rates, COLUMN: self._columns,
-            calls.SHARED: self._factors}, COLUMN + 1)
-        self._table[:2] = first('residuals'), machine_code(
-            key, lambda: routines()[1], LANES)('solve')
-
-    def _routines(self):
-        """Unroll the derivatives."""
-        return DerivativeTrace(
-            self._system.model, self._scene.act, self._scene.values.shape).in_lanes()
+        self._code = DerivativeCode(simulation, self._qdd, self._lam)
 
     def __call__(self, position, velocity, torque=None):
         """
@@ -171,8 +148,8 @@ class Differentiator:
         """
         q, qd = self._evaluated(position, velocity, torque)
         if not native.call_for_columns(
-                self._table, q, qd, self._columns, self._found) or (
-                not np.isfinite(self._found).all()):
+                self._code.table, q, qd, self._code.columns, self._code.found) or (
+                not np.isfinite(self._code.found).all()):
             raise SingularityError(
                 'The accelerations have no derivatives here: closure equations depend on one '
                 'another in this position, or nearly, or points that a spring joins meet. Take a '
@@ -180,14 +157,15 @@ class Differentiator:
                 'elimination alone cannot decide.)')
         nv = len(self._qdd)
         # From blocks of columns to rows of all columns.
-        found = self._found.reshape(len(self._found), -1, calls.LANES).transpose(1, 0, 2)
+        found, rates = self._code.found, self._code.rates
+        found = found.reshape(len(found), -1, LANES).transpose(1, 0, 2)
         found = found.reshape(len(found), -1)
         parts = [found[:, first:first + nv].copy() for first in range(0, 3 * nv, nv)]
         by_parameter = np.zeros((len(found), 0)), *np.zeros((2, len(self._lam), 0))
         if self._steps.parameters.names:
             by_parameter = self._steps.by_parameter(q, qd, self._qdd, self._lam)
-        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts, self._rates[nv:].T.copy(),
-                           self._rates[:nv].T.copy(), *by_parameter)
+        return Derivatives(self._qdd.copy(), self._lam.copy(), *parts, rates[nv:].T.copy(),
+                           rates[:nv].T.copy(), *by_parameter)
 
     def wrenches(self, position, velocity, torque=None):
         """

@@ -323,12 +323,12 @@ class Monitor:
 
 
 def copy_into(record, target):
-    """Copy all arrays of a record, and of the records in it, into a deep copy of it."""
+    """Copy all arrays of a record, and of those in it, into a deep copy, which may lack some."""
     for name, value, place in zip(record._fields, record, target):
         if name == 'table':
             # The routines may be others by now; the arrays they work on are the copy's own.
             place[:BODY] = value[:BODY]
-        elif isinstance(value, tuple):
+        elif isinstance(value, tuple) and place is not None:
             copy_into(value, place)
         elif isinstance(value, np.ndarray):
             place[...] = value

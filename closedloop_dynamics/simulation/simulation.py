@@ -19,6 +19,7 @@ from .assembly import angle_notes
 from .budget import Budget, INTERVAL
 from .cable_guard import explain, leapt, CHECK_EVERY as CABLE_CHECK_EVERY
 from .data import Numbers, vector
+from .derivative_code import DerivativeCode
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import (
@@ -33,6 +34,7 @@ from .rollout import Rollout, rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
 from .state import State
+from .traced_scene import refusals
 from ..core import types as t
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Effect
@@ -45,9 +47,10 @@ from ..integration.control import (
 from ..integration.drivers import build_driver
 from ..integration.guarded_run import COMMAND
 from ..integration.left_out import LENIENT, OPENED
-from ..integration.registry import INTEGRATORS, SCIPY
+from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, CLOSURE_LIMIT, System, with_equations, with_partition)
+    AccelerationDerivatives, BAUMGARTE_GAIN, CLOSURE_LIMIT, System, with_derivatives,
+    with_equations, with_partition)
 from ..mechanism.fields import at, FieldError
 
 # How much further from dependent equations must be to be exchanged for others.
@@ -116,6 +119,7 @@ class Simulation(Readings):
             self.require_state(state)
             if state.is_batch:
                 raise ValueError(f'state: expected a single one, got a batch of q {state.q.shape}')
+        self._differentiate_steps()
         self._balance = EnergyBalance(self._effects.roles, len(self.system.tau))
         self._bind_balance()
         method = self.scene.method
@@ -127,10 +131,25 @@ class Simulation(Readings):
         self.exchanges = 0
         self.reset()
 
+    def _differentiate_steps(self) -> None:
+        """Generate the Jacobian of the stiff method, where that is the scene's."""
+        self._derivatives: Optional[DerivativeCode] = None
+        system, method = self.system, self.scene.method
+        # Forces over time, quaternions and Baumgarte's terms the generated code does not know.
+        if (INTEGRATORS[method.integrator].family == ROSENBROCK and not refusals(self)
+                and system.manifold is None and not self._effects.follows_time
+                and method.stabilisation not in ('baumgarte', 'independent')):
+            self._derivatives = code = DerivativeCode(
+                self, system.qdd, system.lam, len(self._own))
+            self.system = with_derivatives(system, AccelerationDerivatives(
+                code.table, code.columns, code.found, code.flows))
+
     def vary(self, scene: Scene) -> bool:
         """As ``Data.vary``: become a simulation of another scene."""
         if not super().vary(scene):
             return False
+        if self._derivatives is not None:
+            self._derivatives.follow(self)
         # By whose weight the guards measure.
         self._numbers[guarded_run.MASS] = self._mass
         self.reset()
@@ -1193,6 +1212,8 @@ class Simulation(Readings):
         before = self.energy
         restarted = self._try_effect(name, enabled, parameters)
         self._own[restarted] = self._effects.initial[restarted]
+        if self._derivatives is not None:
+            self._derivatives.follow(self)
         self._set_run()
         self._effects.begin_at_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):

@@ -107,6 +107,7 @@ CONSTANTS = {
 RECORDS = {
     'Model': types.Model, 'Workspace': types.Workspace, 'Manifold': manifold.Manifold,
     'DenseWorkspace': formulations.DenseWorkspace, 'Partition': independent.Partition,
+    'AccelerationDerivatives': system.AccelerationDerivatives,
     'AllEquations': system.AllEquations, 'System': system.System,
     'JointPlaces': system.JointPlaces, 'Sticking': table.Sticking,
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,

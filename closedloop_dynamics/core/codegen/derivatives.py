@@ -34,6 +34,8 @@ RATE, JACOBIAN = 45, 46
 JOINT_FORCE = 48
 # Output, and input: changes of the residuals, in columns lane by lane.
 COLUMN = 53
+# Output: changes of the rates of the effects' states, as those of closure rates.
+FLOW = 54
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
@@ -58,13 +60,18 @@ class DerivativeTrace(SceneTrace):
         super().__init__(model, act, values)
         self.recursion.hinges = ()
 
-    def in_lanes(self):
+    def in_lanes(self, states=0):
         """
         Return routines for the derivatives by coordinates, rates and torques, in this order.
 
         Straight code for all columns of a mechanism in space is longer than caches of
         instructions: what solves for LANES columns side by side is called again and again
         instead.
+
+        Parameters
+        ----------
+        states : int
+            Of the effects, such as energies that are lost, whose rates are differentiated, too.
 
         Returns
         -------
@@ -76,7 +83,7 @@ class DerivativeTrace(SceneTrace):
             ``solve``, to be written in lanes: of columns at q to derivatives at qd.
 
         """
-        columns = self._columns()
+        columns = self._columns(states)
         count = len(columns[0])
         for number, column in enumerate(columns):
             block, lane = divmod(number, LANES)
@@ -92,18 +99,20 @@ class DerivativeTrace(SceneTrace):
         shared = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(factors)))])
         return [self.named('residuals'), shared], [solve]
 
-    def _columns(self):
-        """Return changes of the residuals; store those of closure rates, and factorise."""
+    def _columns(self, states):
+        """Return changes of the residuals; store those of other rates, and factorise."""
         residuals = self.residuals()
+        flows = [self.flows[place] for place in range(states)]
         self.prepare()
         rates = zeros(self.nc)
         forward_dynamics.to_user_order(self.model, self.work.closure_rate, rates)
         columns, count = [], self.nv + self.nc
         for number, seed in enumerate(self._seeds()):
-            found = differentiated(self.graph, [*residuals, *rates], seed)
+            found = differentiated(self.graph, [*residuals, *rates, *flows], seed)
             columns.append(found[:count])
-            self.outputs += [(RATE, number * self.nc + n, value)
-                             for n, value in enumerate(found[count:])]
+            for output, first, size in (RATE, count, self.nc), (FLOW, count + self.nc, states):
+                self.outputs += [(output, number * size + n, value)
+                                 for n, value in enumerate(found[first:first + size])]
         for joint in range(self.nv):
             # A torque is in one residual alone.
             columns.append([-1.0 if n == joint else 0.0 for n in range(count)])
@@ -190,6 +199,7 @@ class DerivativeTrace(SceneTrace):
     def _balanced(self):
         """Return R without the torques, the wrenches in the joints of the tree, and C."""
         forces = self.moved()
+        self.flows = forces.rates
         return self._sums(
             self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)), self.recursion.force,
             forces.torque, 'bias')

@@ -157,10 +157,6 @@ class LiveForces(Forces):
     ----------
     row : int
         Of the effect whose turn it is, in the table.
-    first : int
-        Its first state.
-    rates : ndarray, shape (states,)
-        Of the effects' states.
     driven : list of (int, int, Symbol)
         States whose rates are multipliers times something.
     resting : list of (Symbol, list of (int, Symbol))
@@ -176,8 +172,8 @@ class LiveForces(Forces):
         super().__init__(trace)
         self.trace, self.nv = trace, trace.nv
         self.efforts = zeros(len(trace.laws.cuts))
-        self.row = self.first = 0
-        self.rates, self.driven, self.outputs = zeros(trace.laws.states), [], []
+        self.row, self.rates = 0, zeros(trace.laws.states)
+        self.driven, self.outputs = [], []
         self.resting = []
 
     def numbers(self, row):
@@ -187,11 +183,6 @@ class LiveForces(Forces):
     def state(self, number):
         """Return a state of the effect."""
         return self.trace.state(self.first + number)
-
-    def flow(self, *rates, first=0):
-        """Store the rates of the effect's states, from one on."""
-        for place, rate in enumerate(rates, start=self.first + first):
-            self.rates[place] = rate
 
     def command(self, joint):
         """Return the commanded torque of a joint."""

@@ -117,6 +117,10 @@ class Forces:
         Of effects in the joints.
     stored : number
         Energy.
+    first : int
+        Place of the first state of the effect whose turn it is.
+    rates : dict of int to number
+        Of the effects' states, such as losses, by their places.
 
     """
 
@@ -126,6 +130,7 @@ class Forces:
         self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
         self._row = {row[DOF]: row for row in tree[1:]}
         self.torque, self.stored = zeros(unrolling.nv), 0.0
+        self.first, self.rates = 0, {}
 
     def numbers(self, row):
         """Return the numbers of a row of the table of effects."""
@@ -175,8 +180,10 @@ class Forces:
         """Add to the energy stored."""
         self.stored = self.stored + energy
 
-    def flow(self, *rates):
-        """Ignore the rates of the effect's states, such as losses."""
+    def flow(self, *rates, first=0):
+        """Store the rates of the effect's states, from one on."""
+        for place, rate in enumerate(rates, start=self.first + first):
+            self.rates[place] = rate
 
     def touches(self, gap, rate):
         """Return whether a contact of a given gap, and its rate, acts."""

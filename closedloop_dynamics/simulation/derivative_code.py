@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Code for the derivatives of a scene's accelerations, and the arrays that it works on."""
+
+from functools import cache
+
+import numpy as np
+
+from .traced_scene import require_derivatives, TracedScene
+from ..core.codegen import function_table as calls
+from ..core.codegen.derivatives import COLUMN, DerivativeTrace, FLOW, RATE
+from ..core.codegen.machine_code import LANES, machine_code, PACKED
+from ..core.codegen.routines import topology
+from ..engine import native
+
+
+class DerivativeCode:
+    """
+    Code for the derivatives of accelerations and multipliers, compiled once for a mechanism.
+
+    Parameters
+    ----------
+    simulation : data.Data
+        Of the scene.
+    qdd, lam : ndarray, shape (nv,), (nc,)
+        Accelerations and multipliers of the state: read by the code.
+    states : int
+        nz: of the effects, whose rates are differentiated, too; all of them, or none.
+
+    Attributes
+    ----------
+    table : ndarray of int
+        As ``engine.native.call_for_columns`` takes it.
+    columns, found : ndarray, shape (blocks, LANES (nv + nc))
+        LANES columns side by side: changes of the residuals, and the derivatives.
+    rates : ndarray, shape (2 nv, nc)
+        Derivatives of J qd by coordinates and rates.
+    flows : ndarray, shape (2 nv, nz)
+        Derivatives of the rates of the effects' states.
+
+    Raises
+    ------
+    SimulationError
+        Where an effect has no derivative, or the mechanism is too large, with names and reasons.
+
+    """
+
+    def __init__(self, simulation, qdd, lam, states=0):
+        """Compile, unless an earlier process has."""
+        require_derivatives(simulation)
+        self._scene, model = TracedScene(simulation), simulation.system.model
+        nv, nc = len(qdd), len(lam)
+        shape = -(-3 * nv // calls.LANES), (nv + nc) * calls.LANES
+        self.columns, self.found = np.zeros(shape), np.zeros(shape)
+        self.rates, self.flows = np.zeros((2 * nv, nc)), np.zeros((2 * nv, states))
+        key = 'derivatives', topology(model), *self._scene.key, states
+
+        @cache
+        def routines():
+            return DerivativeTrace(model, self._scene.act, self._scene.values.shape).in_lanes(
+                states)
+
+        first = machine_code(key, lambda: routines()[0], PACKED)
+        count = np.zeros(1)
+        native.call(np.array([first('shared')]), 0, count, count)
+        self._factors = np.zeros(int(count[0]))
+        self.table = self._scene.table({
+            calls.QDD: qdd, calls.LAM: lam, RATE: self.rates, FLOW: self.flows,
+            COLUMN: self.columns, calls.SHARED: self._factors}, FLOW + 1)
+        self._residuals = first('residuals')
+        self.table[:2] = self._residuals, machine_code(key, lambda: routines()[1], LANES)('solve')
+
+    def follow(self, simulation):
+        """Switch the code off while other effects act than it was generated for."""
+        self.table[0] = self._residuals if TracedScene(simulation).key == self._scene.key else 0
