@@ -90,7 +90,7 @@ def act(table, forces, laws=None):
     if table is None:
         return
     for row in np.flatnonzero(table.enabled):
-        forces.first = int(table.index[row, STATE])
+        forces.row, forces.first = int(row), int(table.index[row, STATE])
         if laws and row in laws:
             _of_user(forces, laws[row], entries_of(table, row), forces.numbers(row))
         else:

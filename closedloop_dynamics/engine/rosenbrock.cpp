@@ -16,6 +16,7 @@
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "routines.hpp"
+#include "scene_code.hpp"
 #include "stick_slip.hpp"
 #include "time_events.hpp"
 
@@ -94,6 +95,9 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
   }
   // The code works on accelerations and multipliers of this state.
   derivative(system, state, moved);
+  if (system.has_effects()) {
+    store_sides(system.effects);
+  }
   bool good = call(code.table, 0, system.q(state), system.qd(state));
   for (Index block = 0; good && LANES * block < columns; ++block) {
     good = call(code.table, 1, code.columns[block], code.found[block]);
@@ -120,9 +124,15 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
   return true;
 }
 
-/// Factor I / (h gamma) - J at a state; return the fastest rate of the motion there [1/s], none
-/// where that was interrupted.
-std::optional<double> factor_jacobian(
+/// What is known of a Jacobian that was factored.
+struct Factored
+{
+  double rate;  ///< The fastest of the motion [1/s]
+  Index evaluations;  ///< That it took
+};
+
+/// Factor I / (h gamma) - J at a state; return none where that was interrupted.
+std::optional<Factored> factor_jacobian(
   const System & system, Values state, double step_size, Table matrix, Indices pivots,
   Table scratch, Interrupt & interrupt)
 {
@@ -148,7 +158,7 @@ std::optional<double> factor_jacobian(
     matrix(i, i) += 1.0 / (step_size * GAMMA);
   }
   factorize(matrix, pivots);
-  return rate;
+  return Factored{rate, generated ? 1 : n};
 }
 
 /// Make one step with a factored Jacobian into OUT; the last of the slopes is the error estimate.
@@ -263,15 +273,15 @@ Status StiffRun::accepted_step(
       release_modes(system);
       return closed ? Status::STEP_TOO_SMALL : Status::OPEN_LOOP;
     }
-    const std::optional<double> fastest = interrupt.after(STAGES + 1) ? std::nullopt :
+    const std::optional<Factored> factored = interrupt.after(STAGES + 1) ? std::nullopt :
       factor_jacobian(system, state, used, matrix, pivots, scratch, interrupt);
-    if (!fastest) {
+    if (!factored) {
       release_modes(system);
       return Status::INTERRUPTED;
     }
-    rate = *fastest;
+    rate = factored->rate;
     stiff_step(system, state, used, matrix, pivots, scratch);
-    control[control::WORK] += static_cast<double>(n + STAGES + 1 + n / 8);
+    control[control::WORK] += static_cast<double>(factored->evaluations + STAGES + 1 + n / 8);
     double total = 0.0;
     for (Index i = 0; i < n; ++i) {
       const double each = slopes(STAGES - 1, i) / (

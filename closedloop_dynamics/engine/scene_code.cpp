@@ -39,6 +39,13 @@ void take_piece(const EffectTable & table, Index row)
 }
 }  // namespace
 
+void store_sides(const EffectTable & table)
+{
+  for (Index row : table.contacts.rows) {
+    table.code.sides[row] = static_cast<double>(table.contacts.mode[row]);
+  }
+}
+
 Index prepare_code(const EffectTable & table)
 {
   if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
@@ -66,9 +73,7 @@ Index prepare_code(const EffectTable & table)
   if (resting > 1) {
     return -1;
   }
-  for (Index row : table.contacts.rows) {
-    table.code.sides[row] = static_cast<double>(table.contacts.mode[row]);
-  }
+  store_sides(table);
   table.sticking.rows[0] = 0;
   return resting == 1 ? routine::AT_REST : routine::EVALUATION;
 }

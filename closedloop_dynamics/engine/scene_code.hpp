@@ -17,6 +17,9 @@ namespace closedloop
 /// is found: pieces of courses, modes of contacts.
 Index prepare_code(const EffectTable &);
 
+/// Hand the modes of contacts over to generated code.
+void store_sides(const EffectTable &);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__SCENE_CODE_HPP_

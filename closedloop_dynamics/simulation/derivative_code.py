@@ -50,6 +50,7 @@ class DerivativeCode:
         """Compile, unless an earlier process has."""
         require_derivatives(simulation)
         self._scene, model = TracedScene(simulation), simulation.system.model
+        effects = simulation.system.effects
         nv, nc = len(qdd), len(lam)
         shape = -(-3 * nv // calls.LANES), (nv + nc) * calls.LANES
         self.columns, self.found = np.zeros(shape), np.zeros(shape)
@@ -67,7 +68,8 @@ class DerivativeCode:
         self._factors = np.zeros(int(count[0]))
         self.table = self._scene.table({
             calls.QDD: qdd, calls.LAM: lam, RATE: self.rates, FLOW: self.flows,
-            COLUMN: self.columns, calls.SHARED: self._factors}, FLOW + 1)
+            COLUMN: self.columns, calls.SHARED: self._factors, **(
+                {} if effects is None else {calls.SIDES: effects.code.sides})}, FLOW + 1)
         self._residuals = first('residuals')
         self.table[:2] = self._residuals, machine_code(key, lambda: routines()[1], LANES)('solve')
 

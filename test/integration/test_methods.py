@@ -8,7 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics import NumericalError, Simulation
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.integration.control import ACCEPTED
+from closedloop_dynamics.integration.control import ACCEPTED, REJECTED, WORK
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
 from closedloop_dynamics.simulation.scene import load_scene
@@ -82,6 +82,23 @@ def test_generated_jacobian_is_that_of_difference_quotients():
         # While other effects act than at the start, both take quotients.
         assert difference < 1e-8
         assert difference > 0.0
+
+
+def test_generated_jacobian_is_of_the_side_on_which_a_step_begins():
+    # Steps end where the buffer is reached or left; the gap is zero there but for rounding.
+    method = {'integrator': 'rodas4', 'tolerance': 1e-7}
+    generated = Simulation.from_scene('slider_crank_end_stop', step_size=1e-2, **method)
+    quotients = Simulation.from_scene('slider_crank_end_stop', step_size=1e-2, integrator='rk4')
+    quotients.prepare_method(**method)()
+    made = []
+    for simulation in (generated, quotients):
+        simulation.step(duration=0.5)
+        control = simulation.monitor.driver.control
+        made.append((control[ACCEPTED], control[REJECTED], control[WORK]))
+    assert made[0][:2] == made[1][:2]
+    # Where derivatives are generated a Jacobian takes one evaluation.
+    assert made[0][2] < made[1][2]
+    assert np.abs(generated.state - quotients.state).max() < 1e-9
 
 
 @pytest.mark.parametrize('integrator', [

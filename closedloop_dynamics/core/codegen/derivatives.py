@@ -71,7 +71,8 @@ class DerivativeTrace(SceneTrace):
         Parameters
         ----------
         states : int
-            Of the effects, such as energies that are lost, whose rates are differentiated, too.
+            Of the effects, such as energies that are lost, whose rates are differentiated, too:
+            for steps of the engine, with contacts on the sides that it has decided on.
 
         Returns
         -------
@@ -83,6 +84,7 @@ class DerivativeTrace(SceneTrace):
             ``solve``, to be written in lanes: of columns at q to derivatives at qd.
 
         """
+        self.decided = states > 0
         columns = self._columns(states)
         count = len(columns[0])
         for number, column in enumerate(columns):

@@ -155,8 +155,6 @@ class LiveForces(Forces):
 
     Attributes
     ----------
-    row : int
-        Of the effect whose turn it is, in the table.
     driven : list of (int, int, Symbol)
         States whose rates are multipliers times something.
     resting : list of (Symbol, list of (int, Symbol))
@@ -172,7 +170,7 @@ class LiveForces(Forces):
         super().__init__(trace)
         self.trace, self.nv = trace, trace.nv
         self.efforts = zeros(len(trace.laws.cuts))
-        self.row, self.rates = 0, zeros(trace.laws.states)
+        self.rates = zeros(trace.laws.states)
         self.driven, self.outputs = [], []
         self.resting = []
 
@@ -212,7 +210,7 @@ class LiveForces(Forces):
         self.note(GAPS, 0, gap, rate)
         self.note(TRIALS, 0, larger(fastest, abs(rate)))
         self.note(TRIALS, 2, larger(wrong, chosen(touching, gap, -gap)))
-        return chosen(side > 0.5, touching, gap < 0.0)
+        return self.on_side(side, gap)
 
     def pass_by(self, place, speed):
         """Store the path of a roller beside a body that it may pass; see ``store_path``."""

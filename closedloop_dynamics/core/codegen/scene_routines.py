@@ -10,8 +10,8 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 """
 
 from . import forward_dynamics
-from .expression_graph import Routine
-from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU, VALUES
+from .expression_graph import chosen, LOAD, Routine
+from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, SIDES, TAU, VALUES
 from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
@@ -36,12 +36,18 @@ class SceneTrace(MechanismTrace):
     values : tuple of 2 int
         Shape of the array of the effects' numbers.
 
+    Attributes
+    ----------
+    decided : bool
+        Whether contacts are on the sides that the engine has decided on, not on those of their
+        gaps.
+
     """
 
     def __init__(self, model, act, values):
         """Make the symbols of all inputs."""
         super().__init__(model)
-        self.values = self.symbols(VALUES, values)
+        self.values, self.decided = self.symbols(VALUES, values), False
         self._act = act
 
     def moved(self):
@@ -117,8 +123,8 @@ class Forces:
         Of effects in the joints.
     stored : number
         Energy.
-    first : int
-        Place of the first state of the effect whose turn it is.
+    row, first : int
+        Of the effect whose turn it is, in the table, and the place of its first state.
     rates : dict of int to number
         Of the effects' states, such as losses, by their places.
 
@@ -130,7 +136,8 @@ class Forces:
         self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
         self._row = {row[DOF]: row for row in tree[1:]}
         self.torque, self.stored = zeros(unrolling.nv), 0.0
-        self.first, self.rates = 0, {}
+        self.row = self.first = 0
+        self.rates, self._unrolling = {}, unrolling
 
     def numbers(self, row):
         """Return the numbers of a row of the table of effects."""
@@ -187,4 +194,11 @@ class Forces:
 
     def touches(self, gap, rate):
         """Return whether a contact of a given gap, and its rate, acts."""
-        return gap < 0.0
+        if not self._unrolling.decided:
+            return gap < 0.0
+        return self.on_side(self._unrolling.graph.put(LOAD, SIDES, self.row), gap)
+
+    @staticmethod
+    def on_side(side, gap):
+        """Return whether a contact acts, as decided or, where nothing is, by the gap."""
+        return chosen(side > 0.5, side > 1.5, gap < 0.0)
