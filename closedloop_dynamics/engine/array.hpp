@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ARRAY_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ARRAY_HPP_
 
+#include <algorithm>
 #include <cassert>
 #include <cstdint>
 
@@ -99,7 +100,8 @@ struct Given
 /// Copy the entries of `from`, as many as `to` has.
 inline void copy(Vector<double> from, Vector<double> to)
 {
-  for (Index i = 0; i < to.size; ++i) {to[i] = from[i];}
+  assert(from.size >= to.size);
+  std::copy_n(from.data, to.size, to.data);
 }
 
 }  // namespace closedloop

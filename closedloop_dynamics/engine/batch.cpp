@@ -25,13 +25,17 @@ constexpr int MOST_CORRECTIONS = 8;
 // Up to this share of the closure error that ends a run, its lane need not look closer.
 constexpr double CLEARLY = 0.5;
 
-/// Time derivatives of all lanes; return whether the results are good.
-bool batch_derivative(const Batch & batch, Index which, Values state, Values out)
+/// Time derivatives of all lanes, those of coordinates if asked; return whether the results are
+/// good.
+bool batch_derivative(
+  const Batch & batch, Index which, Values state, bool of_coordinates, Values out)
 {
   const Index n = batch.qdd.size, first = LANES * batch.nq();
   const bool good =
     call(batch.table, which, state.part(0, first), state.part(first, n));
-  rates_of_coordinates(batch.manifold, state, batch.nv(), out, LANES);
+  if (of_coordinates) {
+    rates_of_coordinates(batch.manifold, state, batch.nv(), out, LANES);
+  }
   copy(batch.qdd, out.part(first, n));
   copy(batch.rates, out.part(first + n, batch.rates.size));
   power_of_turns(batch.manifold, batch.tau, state, batch.nv(), out, LANES);
@@ -43,18 +47,18 @@ bool batch_step(
   const Batch & batch, const Tableau & tableau, Values state, double step_size, Table slopes,
   Values stage, Values out, LaneEvents & events)
 {
-  if (!batch_derivative(batch, events.routine(), state, slopes[0])) {
+  const Index stages = tableau.steps();
+  if (!batch_derivative(batch, events.routine(), state, stages > 0, slopes[0])) {
     return false;
   }
   events.store_start();
-  const Index stages = tableau.steps();
   if (stages == 0) {
     semi_implicit_step(batch.manifold, state, batch.nv(), step_size, slopes[0], out, LANES);
     return true;
   }
   for (Index k = 1; k < stages; ++k) {
     combine(tableau.a.row(k), k, state, step_size, slopes, stage);
-    if (!batch_derivative(batch, events.routine(), stage, slopes[k])) {
+    if (!batch_derivative(batch, events.routine(), stage, true, slopes[k])) {
       return false;
     }
   }
@@ -138,11 +142,13 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
 {
   const Index nq = position.columns;
   for (Index lane = 0; lane < LANES; ++lane) {
-    for (Index k = 0; k < nq; ++k) {
-      position[lane](instant, k) = state[LANES * k + lane];
+    const double * from = state.data + lane;
+    double * const q = position[lane].row(instant), * const qd = velocity[lane].row(instant);
+    for (Index k = 0; k < nq; ++k, from += LANES) {
+      q[k] = *from;
     }
-    for (Index k = 0; k < velocity.columns; ++k) {
-      velocity[lane](instant, k) = state[LANES * (nq + k) + lane];
+    for (Index k = 0; k < velocity.columns; ++k, from += LANES) {
+      qd[k] = *from;
     }
   }
 }

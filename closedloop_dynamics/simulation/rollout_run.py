@@ -423,8 +423,10 @@ class SimdRuns:
         driver, steps = first.monitor.driver, schedule.steps(first.step_size)
         if any(np.abs(start.torques).max(initial=0.0) > USUAL_TORQUE for start in starts):
             return None
-        torques = [all_torques(start.simulation, start.torques) for start in starts]
-        efforts = np.stack(filled(torques), axis=-1).reshape(len(torques[0]), -1)
+        torques = filled([start.torques for start in starts])
+        efforts = np.zeros((len(torques[0]), len(first.torque_names), LANES))
+        for lane, one in enumerate(torques):
+            efforts[:, first.actuated, lane] = one
         state = spread(filled([start.state for start in starts]))
         if room is None:
             names = first.coordinates
@@ -434,7 +436,7 @@ class SimdRuns:
                         for start in starts)
         ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(
-            tuple(pack)[:-1], watched, state, efforts, *schedule.in_steps(steps),
+            tuple(pack)[:-1], watched, state, efforts.reshape(len(efforts), -1), *schedule.in_steps(steps),
             np.zeros((len(driver.scratch), len(state))), *room, ended, found)
         for start in starts:
             start.simulation.touch()
@@ -444,9 +446,9 @@ class SimdRuns:
         if status != DONE:
             return None
         return [None if how != DONE else RunResult(
-            _values_of_motion(start.simulation, tau, schedule, steps, self.quantities, *motion),
+            _values_of_motion(start.simulation, one, schedule, steps, self.quantities, *motion),
             _finding(start.simulation, energy))
-            for start, tau, how, energy, *motion in zip(starts, torques, ended, found, *room)]
+            for start, one, how, energy, *motion in zip(starts, torques, ended, found, *room)]
 
     def _pack_of(self, systems):
         """Return a pack of systems, the last one where they are still the same."""
@@ -456,13 +458,13 @@ class SimdRuns:
         return self._pack
 
 
-def _values_of_motion(simulation, tau, schedule, steps, quantities, position, velocity):
+def _values_of_motion(simulation, torques, schedule, steps, quantities, position, velocity):
     """Return the results of one of the runs."""
     if all(name in STATE for name in quantities):
         both = {'position': position, 'velocity': velocity}
         return {name: both[name] for name in quantities}
-    return _values_of_states(simulation, np.hstack((position, velocity)), tau, schedule, steps,
-                             quantities)
+    return _values_of_states(simulation, np.hstack((position, velocity)), all_torques(
+        simulation, torques), schedule, steps, quantities)
 
 
 def _values_of_states(simulation, states, tau, schedule, steps, quantities):
