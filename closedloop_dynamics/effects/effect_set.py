@@ -130,6 +130,8 @@ class EffectSet:
         self._linked = joint_kernels.structure(self._model)
         # What the code of the scene is of, on whatever equations it works.
         self._scene = live_laws.known_structure(system.table)
+        # By which decided directions friction was written last; None where others were, too.
+        self._filled_by = None
         if self._table is None:
             self._table = build_table((), system.tau, 0, 0)
         self._fill([row for row, name in enumerate(self._rows) if not self.enabled[name]])
@@ -149,6 +151,8 @@ class EffectSet:
     def _fill(self, rows):
         """Write the present parameters of effects, and whether they act, into the table."""
         table = self._table
+        if rows:
+            self._filled_by = None
         for row in rows:
             name = self._rows[row]
             fill_row(table, row, self.records[name].element(self._machine))
@@ -173,8 +177,10 @@ class EffectSet:
 
     def decide(self, directions):
         """Mark sums with friction whose rates do not depend on the forces."""
-        self._machine.decided = frozenset(directions)
-        self._refill(JOINT_FRICTION)
+        decided = self._machine.decided = frozenset(directions)
+        if self._filled_by != decided:
+            self._refill(JOINT_FRICTION)
+            self._filled_by = decided
 
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""
@@ -194,7 +200,7 @@ class EffectSet:
                 self.drives[self._machine.joint(joint)] = delay
         self._timed = [row for row, name in enumerate(self._rows)
                        if self.records[name].clock(0.0) is not None]
-        self.follows_time, self._clocks = bool(self._timed), (None, None, None)
+        self.follows_time, self._clocks = bool(self._timed), (None, ())
         self.delays = any(self.drives.values())
         self.attends = self.delays or self.remembers
 
@@ -428,11 +434,11 @@ class EffectSet:
         if self._clocks[0] != time:
             clocks = {self._table.index[row, STATE]: self.records[self._rows[row]].clock(time)
                       for row in self._timed}
-            self._clocks = time, np.array([
-                first + k for first, clock in clocks.items() for k in range(len(clock))],
-                dtype=int), np.array([value for clock in clocks.values() for value in clock])
-        _, places, values = self._clocks
-        states[places] = values
+            self._clocks = time, [
+                (first + k, value) for first, clock in clocks.items()
+                for k, value in enumerate(clock)]
+        for place, value in self._clocks[1]:
+            states[place] = value
 
     def energies(self):
         """

@@ -189,6 +189,7 @@ class ErrorControlled(_Adaptive):
     def rewind(self):
         """Begin as a new driver would."""
         self.control[:] = 0.0
+        self.restart()
 
 
 class Switching(_Adaptive):
@@ -275,7 +276,7 @@ class Switching(_Adaptive):
         self.watch[columns.ACCURACY] = self._accuracy
         self.watch[columns.TOLERANCE] = max(
             columns.SHARE * self._accuracy, columns.FLOOR)
-        self.restart(moved=True)
+        self.restart()
 
 
 class Stiff:
@@ -340,6 +341,7 @@ class Stiff:
     def rewind(self):
         """Begin as a new driver would."""
         self.control[:] = self._scratch[:] = 0.0
+        self.restart()
 
 
 def _error_scale(system, tolerance):

@@ -32,16 +32,14 @@ class RunBuffer(NamedTuple):
 SHARE, LOST, MOVED, TIME = range(4)
 
 
-def run_samples(system, run, start, torque, schedule):
+def run_samples(make, start, torque, schedule):
     """
     Make whole runs, one after the other, all from the start of one.
 
     Parameters
     ----------
-    system : System
-        Model and workspace of the mechanism.
-    run : guarded_run.GuardedRun
-        Left as it is.
+    make : callable
+        ``native.run_samples`` of a system and a run, which is left as it is.
     start : ndarray, shape (n, ns)
         State of each, or one for all.
     torque : ndarray, shape (n or 1, rows, nv)
@@ -63,8 +61,7 @@ def run_samples(system, run, start, torque, schedule):
     count = max(len(start), len(torque))
     states = np.empty((count, schedule[2] // schedule[1] + 1, start.shape[1]))
     status, found = np.empty(count, dtype=np.int64), np.empty((count, 4))
-    native.run_samples(
-        system.native, run, start, torque, *schedule, states, status, found)
+    make(start, torque, *schedule, states, status, found)
     return states, status, found
 
 

@@ -13,7 +13,6 @@ values read from YAML and records built in Python.
 """
 
 from collections.abc import Mapping
-from contextlib import contextmanager
 from dataclasses import fields, MISSING
 from difflib import get_close_matches
 
@@ -48,14 +47,23 @@ class FieldError(ValueError):
         return f'{where}: expected {self.expected}, got {self.got}{note}'
 
 
-@contextmanager
-def at(*keys):
+class at:  # noqa: N801
     """Put ``keys`` before the path of a FieldError raised in this block."""
-    try:
-        yield
-    except FieldError as error:
-        error.path = keys + error.path
-        raise
+
+    # A class: samples of rollouts enter many such blocks, and a generator takes longer.
+    __slots__ = ('_keys',)
+
+    def __init__(self, *keys):
+        """Keep the keys."""
+        self._keys = keys
+
+    def __enter__(self):
+        """Begin."""
+
+    def __exit__(self, kind, error, trace):
+        """Let errors pass."""
+        if isinstance(error, FieldError):
+            error.path = self._keys + error.path
 
 
 def key_path(path):
@@ -134,6 +142,13 @@ def keys_of(record_type, leave_out=()):
     keys = [f for f in fields(record_type) if f.init and f.name not in leave_out]
     required = [f.name for f in keys if f.default is MISSING and f.default_factory is MISSING]
     return required, [f.name for f in keys if f.name not in required]
+
+
+def copied(record):
+    """Return a copy of a record, of the same fields, which are not checked again."""
+    other = object.__new__(type(record))
+    vars(other).update(vars(record))
+    return other
 
 
 def normalise(record, **checks):

@@ -4,7 +4,6 @@
 """The rules that every mechanism obeys, read from a file or built in Python."""
 
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from numbers import Real
@@ -16,7 +15,7 @@ from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
 from .couplings import in_tree, measured
-from .fields import among, at, FieldError, mapping, nearest, normalise, shown
+from .fields import among, at, copied, FieldError, mapping, nearest, normalise, shown
 from .inertia import inertia_matrix
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
@@ -245,7 +244,7 @@ def with_bodies(mechanism, bodies):
 
     """
     _, checks = (SECTIONS if mechanism.planar else SPATIAL_SECTIONS)['bodies']
-    other = copy(mechanism)
+    other = copied(mechanism)
     with _of(f'mechanism {mechanism.name!r}'), at('bodies'):
         for body, known in zip(bodies, mechanism.bodies):
             if body is not known:

@@ -65,7 +65,9 @@ class Geometry(LoopModel):
         """
         # A row has the masses of all bodies that are fixed to one another.
         rows = {self.placements[name].row for name in changed}
-        constants[[*rows], :t.INERTIA + 1 if self.mechanism.planar else space.INERTIA + 6] = 0.0
+        end = t.INERTIA + 1 if self.mechanism.planar else space.INERTIA + 6
+        for row in rows:
+            constants[row, :end] = 0.0
         weigh_bodies(constants, self.placements, {body.name: body for body in bodies}, rows)
 
     def point(self, q, body, position):

@@ -10,14 +10,13 @@ A key path is written as the keys stand in the files, with the places in lists a
 
 """
 
-from copy import copy
 from dataclasses import fields, replace
 from typing import get_args
 from weakref import ref
 
 from .scene import scene_with
 from ..mechanism.checks import number
-from ..mechanism.fields import among, at, FieldError, nearest
+from ..mechanism.fields import among, at, copied, FieldError, nearest
 from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS, with_bodies
 
 
@@ -99,7 +98,7 @@ def _is_numbers_alone(changes):
 
 def _with_numbers(scene, changes):
     """Return a scene with other numbers of bodies and effects; only these are checked."""
-    other, mechanism = copy(scene), scene.mechanism
+    other, mechanism = copied(scene), scene.mechanism
     if 'mechanism' in changes:
         mechanism = with_bodies(mechanism, _put(
             mechanism.bodies, changes['mechanism']['bodies']))
@@ -202,7 +201,8 @@ def _mechanism(scene, below):
 
 def _put(records, below):
     """Return the records of a section with the entries of a nested dict."""
-    return tuple(_replaced(record, below, record.name) for record in records)
+    return tuple([_replaced(record, below, record.name) if record.name in below else record
+                  for record in records])
 
 
 def _initial(scene, below):

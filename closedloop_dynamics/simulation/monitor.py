@@ -219,7 +219,6 @@ class Monitor:
         self.driver.rewind()
         forget(self._system.partition)
         left_out.forget(self._system)
-        self.restart()
         self.clear()
 
     @property

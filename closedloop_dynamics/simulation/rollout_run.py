@@ -231,16 +231,19 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
         None for runs that are to be made step by step: these alone can say how they end.
 
     """
-    steps, records = schedule.steps(simulation.step_size), [None] * len(torques)
-    bearable = np.flatnonzero(np.abs(torques).max(axis=(1, 2), initial=0.0) <= USUAL_TORQUE)
+    steps, records, bearable = (
+        schedule.steps(simulation.step_size), [None] * len(torques), range(len(torques)))
+    if not np.abs(torques).max(initial=0.0) <= USUAL_TORQUE:
+        bearable = np.flatnonzero(np.abs(torques).max(axis=(1, 2)) <= USUAL_TORQUE).tolist()
+        torques, starts = torques[bearable], None if starts is None else starts[bearable]
     if not (steps and len(bearable) and runs_whole(simulation)):
         return records
-    tau = all_torques(simulation, torques[bearable])
-    starts = simulation.integrated[np.newaxis].copy() if starts is None else starts[bearable]
+    tau = all_torques(simulation, torques)
+    starts = simulation.integrated[np.newaxis].copy() if starts is None else starts
     states, status, found = run_samples(
-        simulation.system, simulation.run, starts, tau, schedule.in_steps(steps))
+        simulation.run_samples, starts, tau, schedule.in_steps(steps))
     simulation.touch()
-    for k in np.flatnonzero(status == DONE):
+    for k in np.flatnonzero(status == DONE).tolist():
         records[bearable[k]] = RunResult(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
             _finding(simulation, found[k]))
@@ -436,8 +439,9 @@ class SimdRuns:
                         for start in starts)
         ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(
-            tuple(pack)[:-1], watched, state, efforts.reshape(len(efforts), -1), *schedule.in_steps(steps),
-            np.zeros((len(driver.scratch), len(state))), *room, ended, found)
+            tuple(pack)[:-1], watched, state, efforts.reshape(len(efforts), -1),
+            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, ended,
+            found)
         for start in starts:
             start.simulation.touch()
         if status == INTERRUPTED:

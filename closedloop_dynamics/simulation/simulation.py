@@ -219,8 +219,8 @@ class Simulation(Readings):
     def time(self) -> float:
         """Time since the start or the last reset [s]."""
         # Counted, not summed: an hour of steps adds up to an hour.
-        return (float(self._numbers[guarded_run.TIME_BASE])
-                + int(self._counts[guarded_run.STEPS]) * self.step_size)
+        return (self._numbers.item(guarded_run.TIME_BASE)
+                + self._counts.item(guarded_run.STEPS) * self.scene.method.step_size)
 
     def _set_time(self, base: float, steps: int) -> None:
         """Set the time to so many steps after another one [s]."""
@@ -601,9 +601,9 @@ class Simulation(Readings):
             run = run._replace(kept=before.kept, kept_by_cables=before.kept_by_cables,
                                windings=before.windings)
         self._run, engine = run, self.system.native
-        self._advance_run, self._resume_run, self._check_energy = (
+        self._advance_run, self._resume_run, self._check_energy, self.run_samples = (
             native.bind(name, engine, run)
-            for name in ('advance_run', 'resume_run', 'check_energy'))
+            for name in ('advance_run', 'resume_run', 'check_energy', 'run_samples'))
 
     def choose_equations(self, status: int) -> bool:
         """

@@ -12,6 +12,7 @@ one.
 
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -78,8 +79,15 @@ class Placement(NamedTuple):
         if len(center) == 2:
             plane.weigh(constants[self.row], mass, self.place(center), inertia)
             return
-        space.weigh(constants[self.row], mass, self.place(center),
-                    self.axes @ inertia_matrix(inertia) @ self.axes.T)
+        space.weigh(constants[self.row], mass, *_in_row(
+            self.axes.tobytes(), self.origin.tobytes(), tuple(center), inertia))
+
+
+@lru_cache(maxsize=1024)
+def _in_row(axes, origin, center, inertia):
+    """Return a body's centre of mass and inertia in the frame of its row; they rarely change."""
+    axes, origin = np.frombuffer(axes).reshape(3, 3), np.frombuffer(origin)
+    return axes @ center + origin, axes @ inertia_matrix(inertia) @ axes.T
 
 
 class TreeRows:

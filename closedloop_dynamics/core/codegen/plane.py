@@ -56,9 +56,11 @@ def weigh(constant, mass, center, about):
         Inertia about that [kg m^2].
 
     """
-    x, y = center
-    constant[[MASS, MASS_X, MASS_Y, INERTIA]] += (
-        mass, mass * x, mass * y, about + mass * (x * x + y * y))
+    x, y = center.tolist()
+    for column, value in (
+            (MASS, mass), (MASS_X, mass * x), (MASS_Y, mass * y),
+            (INERTIA, about + mass * (x * x + y * y))):
+        constant[column] += value
 
 
 def possible(kind):

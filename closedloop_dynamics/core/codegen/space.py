@@ -275,8 +275,12 @@ def body_structure(model):
 
 def kinds_of_bodies(model):
     """Return the inputs of ``body_structure`` that change with masses and rotors."""
-    body, varies = model.body, _varies(model)
-    return (body == 0.0) & ~varies, body[:, TURNED:PARALLEL], *_equal_moments(body, varies)
+    body, about = model.body, model.body[:, INERTIA:INERTIA + 3]
+    if model.tree[:, VARIES].any():
+        varies = _varies(model)
+        return (body == 0.0) & ~varies, body[:, TURNED:PARALLEL], *_equal_moments(body, varies)
+    # As above, for the samples of a rollout.
+    return body == 0.0, body[:, TURNED:PARALLEL], about == about[:, (1, 2, 0)]
 
 
 def _varies(model):
