@@ -22,12 +22,12 @@ from .actuator import FADING
 from .table import (
     ACROSS_B, ACTUATOR, AXIS, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, CUT_VALUE_COLUMNS,
     DATA, END_STOP, ENTRIES, FACE_CONTACT, FIRST, FOLLOWED, IN_PLANE, JOINT_FORCE_TABLE,
-    JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT, NODE_COLUMNS, POINT_A, POINT_B, POINT_FORCE_TABLE,
-    PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, PRESENT_COLUMNS, RATE_ONLY, ROW_A,
-    ROW_B, SCALE, SECOND, SIDE_A, SIDE_B, SLIDES, SPATIAL_BODY_CONTACT, SPATIAL_CONTACT,
-    SPATIAL_FORCE_TABLE, SPATIAL_PRESCRIBED_FORCE, STATE, TENDON, TRIAL_COLUMNS, VALUE_COLUMNS,
-    ZERO)
-from .traced_laws import LAWS as SMOOTH, line_between, push_apart
+    JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT, NODE_COLUMNS, ORIENTATION_SPRING, POINT_A,
+    POINT_B, POINT_FORCE_TABLE, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE,
+    PRESENT_COLUMNS, RATE_ONLY, ROW_A, ROW_B, SCALE, SECOND, SIDE_A, SIDE_B, SLIDES,
+    SPATIAL_BODY_CONTACT, SPATIAL_CONTACT, SPATIAL_FORCE_TABLE, SPATIAL_PRESCRIBED_FORCE, STATE,
+    TENDON, TRIAL_COLUMNS, VALUE_COLUMNS, ZERO)
+from .traced_laws import LAWS as TRACED_LAWS, line_between, push_apart
 from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
@@ -37,6 +37,8 @@ from ..core.codegen.vectors import add, dot, in_space, scale, subtract
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
 
+# In scenes with the other ones laws of the engine act.
+SMOOTH = {kind: law for kind, law in TRACED_LAWS.items() if kind != ORIENTATION_SPRING}
 # Columns of EffectTable.values that only the code may depend on, of an effect's kind.
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
 _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
@@ -249,7 +251,7 @@ class LiveLaws:
         for row, kind in enumerate(table.kind.tolist()):
             forces.row, forces.first = row, int(table.index[row, STATE])
             law = LAWS[kind]
-            if kind in SMOOTH:
+            if law is SMOOTH.get(kind):
                 law(forces, *table.index[row, [FIRST, SECOND]].tolist(), forces.numbers(row),
                     self._constants(forces.trace, row))
             else:

@@ -16,13 +16,16 @@ from functools import partial
 
 import numpy as np
 
+from . import force_table
 from .registry import effect_type
 from .table import (
     BUSHING, DATA, END_STOP, ENTRIES, EXTERNAL_FORCE, FIRST, FLUID_DRAG, JOINT_DAMPING,
-    JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_BUSHING, SPATIAL_FLUID_DRAG, SPATIAL_FORCE,
-    SPATIAL_POINT_SPRING, SPATIAL_TRACED, STATE, TENDON, TRACED)
+    JOINT_FORCE_TABLE, JOINT_SPRING, ORIENTATION_SPRING, POINT_FORCE_TABLE, POINT_SPRING, SECOND,
+    SPATIAL_BUSHING, SPATIAL_FLUID_DRAG, SPATIAL_FORCE, SPATIAL_FORCE_TABLE, SPATIAL_POINT_SPRING,
+    SPATIAL_TRACED, STATE, TENDON, TRACED)
 from .traced_effect import COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS
-from ..core.codegen.expression_graph import chosen, larger, replayed, smaller, square_root
+from ..core.codegen.expression_graph import (
+    arctangent, chosen, larger, replayed, smaller, square_root)
 from ..core.codegen.vectors import add, cross, dot, in_space, scale, subtract, ZERO
 
 # Why other effects have no law here, by the name of their type.
@@ -30,15 +33,16 @@ _REASONS = {
     'joint_friction': 'dry friction jumps where a joint comes to rest',
     'tendon_friction': 'dry friction jumps where a tendon comes to rest',
     'tendon_inertia': 'it acts on accelerations',
-    'joint_spring': 'it turns an orientation',
     'contact': 'its friction jumps with the sliding, and contacts begin within a step',
     'body_contact': 'which parts of the outlines touch is searched for',
     'cable': 'it slackens, and winds round pulleys',
     'actuator': 'its torque has limits and a state of its own',
     'prescribed_motion': 'it follows the time',
     'prescribed_force': 'it follows the time',
-    'force_table': 'it is a table',
     'rotor': 'at a joint that closes a loop it acts on accelerations'}
+
+# asin(x) / x in powers of x^2, good to rounding where that is below the limit.
+_ARC, _SMALL = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816), 1e-3
 
 
 def refused(effects):
@@ -189,6 +193,71 @@ def _joint_spring(forces, joint, _, values, __):
     forces.store(0.5 * (values[0] * (stretch * stretch)))
 
 
+def _orientation_spring(forces, parent, child, values, constants):
+    axes, others = ([forces.turned(body, constants[n + 3 * k:n + 3 * k + 3]) for k in range(3)]
+                    for body, n in ((parent, 0), (child, 9)))
+    turned = [[dot(axis, other) for other in others] for axis in axes]
+    # The axis of the turn by the angle phi, times sin phi.
+    sines = [0.5 * (turned[(k + 2) % 3][(k + 1) % 3] - turned[(k + 1) % 3][(k + 2) % 3])
+             for k in range(3)]
+    cosine = 0.5 * (turned[0][0] + turned[1][1] + turned[2][2] - 1.0)
+    square = dot(sines, sines)
+    sine = square_root(square)
+    # phi / sin phi: where that is small, its series, as the root has no derivative at zero.
+    whole = arctangent(sine, cosine) / sine
+    series = 0.0
+    for coefficient in reversed(_ARC):
+        series = coefficient + square * series
+    ratio = chosen(cosine > 0.0, chosen(square < _SMALL, series, whole), whole)
+    moment = scale(_along(axes, sines), -(values[0] * ratio))
+    forces.push(child, ZERO, ZERO, moment)
+    forces.push(parent, ZERO, ZERO, scale(moment, -1.0))
+    forces.store(0.5 * (values[0] * (ratio * ratio * square)))
+
+
+def _along(axes, components):
+    """Return a vector of its components along three axes."""
+    found = ZERO
+    for axis, one in zip(axes, components):
+        found = add(found, scale(axis, one))
+    return found
+
+
+def _look_up(constants, stroke):
+    """Return force and energy at a stroke: of the last piece of a table that begins before it."""
+    pieces = [constants[n:n + force_table.COLUMNS]
+              for n in range(0, len(constants), force_table.COLUMNS)]
+    start, a, b, c, d, energy = pieces[0]
+    for piece in pieces[1:]:
+        begun = stroke >= piece[0]
+        start, a, b, c, d, energy = (
+            chosen(begun, one, before) if one != before else before
+            for one, before in zip(piece, (start, a, b, c, d, energy)))
+    u = stroke - start
+    return (a + u * (b + u * (c + u * d)),
+            energy + u * (a + u * (b / 2.0 + u * (c / 3.0 + u * d / 4.0))))
+
+
+def _joint_force_table(forces, joint, _, values, constants):
+    force, energy = _look_up(constants, forces.coordinate(joint))
+    loss = values[0] * forces.rate(joint)
+    forces.twist(joint, force - loss)
+    forces.store(-energy)
+    forces.flow(loss * forces.rate(joint))
+
+
+def _point_force_table(size):
+    def law(forces, first, second, values, constants):
+        bodies = first, second
+        offsets, direction, length, rate = line_between(
+            forces, bodies, (values[1:1 + size], values[1 + size:1 + 2 * size]))
+        force, energy = _look_up(constants, length)
+        push_apart(forces, bodies, offsets, direction, -(force + values[0] * rate))
+        forces.store(energy)
+        forces.flow(values[0] * rate * rate)
+    return law
+
+
 def _point_spring(size):
     def law(forces, first, second, values, _):
         stiffness, damping, free = values[:3]
@@ -337,7 +406,10 @@ def _hold(forces, bodies, places, axes, moment):
 
 
 LAWS = {BUSHING: _bushing, END_STOP: _end_stop, EXTERNAL_FORCE: _external_force,
-        FLUID_DRAG: _fluid_drag, JOINT_DAMPING: _joint_damping, JOINT_SPRING: _joint_spring,
+        FLUID_DRAG: _fluid_drag, JOINT_DAMPING: _joint_damping,
+        JOINT_FORCE_TABLE: _joint_force_table, JOINT_SPRING: _joint_spring,
+        ORIENTATION_SPRING: _orientation_spring, POINT_FORCE_TABLE: _point_force_table(2),
         POINT_SPRING: _point_spring(2), SPATIAL_BUSHING: _spatial_bushing,
         SPATIAL_FLUID_DRAG: _spatial_fluid_drag, SPATIAL_FORCE: _spatial_force,
-        SPATIAL_POINT_SPRING: _point_spring(3), TENDON: _tendon}
+        SPATIAL_FORCE_TABLE: _point_force_table(3), SPATIAL_POINT_SPRING: _point_spring(3),
+        TENDON: _tendon}

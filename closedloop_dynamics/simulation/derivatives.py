@@ -152,9 +152,10 @@ class Differentiator:
                 not np.isfinite(self._code.found).all()):
             raise SingularityError(
                 'The accelerations have no derivatives here: closure equations depend on one '
-                'another in this position, or nearly, or points that a spring joins meet. Take a '
-                'position beside it. (So it is everywhere where masses differ so much that the '
-                'elimination alone cannot decide.)')
+                'another in this position, or nearly, points that a spring joins meet, or a '
+                'spring stands against half a turn. Take a position beside it. (So it is '
+                'everywhere where masses differ so much that the elimination alone cannot '
+                'decide.)')
         nv = len(self._qdd)
         # From blocks of columns to rows of all columns.
         found, rates = self._code.found, self._code.rates

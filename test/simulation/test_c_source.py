@@ -30,7 +30,7 @@ import numpy as np
 import pytest
 
 from .test_derivatives import (
-    IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE, PRESS, PRESS_SCENE)
+    BALL, BALL_SCENE, IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE, PRESS, PRESS_SCENE)
 
 ROOT = Path(__file__).resolve().parents[2]
 compiled = pytest.mark.skipif(
@@ -42,23 +42,6 @@ name: pendulum
 bodies: {rod: {mass: 1.5, center_of_mass: [0.3, 0.0], inertia: 0.02}}
 joints: {pin: {type: revolute, parent: ground, child: rod, position: [0.0, 0.0], actuated: true}}
 points: {tip: {body: rod, position: [0.6, 0.0]}}
-"""
-BALL = """\
-name: ball
-bodies:
-  rod: {mass: 1.5, center_of_mass: [0.3, 0.1, 0.0], inertia: [0.02, 0.03, 0.04, 0.001, 0.0, 0.0]}
-  arm: {mass: 0.5, center_of_mass: [0.2, 0.0, 0.0], inertia: [0.01, 0.02, 0.02]}
-joints:
-  ball: {type: spherical, parent: ground, child: rod, position: [0.0, 0.0, 0.0]}
-  hinge: {type: revolute, parent: rod, child: arm, position: [0.6, 0.0, 0.0],
-          axis: [0.0, 1.0, 0.0], actuated: true}
-"""
-BALL_SCENE = """\
-mechanism: ./ball.yaml
-initial:
-  position: {ball: {orientation: {rpy: [0.3, -0.4, 1.1]}}, hinge: 0.4}
-  velocity: {ball: {angular_velocity: [0.5, -1.0, 2.0]}, hinge: 1.0}
-effects: {gravity: {type: gravity, acceleration: [0.0, 0.0, -9.81]}}
 """
 PENDULUM_SCENE = """\
 mechanism: ./pendulum.yaml
@@ -186,6 +169,14 @@ def test_effects_are_carried_in_space(tmp_path):
 @pytest.mark.parametrize('scene, effects', (('three_rrr', IN_PLANE), ('rssr_four_bar', IN_SPACE)))
 def test_effects_with_corners_and_lists_of_numbers_are_carried(scene, effects, tmp_path):
     require_same_run(tmp_path, simulation_of(scene, effects))
+
+
+@compiled
+def test_a_spring_turns_an_orientation_as_in_the_package(tmp_path):
+    (tmp_path / 'ball.yaml').write_text(BALL)
+    (tmp_path / 'scene.yaml').write_text(BALL_SCENE)
+    require_same_run(tmp_path, simulation_of(
+        tmp_path / 'scene.yaml', {'spring': JointSpring('ball', 7.0)}))
 
 
 @compiled

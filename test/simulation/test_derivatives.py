@@ -13,6 +13,7 @@ from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
+from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
@@ -51,6 +52,23 @@ mechanism: ./parallelogram.yaml
 initial: {position: {a: 0.7, b: -0.7, c: 0.7}, hold: [a]}
 effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
 """
+BALL = """\
+name: ball
+bodies:
+  rod: {mass: 1.5, center_of_mass: [0.3, 0.1, 0.0], inertia: [0.02, 0.03, 0.04, 0.001, 0.0, 0.0]}
+  arm: {mass: 0.5, center_of_mass: [0.2, 0.0, 0.0], inertia: [0.01, 0.02, 0.02]}
+joints:
+  ball: {type: spherical, parent: ground, child: rod, position: [0.0, 0.0, 0.0]}
+  hinge: {type: revolute, parent: rod, child: arm, position: [0.6, 0.0, 0.0],
+          axis: [0.0, 1.0, 0.0], actuated: true}
+"""
+BALL_SCENE = """\
+mechanism: ./ball.yaml
+initial:
+  position: {ball: {orientation: {rpy: [0.3, -0.4, 1.1]}}, hinge: 0.4}
+  velocity: {ball: {angular_velocity: [0.5, -1.0, 2.0]}, hinge: 1.0}
+effects: {gravity: {type: gravity, acceleration: [0.0, 0.0, -9.81]}}
+"""
 # A slider-crank whose slider turns a wheel by a rack.
 PRESS = """\
 name: press
@@ -84,11 +102,16 @@ IN_PLANE = {
     'free': EndStop('theta_2', 40.0, lower=2.0, upper=8.0),
     'below': EndStop('theta_6', 30.0, lower=4.5),
     'tendon': Tendon({'theta_1': 0.3, 'theta_3': -0.2}, (5.0, 2.0), (0.1, 0.05), (-0.1, 0.05)),
+    'gas': ForceTable((0.1, 0.4, 0.7, 1.1), (5.0, 3.0, -4.0, 2.0), point_a='corner_2',
+                      anchor=(0.1, 0.7), interpolation='cubic', damping=0.3),
+    'hinge': ForceTable((0.0, 4.0, 7.0), (2.0, -1.0, 0.5), 'theta_2', damping=0.1),
     'drag': FluidDrag('corner_1', (0.3, 0.2), (1.0, 2.0), 0.1, 0.2, (0.5, -0.3), 0.4),
     'mount': Bushing('platform_center', None, (0.1, 0.7), (20.0, 30.0), (0.2, 0.3), 2.0, 0.1,
                      0.3, 0.2)}
 IN_SPACE = {
     'tendon': Tendon({'crank': 0.3, 'rocker': -0.2}, (5.0, 2.0), (0.1, 0.05), (-0.1, 0.05)),
+    'gas': ForceTable((0.1, 0.4, 0.7, 1.1), (5.0, 3.0, -4.0, 2.0), point_a='rocker_end',
+                      anchor=(0.1, 0.2, 0.7), interpolation='cubic', damping=0.3),
     'drag': FluidDrag('rocker_end', (0.3, 0.2, 0.1), (1.0, 2.0, 0.5), (0.1, 0.2, 0.15),
                       (0.2, 0.1, 0.3), (0.5, -0.3, 0.2), orientation=(0.1, 0.3, 0.3, 0.9)),
     'mount': Bushing('rocker_end', None, (0.1, 0.2, 0.7), (20.0, 30.0, 10.0), (0.2, 0.3, 0.1),
@@ -176,6 +199,20 @@ def test_derivatives_of_laws_with_corners_and_lists_of_numbers():
     assert [readings[name]['depth'] > 0.01 for name in ('reached', 'free', 'below')] == [
         True, False, True]
     require_derivatives('rssr_four_bar', IN_SPACE, step=2e-3)
+
+
+@pytest.mark.parametrize('size', [1.0, 0.04, 0.0])
+def test_derivatives_of_springs_that_turn_orientations(size, tmp_path):
+    (tmp_path / 'ball.yaml').write_text(BALL)
+    (tmp_path / 'scene.yaml').write_text(BALL_SCENE.replace('rpy: [0.3, -0.4, 1.1]', (
+        f'rpy: [{0.3 * size}, {-0.4 * size}, {1.1 * size}]')))
+    spring = {'spring': JointSpring('ball', 7.0)}
+    simulation, found = require_derivatives(
+        tmp_path / 'scene.yaml', spring, duration=1e-3 if size else 1e-9)
+    # The spring stands against turning.
+    without = Differentiator(simulation_of(tmp_path / 'scene.yaml'))(
+        simulation.position, simulation.velocity, torques(simulation))
+    assert np.abs(found.by_position - without.by_position).max() > 1.0
 
 
 def test_lists_of_numbers_that_have_changed_are_not_taken_for_the_old_ones():
