@@ -71,8 +71,9 @@ BODY_KERNELS = 13
 EQUATIONS, WRENCH = range(2)
 
 # What ``Recursion.update`` computes of the unit cut forces: nothing, their shares at the joints
-# of trees that give way, or their levers on the bodies' angles and on the slides (J^T for these).
-NO_RESPONSES, REDUCED, LEVERS = range(3)
+# of trees that give way, their levers on the bodies' angles and on the slides (J^T for these), or
+# on the joints' coordinates (J^T).
+NO_RESPONSES, REDUCED, LEVERS, CARRIED = range(4)
 
 # Workspace.joint, one row a body: square of the lever that its joint is compared by (1 for a
 # slide), the inertia that stands in for none, and the acceleration: of the slide, or of the body's

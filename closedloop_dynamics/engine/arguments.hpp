@@ -197,7 +197,7 @@ inline void read(PyObject * from, bool & to, Place)
 
 /// The last value of each enumeration that Python hands over.
 constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
-constexpr Index last_of(Responses) {return static_cast<Index>(Responses::LEVERS);}
+constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
 
 template<class Type>
 auto read(PyObject * from, Type & to, Place place)

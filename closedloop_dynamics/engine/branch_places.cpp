@@ -13,6 +13,7 @@
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "recursion.hpp"
+#include "routines.hpp"
 
 namespace closedloop
 {
@@ -215,10 +216,10 @@ public:
   : system_(system), model_(system.model), work_(system.work), q_(q), qd_(qd), added_(added),
     nv_(qd.size), nc_(system.lam.size), free_(nv_ - nc_),
     scratch_(
-      2 * nc_ * nv_ + 3 * nc_ + 6 * nv_ + MOST_PLACES * (q.size + 2 * nv_) + 3 * nv_ * nv_ +
+      2 * nc_ * nv_ + 5 * nc_ + 6 * nv_ + MOST_PLACES * (q.size + 2 * nv_) + 3 * nv_ * nv_ +
       q.size + free_ * (nv_ + free_ + 1)),
     jac_(scratch_.take(nc_, nv_)), factor_(scratch_.take(nc_, nv_)),
-    row_scale_(scratch_.take(nc_)), right_(scratch_.take(nc_)), ordered_(scratch_.take(nc_)),
+    closure_(scratch_.take(nc_)), bias_(scratch_.take(nc_)), row_scale_(scratch_.take(nc_)), right_(scratch_.take(nc_)), ordered_(scratch_.take(nc_)),
     column_scale_(scratch_.take(nv_)), change_(scratch_.take(nv_)),
     places_(scratch_.take(MOST_PLACES, q.size)), rates_(scratch_.take(MOST_PLACES, nv_)),
     bends_(scratch_.take(MOST_PLACES, nv_)), tangents_(scratch_.take(nv_, nv_)),
@@ -231,6 +232,10 @@ public:
     row_(counts_.take(nc_)), pivot_row_(counts_.take(nc_)), parts_(nc_),
     components_(parts_.take(nc_))
   {
+    std::copy(system.table.begin(), system.table.end(), table_.begin());
+    table_[routine::CLOSURE] = reinterpret_cast<Index>(closure_.data);
+    table_[routine::BIAS] = reinterpret_cast<Index>(bias_.data);
+    table_[routine::JACOBIAN] = reinterpret_cast<Index>(jac_.data);
   }
 
   /// As `accelerate_by_places`.
@@ -332,9 +337,14 @@ private:
   /// Closure errors, J and what the rates add to accelerations of closure, at a place.
   void look(Values q, Values rates)
   {
+    if (table_[routine::LOOP_EQUATIONS] != 0) {
+      call({table_.data(), routine::TABLE_COLUMNS}, routine::LOOP_EQUATIONS, q, rates);
+      return;
+    }
     outward(model_, q, rates, work_);
-    update(model_, work_, Responses::NONE);
     constraint_jacobian(model_, work_, jac_);
+    to_user_order(model_, work_.closure, closure_);
+    to_user_order(model_, work_.bias, bias_);
   }
 
   /// Choose the coordinates that the closure equations decide best at a place; return their
@@ -423,12 +433,11 @@ private:
     double before = 0.0;
     for (Index count = 0; ; ++count) {
       look(q, rate_);
-      to_user_order(model_, work_.closure, right_);
       double error = 0.0;
       for (Index i = 0; i < part.rows; ++i) {
-        double & each = right_[row(part, i)];
+        const double each = closure_[row(part, i)];
         error = std::abs(each) <= error ? error : std::abs(each);
-        each = -each;
+        right_[row(part, i)] = -each;
       }
       const bool shrinks = count == 0 || error < 0.5 * before;
       if (error <= ROUNDING * size || !shrinks || count == MOST_CORRECTIONS) {
@@ -491,8 +500,7 @@ private:
       add_tangents(part, tangents_, VALUE[n]);
       add_tangents(part, tangents_of_fewer_, FEWER_VALUES[n]);
     }
-    outward(model_, q, rates, work_);
-    update(model_, work_, Responses::NONE);
+    look(q, rates);
     negate_bias();
     solve_decided(part, bends);
     return true;
@@ -500,9 +508,8 @@ private:
 
   void negate_bias()
   {
-    to_user_order(model_, work_.bias, right_);
-    for (double & each : right_) {
-      each = -each;
+    for (Index i = 0; i < nc_; ++i) {
+      right_[i] = -bias_[i];
     }
   }
 
@@ -708,6 +715,7 @@ private:
   bool move_there()
   {
     finish_regular();
+    outward(model_, near_, rate_, work_);
     for (Index i = 0; i < added_.rows; ++i) {
       for (Index n = 0; n < added_.columns; ++n) {
         work_.body(i, work_.first_force() + n) += added_(i, n);
@@ -840,7 +848,7 @@ private:
   const Index nv_, nc_, free_;
   Scratch<double, NUMBERS> scratch_;
   const Table jac_, factor_;
-  const Values row_scale_, right_, ordered_, column_scale_, change_;
+  const Values closure_, bias_, row_scale_, right_, ordered_, column_scale_, change_;
   const Table places_, rates_, bends_, tangents_, tangents_of_fewer_;
   const Values near_, rate_, bend_, other_, force_;
   const Table gim_, carried_, inertia_;
@@ -850,6 +858,8 @@ private:
   const Indices order_, root_, column_, free_column_, row_, pivot_row_;
   Scratch<Component, MOST_PARTS> parts_;
   Vector<Component> components_;
+  // With the addresses of these arrays.
+  std::array<Index, routine::TABLE_COLUMNS> table_;
   double step_ = 0.0, pivot_ = 0.0;
   Index count_ = 0;
 };

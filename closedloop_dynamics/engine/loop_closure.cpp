@@ -232,6 +232,8 @@ void update(const Model & model, const Workspace & work, Responses responses)
   const Indexes & cut = model.cut;
   const Values & equation = work.equation;
   const Index size = 3 + 2 * work.size();
+  const Index piece = responses == Responses::REDUCED ? kernel::REDUCE :
+    responses == Responses::LEVERS ? kernel::LEVER : kernel::CARRY;
   for (Index a = 0; a < cut.rows; ++a) {
     measure(model, work, a);
     for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
@@ -240,9 +242,7 @@ void update(const Model & model, const Workspace & work, Responses responses)
       work.closure_rate[row] = equation[k * size + 1];
       work.bias[row] = equation[k * size + 2];
       if (responses != Responses::NONE) {
-        respond(
-          model, work,
-          responses == Responses::REDUCED ? kernel::REDUCE : kernel::LEVER, a, k);
+        respond(model, work, piece, a, k);
       }
     }
   }

@@ -206,10 +206,9 @@ void constraint_jacobian(const Model & model, const Workspace & work, Table jac)
 {
   const Indexes & cut = model.cut;
   jac.fill(0.0);
+  update(model, work, Responses::CARRIED);
   for (Index a = 0; a < cut.rows; ++a) {
-    measure(model, work, a);
     for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
-      respond(model, work, kernel::CARRY, a, k);
       double * row = jac.row(cut(a, cut::CUT_ROW) + k);
       for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
         row[model.tree(model.path_body[entry], tree::DOF)] = work.response(entry, k);

@@ -53,7 +53,7 @@ void cut_wrenches(
 /// Joint torques of the tree alone for given accelerations, shape (nv,).
 void tree_torque(const Model &, const Workspace &, Values qdd, Values out);
 
-/// Constraint Jacobian in the user's order, shape (nc, nv).
+/// Constraint Jacobian in the user's order, shape (nc, nv), after `update`.
 void constraint_jacobian(const Model &, const Workspace &, Table jac);
 
 /// Generalized inertia matrix of the tree, shape (nv, nv); uses up the bodies' inertias.

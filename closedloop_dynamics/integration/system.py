@@ -256,7 +256,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         whole=None, joints=joints, derivatives=None, native=None)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
-    return _linked(system, (*codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ()),
+    return _linked(system, (*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
+                            *((codegen.REACTIONS,) if reactions else ()),
                             *_routines_of_forces(model, joints)))
 
 

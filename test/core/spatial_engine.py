@@ -76,6 +76,15 @@ def _array(outputs, source, size):
     return np.array([outputs.get(source, {}).get(place, 0.0) for place in range(size)])
 
 
+def loop_equations(model, q, qd):
+    """Return closure errors, biases and Jacobian of a model's routine, interpreted."""
+    nv, nc = len(model.tree) - 1, len(model.column) - 1
+    outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.LOOP_EQUATIONS),
+                           _inputs(model, q, qd, np.zeros(nv)))
+    return (_array(outputs, calls.CLOSURE, nc), _array(outputs, calls.BIAS, nc),
+            _array(outputs, calls.JACOBIAN, nc * nv).reshape(nc, nv))
+
+
 class SpatialEngine:
     """
     A model in space and its unrolled evaluation.

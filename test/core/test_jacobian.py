@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from .engine import Engine
+from .spatial_engine import loop_equations
 from ..reference import appendix, cases, dense, machines
 from ..reference.compare import assert_agree, IDENTITY
 
@@ -24,6 +25,15 @@ def test_constraint_jacobian_is_the_derivative_of_the_closure(drawn, engine):
     # Off the closed state too, where a slot's axis passes beside the point.
     for place in (q, q + rng.normal(size=len(q))):
         assert_agree(engine.jacobian(place), dense.closure_jacobian(mechanism, place), IDENTITY)
+
+
+def test_routine_of_the_loop_equations_equals_the_twin(drawn, engine):
+    rng, mechanism, q, _ = drawn
+    place, rates = q + rng.normal(size=len(q)), rng.normal(size=len(q))
+    closure, bias, jac = loop_equations(engine.model, place, rates)
+    assert_agree(closure, dense.closure(mechanism, place), IDENTITY, smallest=1.0)
+    assert_agree(bias, dense.constraint_bias(mechanism, place, rates), IDENTITY, smallest=1.0)
+    assert_agree(jac, dense.closure_jacobian(mechanism, place), IDENTITY)
 
 
 @pytest.mark.parametrize('name', PAPER)

@@ -5,12 +5,13 @@
 
 from closedloop_dynamics.core.codegen.workspace import allocate
 from closedloop_dynamics.core.types import (
-    AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
+    AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, NO_RESPONSES, number_of_coordinates, TYPE)
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 
+from .spatial_engine import loop_equations
 from ..reference import cases, spatial_linkages, spatial_machines
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.numbers import equations, Numbers
@@ -72,6 +73,17 @@ def test_dense_matrices(loops):
     assert_agree(jac, loops.numbers.jacobian(), IDENTITY)
     native.generalized_inertia_matrix(*loops.outward(), gim)
     assert_agree(gim, loops.numbers.inertia(), IDENTITY)
+
+
+def test_routine_of_the_loop_equations(loops):
+    closure, bias, jac = loop_equations(loops.model, loops.q, loops.qd)
+    model, work = loops.outward()
+    native.update(model, work, NO_RESPONSES)
+    for found, expected in ((closure, work.closure), (bias, work.bias)):
+        in_order = np.empty(loops.nc)
+        native.to_user_order(model, expected, in_order)
+        assert_agree(found, in_order, IDENTITY, smallest=1.0)
+    assert_agree(jac, loops.numbers.jacobian(), IDENTITY)
 
 
 def test_inverse_dynamics(loops):

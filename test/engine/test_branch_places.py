@@ -63,10 +63,14 @@ def test_acceleration_beside_a_change_point_has_ten_digits(beside):
         simulation.acceleration, expected, rtol=0, atol=2e-10 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize('in_space', [False, True])
 @pytest.mark.parametrize('beside', [0.0, 1e-6, -1e-3])
-def test_acceleration_where_three_loops_are_flat_at_once(beside):
+def test_acceleration_where_three_loops_are_flat_at_once(beside, in_space):
     mechanism, q, rates = machines.ladder(3, 0.5 * math.pi + beside, 2.0)
-    simulation = Simulation(machines.scene(mechanism, q, rates, Method()))
+    simulation = Simulation(machines.scene(mechanism, q, rates, Method()) if not in_space else (
+        machines.scene(machines.in_space(mechanism), q, rates, Method(),
+                       machines.gravity_in_space())))
+    assert simulation.health.near_singular
     # Four legs swing about their ends, three couplers go round in circles.
     turning = machines.G * (0.5 * 4.0 + 3.0) / (4.0 / 3.0 + 3.0) * math.cos(beside)
     legs = np.arange(len(q)) % 2 == 0

@@ -14,12 +14,13 @@ kernels for each kind of body, which the engine's loops over bodies call (``join
 
 import numpy as np
 
-from .function_table import ALWAYS, BODY, LEAST_FORCES, OF_FORCES, REACTIONS, REFINED, WRENCHES
+from .function_table import (
+    ALWAYS, BODY, LEAST_FORCES, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED, WRENCHES)
 from .machine_code import announced_by
 from .routines import addresses, unrolled_size
 
-__all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'link', 'OF_FORCES', 'REACTIONS', 'REFINED',
-           'relink', 'unrolled_size', 'WRENCHES']
+__all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'link', 'LOOP_EQUATIONS', 'OF_FORCES',
+           'REACTIONS', 'REFINED', 'relink', 'unrolled_size', 'WRENCHES']
 
 
 def link(model, table, which=ALWAYS, joints=None):

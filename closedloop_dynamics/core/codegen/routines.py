@@ -10,22 +10,24 @@ from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, LOAD, LOGARITHM, MULTIPLY, NEGATE,
     POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
 from .function_table import (
-    ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, OUTWARD, QDD,
-    REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION, TAU, WORK_BODY, WRENCH,
-    WRENCHES)
+    ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
+    EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
+    LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION,
+    TAU, WORK_BODY, WRENCH, WRENCHES)
 from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
-from .vectors import in_space, times
+from .vectors import in_space, times, transpose
 from .workspace import unconnected
 from ..types import (
-    NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROWS, TYPE, Workspace)
+    CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
+    TYPE, Workspace)
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
-         WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces'}
+         WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
+         LOOP_EQUATIONS: 'loop_equations'}
 
 
 def topology(model):
@@ -355,6 +357,24 @@ class MechanismTrace:
         found = joint_forces.least_forces(
             self, self.world_accelerations(), self.symbols(LAM, (self.nc,)))
         self.outputs += [(LAM_OF_ALL, n, value) for n, value in enumerate(found)]
+
+    def loop_equations(self):
+        """Closure errors, what rates add to their accelerations, and J, in the user's order."""
+        model, work, one = self.model, self.work, self.recursion
+        one.hinges = ()
+        one.outward(model, self.q, self.qd, work)
+        one.update(model, work, CARRIED)
+        closure, bias, jac = zeros(self.nc), zeros(self.nc), zeros(self.nc, self.nv)
+        for cut in model.cut:
+            for k in range(cut[ROWS]):
+                place, row = cut[CUT_ROW] + k, jac[cut[CUT_ROW] + k]
+                closure[place], bias[place] = work.closure[cut[ROW] + k], work.bias[cut[ROW] + k]
+                for entry in range(cut[PATH_A], cut[PATH_END]):
+                    row[model.tree[model.path_body[entry], DOF]] = work.response[entry, k]
+                for frame, turns in one.balls(model):
+                    row[turns] = times(transpose(frame), row[turns])
+        for source, values in ((CLOSURE, closure), (BIAS, bias), (JACOBIAN, jac)):
+            self.store(source, values)
 
     @property
     def size(self):

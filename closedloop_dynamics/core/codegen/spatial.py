@@ -24,7 +24,7 @@ from .vectors import (
     symmetric, times, transpose, ZERO)
 from ..types import (
     BODY_A, BODY_B, COORDINATE, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, PATH_A,
-    PATH_B, PATH_COMMON, PATH_END, RHS, ROW, ROWS)
+    PATH_B, PATH_COMMON, PATH_END, REDUCED, RHS, ROW, ROWS)
 
 X, Y, Z = range(3)
 
@@ -630,8 +630,9 @@ class Recursion:
     def _pass(self, model, work, responses, entry, row, wrench, own=0.0):
         """Store the joint forces of a wrench on a path; return the wrench on the parent."""
         i, scaled = model.path_body[entry], 0.0
-        if responses == LEVERS:
-            beyond = self._counts_angles(i) and self._joined_before(model, i)
+        if responses != REDUCED:
+            beyond = responses == LEVERS and self._counts_angles(i) and self._joined_before(
+                model, i)
             force, wrench = self.transmit_wrench(i, wrench, beyond, own)
         else:
             force, scaled, wrench = self.transmit_articulated_wrench(
