@@ -6,10 +6,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "loop_closure.hpp"
-#include "lu.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "recursion.hpp"
@@ -147,6 +147,64 @@ Index factorize_fully(Table matrix, Indices row, Indices column, double share)
   return rows;
 }
 
+/// Factor a square matrix in place, its pivots in their places, replaced by their inverses; return
+/// the smallest against the largest.
+double factorize_in_place(Table matrix)
+{
+  const Index n = matrix.rows;
+  double least = std::numeric_limits<double>::infinity(), most = 0.0;
+  for (Index k = 0; k < n; ++k) {
+    const double pivot = matrix(k, k), inverse = 1.0 / pivot;
+    // Not a number: all comparisons fail.
+    least = std::abs(pivot) >= least ? least : std::abs(pivot);
+    most = std::max(most, std::abs(pivot));
+    matrix(k, k) = inverse;
+    for (Index i = k + 1; i < n; ++i) {
+      if (matrix(i, k) != 0.0) {
+        const double scale = matrix(i, k) *= inverse;
+        for (Index j = k + 1; j < n; ++j) {
+          matrix(i, j) -= scale * matrix(k, j);
+        }
+      }
+    }
+  }
+  return least / most;
+}
+
+/// Solve with these factors in place.
+void solve_in_place(Table factor, Values right)
+{
+  const Index n = factor.rows;
+  for (Index i = 1; i < n; ++i) {
+    for (Index k = 0; k < i; ++k) {
+      right[i] -= factor(i, k) * right[k];
+    }
+  }
+  for (Index i = n - 1; i >= 0; --i) {
+    for (Index k = i + 1; k < n; ++k) {
+      right[i] -= factor(i, k) * right[k];
+    }
+    right[i] *= factor(i, i);
+  }
+}
+
+/// The same with the transpose of the matrix.
+void solve_transposed(Table factor, Values right)
+{
+  const Index n = factor.rows;
+  for (Index i = 0; i < n; ++i) {
+    right[i] *= factor(i, i);
+    for (Index k = i + 1; k < n; ++k) {
+      right[k] -= factor(i, k) * right[i];
+    }
+  }
+  for (Index i = n - 1; i > 0; --i) {
+    for (Index k = 0; k < i; ++k) {
+      right[k] -= factor(i, k) * right[i];
+    }
+  }
+}
+
 /// Lower triangle of the products of rows, of so many columns, with one another.
 template<class Entry>
 void fill_products(Table out, Entry && entry, Index columns)
@@ -252,7 +310,8 @@ public:
     }
     bool regular = true;
     for (Component & part : components_) {
-      part.regular = choose(part, REGULAR) > 0.0;
+      // One alone is not: else nobody would ask.
+      part.regular = components_.size > 1 && choose(part, REGULAR) > 0.0;
       regular = regular && part.regular;
     }
     for (const Component & part : components_) {
@@ -357,14 +416,17 @@ private:
         matrix(i, k) = entry(row(part, i), column(part, k));
       }
     }
-    const Indices columns = column_.part(0, part.columns), order{
-      order_.data + part.column, part.columns};
-    const bool enough =
-      factorize_fully(matrix, pivot_row_.part(0, part.rows), columns, share) == part.rows;
+    const Indices columns = column_.part(0, part.columns), rows = pivot_row_.part(0, part.rows);
+    const Indices order{order_.data + part.column, part.columns};
+    const bool enough = factorize_fully(matrix, rows, columns, share) == part.rows;
     for (Index & each : columns) {
       each = order[each];
     }
     std::copy(columns.begin(), columns.end(), order.begin());
+    for (Index & each : rows) {
+      each = row_[part.row + each];
+    }
+    std::copy(rows.begin(), rows.end(), row_.data + part.row);
     if (!enough || !keeps_balls(part)) {
       return 0.0;
     }
@@ -401,15 +463,19 @@ private:
     return true;
   }
 
-  /// Factor what the equations say of the coordinates that they decide; return the ratio of pivots.
+  /// Factor what the equations say of the coordinates that they decide, in the order that was
+  /// chosen; return the smallest pivot against the largest.
   double factor(const Component & part)
   {
+    const Table matrix = square(part);
     for (Index i = 0; i < part.rows; ++i) {
+      const double * from = jac_.row(row(part, i));
+      const double scale = row_scale_[row(part, i)];
       for (Index k = 0; k < part.rows; ++k) {
-        square(part)(i, k) = entry(row(part, i), column(part, k));
+        matrix(i, k) = from[column(part, k)] * scale * column_scale_[column(part, k)];
       }
     }
-    return factorize(square(part), pivot_row_.part(0, part.rows));
+    return factorize_in_place(matrix);
   }
   Table square(const Component & part) const {return {factor_.data, part.rows, part.rows};}
 
@@ -420,7 +486,7 @@ private:
     for (Index i = 0; i < part.rows; ++i) {
       local[i] = right_[row(part, i)] * row_scale_[row(part, i)];
     }
-    solve(square(part), pivot_row_.part(0, part.rows), local);
+    solve_in_place(square(part), local);
     for (Index k = 0; k < part.rows; ++k) {
       out[column(part, k)] = local[k] * column_scale_[column(part, k)];
     }
@@ -783,16 +849,13 @@ private:
   Index find_multipliers(const Component & part)
   {
     const Values local = ordered_.part(0, part.rows);
-    for (Index i = 0; i < part.rows; ++i) {
-      for (Index k = 0; k < part.rows; ++k) {
-        square(part)(k, i) = entry(row(part, i), column(part, k));
-      }
-      local[i] = force_[column(part, i)] * column_scale_[column(part, i)];
-    }
-    if (!(factorize(square(part), pivot_row_.part(0, part.rows)) > VANISHED)) {
+    if (!(factor(part) > VANISHED)) {
       return find_least_multipliers(part);
     }
-    solve(square(part), pivot_row_.part(0, part.rows), local);
+    for (Index k = 0; k < part.rows; ++k) {
+      local[k] = force_[column(part, k)] * column_scale_[column(part, k)];
+    }
+    solve_transposed(square(part), local);
     for (Index i = 0; i < part.rows; ++i) {
       system_.lam[row(part, i)] = local[i] * row_scale_[row(part, i)];
     }
