@@ -30,18 +30,6 @@ import sys
 import tempfile
 import time
 
-from geometry_msgs.msg import WrenchStamped
-from machine import description
-from node_rate import start, Subscriber
-import numpy as np
-from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.payload import Payload
@@ -53,6 +41,17 @@ from closedloop_dynamics.simulation.scene_text import write_scene
 from closedloop_dynamics.studies.families import ladder
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE as FRAMES, Runner
+from geometry_msgs.msg import WrenchStamped
+from machine import description
+from node_rate import start, Subscriber
+import numpy as np
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE = 200.0
 NODE = 'closedloop_simulator'
@@ -153,7 +152,7 @@ class Live:
         self.node.destroy_client(client)
         return answer.result()
 
-    def set(self, name, value):
+    def set_parameter(self, name, value):
         """Return a disturbance that sets a parameter."""
         def disturb():
             answer = self.call(SetParameters, 'set_parameters', SetParameters.Request(
@@ -184,17 +183,17 @@ class Live:
         for name in self.scene.effects:
             off = name in self.scene.switched_off
             for value in (off, not off):
-                yield f'{name} {"on" if value else "off"}', self.set(
+                yield f'{name} {"on" if value else "off"}', self.set_parameter(
                     f'effects.{name}.enabled', value)
                 if off and value:
                     key, number = NUMBERS[name]
-                    yield f'{name}.{key}', self.set(f'effects.{name}.{key}', number)
+                    yield f'{name}.{key}', self.set_parameter(f'effects.{name}.{key}', number)
         for name in METHODS:
-            yield name, self.set('integrator', name)
+            yield name, self.set_parameter('integrator', name)
         flat = self.scene.mechanism.name == 'parallelogram'
         for name in STABILISATIONS:
             if not (flat and name == DRIFTING):
-                yield name, self.set('stabilisation', name)
+                yield name, self.set_parameter('stabilisation', name)
         wrench = WrenchStamped()
         wrench.header.frame_id = self.scene.mechanism.bodies[0].name
         wrench.wrench.force.x = 0.5

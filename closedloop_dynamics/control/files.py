@@ -4,9 +4,9 @@
 """Controllers from files: those shipped for a mechanism, and others in the same form."""
 
 from .controller import closed_loop, open_loop
-from .settings import FEEDBACK_MODES, SETTINGS
 from .errors import StartError
 from .references import PathError
+from .settings import FEEDBACK_MODES, SETTINGS
 from ..mechanism.checks import list_of, number, one_of, text
 from ..mechanism.config import shipped_names, shipped_path
 from ..mechanism.document import Document

@@ -30,7 +30,7 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import motion_columns, motion_thinning_values, motion_rows
+from closedloop_dynamics.view.columns import motion_columns, motion_rows, motion_thinning_values
 from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
@@ -38,7 +38,7 @@ from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
-from closedloop_dynamics.view.runner import Hand, SAMPLING_SHARE, round_up
+from closedloop_dynamics.view.runner import Hand, round_up, SAMPLING_SHARE
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
 from closedloop_dynamics.visual.trajectory import Trajectory

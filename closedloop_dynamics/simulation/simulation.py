@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike
 
 from .assembly import angle_notes
 from .budget import Budget, INTERVAL
-from .cable_guard import explain, leapt, CHECK_EVERY as CABLE_CHECK_EVERY
+from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY, explain, leapt
 from .data import Numbers, vector
 from .derivative_code import DerivativeCode
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import (
-    CLOSING, CLOSURE_CHECK_EVERY, EnergyGuard, EQUATIONS_FIRST_CHECK, EQUATIONS_CHECK_EVERY,
+    CLOSING, CLOSURE_CHECK_EVERY, EnergyGuard, EQUATIONS_CHECK_EVERY, EQUATIONS_FIRST_CHECK,
     LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .model import Model
 from .modeling import extent

@@ -237,7 +237,7 @@ class SimulationRows:
                   Plot('evaluations', 'in a simulated second', '1/s', column='evaluations')]
         self.columns = Columns(
             mechanism, [{'name': name, 'kind': kind} for name, record in self._loads.items()
-             for kind in _kinds(record)], True, plots)
+                        for kind in _kinds(record)], True, plots)
         starts = self.columns.starts
         self._plotted = slice(starts['plots'], starts['others'])
         self._looked = np.zeros(3 * points + len(plots))

@@ -780,8 +780,8 @@ class Runner(Shown):
                 if drive.mode == OWN:
                     time, position = self._now_at(name)
                     drive.set(POSITION, position, time, position)
-            self.feed.log(f'The controller does not follow this machine, whose joints are held '
-                           f'instead: {error}')
+            self.feed.log('The controller does not follow this machine, whose joints are held '
+                          f'instead: {error}')
             self._describe()
             return
         self._restart_controller()

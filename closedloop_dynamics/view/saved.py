@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from .columns import motion_columns, motion_thinning_values, motion_rows, SimulationRows
+from .columns import motion_columns, motion_rows, motion_thinning_values, SimulationRows
 from .thinning import Thinning
 from ..recording.run import Report, run
 from ..simulation.modeling import extent

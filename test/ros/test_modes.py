@@ -4,7 +4,7 @@
 """Tests of the modes of closedloop_dynamics.ros.pacing with a machine that only counts."""
 
 from closedloop_dynamics.ros.pacing import (
-    AsFastAsPossible, Lockstep, CHECK_EVERY, MOST_MADE_UP, period_steps, RealTime)
+    AsFastAsPossible, CHECK_EVERY, Lockstep, MOST_MADE_UP, period_steps, RealTime)
 from closedloop_dynamics.simulation.pacer import Pacer
 import pytest
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 
-
 def planetary(sun, ring):
     carrier = 0.25 * sun + 0.75 * ring
     return [sun, ring, carrier, *3 * [-(sun - carrier)]]

@@ -14,7 +14,7 @@ import numpy as np
 
 from . import plane, space
 from .expression_graph import ExpressionGraph, LOAD, Routine
-from .machine_code import machine_code, KERNEL
+from .machine_code import KERNEL, machine_code
 from .rows import by_column, columns_of, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
@@ -219,8 +219,7 @@ class _Body:
 
     def _factored(self, tracer, recursion):
         """Give a recursion the factors of the joint."""
-        recursion.factors[_BODY] = (six(tracer.own, self.arrays.SHARES),
-                              recursion.alone(_BODY))
+        recursion.factors[_BODY] = six(tracer.own, self.arrays.SHARES), recursion.alone(_BODY)
 
     def accelerate(self, tracer, recursion):
         """Compute accelerations; qdd is written."""

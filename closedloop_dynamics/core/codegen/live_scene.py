@@ -114,7 +114,6 @@ class LiveTrace(MechanismTrace):
         self.store(RATES, forces.rates)
         self.outputs += forces.outputs
 
-
     def held(self, resting, qdd, lam):
         """
         Let friction keep what is at rest there, up to its limit, as ``engine/sticking.hpp`` does.
