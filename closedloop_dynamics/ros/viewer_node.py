@@ -33,13 +33,14 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows, motion_thinning_values
 from closedloop_dynamics.view.description import (
     CHOICES, describe, described_drive, EARTH, grabs)
+from closedloop_dynamics.view.driving import round_up
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.hand import Hand
 from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
-from closedloop_dynamics.view.runner import round_up, SAMPLING_SHARE
+from closedloop_dynamics.view.runner import SAMPLING_SHARE
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
 from closedloop_dynamics.visual.trajectory import Trajectory

@@ -16,23 +16,18 @@ from .background import Background
 from .columns import SimulationRows
 from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive
-from .drives import Drive
+from .driving import Driving
 from .editing import Editor
 from .feed import Feed
 from .hand import Hand
 from .library import Library
-from .messages import (
-    drive_of, drives_told, effects_told, EXPRESSION, FREE, HELD, OWN, POSITION,
-    require_one_number, SPEED, TORQUE)
-from .own_motion import MODES, own_motion, OwnMotion
-from .posing import felt_inertia
+from .messages import drive_of, drives_told, effects_told, OWN
+from .own_motion import own_motion, OwnMotion
 from .removing import removable
 from .shown import Shown
 from .watchdog import Watchdog
 from ..control.errors import StartError
-from ..effects.actuator import Actuator
-from ..mechanism.checks import one_of
-from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.fields import FieldError, shown
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.modeling import extent
 from ..simulation.pacer import Pacer, ROUNDING
@@ -52,14 +47,6 @@ LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
 LONGEST_WAIT, SMALLER = 0.15, 0.1
 # Steps that are asked for one by one are made so many at once.
 TOGETHER = 10
-# Simulated time after which drives that track something, and controllers, find their torques again
-# [s].
-DRIVE_PERIOD, OWN_PERIOD = 0.002, 0.005
-# Motion of a joint after which drives that track something find the inertia that they feel again
-# [rad, m].
-FELT_AFTER = 0.02
-# Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
-REACH = {False: 60.0, True: 20.0}
 # How long after a change a controller is made for the machine as it is now [s].
 SETTLED = 0.3
 METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
@@ -101,7 +88,7 @@ class Runner(Shown):
         """Build the simulation, standing still at its start."""
         super().__init__()
         self._clock, self.playing, self._editing = clock, False, False
-        self._choose_own, self._lock = own, Lock()
+        self._lock = Lock()
         # A machine that was edited, and a controller for it, are made while the one before moves.
         self._machines, self._controllers = Background(), Background()
         self._failure = None
@@ -116,14 +103,14 @@ class Runner(Shown):
         motion = own(scene, hand.scene)
         self._machines.drop()
         self._controllers.drop()
-        self.editor, self._choose_own = Editor(scene), own
-        self._failure, self.start_pose, self._own = None, None, motion
+        self.editor = Editor(scene)
+        self._failure, self.start_pose, self._driving = None, None, Driving(motion)
         self._own_due, self._own_waits = math.inf, False
         self._put(hand, simulation)
         for name in motion.starts:
             drive_of(self.drives, name)
         self._pacer = Pacer(simulation.step_size, self._speed, self._clock)
-        self._start_drives()
+        self._driving.start()
         self._describe()
         self._looked = self._clock()
         self._send_controls()
@@ -134,13 +121,8 @@ class Runner(Shown):
         # Share of a step that is made at once, and steps that were asked for one by one.
         self._part, self._single = 1.0, 0.0
         self._paced, self._findings, self._changed = (0.0, 0.0), (), True
-        # Cut joints are not driven by hand: the page shows the joints of the tree.
-        self._places = {simulation.joint_names[place]: place
-                        for place in simulation.actuated_in_tree.tolist()}
-        lengths = simulation.coordinates.lengths
-        self._felt_at = self._positions()
-        self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
-                       for name, inertia in self._inertias().items()}
+        self._driving.begin(simulation)
+        self.drives = self._driving.drives
         points = len(self.editor.scene.mechanism.points)
         self.rows = SimulationRows(simulation, [hand.spring], points)
         self._begin_looking(self.rows.columns.plots, points, hand.size)
@@ -156,10 +138,10 @@ class Runner(Shown):
             scene.mechanism, self.rows.columns, scene.effects, mode='live',
             title=scene.name,
             drives=[described_drive(scene.mechanism, name, position,
-                                    self._reach(name, place), self._modes(name))
-                    for name, place in self._places.items()],
+                                    self._driving.reach(name), self._driving.modes(name))
+                    for name in self.drives],
             hand=True, poses=True, gravity=self._hand.gravity, own=any(
-                value is not None for _, value in self._own.starts.values()),
+                value is not None for _, value in self._driving.own.starts.values()),
             handles=self.editor.handles(), sliders=self.editor.sliders(),
             removable=removable(scene),
             curves=(curves(simulation.mechanism, simulation.position, scene.mechanism.points)
@@ -171,79 +153,15 @@ class Runner(Shown):
         else:
             self.feed.describe(self.described, *time_and_row)
 
-    # What drives are given.
-
-    def _modes(self, name):
-        """Return the modes of a drive."""
-        controller = self._own.controller
-        known = controller is not None and name in controller.joints
-        return (*MODES, OWN) if known else MODES
-
-    def _start_drives(self):
-        """Start each drive with the machine's own motion."""
-        self._restart_controller()
-        for name, drive in self.drives.items():
-            (mode, value), (time, position) = self._own.start(name), self._now_at(name)
-            with at(name):
-                drive.set(mode, position if value is None else value, time, position)
-
-    def _restart_controller(self):
-        self._held = math.inf, {}
-        if self._own.controller is not None:
-            self._own.controller.restart()
-
-    def _inertias(self):
-        """Return, by actuated joint, the inertia that its drive feels now."""
-        simulation = self.simulation
-        felt = felt_inertia(simulation)[list(self._places.values())]
-        return {name: float(inertia) if math.isfinite(inertia) else 1.0
-                for name, inertia in zip(self._places, felt)}
-
-    def _reach(self, name, place):
-        """Return the largest torque of a slider: that of the drive, or one for a brisk motion."""
-        for record in self.simulation.effects.values():
-            if isinstance(record, Actuator) and record.joint == name and record.max_torque:
-                return record.max_torque
-        slides = bool(self.simulation.coordinates.lengths[place])
-        return round_up(REACH[slides] * self.drives[name].inertia)
-
-    def _positions(self):
-        """Return the number of each freedom, shape (nv,)."""
-        return self.simulation.coordinates.by_freedom(self.simulation.position)
-
-    def _torques(self):
-        """Return the joint torques that the drives give now, shape (nv,)."""
-        simulation = self.simulation
-        tau, position = simulation.joint_torques(None), self._positions()
-        if np.abs(position - self._felt_at).max() > FELT_AFTER and any(
-                drive.mode not in (TORQUE, OWN) for drive in self.drives.values()):
-            self._felt_at = position
-            for name, inertia in self._inertias().items():
-                self.drives[name].inertia = inertia
-        for name, place in self._places.items():
-            drive = self.drives[name]
-            tau[place] = self._controlled()[name] if drive.mode == OWN else drive.torque(
-                simulation.time, position[place], simulation.velocity[place])
-        return tau
-
-    def _controlled(self):
-        """Return the torques of the controller, which are held for its period, by joint."""
-        simulation, (since, torques) = self.simulation, self._held
-        if not 0.0 <= simulation.time - since < (1.0 - ROUNDING) * OWN_PERIOD:
-            torques = self._own.controller.torques(
-                simulation.time, simulation.position, simulation.velocity)
-            self._held = simulation.time, torques
-        return torques
+    # Time.
 
     def _advance(self, steps):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation = self.simulation
         every = most = max(1, math.ceil(self._pacer.real_time_factor * self._look_time / (
             SAMPLING_SHARE * simulation.step_size)))
-        modes = {drive.mode for drive in self.drives.values()} - {TORQUE}
-        if modes:
-            most = min(most, max(1, round((
-                OWN_PERIOD if modes == {OWN} else DRIVE_PERIOD) / simulation.step_size)))
+        if math.isfinite(self._driving.period):
+            most = min(most, max(1, round(self._driving.period / simulation.step_size)))
         wanted = steps
         while steps > 0:
             if self._part < 1.0:
@@ -252,12 +170,12 @@ class Runner(Shown):
             # Slow motion shows states between the last two.
             if self._slow and portion == steps:
                 if portion > 1:
-                    simulation.advance(self._torques(), portion - 1)
+                    simulation.advance(self._driving.torques(), portion - 1)
                     portion = 1
                     steps = 1
                 self._before = simulation.time, self.rows.row()
             at = simulation.time
-            if self._measured(lambda: simulation.advance(self._torques(), portion),
+            if self._measured(lambda: simulation.advance(self._driving.torques(), portion),
                               portion) is not None:
                 # Those before the one that was stopped are made.
                 return wanted - steps + (simulation.time - at) / simulation.step_size
@@ -279,7 +197,8 @@ class Runner(Shown):
         """Advance by a part of a step, where one takes long; return which part."""
         part, simulation = self._part, self.simulation
         if self._measured(lambda: simulation.step(
-                self._torques()[simulation.actuated], part * simulation.step_size), part) == 0.0:
+                self._driving.torques()[simulation.actuated],
+                part * simulation.step_size), part) == 0.0:
             return 0.0
         self._sample_between()
         return part
@@ -410,8 +329,7 @@ class Runner(Shown):
             grabbed=self._grabbed, position=(
                 simulation.coordinates.by_name('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
-            motion=self._motion(), drives=drives_told({
-                name: (drive.mode, drive.value) for name, drive in self.drives.items()}),
+            motion=self._driving.motion, drives=drives_told(self._driving.chosen),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
             effects=effects_told(
@@ -448,7 +366,7 @@ class Runner(Shown):
             self.simulation.reset()
             if self.start_pose is not None:
                 self.simulation.set_state(self.start_pose)
-            self._start_drives()
+            self._driving.start()
 
         self._guarded(reset)
         self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
@@ -460,62 +378,22 @@ class Runner(Shown):
         self._before = self.simulation.time, self.rows.row()
 
     def _do_drive(self, page, joint, mode):
-        drive = drive_of(self.drives, joint)
-        if drive.mode == mode:
-            return
-        with at('mode'):
-            one_of(self._modes(joint))(mode)
-        if mode != OWN:
-            require_one_number(self.simulation.coordinates, joint, mode)
-        elif not any(other.mode == OWN for other in self.drives.values()):
-            self._restart_controller()
-        time, position = self._now_at(joint)
-        drive.set(mode, {
-            TORQUE: 0.0, SPEED: 0.0, POSITION: position, EXPRESSION: f'{position:.9g}'}.get(
-                mode, self._own.start(joint)[1]), time, position)
+        self._driving.change_mode(joint, mode)
 
     def _do_command(self, page, joint, value):
-        drive = drive_of(self.drives, joint)
-        if drive.mode == OWN:
-            raise FieldError('another mode of the drive', f'a value for {drive.value}', path=(
-                'joint',))
-        drive.set(drive.mode, value, *self._now_at(joint))
+        self._driving.command(joint, value)
 
     def _do_motion(self, page, which):
-        if which == OWN:
-            self._start_drives()
-            return
-        turning = self.simulation.coordinates
-        for name, drive in self.drives.items():
-            time, position = self._now_at(name)
-            one_number = turning.place[turning.index[name]] >= 0
-            if which == HELD and one_number:
-                drive.set(POSITION, position, time, position)
-            else:
-                drive.set(TORQUE, 0.0, time, position)
-
-    def _motion(self):
-        """Return how the machine is driven, as ``_do_motion`` takes it; None: otherwise."""
-        drives = self.drives.values()
-        if drives and all(drive.mode == POSITION for drive in drives):
-            return HELD
-        if all((drive.mode, drive.value) == (TORQUE, 0.0) for drive in drives):
-            return FREE
-        return OWN if all(
-            self._own.start(drive.joint) in ((drive.mode, drive.value), (drive.mode, None))
-            for drive in drives) else None
-
-    def _now_at(self, joint):
-        """Return the time [s] and the number of a driven freedom."""
-        return self.simulation.time, float(self._positions()[self._places[joint]])
+        self._driving.move(which)
 
     def _do_effect(self, page, name, enabled=None, values=None):
         if name == self._hand.spring:
             raise FieldError('an effect of the scene', shown(name), path=('name',))
         self._busily('changing the effects', lambda: self.simulation.set_effect(
             name, enabled, **(values or {})))
-        if self._own.controller is not None:
-            self._own.controller.know(name, enabled, values or {})
+        controller = self._driving.own.controller
+        if controller is not None:
+            controller.know(name, enabled, values or {})
         with self._lock:
             self.editor.effect(name, name in self.simulation.enabled_effects,
                                self.simulation.effects[name])
@@ -670,12 +548,10 @@ class Runner(Shown):
                 old.coordinates.names == new.coordinates.names):
             new.set_state(old.position, old.velocity)
             new.restore(new.state, old.time)
-        drives = {name: (drive.mode, drive.value) for name, drive in self.drives.items()}
+        chosen = self._driving.chosen
         self._failure = self.start_pose = None
         self._put(hand, new)
-        for name, drive in self.drives.items():
-            mode, value = drives.get(name, (TORQUE, 0.0))
-            drive.set(mode, value, *self._now_at(name))
+        self._driving.restore(chosen)
         same = old.coordinates.names == new.coordinates.names
         # What has other coordinates cannot wait.
         self._own_waits = same and self.playing
@@ -685,9 +561,10 @@ class Runner(Shown):
     def _renew_controller(self):
         """Rebuild a controller for the machine as it is now."""
         self._own_due = math.inf
-        if self._own.controller is None:
+        controller = self._driving.own.controller
+        if controller is None:
             return
-        fit = partial(self._own.controller.on, self._hand.scene)
+        fit = partial(controller.on, self._hand.scene)
         if self._own_waits:
             self._controllers.start(fit, self._accept_controller)
             return
@@ -697,20 +574,18 @@ class Runner(Shown):
 
     def _accept_controller(self, fitted):
         """Go on with the controller that a function returns, or, where it raises, without."""
+        driving = self._driving
         try:
-            self._own = OwnMotion(fitted(), {
-                joint: start for joint, start in self._own.starts.items() if start[0] != OWN})
+            driving.own = OwnMotion(fitted(), {
+                joint: start for joint, start in driving.own.starts.items() if start[0] != OWN})
         except (StartError, SimulationError, ValueError) as error:
-            self._own = OwnMotion()
-            for name, drive in self.drives.items():
-                if drive.mode == OWN:
-                    time, position = self._now_at(name)
-                    drive.set(POSITION, position, time, position)
+            driving.own = OwnMotion()
+            driving.hold_controlled()
             self.feed.log('The controller does not follow this machine, whose joints are held '
                           f'instead: {error}')
             self._describe()
             return
-        self._restart_controller()
+        driving.restart_controller()
 
     # Files.
 
@@ -776,9 +651,3 @@ def _alike(scene, other):
         [part.name for part in getattr(scene.mechanism, parts)]
         == [part.name for part in getattr(other.mechanism, parts)]
         for parts in ('bodies', 'joints', 'cut_joints', 'points'))
-
-
-def round_up(value):
-    """Round a positive number up to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= value)
