@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import live_laws
+from . import scene_code
 from .sensor import Chain
 from .table import (
     build_table, DATA, DISSIPATED, ENTRIES, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
@@ -129,7 +129,7 @@ class EffectSet:
         self._table, self._system = system.effects, system
         self._linked = joint_kernels.structure(self._model)
         # What the code of the scene is of, on whatever equations it works.
-        self._scene = live_laws.known_structure(system.table)
+        self._scene = scene_code.known_structure(system.table)
         # By which decided directions friction was written last; None where others were, too.
         self._filled_by = None
         if self._table is None:
@@ -162,7 +162,7 @@ class EffectSet:
                 table.index[row, LOADED] = 0
                 table.loaded[0] = table.index[:, LOADED].sum()
         if rows and self._system.is_unrolled:
-            live_laws.update(self._model, table, self._system.table, self._scene)
+            scene_code.update(self._model, table, self._system.table, self._scene)
 
     @property
     def by_name(self):
@@ -215,8 +215,8 @@ class EffectSet:
         elif self._system.is_unrolled:
             codegen.relink(
                 self._model, self._system.table, self._system.joints, (EVALUATION,))
-            live_laws.link(self._model, self._table, self._system.table)
-            self._scene = live_laws.known_structure(self._system.table)
+            scene_code.link(self._model, self._table, self._system.table)
+            self._scene = scene_code.known_structure(self._system.table)
         self._linked = structure
 
     def vary(self, mechanism, records, weigh):

@@ -310,6 +310,12 @@ def size_of_data(element):
     return sum(map(len, element.data))
 
 
+def entries_of(table, row):
+    """Return the numbers of a row's entries, as they are in ``EffectTable.data``: a view."""
+    begin, *after = table.index[row:row + 2, DATA].tolist()
+    return table.data[begin:after[0] if after else len(table.data)]
+
+
 def fill_row(table, row, element):
     """Write the parameters of one effect, at the start or while a simulation runs."""
     table.index[row, 1:1 + len(element.index)] = element.index

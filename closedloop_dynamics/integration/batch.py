@@ -23,7 +23,7 @@ from ..core.codegen import function_table as calls, lanes
 from ..core.codegen.lanes import LANES
 from ..core.codegen.routines import topology
 from ..core.manifold import Manifold
-from ..effects import live_laws
+from ..effects import scene_code
 
 
 class Batch(NamedTuple):
@@ -65,7 +65,7 @@ def fits(system, stabilisation):
 
     """
     return system.is_unrolled and stabilisation != INDEPENDENT and (
-        system.effects is None or live_laws.fit_lanes(system.effects))
+        system.effects is None or scene_code.fit_lanes(system.effects))
 
 
 def build_batch(systems):
@@ -90,7 +90,7 @@ def build_batch(systems):
                             settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
     evaluations = None
     if first.effects is not None:
-        evaluations = live_laws.addresses_in_lanes(first.model, [
+        evaluations = scene_code.addresses_in_lanes(first.model, [
             system.effects for system in systems])
         if evaluations is None:
             return None

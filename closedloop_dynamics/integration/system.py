@@ -16,7 +16,7 @@ from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
 from ..core.types import KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT, Workspace
-from ..effects import live_laws
+from ..effects import scene_code
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 
@@ -88,7 +88,7 @@ class Code(NamedTuple):
     routines : tuple of int
         Places in the function table; none: loops over bodies do it all.
     scene : tuple, optional
-        Structure of the effects (``live_laws.structure``) as they are in the evaluation of the
+        Structure of the effects (``scene_code.structure``) as they are in the evaluation of the
         scene; None: as they are at present.
 
     """
@@ -196,7 +196,7 @@ class System(NamedTuple):
         """What others that work on other equations of this mechanism are to have: ``Code``."""
         # Forces in joints are published or plotted, not integrated.
         return Code(tuple(one for one in self.routines if one not in codegen.OF_FORCES),
-                    live_laws.known_structure(self.table))
+                    scene_code.known_structure(self.table))
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
@@ -308,7 +308,7 @@ def _linked(system, routines, scene=None):
     elif system.is_unrolled:
         codegen.link(model, table, tuple(
             one for one in routines if one not in calls.OF_SCENE), system.joints)
-        live_laws.link(model, effects, table, scene)
+        scene_code.link(model, effects, table, scene)
     return _bound(system._replace(table=table, whole=whole))
 
 
