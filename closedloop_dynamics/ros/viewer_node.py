@@ -40,9 +40,9 @@ from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
-from closedloop_dynamics.view.runner import SAMPLING_SHARE
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.view.shown import Shown
+from closedloop_dynamics.view.stepping import SAMPLING_SHARE
 from closedloop_dynamics.visual.trajectory import Trajectory
 from geometry_msgs.msg import WrenchStamped
 import numpy as np

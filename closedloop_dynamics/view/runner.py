@@ -25,28 +25,16 @@ from .messages import drive_of, drives_told, effects_told, OWN
 from .own_motion import own_motion, OwnMotion
 from .removing import removable
 from .shown import Shown
+from .stepping import LONGEST_WAIT, Stepper
 from .watchdog import Watchdog
 from ..control.errors import StartError
 from ..mechanism.fields import FieldError, shown
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.modeling import extent
-from ..simulation.pacer import Pacer, ROUNDING
 from ..simulation.simulation import Simulation
 
-# Frames per second; share of their period that may go into computing; between two looks at what
-# takes long [s].
-RATE, COMPUTING_SHARE, POLL_PERIOD = 60.0, 0.6, 0.25
-# Share of the clock that may go into looking at states between frames, for paths and plots; how
-# fast the measured duration of a look follows.
-SAMPLING_SHARE, FOLLOWED = 0.2, 0.05
-# A step that takes longer than the first, on the clock, is made in parts of about the second [s];
-# no part is shorter than this share of the step.
-LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
-# What takes longer on the clock is stopped [s], and made in parts so much smaller; the smallest
-# ones take their time, unless a page wants something.
-LONGEST_WAIT, SMALLER = 0.15, 0.1
-# Steps that are asked for one by one are made so many at once.
-TOGETHER = 10
+# Frames per second; time between two looks at what takes long [s].
+RATE, POLL_PERIOD = 60.0, 0.25
 # How long after a change a controller is made for the machine as it is now [s].
 SETTLED = 0.3
 METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
@@ -87,13 +75,12 @@ class Runner(Shown):
                  library=None):
         """Build the simulation, standing still at its start."""
         super().__init__()
-        self._clock, self.playing, self._editing = clock, False, False
+        self._clock, self._editing = clock, False
+        self._stepper = Stepper(clock, 1.0 / RATE, self._thin)
         self._lock = Lock()
         # A machine that was edited, and a controller for it, are made while the one before moves.
         self._machines, self._controllers = Background(), Background()
-        self._failure = None
-        self._achieved, self._speed = None, 1.0
-        self._watchdog = None
+        self._failure = self._achieved = None
         self._library = Library() if library is None else library
         self._begin(scene, own)
 
@@ -109,7 +96,7 @@ class Runner(Shown):
         self._put(hand, simulation)
         for name in motion.starts:
             drive_of(self.drives, name)
-        self._pacer = Pacer(simulation.step_size, self._speed, self._clock)
+        self._stepper.restart()
         self._driving.start()
         self._describe()
         self._looked = self._clock()
@@ -118,17 +105,13 @@ class Runner(Shown):
     def _put(self, hand, simulation):
         """Go on with a simulation, with a hand in its scene."""
         self._hand, self.simulation = hand, simulation
-        # Share of a step that is made at once, and steps that were asked for one by one.
-        self._part, self._single = 1.0, 0.0
-        self._paced, self._findings, self._changed = (0.0, 0.0), (), True
+        self._findings, self._changed = (), True
         self._driving.begin(simulation)
         self.drives = self._driving.drives
         points = len(self.editor.scene.mechanism.points)
         self.rows = SimulationRows(simulation, [hand.spring], points)
         self._begin_looking(self.rows.columns.plots, points, hand.size)
-        # Steps since the last look at a state between frames, and how long one takes [s].
-        self._unseen, self._look_time = 0, 0.0
-        self._before = simulation.time, self.rows.row()
+        self._stepper.begin(simulation, self._driving, self.rows)
 
     def _describe(self):
         """Send the description of the machine to the pages, as it is now."""
@@ -153,80 +136,10 @@ class Runner(Shown):
         else:
             self.feed.describe(self.described, *time_and_row)
 
-    # Time.
-
-    def _advance(self, steps):
-        """Advance by steps, with the drives' torques renewed so often."""
-        simulation = self.simulation
-        every = most = max(1, math.ceil(self._pacer.real_time_factor * self._look_time / (
-            SAMPLING_SHARE * simulation.step_size)))
-        if math.isfinite(self._driving.period):
-            most = min(most, max(1, round(self._driving.period / simulation.step_size)))
-        wanted = steps
-        while steps > 0:
-            if self._part < 1.0:
-                return wanted - steps + self._advance_a_part()
-            portion = min(steps, most)
-            # Slow motion shows states between the last two.
-            if self._slow and portion == steps:
-                if portion > 1:
-                    simulation.advance(self._driving.torques(), portion - 1)
-                    portion = 1
-                    steps = 1
-                self._before = simulation.time, self.rows.row()
-            at = simulation.time
-            if self._measured(lambda: simulation.advance(self._driving.torques(), portion),
-                              portion) is not None:
-                # Those before the one that was stopped are made.
-                return wanted - steps + (simulation.time - at) / simulation.step_size
-            steps -= portion
-            self._unseen += portion
-            if self._unseen >= every and not self._slow:
-                self._sample_between()
-        return None
-
-    def _sample_between(self):
-        """Look at the present state, noting how long that takes; return its row."""
-        begin, row = self._clock(), self.rows.row()
-        self._thin(self.simulation.time, row, self.rows.thinning_values(row))
-        self._unseen = 0
-        self._look_time += FOLLOWED * (self._clock() - begin - self._look_time)
-        return row
-
-    def _advance_a_part(self):
-        """Advance by a part of a step, where one takes long; return which part."""
-        part, simulation = self._part, self.simulation
-        if self._measured(lambda: simulation.step(
-                self._driving.torques()[simulation.actuated],
-                part * simulation.step_size), part) == 0.0:
-            return 0.0
-        self._sample_between()
-        return part
-
-    def _measured(self, advance, steps):
-        """
-        Advance by steps, or a part of one; find which part can be made in a short time.
-
-        Returns the steps that were made, None for all.
-
-        """
-        begin = self._clock()
-        if self._watchdog is None:
-            advance()
-        elif not self._watchdog.does(advance, patient=self._part <= LEAST_PART):
-            self._part = max(LEAST_PART, SMALLER * self._part)
-            return 0.0
-        took = self._clock() - begin
-        if took / steps > LONGEST_STEP:
-            self._part = min(0.5, max(LEAST_PART, PART_TIME * steps / took))
-        elif self._part < 1.0:
-            self._part = min(1.0, 2.0 * self._part)
-        return None
-
     @property
-    def _slow(self):
-        """Whether frames come faster than steps."""
-        return self._pacer.real_time_factor / RATE < 2.0 * self.simulation.step_size
+    def playing(self):
+        """Return whether the simulation follows the clock."""
+        return self._stepper.playing
 
     @property
     def renewing(self):
@@ -238,7 +151,8 @@ class Runner(Shown):
     def run(self, keep_going=lambda: True):
         """Run with a frame every sixtieth of a second, as long as ``keep_going()``."""
         due = self._clock()
-        with Watchdog(LONGEST_WAIT, self.feed.is_waiting, self._report_slow) as self._watchdog:
+        with Watchdog(LONGEST_WAIT, self.feed.is_waiting, self._report_slow) as watchdog:
+            self._stepper.watchdog = watchdog
             while keep_going():
                 self.tick()
                 due = max(due + 1.0 / RATE, self._clock() - 1.0 / RATE)
@@ -252,56 +166,27 @@ class Runner(Shown):
         self._controllers.tick()
         if self._clock() >= self._own_due and not self._editing:
             self._renew_controller()
-        if self.playing or self._single > 0.0:
-            self._guarded(self._take)
+        if self._stepper.wanted:
+            self._guarded(self._stepper.make)
             self._changed = True
         if self._changed:
             self._show()
-
-    def _take(self):
-        budget = COMPUTING_SHARE / RATE
-        if self.playing:
-            self._pacer.tick(self._advance, budget)
-            return
-        end = self._clock() + budget
-        while self._single > ROUNDING and self._clock() < end:
-            count = max(1, min(TOGETHER, round(self._single)))
-            done = self._advance(count)
-            self._single -= count if done is None else done
-        if not self._single > ROUNDING:
-            self._single = 0.0
 
     def _show(self):
         now = self._clock()
         if now - self._looked > POLL_PERIOD or not self.playing:
             self._looked = now
             self._findings = self.rows.refresh().findings
-            self._achieved = self._real_time_share()
-        time_now = self.simulation.time
-        row = self._sample_between() if self._unseen and not self._slow else self.rows.row()
-        self._thinning.keep(time_now, self.rows.thinning_values(row))
-        if self.playing and self._slow:
-            begin, before = self._before
-            share = self._pacer.portion_of_step
-            self.feed.show(begin + share * (time_now - begin), before + np.float32(share) * (
-                row - before))
-        else:
-            self.feed.show(time_now, row)
+            self._achieved = self._stepper.achieved()
+        row = self._stepper.row()
+        self._thinning.keep(self.simulation.time, self.rows.thinning_values(row))
+        self.feed.show(*self._stepper.frame(row))
         self._changed = False
         self._send_controls()
 
     def _report_slow(self, elapsed):
         """Report to the pages how slow it is while a part of a step takes so long [s]."""
-        share = self._part * self.simulation.step_size / elapsed
-        self.feed.send_controls(achieved=float(f'{share:.1g}'))
-
-    def _real_time_share(self):
-        """Return simulated seconds per second of the clock since the last call; None: unknown."""
-        pacer, (simulated, elapsed) = self._pacer, self._paced
-        self._paced = pacer.simulated, pacer.elapsed
-        if not (self.playing and pacer.elapsed > elapsed):
-            return None
-        return float(f'{(pacer.simulated - simulated) / (pacer.elapsed - elapsed):.2g}')
+        self.feed.send_controls(achieved=self._stepper.achieved_by_part(elapsed))
 
     def _guarded(self, action):
         """Run an action that may fail as simulations do; pause if it does, the state kept."""
@@ -315,15 +200,14 @@ class Runner(Shown):
             self._stop()
 
     def _stop(self):
-        if self.playing:
-            self._pacer.stop()
-        self.playing, self._changed, self._single = False, True, 0.0
+        self._stepper.stop()
+        self._changed = True
 
     def _send_controls(self):
         simulation = self.simulation
         self.feed.send_controls(
             playing=self.playing, achieved=self._achieved,
-            speed=self._pacer.real_time_factor, failure=self._failure,
+            speed=self._stepper.speed, failure=self._failure,
             kinematic=self._kinematic, editing=self._editing,
             undoable=self.editor.undoable, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
@@ -345,9 +229,7 @@ class Runner(Shown):
             self._do_edit(page, False)
         if not self.playing:
             self._failure = None
-            self.playing = True
-            self._before = self.simulation.time, self.rows.row()
-            self._pacer.start()
+            self._stepper.play()
 
     def _do_pause(self, page):
         self._stop()
@@ -356,7 +238,8 @@ class Runner(Shown):
         if self._editing:
             self._do_edit(page, False)
         self._stop()
-        self._failure, self._single = None, float(count)
+        self._failure = None
+        self._stepper.ask_for(count)
 
     def _do_reset(self, page):
         self._stop()
@@ -369,13 +252,10 @@ class Runner(Shown):
             self._driving.start()
 
         self._guarded(reset)
-        self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
-        self._paced = 0.0, 0.0
+        self._stepper.restart()
 
     def _do_speed(self, page, factor):
-        self._speed = self._pacer.real_time_factor = self.simulation.pace = factor
-        # In slow motion frames lie between these two.
-        self._before = self.simulation.time, self.rows.row()
+        self._stepper.set_speed(factor)
 
     def _do_drive(self, page, joint, mode):
         self._driving.change_mode(joint, mode)
@@ -406,7 +286,6 @@ class Runner(Shown):
 
         def change():
             self.simulation.prepare_method(**values)()
-            self._pacer.step_size = self.simulation.step_size
             # It was the other method's.
             self._failure = None
 
@@ -414,15 +293,9 @@ class Runner(Shown):
 
     def _busily(self, what, action):
         """Run a long action with a message to the pages; time is paused meanwhile."""
-        running = self.playing
-        if running:
-            self._pacer.stop()
-        self.feed.send_controls(busy=what)
-        try:
+        with self._stepper.pause():
+            self.feed.send_controls(busy=what)
             action()
-        finally:
-            if running:
-                self._pacer.start()
 
     # The hand.
 
