@@ -4,11 +4,12 @@
 """
 What calls from Python cost beside what they compute, and short rollouts beside their steps.
 
-For each scene [us]: an evaluation inside compiled code, and beyond it a call of the bound
-evaluator, of ``forward_dynamics`` and of ``joint_forces`` in a state that is not evaluated yet;
-``inverse_dynamics`` as it is, and over ``forward_dynamics``; the other readings as they are; one
-step of ``advance`` beyond a step of many. With ``--rollouts`` what a sample of a short rollout
-takes beyond its steps [ms], the same model for all and a mass of its own for each.
+For each scene [us]: an evaluation inside compiled code, and beyond it a call of the evaluator of
+accelerations, of that of multipliers, too, of ``forward_dynamics`` and of ``joint_forces`` in a
+state that is not evaluated yet; ``inverse_dynamics`` as it is, and over ``forward_dynamics``; the
+other readings as they are; one step of ``advance`` beyond a step of many. With ``--rollouts``
+what a sample of a short rollout takes beyond its steps [ms], the same model for all and a mass of
+its own for each.
 
 """
 
@@ -27,8 +28,8 @@ from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.visual.tables import text_table  # noqa: E402
 
 READINGS = ('position', 'velocity', 'points')
-CALLS = ('evaluation', 'evaluator +', 'forward +', 'inverse', 'over forward', *READINGS,
-         'joint forces +', 'step', 'advance +')
+CALLS = ('evaluation', 'acceleration +', 'evaluator +', 'forward +', 'inverse', 'over forward',
+         *READINGS, 'joint forces +', 'step', 'advance +')
 SAMPLES = ('step', 'sample +', 'own mass +')
 
 
@@ -72,6 +73,7 @@ def calls(scene, count, repeats):
     found = least({
         'nothing': repeated(lambda: None),
         'evaluation': lambda number: evaluate_again(one.system, q, qd, number),
+        'acceleration +': repeated(one.evaluator('acceleration')),
         'evaluator +': repeated(one.evaluator()),
         'forward +': repeated(lambda: one.forward_dynamics(q, qd)),
         'inverse': repeated(lambda: one.inverse_dynamics(q, qd, qdd)),
@@ -80,7 +82,7 @@ def calls(scene, count, repeats):
     for name in ('forward +', 'inverse', *READINGS, 'joint forces +'):
         found[name] -= found['nothing']
     found['over forward'] = found['inverse'] / found['forward +']
-    for name in ('evaluator +', 'forward +', 'joint forces +'):
+    for name in ('acceleration +', 'evaluator +', 'forward +', 'joint forces +'):
         found[name] -= found['evaluation']
     steps = count // 4
     found.update(least({'step': stepped(steps), 'advance +': stepped(1)}, steps, repeats))

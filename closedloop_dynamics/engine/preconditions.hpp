@@ -164,7 +164,7 @@ inline const char * request(const System & system, const Request & request)
     request.state.size >= system.ns() && request.own.size == system.effects.states.size &&
     within(request.actuated, -1, system.tau.size) &&
     request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
-    request.lam.size == system.whole.lam.size);
+    (request.lam.size == 0 || request.lam.size == system.whole.lam.size));
 }
 
 /// Effects beside a machine.
@@ -483,7 +483,7 @@ inline constexpr auto precondition<evaluate_request> =
     return expected::first_of(
       expected::request(system, request), expected::unless(
         system.whole.empty() || (whole.ns() == system.ns() && whole.nv() == system.nv() &&
-        whole.lam.size == request.lam.size)));
+        whole.lam.size == system.whole.lam.size)));
   };
 
 template<>

@@ -72,11 +72,16 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
     if (system.whole.empty()) {
       evaluate_state(system, request.state);
     } else {
-      evaluate_with_poses(system, request.state);
-      serves = find_all_multipliers(system, q, qd, request.lam);
+      if (request.lam.size == 0) {
+        evaluate_state(system, request.state);
+        serves = fulfil_left_out(system, q, qd);
+      } else {
+        evaluate_with_poses(system, request.state);
+        serves = find_all_multipliers(system, q, qd, request.lam);
+      }
       if (!serves && whole != nullptr) {
         evaluate_state(*whole, request.state);
-        copy(whole->lam, request.lam);
+        copy(whole->lam.part(0, request.lam.size), request.lam);
         serves = true;
       }
     }
@@ -84,6 +89,22 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
   copy(request.held, system.tau);
   return serves;
 }
+
+/// Closure equations of the whole mechanism in a state.
+struct WholeEquations
+{
+  DenseMatrix jac;
+  DenseVector bias;
+
+  WholeEquations(const AllEquations & all, Values q, Values qd)
+  : jac(all.model.equations(), all.model.joints()), bias(all.model.equations())
+  {
+    outward(all.model, q, qd, all.own);
+    update(all.model, all.own, Responses::NONE);
+    constraint_jacobian(all.model, all.own, view(jac));
+    to_user_order(all.model, all.own.bias, view(bias));
+  }
+};
 
 /// Whether a routine can continue from the results of the latest evaluation.
 bool is_left_to(const System & system, Index which)
@@ -204,13 +225,8 @@ bool find_all_multipliers(const System & system, Values q, Values qd, Values lam
   }
   const Model & model = all.model;
   const Workspace & work = all.own;
-  outward(model, q, qd, work);
-  update(model, work, Responses::NONE);
-  DenseMatrix jac(model.equations(), model.joints());
-  constraint_jacobian(model, work, view(jac));
+  WholeEquations whole(all, q, qd);
   spread_multipliers(system, lam);
-  DenseVector bias(model.equations());
-  to_user_order(model, work.bias, view(bias));
   if (system.has_effects()) {
     hold_as_evaluated(system.effects);
     apply_listed_to(system, work.body, q, qd);
@@ -218,8 +234,17 @@ bool find_all_multipliers(const System & system, Values q, Values qd, Values lam
   }
   bias_forces(work, work.force);
   joint_wrenches(model, work, system.qdd, lam, work.force);
-  minimise_joint_wrenches(system, model, work, jac, work.force, lam, system.lam.size);
-  return fulfil(view(jac), view(bias), system.qdd);
+  minimise_joint_wrenches(system, model, work, whole.jac, work.force, lam, system.lam.size);
+  return fulfil(view(whole.jac), view(whole.bias), system.qdd);
+}
+
+bool fulfil_left_out(const System & system, Values q, Values qd)
+{
+  if (system.table[routine::LEFT_OUT] != 0 && call(system.table, routine::LEFT_OUT, q, qd)) {
+    return true;
+  }
+  WholeEquations whole(system.whole, q, qd);
+  return fulfil(view(whole.jac), view(whole.bias), system.qdd);
 }
 
 void place_points(Table body, Indices row, Table point, Table out)

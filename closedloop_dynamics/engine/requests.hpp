@@ -20,7 +20,7 @@ struct Request
   /// Torques of the actuated joints, and their places in System.tau, -1 where none may act.
   Values torque;
   Indices actuated;
-  /// Multipliers of all equations; empty where the elimination works on all.
+  /// Multipliers of all equations; empty where the elimination works on all or none are wanted.
   Values lam;
   /// Scratch, of the length of System.tau.
   Values held;
@@ -60,6 +60,9 @@ bool evaluate_request(const System & system, const System & whole, const Request
 /// of least_forces.hpp. Readings of effects are to be evaluated again afterwards. False where the
 /// accelerations do not fulfil all equations.
 bool find_all_multipliers(const System &, Values q, Values qd, Values lam);
+
+/// Whether the accelerations fulfil the equations, too, that the elimination leaves out.
+bool fulfil_left_out(const System &, Values q, Values qd);
 
 /// Whether accelerations fulfil J qdd = -bias but for rounding.
 bool fulfil(Table jac, Values bias, Values qdd);

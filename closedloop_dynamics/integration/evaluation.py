@@ -22,16 +22,18 @@ class Request(NamedTuple):
     own: np.ndarray  # Shape (nz,): effects' own states that it begins with
     torque: np.ndarray  # Shape (number of actuated joints,)
     actuated: np.ndarray  # Their places in ``System.tau``; -1 where a motion is prescribed
-    lam: np.ndarray  # Shape (nc,): of all equations; of no length where none are left out
+    lam: np.ndarray  # Shape (nc,): of all equations; of no length where these are not wanted
     held: np.ndarray  # Shape (nv + nk,): scratch
 
 
-def request(system: System, own: np.ndarray, actuated: np.ndarray) -> Request:
+def request(system: System, own: np.ndarray, actuated: np.ndarray,
+            wants_multipliers: bool = True) -> Request:
     """Allocate a request; ``own`` and ``actuated`` are taken as they are."""
     *_, states = parts_of_state(system)
+    whole = system.whole if wants_multipliers else None
     return Request(
         np.zeros(states), own, np.zeros(len(actuated)), actuated,
-        np.zeros(0 if system.whole is None else len(system.whole.lam)), np.zeros(len(system.tau)))
+        np.zeros(0 if whole is None else len(whole.lam)), np.zeros(len(system.tau)))
 
 
 class Evaluator:
@@ -101,7 +103,7 @@ class Evaluator:
         if one.leaves_out:
             # Asked rarely: no routines are generated for it.
             whole = with_equations(one._replace(corrections=np.zeros((2, 0))), whole_model)
-        asked = request(one, own.copy(), actuated)
+        asked = request(one, own.copy(), actuated, 'multipliers' in quantities)
         places, rates, *_ = parts_of_state(one)
         self.q, self.qd, self.tau = asked.state[places], asked.state[rates], asked.torque
         self._refused, self._names = refused, tuple(quantities)

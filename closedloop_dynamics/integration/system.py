@@ -266,7 +266,7 @@ def _routines_of_forces(model, joints):
     left_out = len(with_all_equations(model).column) - len(model.column)
     if left_out and (joints is None or left_out > MOST_LEFT_OUT):
         return ()
-    least = (codegen.LEAST_FORCES,) if left_out else ()
+    least = (codegen.LEAST_FORCES, codegen.LEFT_OUT) if left_out else ()
     return (codegen.WRENCHES, *least) if left_out or space.is_spatial(model) else ()
 
 

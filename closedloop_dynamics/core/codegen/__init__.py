@@ -15,12 +15,12 @@ kernels for each kind of body, which the engine's loops over bodies call (``join
 import numpy as np
 
 from .function_table import (
-    ALWAYS, BODY, LEAST_FORCES, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED, WRENCHES)
+    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED, WRENCHES)
 from .machine_code import announced_by
 from .routines import addresses, unrolled_size
 
-__all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'link', 'LOOP_EQUATIONS', 'OF_FORCES',
-           'REACTIONS', 'REFINED', 'relink', 'unrolled_size', 'WRENCHES']
+__all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'LEFT_OUT', 'link', 'LOOP_EQUATIONS',
+           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'unrolled_size', 'WRENCHES']
 
 
 def link(model, table, which=ALWAYS, joints=None):
@@ -36,7 +36,7 @@ def link(model, table, which=ALWAYS, joints=None):
     which : tuple of int
         Places of the routines in it.
     joints : integration.system.JointPlaces, optional
-        For LEAST_FORCES.
+        For LEAST_FORCES and LEFT_OUT.
 
     """
     for place, address in addresses(model, which, joints=joints).items():

@@ -18,24 +18,26 @@ import numpy as np
 # and what follows it; the corrections that close the loops; the latter two with refinement. After
 # them the forces in joints, or the wrenches; before that, where equations are left out, the
 # multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest.
-# Last the closure equations alone, for places around a singular position.
+# Last the closure equations alone, for places around a singular position, and whether
+# accelerations fulfil the equations that are left out.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
- REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, LOOP_EQUATIONS) = range(11)
+ REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, LOOP_EQUATIONS,
+ LEFT_OUT) = range(12)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
-OF_FORCES = (WRENCHES, LEAST_FORCES)
+OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
 OF_SCENE = (EVALUATION, AT_REST)
 # Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
- RATES) = range(11, 33)
+ RATES) = range(12, 34)
 # Addresses of functions of the engine (``engine/library.hpp``).
-LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(33, 36)
+LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(34, 37)
 # Addresses of what the routines of forces read and write.
-WRENCH, JOINT_POINT, LAM_OF_ALL = range(36, 39)
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(37, 40)
 # Addresses of what LOOP_EQUATIONS writes beside CLOSURE; the engine fills them in.
-BIAS, JACOBIAN = range(39, 41)
-TABLE_COLUMNS = 41
+BIAS, JACOBIAN = range(40, 42)
+TABLE_COLUMNS = 42
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

@@ -213,6 +213,20 @@ class _Joint:
         return total
 
 
+def require_left_out(trace, qdd):
+    """
+    Record in the guard whether accelerations fulfil the equations that are left out.
+
+    Parameters
+    ----------
+    trace, qdd
+        As for ``least_forces``.
+
+    """
+    closures = closures_of(trace, True)
+    _require_closed(closures, _levers(closures, _passages(trace, closures)), qdd)
+
+
 def least_forces(trace, qdd, lam):
     """
     Return the multipliers of all equations that minimise the forces in all joints.
@@ -234,11 +248,11 @@ def least_forces(trace, qdd, lam):
 
     """
     closures, joints = closures_of(trace, True), trace.joints
-    passages = {a: _Passage(trace, a) for a, _, _ in closures}
-    levers = [passages[a].levers(closure) for a, _, closure in closures]
+    passages = _passages(trace, closures)
+    levers = _levers(closures, passages)
     kept = [n for n, (_, works, _) in enumerate(closures) if works]
     idle = [n for n, (_, works, _) in enumerate(closures) if not works]
-    _require_closed([(levers[n], closures[n][2].bias) for n in idle], levers, qdd)
+    _require_closed(closures, levers, qdd)
     given = dict(zip(kept, lam))
     present = wrenches(trace, qdd, lam, [closures[n] for n in kept])
     # Unit multipliers of the equations left out, and what of the others undoes their levers.
@@ -277,6 +291,16 @@ def least_forces(trace, qdd, lam):
     return found
 
 
+def _passages(trace, closures):
+    """Return the passages of the multipliers, by cut joint."""
+    return {a: _Passage(trace, a) for a, _, _ in closures}
+
+
+def _levers(closures, passages):
+    """Return the share of each unit multiplier in the freedoms."""
+    return [passages[a].levers(closure) for a, _, closure in closures]
+
+
 def _in_joints(closures, passages, multipliers):
     """Return the wrenches that multipliers exert, by ``_Joint.place``."""
     ends = {}
@@ -292,8 +316,10 @@ def _in_joints(closures, passages, multipliers):
     return found
 
 
-def _require_closed(left_out, levers, qdd):
+def _require_closed(closures, levers, qdd):
     """Record in the guard whether accelerations satisfy the redundant equations."""
+    left_out = [(each, closure.bias) for each, (_, works, closure) in zip(levers, closures)
+                if not works]
     parts = [lever * qdd[dof] for one in levers for dof, lever in one.items()
              if not is_zero((lever,))]
     parts += [bias for _, bias in left_out]

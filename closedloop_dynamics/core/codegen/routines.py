@@ -11,7 +11,7 @@ from .expression_graph import (
     POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
+    EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, LEFT_OUT,
     LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION,
     TAU, WORK_BODY, WRENCH, WRENCHES)
 from .machine_code import machine_code, PACKED, SCALAR
@@ -27,7 +27,7 @@ NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'accelerati
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
          WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
-         LOOP_EQUATIONS: 'loop_equations'}
+         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out'}
 
 
 def topology(model):
@@ -156,7 +156,7 @@ class MechanismTrace:
     model : Model
         Constant arrays of the mechanism.
     joints : integration.system.JointPlaces, optional
-        Of which ``least_forces`` are found.
+        Of which ``least_forces`` are found, and what is ``left_out``.
 
     """
 
@@ -357,6 +357,12 @@ class MechanismTrace:
         found = joint_forces.least_forces(
             self, self.world_accelerations(), self.symbols(LAM, (self.nc,)))
         self.outputs += [(LAM_OF_ALL, n, value) for n, value in enumerate(found)]
+
+    def left_out(self):
+        """Note whether accelerations fulfil the equations that are left out."""
+        self.recursion.hinges = ()
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        joint_forces.require_left_out(self, self.world_accelerations())
 
     def loop_equations(self):
         """Closure errors, what rates add to their accelerations, and J, in the user's order."""

@@ -19,7 +19,7 @@ from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
 # Inputs and outputs beside those of a function table: numbers of points; energies, places and
 # their rates.
-POINT, ENERGY, PLACE = range(41, 44)
+POINT, ENERGY, PLACE = range(42, 45)
 PLACE_RATE = 47
 
 
