@@ -23,6 +23,8 @@ import uuid
 import llvmlite
 
 PACKAGE = Path(__file__).resolve().parents[1]
+# Where code is generated: of mechanisms, and of the laws in scenes.
+SOURCES = 'core', 'effects'
 # Code of sources that nobody has used for so long is removed [s].
 UNUSED = 30 * 86400.0
 _DIGEST_SIZE = 32
@@ -61,7 +63,7 @@ def directory():
 def sources_digest():
     """Return a digest of everything that generated code depends on beside the mechanism."""
     digest = hashlib.sha256(repr((sys.byteorder, llvmlite.__version__)).encode())
-    for path in sorted((PACKAGE / 'core').rglob('*.py')):
+    for path in sorted(path for folder in SOURCES for path in (PACKAGE / folder).rglob('*.py')):
         digest.update(str(path.relative_to(PACKAGE)).encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -22,7 +22,7 @@ def package(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('name, depends', [
-    ('core/kernel.py', True), ('core/codegen/routine.py', True), ('effects/law.py', False),
+    ('core/kernel.py', True), ('core/codegen/routine.py', True), ('effects/law.py', True),
     ('integration/step.py', False), ('cli/command.py', False)])
 def test_edits_of_what_generates_code_lead_to_another_directory(package, name, depends):
     before = cache.sources_digest()
