@@ -405,7 +405,7 @@ def test_derivatives_in_c_are_those_of_the_package(compiler, options, tmp_path):
         *(ctypes.c_void_p(one.ctypes.data) for one in arrays)) == 0
     for found, exact in zip(arrays[5], (
             expected.by_position, expected.by_velocity, expected.by_torque)):
-        np.testing.assert_allclose(found.T, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
+        np.testing.assert_allclose(found.T, exact, rtol=0, atol=1e-12 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize('scene, words', (
