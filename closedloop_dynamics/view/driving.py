@@ -10,7 +10,7 @@ import numpy as np
 from .drives import Drive
 from .messages import (
     drive_of, EXPRESSION, FREE, HELD, OWN, POSITION, require_one_number, SPEED, TORQUE)
-from .own_motion import MODES
+from .own_motion import MODES, OwnMotion
 from .posing import felt_inertia
 from ..effects.actuator import Actuator
 from ..mechanism.checks import one_of
@@ -138,8 +138,15 @@ class Driving:
         if self.own.controller is not None:
             self.own.controller.restart()
 
-    def hold_controlled(self):
-        """Hold the joints that a controller has driven where they are."""
+    def follow(self, controller):
+        """Go on with a controller of another machine, in place of the one before."""
+        self.own = OwnMotion(controller, {
+            joint: start for joint, start in self.own.starts.items() if start[0] != OWN})
+        self.restart_controller()
+
+    def hold(self):
+        """Go on without a controller: the joints that it has driven are held where they are."""
+        self.own = OwnMotion()
         for name, drive in self.drives.items():
             if drive.mode == OWN:
                 time, position = self._now_at(name)

@@ -22,6 +22,8 @@ TORQUE, POSITION, SPEED, EXPRESSION = 'torque', 'position', 'speed', 'expression
 # As a controller, or the scene's own motion, has it.
 OWN = 'own'
 HELD, FREE = 'held', 'free'
+# What pages see, and can change, of the method.
+METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
 
 
 def _speed(value):

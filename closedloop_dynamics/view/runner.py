@@ -3,10 +3,8 @@
 
 """A live simulation controlled by the requests of pages."""
 
-from dataclasses import replace
 from functools import partial
 import math
-from threading import Lock
 import time
 import warnings
 
@@ -17,12 +15,11 @@ from .columns import SimulationRows
 from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive
 from .driving import Driving
-from .editing import Editor
 from .feed import Feed
-from .hand import Hand
 from .library import Library
-from .messages import drive_of, drives_told, effects_told, OWN
+from .messages import drive_of, drives_told, effects_told, METHOD_KEYS
 from .own_motion import own_motion, OwnMotion
+from .rebuilding import built, carry_over, Rebuilding
 from .removing import removable
 from .shown import Shown
 from .stepping import LONGEST_WAIT, Stepper
@@ -30,14 +27,11 @@ from .watchdog import Watchdog
 from ..control.errors import StartError
 from ..mechanism.fields import FieldError, shown
 from ..simulation.errors import InaccuracyWarning, SimulationError
-from ..simulation.modeling import extent
-from ..simulation.simulation import Simulation
 
 # Frames per second; time between two looks at what takes long [s].
 RATE, POLL_PERIOD = 60.0, 0.25
 # How long after a change a controller is made for the machine as it is now [s].
 SETTLED = 0.3
-METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
 
 
 class Runner(Shown):
@@ -77,20 +71,20 @@ class Runner(Shown):
         super().__init__()
         self._clock, self._editing = clock, False
         self._stepper = Stepper(clock, 1.0 / RATE, self._thin)
-        self._lock = Lock()
         # A machine that was edited, and a controller for it, are made while the one before moves.
-        self._machines, self._controllers = Background(), Background()
+        self._rebuilding = Rebuilding(
+            lambda: self.simulation.scene.method, self._adopt, self._refuse)
+        self._controllers = Background()
         self._failure = self._achieved = None
         self._library = Library() if library is None else library
         self._begin(scene, own)
 
     def _begin(self, scene, own):
         """Show a scene from its start; nothing changes where that fails."""
-        hand, simulation = _built(scene, scene.method)
+        hand, simulation = built(scene, scene.method)
         motion = own(scene, hand.scene)
-        self._machines.drop()
         self._controllers.drop()
-        self.editor = Editor(scene)
+        self._rebuilding.begin(scene)
         self._failure, self.start_pose, self._driving = None, None, Driving(motion)
         self._own_due, self._own_waits = math.inf, False
         self._put(hand, simulation)
@@ -137,6 +131,11 @@ class Runner(Shown):
             self.feed.describe(self.described, *time_and_row)
 
     @property
+    def editor(self):
+        """Return the editor of the scene."""
+        return self._rebuilding.editor
+
+    @property
     def playing(self):
         """Return whether the simulation follows the clock."""
         return self._stepper.playing
@@ -144,7 +143,7 @@ class Runner(Shown):
     @property
     def renewing(self):
         """Return whether a machine that was edited, or a controller for it, is being made."""
-        return self._machines.busy or self._controllers.busy
+        return self._rebuilding.busy or self._controllers.busy
 
     # The loop.
 
@@ -162,7 +161,7 @@ class Runner(Shown):
         """Carry out requests, advance to the present, show the state."""
         if self._handle_requests():
             self._changed = True
-        self._machines.tick()
+        self._rebuilding.tick()
         self._controllers.tick()
         if self._clock() >= self._own_due and not self._editing:
             self._renew_controller()
@@ -274,7 +273,7 @@ class Runner(Shown):
         controller = self._driving.own.controller
         if controller is not None:
             controller.know(name, enabled, values or {})
-        with self._lock:
+        with self._rebuilding.lock:
             self.editor.effect(name, name in self.simulation.enabled_effects,
                                self.simulation.effects[name])
 
@@ -327,7 +326,7 @@ class Runner(Shown):
         self._editing = on
         if self.start_pose is not None:
             # Of a simulation that starts there.
-            self._renew()
+            self._rebuilding.renew()
         self._do_reset(page)
         self._describe()
 
@@ -335,19 +334,16 @@ class Runner(Shown):
         self._edit(lambda: self.editor.set(key, value))
 
     def _do_move(self, page, kind, name, at):
-        if not self._editing:
-            raise FieldError('a machine that is edited', 'a pin to move while it runs')
+        self._require_editing('a pin to move')
         self._hand.require_near(at)
         self._edit(lambda: self.editor.move(kind, name, at, self.simulation.position))
 
     def _do_add(self, page, what, **more):
-        if not self._editing:
-            raise FieldError('a machine that is edited', 'a part to add while it runs')
+        self._require_editing('a part to add')
         self._edit(lambda: self.editor.add(what, self.simulation.position, **more))
 
     def _do_remove(self, page, kind, name):
-        if not self._editing:
-            raise FieldError('a machine that is edited', 'a part to remove while it runs')
+        self._require_editing('a part to remove')
         also = []
         self._edit(lambda: also.extend(self.editor.remove(kind, name)))
         if also:
@@ -359,68 +355,22 @@ class Runner(Shown):
     def _do_redo(self, page):
         self._edit(self.editor.redo)
 
+    def _require_editing(self, what):
+        if not self._editing:
+            raise FieldError('a machine that is edited', f'{what} while it runs')
+
     def _edit(self, change):
-        """Change the scene, and go on with the machine as it is then; or change nothing."""
-        with self._lock:
-            before = self.editor.state
-            try:
-                change()
-                if not self.playing:
-                    self._renew()
-                elif not self._machines.busy:
-                    self._renew_meanwhile(before)
-            except (ValueError, SimulationError):
-                self.editor.withdraw(before)
-                raise
+        self._rebuilding.edit(change, beside=self.playing)
 
-    def _renew(self):
-        """Go on with the scene as it is edited, near the present state if it runs."""
-        self._machines.drop()
-        self._adopt(*_built(self.editor.scene, self.simulation.scene.method))
-
-    def _renew_meanwhile(self, good):
-        """
-        Do so once the machine is built; the one before moves on.
-
-        ``good`` is the editor's state to go back to where there is no such machine. What is edited
-        meanwhile follows next.
-
-        """
-        scene, state = self.editor.scene, self.editor.state
-
-        def take(built):
-            newest = self.editor.scene
-            try:
-                machine = built()
-                if _alike(scene, newest):
-                    self._adopt(*machine)
-                if newest is not scene:
-                    self._renew_meanwhile(state)
-            except (ValueError, SimulationError) as error:
-                if newest is not scene:
-                    self._renew_meanwhile(good)
-                    return
-                with self._lock:
-                    self.editor.withdraw(good)
-                self.feed.refuse(error)
-                self._changed = True
-
-        self._machines.start(partial(_built, scene, self.simulation.scene.method), take)
+    def _refuse(self, error):
+        self.feed.refuse(error)
+        self._changed = True
 
     def _adopt(self, hand, new):
         """Go on with another machine, near the present state if the one before runs."""
-        old, scene = self.simulation, self.editor.scene
-        if new.scene.method != old.scene.method:
-            # It has been changed meanwhile.
-            new.prepare_method(**{key: getattr(old.scene.method, key) for key in METHOD_KEYS})()
-        if hand.gravity not in scene.effects and hand.gravity in old.effects:
-            # Of no scene, and so nothing that is edited.
-            new.set_effect(hand.gravity, hand.gravity in old.enabled_effects,
-                           acceleration=old.effects[hand.gravity].acceleration)
-        if not self._editing and old.time > 0.0 and (
-                old.coordinates.names == new.coordinates.names):
-            new.set_state(old.position, old.velocity)
-            new.restore(new.state, old.time)
+        old = self.simulation
+        carry_over(old, new, None if hand.gravity in self.editor.scene.effects else hand.gravity,
+                   moving=not self._editing)
         chosen = self._driving.chosen
         self._failure = self.start_pose = None
         self._put(hand, new)
@@ -447,25 +397,22 @@ class Runner(Shown):
 
     def _accept_controller(self, fitted):
         """Go on with the controller that a function returns, or, where it raises, without."""
-        driving = self._driving
         try:
-            driving.own = OwnMotion(fitted(), {
-                joint: start for joint, start in driving.own.starts.items() if start[0] != OWN})
+            controller = fitted()
         except (StartError, SimulationError, ValueError) as error:
-            driving.own = OwnMotion()
-            driving.hold_controlled()
+            self._driving.hold()
             self.feed.log('The controller does not follow this machine, whose joints are held '
                           f'instead: {error}')
             self._describe()
             return
-        driving.restart_controller()
+        self._driving.follow(controller)
 
     # Files.
 
     def resource(self, path):
         """Return kind and bytes of a resource that a page requests by a path, or None."""
         if path == '/scene.yaml':
-            with self._lock:
+            with self._rebuilding.lock:
                 return 'application/yaml; charset=utf-8', self.editor.text()[0].encode()
         return self._library.resource(path)
 
@@ -479,7 +426,7 @@ class Runner(Shown):
         self._stop()
         self.feed.send_controls(busy='reading the machine')
         try:
-            with self._lock:
+            with self._rebuilding.lock:
                 self._begin(read(), own_motion)
                 self._kinematic = self._editing = False
                 self.holder = self._grabbed = None
@@ -487,7 +434,7 @@ class Runner(Shown):
             raise FieldError('a machine that can be shown', str(error)) from None
 
     def _do_save(self, page, name):
-        with self._lock:
+        with self._rebuilding.lock:
             text, kept = self.editor.text()
         path = self._library.save(name, text)
         self.feed.log(f'saved as {path}' + ('' if kept else (
@@ -504,23 +451,7 @@ class Runner(Shown):
         elif self._kinematic:
             # What was posed is the start from now on.
             self.start_pose = self.simulation.position
-            with self._lock:
+            with self._rebuilding.lock:
                 self.editor.pose(self.start_pose)
             self._do_reset(page)
         self._kinematic = on
-
-
-def _built(scene, method):
-    """Return a hand in a scene, and the simulation of that by a method."""
-    hand = Hand(scene, extent(scene.mechanism))
-    simulation = Simulation(replace(hand.scene, method=method))
-    simulation.prepare_exchanges()
-    return hand, simulation
-
-
-def _alike(scene, other):
-    """Return whether two scenes differ in numbers of their mechanisms alone."""
-    return (scene.effects, scene.switched_off) == (other.effects, other.switched_off) and all(
-        [part.name for part in getattr(scene.mechanism, parts)]
-        == [part.name for part in getattr(other.mechanism, parts)]
-        for parts in ('bodies', 'joints', 'cut_joints', 'points'))

@@ -12,7 +12,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view import runner
+from closedloop_dynamics.view import rebuilding
 from closedloop_dynamics.view.coupler_curves import curves
 from closedloop_dynamics.view.editing import Editor
 from closedloop_dynamics.view.library import Library
@@ -193,7 +193,7 @@ def test_a_machine_moves_on_while_it_is_built_with_another_number(monkeypatch):
     edited.ask('play', frames=30)
     before = edited.runner.simulation
     begin = before.time
-    monkeypatch.setattr(runner, 'Simulation', waiting)
+    monkeypatch.setattr(rebuilding, 'Simulation', waiting)
     for value in (0.27, 0.26, 0.25):
         edited.ask('set', key='length.rocker.cut_1', value=value)
     edited.run(30)
