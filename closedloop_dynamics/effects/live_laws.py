@@ -249,26 +249,26 @@ def _cable(forces, table, row, values):
     radii = [one[3] if known != 0.0 else 0.0 for one, known in zip(numbers, entries[:, 3])]
     offsets = [forces.turned(body, one[1:3]) for body, one in zip(bodies, numbers)]
     places, velocities = zip(*map(forces.place, bodies, offsets))
-    length, rate, directions = 0.0, 0.0, []
+    length, wound, rate, ways, directions = 0.0, 0.0, 0.0, [], []
     for k in range(len(bodies) - 1):
         apart = subtract(places[k + 1], places[k])
         # From center to center the way goes along the tangent, and across by what radii differ.
         between, across = dot(apart, apart), radii[k + 1] - radii[k]
         straight = square_root(larger(0.0, between - across * across))
-        share = 1.0 / chosen(between > 0.0, between, 1.0)
-        along, beside = straight * share, across * share
-        directions.append((along * apart[0] + beside * apart[1],
-                           along * apart[1] - beside * apart[0], 0.0))
+        ways.append((straight * apart[0] + across * apart[1],
+                     straight * apart[1] - across * apart[0], 0.0))
+        directions.append(scale(ways[k], 1.0 / chosen(between > 0.0, between, 1.0)))
         length = length + straight
         rate = rate + dot(directions[k], subtract(velocities[k + 1], velocities[k]))
         if k > 0 and entries[k, 3] != 0.0:
-            before, after = directions[k - 1:]
-            turn = arctangent(before[0] * after[1] - before[1] * after[0], dot(before, after))
+            before, after = ways[k - 1:]
+            turn = before[0] * after[1] - before[1] * after[0]
             turn = -turn if entries[k, 3] < 0.0 else turn
-            turn = chosen(turn < -0.25 * math.tau, turn + math.tau, turn)
-            length = length + abs(radii[k]) * turn
-    stretch = length - values[1]
-    elastic = values[0] * chosen(forces.touches(-stretch, -rate), stretch, 0.0)
+            # A quarter turn from -180 to 180 degrees: -90 to 270.
+            length = length + abs(radii[k]) * (0.25 * math.tau)
+            wound = wound + abs(radii[k]) * arctangent(-dot(before, after), turn)
+    stretch = length - values[1] + wound
+    elastic = values[0] * forces.pressed(stretch, rate)
     tension = elastic * larger(0.0, 1.0 + values[2] * rate)
     forces.flow((tension - elastic) * rate)
     for k, direction in enumerate(directions):

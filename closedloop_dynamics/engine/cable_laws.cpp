@@ -47,10 +47,9 @@ Line<Vector2> straight(Table body, const double * entry)
 /// How much cable lies on a pulley between two directions [m].
 double wrapped_length(double radius, Vector2 before, Vector2 after)
 {
-  double turn = std::copysign(1.0, radius) * std::atan2(cross(before, after), dot(before, after));
-  if (turn < -0.5 * M_PI) {
-    turn += 2.0 * M_PI;
-  }
+  // A quarter turn from -180 to 180 degrees: -90 to 270.
+  const double turn = 0.5 * M_PI +
+    std::atan2(-dot(before, after), std::copysign(1.0, radius) * cross(before, after));
   return std::fabs(radius) * turn;
 }
 

@@ -11,8 +11,8 @@ import pickle
 from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
-    cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
-from closedloop_dynamics.core.codegen.machine_code import machine_code, PACKED, SCALAR
+    arctangent, cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
+from closedloop_dynamics.core.codegen.machine_code import LANES, machine_code, PACKED, SCALAR
 from closedloop_dynamics.core.codegen.packing import packing_of
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.engine import native
@@ -229,3 +229,52 @@ def test_angles_beyond_the_vectors_reach_are_left_to_the_library(turned, odd):
     with np.errstate(invalid='ignore'):
         expected = np.stack([np.sin(angles), np.cos(angles)], axis=1)
     assert np.allclose(found, expected, rtol=2.3e-16, atol=0.0, equal_nan=True)
+
+
+@pytest.fixture(scope='module', params=[SCALAR, PACKED, LANES], ids=lambda form: form[1])
+def angles_of(request):
+    """Return a function to the angles of 24 points, and half of three of these angles."""
+    side_by_side = 8 if request.param == LANES else 1
+    each = 24 // side_by_side
+
+    def turns():
+        graph = ExpressionGraph()
+        points = [[graph.put(LOAD, Q, 2 * k + n) for n in range(2)] for k in range(each)]
+        angles = [arctangent(*point) for point in points]
+        again = [arctangent(sine(0.5 * angle), cosine(0.5 * angle)) for angle in angles[:3]]
+        return [Routine('turns', graph, [
+            (QD, place, angle) for place, angle in enumerate(angles + again)])]
+
+    address = machine_code(('test of arctangents', 1), turns, request.param)('turns')
+
+    def angles(points):
+        """Take numbers of shape (24, 2), the second of each first."""
+        inputs = points.reshape(each, side_by_side, 2).swapaxes(1, 2).ravel()
+        found = run(address, inputs, np.zeros((each + 3) * side_by_side))
+        return np.split(found, [24])
+    return angles
+
+
+@pytest.mark.parametrize('size', [1e-300, 1e-150, 1e-16, 1e-8, 1e-3, 0.5, 1.0, 1e3, 1e160])
+def test_arctangents_are_those_of_the_library_in_all_quadrants(angles_of, size):
+    rng = np.random.default_rng(int(-math.log10(size)) % 100)
+    for _ in range(300):
+        points = rng.uniform(-1.0, 1.0, (24, 2)) * (size, 1.0)
+        for y, x in (points.T, points.T[::-1]):
+            expected = np.arctan2(y, x)
+            found, halves = angles_of(np.stack([y, x], axis=1))
+            assert np.all(np.abs(found - expected) <= 2.0 * np.spacing(np.abs(expected)))
+            assert np.all(np.abs(halves - 0.5 * expected[:len(halves)]) < 5e-16)
+
+
+def test_arctangents_of_special_points(angles_of):
+    numbers = (0.0, -0.0, 1.0, -1.0, 5e-324, -5e-324, 1e308, math.inf, -math.inf, math.nan)
+    points = [(y, x) for y in numbers for x in numbers if not (math.isinf(y) and math.isinf(x))]
+    for first in range(0, len(points), 24):
+        block = np.resize(points[first:first + 24], (24, 2))
+        expected = np.arctan2(*block.T)
+        found, _ = angles_of(block)
+        np.testing.assert_allclose(found, expected, rtol=4.5e-16, atol=0.0)
+        known = ~np.isnan(expected)
+        np.testing.assert_array_equal(np.signbit(found)[known], np.signbit(expected)[known])
+    assert np.isnan(angles_of(np.full((24, 2), math.inf))[0]).all()

@@ -3,7 +3,7 @@
 
 """Writer of LLVM's intermediate representation for traced arithmetic."""
 
-from . import sincos
+from . import arctangent, sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
@@ -11,8 +11,7 @@ from .function_table import ENTRIES, PRESENT, PRESENT_COLUMNS
 from .llvm_text import CONTRACT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
 # Functions of the C library, of laws of force.
-_LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', ARCTANGENT: 'atan2',
-            POWER: 'pow'}
+_LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
 _MOST_RESULTS = 3
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 _COMPARISONS = {LESS: 'fcmp olt', GREATER_EQUAL: 'fcmp oge'}
@@ -67,7 +66,10 @@ class Writer:
         self.turn(operations, angles)
         for place, operation in enumerate(operations):
             if place in use and place not in self.values:
-                self.values[place] = self.operation(*operation)
+                if operation[0] == ARCTANGENT:
+                    self.turn_back(operations, use)
+                else:
+                    self.values[place] = self.operation(*operation)
         self.finish()
 
     def finish(self):
@@ -90,6 +92,18 @@ class Writer:
             if operation[0] in (SINE, COSINE) and operation[1] in by_angle:
                 values = sines if operation[0] == SINE else cosines
                 self.values[place] = values[by_angle[operation[1]]]
+
+    def turn_back(self, operations, use):
+        """Compute all arctangents that are left and depend on none of these, in one vector."""
+        left = {place for place in use
+                if operations[place][0] == ARCTANGENT and place not in self.values}
+        ready = sorted(one for one in left if needed_for(operations, [one]) & left == {one})
+        for place in sorted(needed_for(operations, ready)):
+            if place not in self.values and place not in left:
+                self.values[place] = self.operation(*operations[place])
+        angles = arctangent.write(self.function, *(self.function.gather(
+            [self.number(operations[place][n]) for place in ready]) for n in (1, 2)))
+        self.values.update((place, self.function.take(angles, n)) for n, place in enumerate(ready))
 
     def operation(self, kind, *operands):
         """Return the result of an operation."""
@@ -129,6 +143,8 @@ class Writer:
             return self.call(self.ROOT, *numbers)
         if kind == CHOOSE:
             return self.function.select(*numbers)
+        if kind == ARCTANGENT:
+            return arctangent.write(self.function, *numbers)
         return self.call(_LIBRARY[kind], *numbers)
 
     def call(self, name, *numbers):

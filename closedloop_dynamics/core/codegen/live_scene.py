@@ -211,6 +211,15 @@ class LiveForces(Forces):
         self.note(TRIALS, 2, larger(wrong, chosen(touching, gap, -gap)))
         return self.on_side(side, gap)
 
+    def pressed(self, depth, rate):
+        """Store a depth and its rate; return the depth where the contact acts, zero elsewhere."""
+        self.touches(-depth, -rate)
+        # By limits that are known before the depth is: a comparison of it would be waited for.
+        side = self.trace.at(SIDES, self.row, 0)
+        least = chosen(side > 1.5, -math.inf, 0.0)
+        most = chosen(side > 0.5, -least, math.inf)
+        return larger(smaller(depth, most), least)
+
     def pass_by(self, place, speed):
         """Store the path of a roller beside a body that it may pass; see ``store_path``."""
         self.note(GAPS, 2, *place)
