@@ -147,8 +147,14 @@ public:
       }
       pivots_.clear();
     }
-    if (levers.size() > 0) {
-      is_small_ = std::max(levers.rows(), levers.cols()) <= FEW;
+    is_small_ = std::max(levers.rows(), levers.cols()) <= FEW;
+    if (levers.size() > 0 && count < jac.rows()) {
+      // Fewer than the equations: some multipliers are not unique.
+      repeats_ = is_small_ && has_unique_torques(levers);
+      if (repeats_) {
+        return;
+      }
+    } else if (levers.size() > 0) {
       if (is_small_) {
         of_few_.setThreshold(CLEAR);
         of_few_.compute(levers);
@@ -156,7 +162,7 @@ public:
         of_passive_.compute(levers, CLEAR);
       }
     }
-    unique_ = jac.rows() == 0 || (levers.size() > 0 && jac.rows() == (
+    unique_ = jac.rows() == 0 || (levers.size() > 0 && count >= jac.rows() && jac.rows() == (
         is_small_ ? of_few_.rank() : of_passive_.rank()));
     if (!unique_) {
       Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(nv, actuated.size + jac.rows());
@@ -180,13 +186,15 @@ public:
   {
     const Index count = actuated_.size;
     Eigen::Map<DenseVector> solution = dense(out), lam = dense(out.from(count));
-    if (unique_) {
+    if (unique_ || repeats_) {
       if (lam.size() > 0) {
         DenseVector at_passive(passive_.size());
         for (std::size_t i = 0; i < passive_.size(); ++i) {
           at_passive[i] = need[passive_[i]];
         }
-        if (pivots_.empty() && is_small_) {
+        if (repeats_) {
+          lam = least_multipliers(at_passive);
+        } else if (pivots_.empty() && is_small_) {
           lam = of_few_.solve(at_passive);
         } else if (pivots_.empty()) {
           lam = of_passive_.solve(at_passive);
@@ -213,7 +221,7 @@ public:
         missing = std::abs(left[i]);
       }
     }
-    if (unique_) {
+    if (unique_ || repeats_) {
       for (Index n = 0; n < count; ++n) {
         out[n] = left[actuated_[n]];
       }
@@ -222,14 +230,48 @@ public:
   }
 
 private:
+  /// Factor the passive joints' levers by rows; return whether multipliers that do nothing at these
+  /// joints do nothing at those that are actuated, either.
+  bool has_unique_torques(const DenseMatrix & levers)
+  {
+    const Index count = levers.rows(), idle = levers.cols() - count;
+    of_few_.setThreshold(CLEAR);
+    of_few_.compute(levers.transpose());
+    if (of_few_.rank() < count) {
+      return false;
+    }
+    for (Index joint : actuated_) {
+      const Sized<FEW>::Vector lever = of_few_.householderQ().adjoint() * jac_.col(joint);
+      if (!(lever.tail(idle).norm() <= REPEATS * lever.norm())) {
+        return false;
+      }
+    }
+    return true;
+  }
+
+  /// The least multipliers that do at the passive joints what is needed.
+  Sized<FEW>::Vector least_multipliers(const DenseVector & at_passive) const
+  {
+    const Index count = at_passive.size();
+    Sized<FEW>::Vector found = Sized<FEW>::Vector::Zero(jac_.rows());
+    found.head(count) = of_few_.colsPermutation().transpose() * at_passive;
+    of_few_.matrixQR().topLeftCorner(count, count).triangularView<Eigen::Upper>()
+    .transpose().solveInPlace(found.head(count));
+    found.applyOnTheLeft(of_few_.householderQ());
+    return found;
+  }
+
   const DenseMatrix & jac_;
   Indices actuated_;
   std::vector<Index> passive_;
-  bool unique_;
+  bool unique_ = false;
+  // Whether torques are unique, and multipliers are not.
+  bool repeats_ = false;
   // LU factors of the passive joints' levers, with their pivots; none where these are not square.
   DenseMatrix square_;
   std::vector<Index> pivots_;
-  // Of the passive joints' levers otherwise, on the stack where they are few; of all unknowns.
+  // Of the passive joints' levers otherwise, transposed where these are fewer than the equations;
+  // on the stack where they are few; of all unknowns.
   bool is_small_ = false;
   Eigen::ColPivHouseholderQR<Sized<FEW>::ByColumn> of_few_;
   LeastSquares of_passive_, of_all_;

@@ -10,6 +10,7 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
@@ -54,6 +55,26 @@ def test_torques_of_more_drives_than_freedoms_are_the_least(case):
     given = built(mechanism, q, qd).solve_given(q, qd, qdd)
     np.testing.assert_allclose(given[0], torque, atol=1e-9 * np.abs(need).max())
     np.testing.assert_allclose(given[1], lam, atol=1e-9 * np.abs(need).max())
+
+
+@pytest.mark.parametrize('drives', [1, 2])
+def test_redundant_equations_take_the_least_multipliers(drives):
+    scene = load_scene('bennett')
+    one = Simulation(replace(scene, mechanism=replace(scene.mechanism, joints=tuple(
+        replace(joint, actuated=n < drives) for n, joint in enumerate(scene.mechanism.joints)))))
+    q, qd = one.position, one.velocity
+    qdd, _ = one.forward_dynamics(q, qd, np.ones(drives))
+    torque, lam = one.inverse.solve_given(q, qd, qdd)
+    jac, need = one.constraint_jacobian, one.tree_torque(q, qd, qdd)
+    # One drive is all that moves the linkage; of two, what they do against each other is least.
+    unknowns = np.concatenate((np.eye(len(q))[:, :drives], jac.T), axis=1)
+    np.testing.assert_allclose(
+        unknowns @ [*torque, *lam], need, atol=1e-12 * np.abs(need).max())
+    left = need - np.pad(torque, (0, len(q) - drives))
+    expected = np.linalg.lstsq(jac.T, left, rcond=1e-9)[0]
+    np.testing.assert_allclose(lam, expected, atol=1e-9 * np.abs(lam).max())
+    slack = np.linalg.svd(unknowns)[2][np.linalg.matrix_rank(unknowns, 1e-9):]
+    assert np.abs(slack[:, :drives] @ torque).max() < 1e-9 * np.abs(need).max()
 
 
 def test_a_stretched_leg_that_hangs_at_rest_needs_no_torque():
