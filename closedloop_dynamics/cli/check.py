@@ -27,12 +27,13 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
+    options = reading(arguments, arguments.scene)
     if is_model(arguments.scene):
         with announced(READING):
-            text = describe_model(read_model(arguments.scene, **reading(arguments)))
+            text = describe_model(read_model(arguments.scene, **options))
         print(text)
         return 0
-    read = load_scene_or_mechanism(arguments.scene, **reading(arguments))
+    read = load_scene_or_mechanism(arguments.scene, **options)
     if isinstance(read, Mechanism):
         if arguments.set:
             raise UsageError('--set: expected it with a scene, got a mechanism')

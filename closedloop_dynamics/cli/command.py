@@ -12,6 +12,7 @@ import sys
 from typing import Callable
 
 from ..effects.user_code import run_code
+from ..formats.registry import is_model
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
@@ -130,12 +131,26 @@ def add_reading(parser):
                        help='read meshes and parts of a model from outside of its folder, too')
 
 
-def reading(arguments):
-    """Return the options for the reader of a model, by its parameters' names."""
+def reading(arguments, path):
+    """
+    Return the options for the reader of a model, by its parameters' names.
+
+    Raises
+    ------
+    UsageError
+        Where some are given, and the path is not that of a model in another format.
+
+    """
     found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
              'arguments': mapping(arguments.argument, '--argument'),
              'anywhere': arguments.anywhere}
-    return {key: value for key, value in found.items() if value}
+    found = {key: value for key, value in found.items() if value}
+    if found and not is_model(path):
+        key = next(iter(found))
+        option = '--argument' if key == 'arguments' else f'--{key.replace("_", "-")}'
+        raise UsageError(f'{option}: expected a model in another format, got {str(path)!r}; in a '
+                         f'scene of such a model write the key {key}')
+    return found
 
 
 def _argument(text):
@@ -205,7 +220,7 @@ def read_scene(name, arguments):
 
     """
     with announced(READING):
-        return load_scene(name, **reading(arguments))
+        return load_scene(name, **reading(arguments, name))
 
 
 def scene_to_change(arguments):

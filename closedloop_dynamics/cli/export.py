@@ -74,7 +74,7 @@ def _run(arguments):
         return (_write_c if suffix == C else _write_fmu)(arguments)
     with announced(READING):
         mechanism, effects, position, hold, limits = _read(
-            arguments.scene, **reading(arguments))
+            arguments.scene, **reading(arguments, arguments.scene))
         mechanism = in_space(mechanism)
         mechanism, start = _closed(mechanism, position, hold, limits)
     drawn = mechanism.coordinates.start()
@@ -136,7 +136,7 @@ def _write_fmu(arguments):
 def _coded(arguments, write):
     """Return the simulation of a scene, and its parts that are written as code."""
     from ..simulation.simulation import Simulation
-    if reading(arguments):
+    if reading(arguments, arguments.scene):
         raise UsageError('--output: expected a scene to write C of; a model in another format '
                          'becomes one by `closedloop import`')
     try:

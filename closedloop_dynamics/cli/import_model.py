@@ -37,7 +37,8 @@ def _run(arguments):
     if arguments.scene is not None:
         require_free(arguments, arguments.scene, '--scene', YAML)
     with announced('Reading the model ...'):
-        imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
+        imported = read_model(
+            arguments.file, arguments.end_stops, **reading(arguments, arguments.file))
     notes = lines(imported, extent(imported.mechanism))
     if arguments.scene is not None:
         with announced('Closing the loops ...'):

@@ -10,14 +10,13 @@ import sys
 import numpy as np
 
 from .command import (
-    add_reading, add_scene, add_set, assignment, Command, mapping, positive, reading,
-    require_free, require_picture, UsageError, with_numbers)
+    add_reading, add_scene, add_set, assignment, Command, mapping, positive, require_free,
+    require_picture, scene_to_change, UsageError)
 from .kinematics import course, value_of
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
-from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
 from ..visual.progress import announced, parts_bar
 
@@ -112,7 +111,7 @@ def _run(arguments):
     if arguments.output is not None and not (arguments.resume and arguments.output.exists()):
         require_free(arguments, arguments.output, endings=('.nc',))
     require_picture(arguments, arguments.picture)
-    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    scene = scene_to_change(arguments)
     request = Request(
         _point(arguments, scene), mapping(arguments.grid, '--grid'), arguments.orientation,
         mapping(arguments.turn, '--turn'), mapping(arguments.torque_limit, '--torque-limit'),

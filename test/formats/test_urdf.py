@@ -471,7 +471,7 @@ def test_commands_read_models_as_they_are_asked_to(tmp_path, capsys):
     out = str(tmp_path / 'out.urdf')
     assert main(['export', path, '--output', out, '--mend-inertias']) == 0
     assert main(['check', 'four_bar', '--mend-inertias']) == 2
-    assert 'expected a model in another format, which is read with mend_inertias' in (
+    assert "--mend-inertias: expected a model in another format, got 'four_bar'; " in (
         capsys.readouterr().err)
     assert main(['check', path, '--argument', 'a:=1']) == 2
     assert 'expected a xacro file, which has arguments' in capsys.readouterr().err
