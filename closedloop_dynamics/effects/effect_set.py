@@ -413,7 +413,7 @@ class EffectSet:
             if place >= 0:
                 self.initial[place] = angle
 
-    def follow(self, states, qd):
+    def initialise_states(self, states, qd):
         """Initialise the own states from joint rates, as ``rates``; in place."""
         for row, name in enumerate(self._rows):
             if self.enabled[name] and self.records[name].ENDS_STEPS and self.elements[row].sticks:
@@ -593,7 +593,7 @@ class EffectSet:
 
     def steady(self, q, qd):
         """Set the table's states to those of a steady motion, and switch the drives off."""
-        self.follow(self._table.states, self.rates(q, qd))
+        self.initialise_states(self._table.states, self.rates(q, qd))
         rows, _ = self.drive_rows()
         self._table.enabled[rows] = 0
 

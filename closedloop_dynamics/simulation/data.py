@@ -244,7 +244,7 @@ class Data(Names):
         """Find the equations of prescribed motions, and start their courses."""
         self._motions = DrivingConstraints(
             scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
-        self._motions.follow(0.0)
+        self._motions.set_time(0.0)
 
     def _cut_place(self, name: str, position: np.ndarray) -> float:
         """Return the coordinate of a freedom of a cut joint in a position of the joints."""
@@ -460,7 +460,7 @@ class Data(Names):
             self._evaluate()
             self._effects.restart_angles(self._own)
             self._fresh = False
-        self._effects.follow(self._own, self._effects.rates(self._q, self._qd))
+        self._effects.initialise_states(self._own, self._effects.rates(self._q, self._qd))
         self._effects.begin_at_time(self._own, self.time)
         if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
@@ -584,7 +584,7 @@ class Data(Names):
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau
         self._table.states[:] = self._own
-        self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
+        self._effects.initialise_states(self._table.states, self._effects.rates(probe.q, probe.qd))
         probe.own[:] = self._table.states
         probe.evaluate()
         lam = system.lam

@@ -73,6 +73,6 @@ class DerivativeCode:
         self._residuals = first('residuals')
         self.table[:2] = self._residuals, machine_code(key, lambda: routines()[1], LANES)('solve')
 
-    def follow(self, simulation):
-        """Switch the code off while other effects act than it was generated for."""
+    def enable_for(self, simulation):
+        """Enable the code for a simulation with the effects of the code; else disable it."""
         self.table[0] = self._residuals if TracedScene(simulation).key == self._scene.key else 0

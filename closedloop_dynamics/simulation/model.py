@@ -501,7 +501,7 @@ class _Workspace(Readings):
         self._time = float(time)
         self._q[:], self._qd[:], self._own[:] = q, qd, own
         if self._motions:
-            self._motions.follow(self._time)
+            self._motions.set_time(self._time)
         self._fresh = False
 
     def at(self, state: State) -> Readings:

@@ -184,7 +184,7 @@ class DrivingConstraints:
             self.records[motion.name].at(time, self.rows[replace(motion, name='')][-1])
             for motion in self.mechanism.motions]).reshape(-1, 3)
 
-    def follow(self, time):
+    def set_time(self, time):
         """Set the right-hand sides to a time [s]; return them as ``at`` does."""
         values = self.at(time)
         for (row, _, column, _), each in zip(self.rows.values(), values):
@@ -205,7 +205,7 @@ class DrivingConstraints:
             Coordinates and rates; those of joints that are moved are changed in place.
 
         """
-        values = self.follow(time)
+        values = self.set_time(time)
         assembler.prescribed_rates[:] = values[:, 1]
         for motion, (value, rate, _) in zip(self.mechanism.motions, values):
             if self._in_tree(motion):
@@ -348,7 +348,7 @@ class DrivingConstraints:
         try:
             for steps in (1.0, 10.0, 100.0) if self else ():
                 later = time + steps * step_size
-                values = self.follow(later)
+                values = self.set_time(later)
                 try:
                     assembler.positions(q)
                 except AssemblyError:
@@ -361,7 +361,7 @@ class DrivingConstraints:
                             'stays within the reach of the mechanism.')
         finally:
             if self:
-                self.follow(time)
+                self.set_time(time)
         return self._advice_at_limit(assembler, q)
 
     def _advice_at_limit(self, assembler, q):

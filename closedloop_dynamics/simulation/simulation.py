@@ -149,7 +149,7 @@ class Simulation(Readings):
         if not super().vary(scene):
             return False
         if self._derivatives is not None:
-            self._derivatives.follow(self)
+            self._derivatives.enable_for(self)
         # By whose weight the guards measure.
         self._numbers[guarded_run.MASS] = self._mass
         self.reset()
@@ -1213,7 +1213,7 @@ class Simulation(Readings):
         restarted = self._try_effect(name, enabled, parameters)
         self._own[restarted] = self._effects.initial[restarted]
         if self._derivatives is not None:
-            self._derivatives.follow(self)
+            self._derivatives.enable_for(self)
         self._set_run()
         self._effects.begin_at_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):

@@ -165,7 +165,7 @@ def test_one_routine_does_what_the_parts_do(name):
         moved = state[q] if system.manifold is None else state[q][:2]
         moved += random.normal(scale=0.2, size=moved.shape)
         state[qd] += random.normal(scale=2.0, size=state[qd].shape)
-        simulation.effect_set.follow(state[own], simulation.effect_set.rates(
+        simulation.effect_set.initialise_states(state[own], simulation.effect_set.rates(
             state[q], state[qd]))
         before = system.work.health.copy()
         ours, theirs = found(system, state), in_parts(system, state)
@@ -219,7 +219,8 @@ def at_rest(name, **changes):
     state = simulation.integrated.copy()
     q, qd, own, _ = parts_of_state(simulation.system)
     state[qd] = 0.0
-    simulation.effect_set.follow(state[own], simulation.effect_set.rates(state[q], state[qd]))
+    simulation.effect_set.initialise_states(
+        state[own], simulation.effect_set.rates(state[q], state[qd]))
     return simulation.system, state
 
 

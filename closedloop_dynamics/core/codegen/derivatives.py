@@ -237,7 +237,7 @@ class DerivativeTrace(SceneTrace):
         for i in range(1, len(tree)):
             parent, rate = tree[i, PARENT], world[tree[i, DOF]]
             before = after[parent]
-            after.append(one.follow(i, before, rate))
+            after.append(one.propagate_acceleration(i, before, rate))
             inertia, _ = rigid(one.bodies[i], one.motion[i])
             wrench[i] = add(wrench[i], times(inertia, after[i]))
             armature, rotor = one.bodies[i].armature, one.rotor[i]

@@ -36,7 +36,7 @@ class Writer:
         """Begin the function."""
         self.routine = routine
         self.function = Function(routine.name, self.ARGUMENTS, declared)
-        self.values, self.pointers, self.asked = {}, {}, {}
+        self.values, self.pointers, self.engine_results = {}, {}, {}
 
     def number(self, operand):
         """Return the value of an operand."""
@@ -110,23 +110,23 @@ class Writer:
         if kind == LOAD:
             return self.function.load(self.address(*operands))
         if kind == CALL:
-            return self.ask(*map(int, operands[:4]), *map(self.number, operands[4:]))
+            return self.call_engine(*map(int, operands[:4]), *map(self.number, operands[4:]))
         if kind == TAKE:
             call, place = operands
             return self.function.load(self.function.address(
-                self.asked[self.values[call]], int(place)))
+                self.engine_results[self.values[call]], int(place)))
         return self.arithmetic(kind, *(self.number(operand) for operand in operands))
 
-    def ask(self, asked, effect, begin, length, *numbers):
+    def call_engine(self, entry, effect, begin, length, *numbers):
         """Return the result of a function of the engine on entries of an effect."""
         function = self.function
         results = function.room(DOUBLE, _MOST_RESULTS)
         # See ``engine/library.cpp``.
-        address = function.load(function.address(function.arguments[0], asked))
+        address = function.load(function.address(function.arguments[0], entry))
         found = function.call_address(address, [
             self.address(ENTRIES, begin), self.address(PRESENT, effect * PRESENT_COLUMNS),
             number(float(length)), *numbers, results])
-        self.asked[found] = results
+        self.engine_results[found] = results
         return found
 
     def arithmetic(self, kind, *numbers):

@@ -112,7 +112,7 @@ def wrenches(trace, qdd, lam, closures):
     after, found = [2 * ZERO], [2 * ZERO, *one.force[1:]]
     for i in range(1, len(tree)):
         parent, rate = tree[i, PARENT], qdd[tree[i, DOF]]
-        after.append(one.follow(i, after[parent], rate))
+        after.append(one.propagate_acceleration(i, after[parent], rate))
         inertia, _ = rigid(one.bodies[i], one.motion[i])
         found[i] = add(found[i], times(inertia, after[i]))
         rotor = times(one.motion[parent].frame, one.bodies[i].rotor)

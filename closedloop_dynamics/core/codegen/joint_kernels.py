@@ -302,7 +302,7 @@ class _Body:
         other, first = tracer.row(OTHER, 2 * size), tracer.row(FIRST, 2 * size)
         before = 6 * (0.0,) if self.on_ground else six(other[size:], self._packed)
         qdd = tracer.row(SECOND, 1)[0]
-        after = recursion.follow(_BODY, before, qdd)
+        after = recursion.propagate_acceleration(_BODY, before, qdd)
         inertia, _ = rigid(recursion.bodies[_BODY], motion)
         force = add(six(first, self._packed), times(inertia, after))
         tracer.store(FIRST, {

@@ -206,9 +206,9 @@ class LiveForces(Forces):
         side = trace.at(SIDES, self.row, 0)
         fastest, wrong = (trace.at(TRIALS, self.row, n) for n in (0, 2))
         touching = side > 1.5
-        self.note(GAPS, 0, gap, rate)
-        self.note(TRIALS, 0, larger(fastest, abs(rate)))
-        self.note(TRIALS, 2, larger(wrong, chosen(touching, gap, -gap)))
+        self.record(GAPS, 0, gap, rate)
+        self.record(TRIALS, 0, larger(fastest, abs(rate)))
+        self.record(TRIALS, 2, larger(wrong, chosen(touching, gap, -gap)))
         return self.on_side(side, gap)
 
     def pressed(self, depth, rate):
@@ -222,10 +222,10 @@ class LiveForces(Forces):
 
     def pass_by(self, place, speed):
         """Store the path of a roller beside a body that it may pass; see ``store_path``."""
-        self.note(GAPS, 2, *place)
-        self.note(TRIALS, 1, larger(self.trace.at(TRIALS, self.row, 1), speed))
+        self.record(GAPS, 2, *place)
+        self.record(TRIALS, 1, larger(self.trace.at(TRIALS, self.row, 1), speed))
 
-    def note(self, source, column, *values):
+    def record(self, source, column, *values):
         """Store numbers of the effect's row."""
         first = self.row * self.trace.laws.columns[source] + column
         self.outputs += [(source, first + n, value) for n, value in enumerate(values)]

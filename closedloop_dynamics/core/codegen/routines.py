@@ -253,7 +253,7 @@ class MechanismTrace:
             one.outward(self.model, self.q, self.qd, self.work,
                         lambda i, motion: space.with_written(motion, body[i]))
         else:
-            one.take(self.model, self.q, self.qd)
+            one.load_coordinates(self.model, self.q, self.qd)
             one.ground = one.ground._replace(
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)

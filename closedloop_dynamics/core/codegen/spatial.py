@@ -274,7 +274,7 @@ class Recursion:
         self.factors, self.acceleration = {}, {}
         self._coordinates, self._across = {}, {}
 
-    def take(self, model, q, qd):
+    def load_coordinates(self, model, q, qd):
         """Store the coordinates and rates that couplings read."""
         for i in range(1, len(self.bodies)):
             self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
@@ -282,7 +282,7 @@ class Recursion:
     def outward(self, model, q, qd, work, written=None):
         """Outward kinematics, traced; ``written`` has another motion for a row and its own."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
-        self.take(model, q, qd)
+        self.load_coordinates(model, q, qd)
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
             motion = (self.spherical_kinematics(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
@@ -438,7 +438,7 @@ class Recursion:
             return None
         return _aligned(self.motion[i].axis)
 
-    def follow(self, i, before, qdd):
+    def propagate_acceleration(self, i, before, qdd):
         """
         Return the acceleration of a body from those of its parent and its joint.
 
