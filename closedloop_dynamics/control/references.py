@@ -88,7 +88,7 @@ class Reference:
 
 
 class TrajectoryError(ValueError):
-    """A trajectory that cannot be followed; the message says what is wrong with it."""
+    """An infeasible or malformed trajectory; the message gives the reason."""
 
 
 @dataclass(frozen=True)

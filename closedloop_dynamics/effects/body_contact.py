@@ -172,7 +172,7 @@ class BodyContact(Effect):
     slip_velocity: float = 0.01
 
     def __post_init__(self):
-        """Refuse what cannot be a contact, and curves that cross themselves."""
+        """Refuse impossible contact parameters, and curves that cross themselves."""
         super().__post_init__()
         if self.exponent < 1.0:
             raise FieldError('a number that is one or more', f'{self.exponent:g}',

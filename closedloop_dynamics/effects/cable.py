@@ -87,7 +87,7 @@ class Cable(Effect):
     axis: Optional[Vector3] = None
 
     def __post_init__(self):
-        """Refuse what has no two ends, and pulleys that are too few, too many or at an end."""
+        """Refuse cables without two ends, and pulleys that are too few, too many or at an end."""
         super().__post_init__()
         if len(self.points) < 2:
             raise FieldError('two points or more', f'{len(self.points)}', path=('points',))

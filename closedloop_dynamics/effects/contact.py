@@ -79,7 +79,7 @@ class Contact(Effect):
     normal: Optional[Vector3] = None
 
     def __post_init__(self):
-        """Refuse what cannot be a contact."""
+        """Refuse impossible contact parameters."""
         super().__post_init__()
         if self.exponent < 1.0:
             raise FieldError('a number that is one or more', f'{self.exponent:g}',

@@ -71,13 +71,13 @@ class EffectSet:
     records : dict of str to Effect
         With their present parameters.
     enabled : dict of str to bool
-        What is switched on.
+        The effects that are switched on.
     elements : tuple of ForceElement
         For ``table.build_table``.
     initial : ndarray, shape (nz,)
         The effects' states at the start.
     roles : ndarray of int, shape (nz,)
-        What these are: ``table.OWN``, ``DISSIPATED`` or ``WORK``.
+        Their roles: ``table.OWN``, ``DISSIPATED`` or ``WORK``.
     own : ndarray of int
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
@@ -85,7 +85,7 @@ class EffectSet:
     delays : bool
         Whether any of them is late.
     sensors, sensors_at_cuts : sensor.Chain
-        What measures the joints of the tree, and cut joints.
+        Sensors of the joints of the tree, and of cut joints.
     remembers : bool
         Whether what is measured depends on the states in between.
     attends : bool

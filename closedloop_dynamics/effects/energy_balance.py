@@ -56,7 +56,7 @@ class EnergyBalance:
     Parameters
     ----------
     roles : ndarray of int, shape (nz,)
-        What the effects' states are.
+        Roles of the effects' states.
     freedoms : int
         Of the joints, and of cut joints that anything acts in.
 
@@ -73,7 +73,7 @@ class EnergyBalance:
 
     def restart(self, q):
         """
-        Begin at a state; its energy is evaluated when it is asked for.
+        Begin at a state; its energy is evaluated when first needed.
 
         Parameters
         ----------

@@ -72,7 +72,7 @@ class JointFriction(Effect):
     load_time: float = 0.002
 
     def __post_init__(self):
-        """Refuse what cannot be friction."""
+        """Refuse impossible friction parameters."""
         super().__post_init__()
         if self.static_ratio < 1.0:
             raise FieldError('a number that is one or more', f'{self.static_ratio:g}',

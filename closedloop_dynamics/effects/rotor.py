@@ -75,7 +75,7 @@ class Rotor(Effect):
     axis: Optional[Vector3] = None
 
     def __post_init__(self):
-        """Refuse what cannot be a rotor."""
+        """Refuse impossible rotor parameters."""
         super().__post_init__()
         if self.gear_ratio == 0.0:
             raise FieldError('a number that is not zero', '0', path=('gear_ratio',))

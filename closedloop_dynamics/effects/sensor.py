@@ -57,7 +57,7 @@ class Sensor(Effect):
     seed: int = 0
 
     def __post_init__(self):
-        """Refuse what cannot be a sensor."""
+        """Refuse impossible sensor parameters."""
         super().__post_init__()
         if type(self.seed) is not int or self.seed < 0:
             raise FieldError('a whole number that is zero or more', shown(self.seed),

@@ -234,7 +234,7 @@ def _hold(forces, bodies, places, axes, moment):
     """
     Join points of two bodies by springs and dampers along axes of the first; and a moment.
 
-    Returns what the dampers dissipate [W].
+    Returns the power dissipated by the dampers [W].
     """
     start, end = (forces.turned(body, place) for body, place in zip(bodies, places))
     (place_a, _), (place_b, rate_b) = (

@@ -51,7 +51,7 @@ class Coordinate:
     value, rate : Symbol
         [rad; m] and their rates.
     force : Symbol or float
-        Sum of what was pushed with [N m; N].
+        Sum of the applied forces [N m; N].
 
     """
 

@@ -157,7 +157,7 @@ def build(output, folder, sanitize=False, target=None):
     output : Path
         The file to make; it is replaced at once, when all went well.
     folder : Path
-        Where the objects are kept, so that only what changed is compiled again.
+        Where the objects are kept, so that only changed sources are compiled again.
     sanitize : bool
         With the checks of addresses and undefined behaviour.
     target : str

@@ -73,9 +73,9 @@ class Imported:
     drives : dict of str to tuple of 2
         Largest torque and speed of driven joints of one freedom, None where there is none.
     omitted : list of model.Omission
-        What moves bodies and was left out.
+        Omitted elements that affect the motion.
     ignored : dict of str to str
-        What else was left out, with the reason.
+        Other omitted elements, with the reason.
 
     """
 
@@ -627,7 +627,7 @@ def lines(imported, lever):
     Parameters
     ----------
     imported : Imported
-        What was read.
+        The model that was read.
     lever : float
         The machine's size, at which turning and sliding are compared [m].
 

@@ -35,7 +35,7 @@ def read_pictures(mujoco, text, folder, model, links):
     folder : pathlib.Path
         Of the file.
     model : model.Model
-        What cannot be drawn is noted under its ``ignored``.
+        Shapes that cannot be drawn are noted under its ``ignored``.
     links : dict of str to model.Link
         Of the model, by the names of MuJoCo's bodies.
 

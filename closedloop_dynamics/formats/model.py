@@ -103,7 +103,7 @@ class Connection:
     closes : bool
         Whether it must not be a joint of the tree.
     actuated : bool or None
-        None where the format does not tell.
+        None where the format does not give it.
     damping, friction, armature, stiffness, rest : float or tuple of floats
         Zero where there is none; SI units. One number of a joint of several freedoms is that of
         each, a tuple has one for each.
@@ -276,7 +276,7 @@ class Omission:
         Of the element: ``'tendon'`` and its name in the file.
     reason : str
     size : float
-        How much; the largest of several numbers. Infinite for what has no number.
+        How much; the largest of several numbers. Infinite where there is no number.
     unit : str
         Of the size.
 
@@ -337,13 +337,13 @@ class Model:
     frames : dict of str to tuple (str, Pose)
         Named frames on links, or on ``'ground'``.
     ground_visual : list of mechanism.Visual
-        What is drawn beside the links, in the frame of the ground.
+        Shapes drawn beside the links, in the frame of the ground.
     gravity : tuple of 3 floats
         [m/s^2].
     omitted : list of Omission
-        What the file says of the motion and a mechanism does not have.
+        Elements that affect the motion and have no counterpart in a mechanism.
     ignored : dict of str to str
-        What else the file says, with the reason why it is left out.
+        Other elements of the file, with the reason why they are left out.
 
     """
 

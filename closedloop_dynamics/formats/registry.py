@@ -54,7 +54,7 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options)
     end_stops : float, optional
         Stiffness that limits of joints become end stops with [N m/rad or N/m].
     loops : mapping, optional
-        Loops that the file does not tell (``loops``).
+        Loops that the file does not describe (``loops``).
     mend_inertias : bool
         Whether moments of inertia that no body has are changed a little, not refused.
     **options

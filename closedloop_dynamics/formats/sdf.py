@@ -149,7 +149,7 @@ def add_joints(element, model, poses):
     Parameters
     ----------
     element : xml_file.Element
-        What they are children of.
+        Their parent element.
     model : Model
         With its links.
     poses : dict of str to Pose

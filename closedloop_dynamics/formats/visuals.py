@@ -34,7 +34,7 @@ def visuals(link, folder, pose_of, values_of, color_of, ignored):
     color_of : callable
         Returns the colour of an element ``visual``, as ``Visual`` has it.
     ignored : dict of str to str
-        What is left out is noted here, with the reason; nothing that is drawn moves a body.
+        Omissions are noted here, with the reason; nothing that is drawn moves a body.
 
     Returns
     -------

@@ -76,7 +76,7 @@ def chain(mechanism, joint, balls):
 
 class JointEffects:
     """
-    Effects in the single joints that stand for the joints of a mechanism.
+    Effects in the one-freedom joints by which a format represents a mechanism's joints.
 
     A writer takes from it what its format has a word for; the rest is left.
 

@@ -37,7 +37,7 @@ class Element:
     attributes : dict of str to str
     children : list of Element
     text : str
-        What stands in it beside its children, stripped.
+        Its text beside its children, stripped.
     source, line
         The file's path and the line of its start.
 
@@ -140,7 +140,7 @@ class Element:
         str or Element
             The attribute's value, or the element.
         tuple of Element
-            Those that it stands in, the outermost first.
+            Its ancestors, the outermost first.
 
         """
         above = (*above, self)
@@ -163,9 +163,9 @@ def read_xml(path, root, text=None):
     path : str or pathlib.Path
         Of the file.
     root : sequence of str
-        What its outermost element may be.
+        Allowed outermost elements.
     text : bytes, optional
-        What stands in the file, where it was read before.
+        The text of the file, where it was read before.
 
     Returns
     -------

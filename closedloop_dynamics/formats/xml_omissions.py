@@ -42,7 +42,7 @@ def leave_out(model, root, reasons):
     root : Element
         The outermost one, after all has been read.
     reasons : dict of str to str
-        By tag, why what moves nothing is left out.
+        By tag, the reason for omitting an element without influence on the motion.
 
     """
     counts = Counter()

@@ -55,7 +55,7 @@ class Evaluator:
         Their torques [N m or N].
     acceleration : ndarray, shape (nv,)
     multipliers : ndarray, shape (nc,)
-        What was asked for; views, not to be written.
+        The requested quantities; views, not to be written.
 
     """
 

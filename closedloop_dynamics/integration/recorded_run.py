@@ -104,7 +104,7 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     torque, zero_order_hold, decimation
         As for ``run``.
     state : ndarray, shape (instants, ns)
-        Coordinates, rates, and what effects add.
+        Coordinates, rates, and states of effects.
     qdd : ndarray, shape (instants, nv)
         Joint accelerations.
     lam : ndarray, shape (instants, nc)

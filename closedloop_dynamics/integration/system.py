@@ -81,7 +81,7 @@ class AccelerationDerivatives(NamedTuple):
 
 class Code(NamedTuple):
     """
-    What code is generated for a mechanism.
+    Selection of the code that is generated for a mechanism.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class System(NamedTuple):
     applied : ndarray, shape (nv,)
         Joint torques of commands and effects; ``tau`` itself where no effect is listed.
     effects : EffectTable or None
-        What acts on the mechanism beside the commanded torques.
+        Forces on the mechanism beside the commanded torques.
     table : ndarray of int
         Of the routines that are generated for this mechanism.
     corrections : ndarray, shape (2, nv)
@@ -193,7 +193,7 @@ class System(NamedTuple):
 
     @property
     def code(self):
-        """What others that work on other equations of this mechanism are to have: ``Code``."""
+        """Selection of code (``Code``) for systems on other equations of this mechanism."""
         # Forces in joints are published or plotted, not integrated.
         return Code(tuple(one for one in self.routines if one not in codegen.OF_FORCES),
                     scene_code.known_structure(self.table))
@@ -384,7 +384,7 @@ def with_equations(system, model, code=LOOPS):
     model : Model
         Of the same mechanism with other equations kept; it shares all other arrays.
     code : Code
-        What is generated for these equations; by default nothing, so that nobody waits.
+        Selection of code for these equations; by default none, so that nothing is compiled.
 
     Returns
     -------

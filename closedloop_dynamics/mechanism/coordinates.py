@@ -115,7 +115,7 @@ class Coordinates:
         Names of the spherical and free joints.
     pose, twist : ndarray of int, shape (number of them, 7), (number of them, 6)
         Where in q their x, y, z and quaternion are, in qd their velocity and angular velocity;
-        -1 for what a spherical joint does not have.
+        -1 for entries that a spherical joint does not have.
 
     """
 
@@ -266,7 +266,7 @@ class Coordinates:
             mappings of ``orientation`` (rpy or quaternion) and, where they are free, ``position``;
             of ``angular_velocity`` and ``velocity``.
         present : ndarray, shape (nq,) or (nv,)
-            What is not given stays as it is there.
+            Coordinates that are not given keep these values.
 
         Returns
         -------

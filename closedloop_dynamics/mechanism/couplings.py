@@ -51,7 +51,7 @@ def in_tree(mechanism, coupling):
     factors : dict of str to float
         By joint of the tree, none zero; empty where their sum never changes.
     offset : float
-        What the sum of the coordinates times these is held at.
+        Constant value of the sum of the coordinates times these.
 
     """
     carrier = {joint.child: joint for joint in mechanism.joints}
@@ -114,7 +114,7 @@ def relative(mechanism, coupling):
     factors : dict of str to float
         Of joints of the tree.
     offset : float
-        What the sum with the coordinate of the cut joint is held at.
+        Constant value of the sum with the coordinate of the cut joint.
 
     """
     cut, = measured(mechanism, coupling)

@@ -153,7 +153,7 @@ def _eliminated(neighbours):
 
 
 def _subsystems(joints):
-    """Return the joint indices of each tree that stands on the ground, parents first."""
+    """Return the joint indices of each tree rooted at the ground, parents first."""
     children = {}
     for index, joint in enumerate(joints):
         children.setdefault(joint.parent, []).append(index)

@@ -76,7 +76,7 @@ class Document:
         error_type : type
             The exception that :meth:`errors` turns a FieldError into.
         text : str, optional
-            What is in the file, which need not exist then.
+            Text of the file, which need not exist then.
 
         """
         self.path = Path(path)
@@ -229,7 +229,7 @@ def _bounded(text):
 
 def with_scalars(text, values):
     """
-    Return YAML with other scalars, all else as it stands, comments too.
+    Return YAML with some scalars replaced; all else, comments included, is unchanged.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def with_scalars(text, values):
 
 
 def _composed(text):
-    """Return the nodes of YAML; None where some stand in several places."""
+    """Return the nodes of YAML; None where some occur in several places."""
     if any(isinstance(token, (yaml.AnchorToken, yaml.AliasToken)) for token in yaml.scan(
             text, Loader=yaml.SafeLoader)):
         return None
@@ -279,7 +279,7 @@ def _node(node, keys):
 
 def with_entry(text, keys, name, value):
     """
-    Return YAML with one more entry in a mapping, all else as it stands, comments too.
+    Return YAML with an entry added to a mapping; all else, comments included, is unchanged.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def with_entry(text, keys, name, value):
 
 def without_entry(text, keys):
     """
-    Return YAML without an entry of a mapping, all else as it stands, comments of others too.
+    Return YAML without an entry of a mapping; all else, other comments too, is unchanged.
 
     With it goes the comment that stands right above it or behind it in its line, and a mapping
     that had nothing else.
@@ -336,7 +336,7 @@ def without_entry(text, keys):
     Returns
     -------
     str or None
-        None where it stands nowhere in the text.
+        None where the text does not contain it.
 
     """
     node = _node(_composed(text), keys[:-1])
@@ -397,7 +397,7 @@ def in_one_line(value):
 
 def with_mapping(text, keys, below):
     """
-    Return YAML in which a mapping, given as YAML, stands in the place of a scalar.
+    Return YAML in which a mapping, given as YAML, replaces a scalar.
 
     Parameters
     ----------

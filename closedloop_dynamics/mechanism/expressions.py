@@ -47,7 +47,7 @@ class Parameters:
     values : dict of str to float
         By name, in the order in which they were given.
     used : set of str
-        Names that an expression has asked for.
+        Names that an expression has used.
 
     """
 
@@ -96,7 +96,7 @@ class Parameters:
         Raises
         ------
         FieldError
-            Where an expression has no finite value, or names what is no parameter.
+            Where an expression has no finite value, or an unknown name.
 
         """
         if isinstance(value, str):
@@ -162,11 +162,11 @@ def value_of(text, known, functions, expected, takes=FUNCTIONS):
     text : str
         The expression.
     known : mapping of str to number
-        What names stand for, beside CONSTANTS.
+        Values of names, beside CONSTANTS.
     functions : dict of str to callable
         By the names in ``takes``.
     expected : str
-        What the expression should have been.
+        The expected kind of expression.
     takes : dict of str to tuple of int, optional
         How many operands each function may take.
 

@@ -30,7 +30,7 @@ class FieldError(ValueError):
         Keys and list indices that lead to the value, outermost first.
     expected, got : str
     note : str
-        What to do about it; may be empty.
+        A remedy; may be empty.
 
     """
 
@@ -61,7 +61,7 @@ class at:  # noqa: N801
         """Begin."""
 
     def __exit__(self, kind, error, trace):
-        """Let errors pass."""
+        """Pass errors on."""
         if isinstance(error, FieldError):
             error.path = self._keys + error.path
 
@@ -106,7 +106,7 @@ def nearest(word, known):
 
 def mapping(value, required=(), optional=None):
     """
-    Return ``value`` if it is a mapping with the keys asked for.
+    Return ``value`` if it is a mapping with the required keys.
 
     Parameters
     ----------

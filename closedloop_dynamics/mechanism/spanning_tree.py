@@ -86,7 +86,7 @@ def choose_tree(bodies, edges, closures):
     edges : sequence of Edge
         The joints.
     closures : sequence of (sequence of str, int)
-        What holds the bodies beside them: bodies and the number of equations.
+        Other constraints: bodies and the number of equations.
 
     Returns
     -------

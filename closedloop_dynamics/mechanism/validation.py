@@ -179,7 +179,7 @@ def validate_mechanism(mechanism, source=None):
     mechanism : Mechanism
         Built in Python.
     source : str, optional
-        What errors call it; its own name by default.
+        Its name in error messages; its own name by default.
 
     Returns
     -------
@@ -435,7 +435,7 @@ def check_tree(mechanism):
 
 
 def _require_key(section, joint, key, types):
-    """Ask for a key of joints of some types, and refuse it in others."""
+    """Require a key of joints of some types, and refuse it in others."""
     given = getattr(joint, key) is not None
     if given != (joint.type in types):
         raise FieldError(

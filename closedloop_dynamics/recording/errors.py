@@ -5,4 +5,4 @@
 
 
 class RecordingError(ValueError):
-    """A recording without the data needed; the message says what to do."""
+    """A recording without the data needed; the message gives a remedy."""

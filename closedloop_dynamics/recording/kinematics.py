@@ -51,7 +51,7 @@ class DrivenRun:
         Whose start is on the branch.
     drives : mapping of str to Drive
         By joint, or by point and axis, as ``tool.x``; as many as there are degrees of freedom.
-        What drives the same joints in the scene is left out.
+        Drives of the same joints in the scene are left out.
     count : int
         Of poses, 2 or more.
     speed : float

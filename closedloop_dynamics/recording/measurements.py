@@ -147,7 +147,7 @@ def between_states(path, recording, scene, driven):
     path : path-like
         Of the bag, for messages.
     recording : recording.Recording
-        What is in it.
+        Its contents.
     scene, driven
         As for ``read_measurements``.
 

@@ -44,7 +44,7 @@ class Bag:
     finished : bool
         Whether the recording came to its end in order.
     damages : list of Damage
-        What was found while reading; complete when all messages have been read.
+        Damages found while reading; complete when all messages have been read.
 
     Raises
     ------

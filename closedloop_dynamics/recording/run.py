@@ -216,7 +216,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     costs : bool
         Whether ``COSTS`` follow in each row.
     on_step : callable, optional
-        Called after each step, for what looks at all states.
+        Called after each step, for observers of all states.
 
     Raises
     ------

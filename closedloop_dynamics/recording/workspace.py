@@ -110,7 +110,7 @@ class Workspace:
     position : ndarray, shape (*shape of the grid, nq), or None
         Joint coordinates, of a single orientation.
     notes : tuple of str
-        What was left out, and why.
+        Omissions, and their reasons.
     finished : bool
     turned : bool
         Whether the orientation is held: that of a platform, not of a point alone.
@@ -154,17 +154,17 @@ def compute(scene, request: Request, workers: Optional[int] = None,
     scene : scene_records.Scene
         Of as many degrees of freedom as a point or a body has, without prescribed motions.
     request : Request
-        What is mapped.
+        The quantities of the map.
     workers : int, optional
         Threads; as many as there are processors when not given.
     file : pathlib.Path, optional
-        Where the map is written, and every half a minute what is done so far.
+        Of the map; written every half a minute, and at the end.
     resume : bool
         Whether to go on with that file, where there is one.
     show : callable
-        Called with nodes looked at, and how many there are.
+        Called with the numbers of nodes done and of all nodes.
     keep_going : callable
-        Asked between parts; where it returns False, what is done is written and returned.
+        Called between parts; False ends the map, which is written and returned as it is.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def compute(scene, request: Request, workers: Optional[int] = None,
     AssemblyError, simulation.driven.BranchEndError
         Where the scene's start, or the grid from there, is not reached.
     ValueError
-        For what the scene does not have, and impossible numbers.
+        For unknown names, and impossible numbers.
     WorkspaceFileError
 
     """

@@ -25,7 +25,7 @@ NO_STATE = -1
 
 class Descriptions:
     """
-    Tells latecomers of robot and scene: ``robot_description`` once, ``scene`` when it changes.
+    Latched topics: ``robot_description`` once, ``scene`` whenever it changes.
 
     ``node`` publishes; a scene holds from an entry of ``log`` on.
 

@@ -18,7 +18,7 @@ TAKEN, WRENCHES_REFUSED = 'wrenches taken', 'wrenches refused'
 
 class ExternalWrench:
     """
-    Lets wrenches act on bodies of a simulation as the joint torques that do the same.
+    Applies wrenches on bodies of a simulation as equivalent joint torques.
 
     These are found again whenever the simulation advances, and constant in between. As long as
     there are none, nothing is computed.

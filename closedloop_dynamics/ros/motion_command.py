@@ -13,7 +13,7 @@ FOLLOWED, REFUSED, LOST = 'motions followed', 'motions refused', 'motions lost'
 
 class MotionCommand:
     """
-    Lets the motions that are commanded follow trajectories, or refuses these as a whole.
+    Has commanded motions follow trajectories; a faulty trajectory is refused as a whole.
 
     A trajectory may name the ``commanded_motions`` of the simulation; its stamp is of ``stamps``,
     which simulated time follows as fast as ``pacer`` says.

@@ -78,7 +78,7 @@ def watch_signals():
 
 
 def stop_requested():
-    """Return whether a signal has asked this process to stop."""
+    """Return whether a signal has requested this process to stop."""
     return bool(_stop)
 
 

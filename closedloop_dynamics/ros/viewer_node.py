@@ -247,7 +247,7 @@ class RemoteSimulator(Shown):
         return rows[0], motion_thinning_values(self._columns, motion, rows)[0]
 
     def _sample_between(self):
-        """Look at a state between frames, if that takes no more than its share of the clock."""
+        """Sample a state between frames, within a fixed share of the time."""
         begin = time.monotonic()
         if not self.feed.pages or begin - self._looked_at < self._look_time / SAMPLING_SHARE:
             return
@@ -516,7 +516,7 @@ class ViewerNode(Node):
         return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
 
     def poll_simulators(self):
-        """Look for simulators until all wanted ones are found; then serve pages."""
+        """Search for simulators until all wanted ones are found; then serve pages."""
         before, self._offered = self._offered, self._offers()
         for name, topics in self._offered.items():
             if name in self._shown or (self._wanted and name not in self._wanted):

@@ -196,7 +196,7 @@ class _Distinct:
 
 def drives_needed(mechanism, jacobian, unit, position):
     """
-    Return the number of driven values that determine a mechanism, and what else moves.
+    Return the number of driven values that determine a mechanism, and free displacements.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def drives_needed(mechanism, jacobian, unit, position):
     jacobian : ndarray, shape (n, nv)
         Of the loops and the driving equations at the position, by scaled displacements.
     unit : ndarray, shape (nv,)
-        What these are multiplied with [rad or m].
+        Factors of these [rad or m].
     position : ndarray, shape (nq,)
         Closing the loops.
 

@@ -33,7 +33,7 @@ class Geometry(LoopModel):
     """
 
     def __init__(self, mechanism, decomposition=None):
-        """Look up the frames of bodies and points."""
+        """Resolve the frames of bodies and points."""
         super().__init__(mechanism, decomposition)
         self._size = 2 if mechanism.planar else 3
         #: Rows and places in them of the named points.

@@ -108,7 +108,7 @@ def fastest_rate(system, state, own=()):
 
 class EnergyGuard:
     """
-    Looks at the energy balance: seldom where it holds, from the first steps on.
+    Checks the energy balance, from the first steps on; more seldom while it holds.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ class DrivingConstraints:
     """
 
     def __init__(self, scene, mechanism, model, place, cut_place):
-        """Look up the equations."""
+        """Find the rows of the equations."""
         self.mechanism, self.records = mechanism, scene.effects
         self._initial, self._coordinates = scene.initial, mechanism.coordinates
         self._names = [motion.name for motion in mechanism.motions]
@@ -138,7 +138,7 @@ class DrivingConstraints:
         self.look_up(model)
 
     def look_up(self, model):
-        """Look up the equations in a model that works on others."""
+        """Find the rows in a model of other independent equations."""
         self.model, column = model, model.cut_point.shape[1] - t.MOTION_COLUMNS
         numbers = model.cut[:, t.CUT_NUMBER].tolist()
         for number, motion in enumerate(

@@ -34,7 +34,7 @@ class NamedArray(Mapping[str, np.ndarray]):
     Parameters
     ----------
     what : str
-        What the numbers are, for messages.
+        Name of the quantity, for messages.
     places : dict of str to int or slice
         Where the rows are, by name.
     array : ndarray, shape (..., rows), or (..., rows, columns)

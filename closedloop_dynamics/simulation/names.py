@@ -29,7 +29,7 @@ class Names:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Look them up."""
+        """Collect the names of a scene."""
         self.scene = scene
         self.mechanism: Mechanism = with_motions(scene)
         self.coordinates: Coordinates = self.mechanism.coordinates

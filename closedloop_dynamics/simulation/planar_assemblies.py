@@ -49,7 +49,7 @@ class PlanarEquations:
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        Planar; its ``motions`` are what is driven.
+        Planar; its ``motions`` are the driving equations.
     values : sequence of float, shape (m,)
         Of these [rad or m].
 

@@ -202,7 +202,7 @@ class PoseGrid:
     Attributes
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        With what is driven.
+        With its driving equations.
     shape : tuple of int
         Nodes along each axis.
     places : ndarray, shape (n, 2) or (n, 3)
@@ -320,7 +320,7 @@ class PoseGrid:
         Parameters
         ----------
         keep_going : callable
-            Asked between parts; where it returns False, what was reached is kept.
+            Called between parts; False ends the search, and the poses reached are kept.
         show : callable
             Called with the number of nodes reached.
 

@@ -56,7 +56,7 @@ class Rollout:
 
     Notes
     -----
-    A quantity that was not asked for is None.
+    Quantities that were not requested are None.
 
     """
 

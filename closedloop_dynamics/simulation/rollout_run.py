@@ -151,7 +151,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     Parameters
     ----------
     simulation : Simulation
-        At time zero. What it is left as is not to be used but after ``reset``.
+        At time zero. Call ``reset`` before using it again.
     torques : ndarray, shape (rows, number of actuated joints)
         [N m or N]; at least one row.
     schedule : TimeGrid
@@ -223,7 +223,7 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     torques : ndarray, shape (n, rows, number of actuated joints)
         Of each run [N m or N].
     starts : ndarray, shape (n, ns), optional
-        Where each begins; where the simulation stands, when not given.
+        Initial states; by default the present state of the simulation.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any
         the keys and values of a scene, in which ``mechanism`` may be a ``Mechanism``, too; paths
         in it are from the working directory on.
     **reading
-        Of a model: what ``formats.registry.read_model`` takes.
+        Of a model: options of ``formats.registry.read_model``.
 
     Raises
     ------

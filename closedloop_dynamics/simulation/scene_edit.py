@@ -32,7 +32,7 @@ def write_with_numbers(scene, values, path):
     scene : scene_records.Scene
         As it was read.
     values : dict of str to float
-        By key path; of those under ``initial.position``, these that stand in the file.
+        By key path; of those under ``initial.position``, the ones in the file.
     path : pathlib.Path
         Of the new file; beside it, one of the mechanism where that has its own.
 

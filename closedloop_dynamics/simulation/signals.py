@@ -30,7 +30,7 @@ class SignalWatch:
     leave : callable
         The first reaction: ``leave(number)`` ends the process, which has nothing to close yet.
     numbers : sequence of signal.Signals
-        What is watched for.
+        Signals to handle.
 
     """
 

@@ -68,7 +68,7 @@ class Simulation(Readings):
     Parameters
     ----------
     model : model.Model or scene_records.Scene
-        What moves; the simulation works on data of its own.
+        The system to simulate; the simulation works on data of its own.
     state : state.State, optional
         Where it begins, and where ``reset`` leads back to, to the last bit; one that closes the
         loops, as ``Model.assemble`` returns it. When not given the scene's start, assembled.
@@ -547,7 +547,7 @@ class Simulation(Readings):
 
     def check_energy(self) -> None:
         """
-        Look at the energy balance now: warn where it is a little off.
+        Check the energy balance now: warn of a small error.
 
         Raises
         ------
@@ -1147,7 +1147,7 @@ class Simulation(Readings):
             Numbers of the scene by key path, such as ``'mechanism.bodies.crank.mass'``,
             ``'effects.gravity.acceleration.1'``, ``'initial.position.crank_joint'``.
         quantities : sequence of str
-            What to return: names of the fields of ``rollout.Rollout``.
+            Quantities to return: names of the fields of ``rollout.Rollout``.
         threads : int, optional
             As many as there are processors, when not given.
 

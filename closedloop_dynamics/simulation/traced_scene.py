@@ -67,12 +67,12 @@ class TracedScene:
     values : ndarray, shape (rows, VALUE_COLUMNS)
         Numbers of the effects.
     key : tuple
-        What the code depends on beside the mechanism.
+        Dependences of the code beside the mechanism.
 
     """
 
     def __init__(self, simulation):
-        """Look up the effects."""
+        """Collect the effects that are traced."""
         self._model, self._effects = simulation.system.model, simulation.system.effects
         self._laws, effects = simulation.effect_set.laws, self._effects
         self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values

@@ -97,7 +97,7 @@ class TreeRows:
     Parameters
     ----------
     mechanism : Mechanism
-        What is described.
+        To be described.
     decomposition : Decomposition
         Of it.
 

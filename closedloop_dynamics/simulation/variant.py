@@ -34,7 +34,7 @@ class Variant(NamedTuple):
     ----------
     scene : scene_records.Scene
     left_out : tuple of str
-        What of the other scene it does not have, and why.
+        Parts of the other scene that it does not have, and the reasons.
 
     """
 
@@ -76,7 +76,7 @@ def carried_effects(scene, signs, world, place, turned=()):
     -------
     effects : dict of str to record
     left_out : list of str
-        What could not be carried over.
+        Parts that could not be carried over.
 
     """
     effects, left_out = {}, []

@@ -98,7 +98,7 @@ def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, to
     Measure time and rounding error of all formulations on growing mechanisms; return the rows.
 
     ``largest`` limits ladders and chains; ``quick`` takes fewer and smaller ones; ``progress`` is
-    told the number of parts done and of all parts.
+    called with the numbers of parts done and of all parts.
 
     """
     cases = [lambda name=name: scene_case(name) for name in SCENES]

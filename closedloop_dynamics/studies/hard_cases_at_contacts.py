@@ -75,7 +75,7 @@ def dips(effect, stiffness, depth):
     Parameters
     ----------
     effect : Effect
-        What holds it up, without losses, about the angle 0.
+        Supporting force, without losses, about the angle 0.
     stiffness : float
         [N/m].
     depth : callable

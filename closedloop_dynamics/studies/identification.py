@@ -155,14 +155,14 @@ class Identification:
         Sums that are known where their parts are not, and parameters of bodies that are known
         where the keys that they follow from are not.
     unknown : tuple of str
-        Key paths that the motion does not tell alone.
+        Key paths that the motion does not identify alone.
     unseen : tuple of str
         Parameters without any influence on the motion.
     impossible : dict of str to float
         Bodies, with all their numbers known, that no distribution of mass has: the smallest
         eigenvalue of the pseudo-inertia matrix, as a share of the largest.
     deviations : dict of str to float
-        Standard deviation of what is left of the efforts, by independent coordinate [N m or N].
+        Standard deviation of the residual efforts, by independent coordinate [N m or N].
     residuals : ndarray, shape (n, number of independent coordinates)
         Torques of the identified parameters less the recorded ones [N m or N].
     samples : ndarray of int, shape (n,)
@@ -229,7 +229,7 @@ def measured_joints(scene):
     Parameters
     ----------
     scene : scene_records.Scene
-        With what moves its joints.
+        With its effects and drives.
 
     Returns
     -------
@@ -555,11 +555,11 @@ class _Along:
     regressor : ndarray, shape (n, d, parameters)
         Torques of a unit of each in the independent coordinates.
     known : ndarray, shape (n, d)
-        What the rest takes.
+        Efforts of the remaining terms.
     size : ndarray, shape (n, d)
         All torques of the scene.
     levers : ndarray, shape (n, d, driven)
-        What drives exert in the independent coordinates, for a unit of effort.
+        Generalized forces in the independent coordinates for unit efforts of the drives.
 
     """
 
@@ -733,7 +733,7 @@ class _Linear:
     unseen : list of int
         Places of parameters without influence.
     residuals : ndarray, shape (n, d)
-        Matrix times values less what was wanted.
+        Matrix times values less the right-hand side.
     deviations : ndarray, shape (d,)
         Their standard deviations.
     condition : float

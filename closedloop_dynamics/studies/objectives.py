@@ -52,7 +52,7 @@ class Expression:
     scene : scene_records.Scene
         Whose quantities and numbers it names.
     drives : sequence of str
-        What is driven.
+        Names of the driven joints and coordinates of points.
     paths : mapping of str to ndarray, shape (m, 2), in space (m, 3)
         Places by the names that ``distance`` has for them [m].
 

@@ -114,7 +114,7 @@ class Candidate(NamedTuple):
     position : tuple of float
         Joint coordinates from which its loops are closed, as its scene has them.
     message : str
-        What the optimiser says.
+        Message of the optimiser.
     evaluations, gradients : int
         Machines that were driven all the way, and of how many derivatives were found.
     refused : dict of str to int

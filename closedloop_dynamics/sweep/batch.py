@@ -48,11 +48,11 @@ def run_batch(job, samples, values, torques):
     Parameters
     ----------
     job : Job
-        What they have in common.
+        Their common plan and settings.
     samples : ndarray of int, shape (n,)
         Their places in the sweep.
     values : ndarray, shape (n, number of varied keys)
-        What they differ in.
+        Values of the varied quantities.
     torques : ndarray, shape (rows, na) or (n, rows, na), or None
         [N m or N].
 

@@ -368,7 +368,7 @@ def dispatched(engine, call, given_up, tasks, keep_going):
     Yields
     ------
     object
-        What the function returns; each sample once.
+        Return values of the function; each sample once.
 
     Raises
     ------

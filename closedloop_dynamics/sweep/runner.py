@@ -67,7 +67,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
     scene : Scene, str or pathlib.Path
         As ``load_scene`` takes it.
     vary : mapping of str to str or sequence of float, or sequence of Grid and Random
-        What is varied, by key path: the forms of the command line, or the values of a grid.
+        Variations by key path: the forms of the command line, or the values of a grid.
     output : str or pathlib.Path
         Ends with .nc or .zarr.
     samples : int

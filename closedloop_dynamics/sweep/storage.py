@@ -83,7 +83,7 @@ class Layout:
     batch : int
         Samples that are written at once.
     identity : dict of str to str
-        What a file must have in common with the plan to be continued.
+        Attributes in which a file and the plan must agree to be continued.
     samples : int
     variables : tuple of Variable
     results : tuple of str

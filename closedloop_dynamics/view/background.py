@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What takes longer than a frame, such as code for a machine that is edited, beside a run."""
+"""Background computation beside a run: tasks longer than a frame, such as code generation."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -33,7 +33,7 @@ class Background:
 
     def start(self, compute, take):
         """
-        Begin to compute; what was computed before is dropped.
+        Start a computation; an earlier one is dropped.
 
         Parameters
         ----------
@@ -46,11 +46,11 @@ class Background:
         self._future, self._take = self._pool.submit(_again_if_stopped, compute), take
 
     def drop(self):
-        """Forget what is computed."""
+        """Drop the present computation."""
         self._future = self._take = None
 
     def tick(self):
-        """Let what has been computed be taken."""
+        """Hand over the result of a finished computation."""
         if self._future is not None and self._future.done():
             future, take = self._future, self._take
             self.drop()

@@ -66,7 +66,7 @@ class Columns:
     mechanism : mechanism.mechanism.Mechanism
         Poses of its bodies; forces on body A of its cut joints, without feet.
     loads : list of dict
-        What effects exert: name and kind (force, normal force or friction); an arrow each.
+        Forces of effects: name and kind (force, normal force or friction); an arrow each.
     direction : bool
         Whether poses moved along the singular direction follow.
     plots : list of Plot

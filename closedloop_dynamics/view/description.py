@@ -48,13 +48,13 @@ def describe(mechanism, columns, effects=None, **more):
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        What is shown.
+        The mechanism to show.
     columns : columns.Columns
         Of the rows that the page gets.
     effects : mapping of str to effect, optional
-        What acts: springs, cables and contacts are drawn.
+        Effects; springs, cables and contacts are drawn.
     **more
-        What else the page is to know, as JSON can.
+        Further data for the page, of JSON types.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What drives a simulation that is shown: the drives of its joints, and a controller of some."""
+"""Inputs of a shown simulation: the drives of its joints, and a controller of some."""
 
 import math
 
@@ -133,7 +133,7 @@ class Driving:
                 drive.set(mode, position if value is None else value, time, position)
 
     def restart_controller(self):
-        """Let the controller begin anew."""
+        """Restart the controller."""
         self._held = math.inf, {}
         if self.own.controller is not None:
             self.own.controller.restart()

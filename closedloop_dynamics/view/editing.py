@@ -258,7 +258,7 @@ class Editor:
         place : sequence of 3 floats
             In the world [m]; in the plane the third one does not count.
         position : ndarray, shape (nq,)
-            Where the machine stands [rad or m].
+            Present joint coordinates [rad or m].
 
         Raises
         ------
@@ -321,7 +321,7 @@ class Editor:
         what : str
             One of ``messages.ADDITIONS``.
         position : ndarray, shape (nq,)
-            Where the machine stands [rad or m].
+            Present joint coordinates [rad or m].
         joint : str, optional
             Of a damper or a drive.
         **places

@@ -35,7 +35,7 @@ class Feed:
     Parameters
     ----------
     description : dict
-        As JSON can; told first.
+        Of JSON types; sent first.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class Feed:
         return None
 
     def leave(self, page):
-        """Release what a closed page holds; never refused."""
+        """Release the point that a closed page holds; never refused."""
         try:
             self._inbox.put_nowait((page, {'do': 'release'}))
         except Full:

@@ -49,7 +49,7 @@ def without(scene, text, kind, name):
     text : str or None
         None where the text has no place of it.
     also : list of str
-        Names of what went with it.
+        Names of the parts removed with it.
 
     Raises
     ------

@@ -62,7 +62,7 @@ class Shown:
     # What pages see.
 
     def _begin_looking(self, plots, points, size):
-        """Look for states between frames, as ``thinning.Thinning`` does."""
+        """Start to select states between frames; see ``thinning.Thinning``."""
         self._thinning, self._newest = Thinning(plots, points, size), None
 
     def _thin(self, time, row, values):

@@ -27,7 +27,7 @@ TOGETHER = 10
 
 class Stepper:
     """
-    Makes the steps of a simulation, as a clock or a page asks for them.
+    Advances a simulation by a clock, or by steps that a page requests.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Stepper:
 
     @contextmanager
     def pause(self):
-        """Let no steps become due meanwhile."""
+        """Suspend the clock within the context."""
         if self.playing:
             self._pacer.stop()
         try:
@@ -195,7 +195,7 @@ class Stepper:
         self._before = self._simulation.time, self._rows.row()
 
     def _sample_between(self):
-        """Look at the present state, noting how long that takes; return its row."""
+        """Sample the present state and measure the time this takes; return its row."""
         begin, row = self._clock(), self._rows.row()
         self._look(self._simulation.time, row, self._rows.thinning_values(row))
         self._unseen = 0

@@ -26,7 +26,7 @@ class Thinning:
     Parameters
     ----------
     plots : sequence of columns.Plot
-        What the plotted numbers are; those that are drawn by their logarithms decide nothing.
+        Quantities that are plotted; those drawn by their logarithms decide nothing.
     points : int
         Number of the points whose places are before them.
     size : float

@@ -14,7 +14,7 @@ PERIOD = 0.03
 
 class Watchdog:
     """
-    Looks at a computation from a thread of its own, as a context.
+    Context that monitors a computation from a thread of its own.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Watchdog:
     """
 
     def __init__(self, limit, wanted, waiting):
-        """Look at nothing yet."""
+        """Monitor nothing yet."""
         self.limit, self._wanted, self._waiting = limit, wanted, waiting
         self._patient = False
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -41,7 +41,7 @@ class Watchdog:
         return self
 
     def __exit__(self, *error):
-        """Look no more."""
+        """End the monitoring."""
         self._over.set()
         self._thread.join()
 

@@ -82,7 +82,7 @@ class MechanismArtist:
     axes : matplotlib.axes.Axes
         Where to draw.
     mechanism : mechanism.mechanism.Mechanism
-        What is drawn.
+        The mechanism to draw.
     poses : ndarray, shape (n, nb, 3), in space (n, nb, 7)
         All that will be drawn; they fix the extent of the picture.
     view : View

@@ -183,7 +183,7 @@ def shapes(mechanism, deflections, title):
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        What is drawn.
+        The mechanism to draw.
     deflections : dict of str to ndarray, shape (n, nq)
         By the titles of the panels; the first position of each is the strong one.
     title : str
@@ -257,7 +257,7 @@ def over_drive(curves, label, title, common=()):
     curves : dict of str to dict of str to tuple of 2 ndarrays, shape (n,)
         By the quantity with its unit and by name: driven values and what belongs to them.
     label : str
-        What is driven, with its unit.
+        Driven coordinate, with its unit.
     title : str
         Of the picture.
     common : sequence of str
@@ -288,7 +288,7 @@ def pareto_front(front, others, before, labels, title):
     before : sequence of 2 floats, or None
         Those of the machine as it was.
     labels : sequence of 2 str
-        What the aims are.
+        Names of the aims.
     title : str
         Of the picture.
 

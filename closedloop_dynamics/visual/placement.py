@@ -28,7 +28,7 @@ MOVED = 1e-4
 
 
 class PlacementError(ValueError):
-    """A pose or velocity that the loops do not let a body have."""
+    """A pose or velocity of a body that violates the loop closures."""
 
 
 class Placement:

@@ -29,7 +29,7 @@ class View:
     labels : tuple of 2 str
         Of the picture's axes; empty where lengths cannot be read off.
     center : tuple of 3 floats
-        Of what is shown [m]; of a perspective.
+        Size of the scene [m]; of a perspective.
     distance : float or None
         From the centre to the eye [m]; None: parallel lines stay parallel.
 

@@ -39,7 +39,7 @@ def workspace_picture(axes, status, values, label, title, meanings, curves=(), i
     title : str
         Of the picture.
     meanings : sequence of str
-        What each status means.
+        Meaning of each status.
     curves : sequence of (str, ndarray of shape (n, 2))
         Kinds and places of curves.
     inner : ndarray of bool, optional

@@ -130,7 +130,7 @@ def statements(routine, places):
     Parameters
     ----------
     routine : Routine
-        What it computes.
+        The computation.
     places : dict of int to str
         By input or output, the array in C: a pointer to doubles.
 
@@ -184,7 +184,7 @@ class _Statements:
         self._named.add(place)
 
     def _turn(self, number, angles, use):
-        """Compute sines and cosines of some angles, and what these depend on."""
+        """Compute sines and cosines of some angles, and the operations they depend on."""
         for place in sorted(needed_for(self._operations, angles)):
             self._compute(place)
         self.lines += [

@@ -221,7 +221,7 @@ class DerivativeTrace(SceneTrace):
         torque : ndarray, shape (nv,)
             In the joints.
         held : str
-            What of each closure equation is added: ``value``, ``rate`` or ``bias``.
+            The term of each closure equation that is added: ``value``, ``rate`` or ``bias``.
 
         """
         own, _, closed = self._sums(qdd, lam, force, torque, held)

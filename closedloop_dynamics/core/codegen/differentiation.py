@@ -22,7 +22,7 @@ def differentiated(graph, values, seed):
     values : sequence of Symbol or float
         To be differentiated.
     seed : dict of int to number
-        What inputs change by, by the places of their symbols.
+        Changes of inputs, by the places of their symbols.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def gradients(graph, values, weights, inputs):
     weights : sequence of Symbol or float
         Of the values; constant.
     inputs : sequence of Symbol
-        What is loaded.
+        Symbols that are loaded.
 
     Returns
     -------

@@ -36,7 +36,7 @@ def address_of_scene(model, structure, laws, form=SCALAR):
     model : Model
         Constant arrays of the mechanism.
     structure : tuple
-        What the code depends on beside the mechanism.
+        Dependences of the code beside the mechanism.
     laws : callable
         Returns the laws for ``LiveTrace``.
     form : tuple
@@ -116,7 +116,7 @@ class LiveTrace(MechanismTrace):
 
     def held(self, resting, qdd, lam):
         """
-        Let friction keep what is at rest there, up to its limit, as ``engine/sticking.hpp`` does.
+        Apply static friction, up to its limit, to joints at rest; see ``engine/sticking.hpp``.
 
         Parameters
         ----------
@@ -231,7 +231,7 @@ class LiveForces(Forces):
         self.outputs += [(source, first + n, value) for n, value in enumerate(values)]
 
     def ask(self, function, begin, length, flag, x, y=0.0, results=0):
-        """Ask a function of the engine about entries of the effect; see ``expression_graph``."""
+        """Call a function of the engine on entries of the effect; see ``expression_graph``."""
         graph = self.trace.graph
         found = graph.put(CALL, *map(float, (function, self.row, begin, length)), *(
             one.place if hasattr(one, 'place') else float(one) for one in (flag, x, y)))
@@ -260,7 +260,7 @@ class CutFreedom:
     """
 
     def __init__(self, forces, k):
-        """Look it up."""
+        """Store the cut joint and its row."""
         self._forces, self._one, self._number = forces, forces.trace.laws.cuts[k], k
 
     def _vector(self, first):

@@ -113,7 +113,7 @@ class Function:
         return self.result(kind, f'getelementptr {kind[:-1]}, {_typed(array)}, {WORD} {place}')
 
     def load(self, address, options=''):
-        """Write the reading of what is at an address."""
+        """Write the load of a value from an address."""
         kind = address[0][:-1]
         return self.result(kind, f'load {kind}, {_typed(address)}{options}')
 

@@ -61,7 +61,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     parts : int
         Of how many objects the code is, at most as many as there are routines.
     seconds : float
-        What compiling may take, about [s].
+        Approximate limit of the compile time [s].
 
     Returns
     -------

@@ -155,7 +155,7 @@ def bodies(model, symbols):
     Returns
     -------
     list of Body
-        What the plane leaves open, such as inertias about axes in it, is zero.
+        Quantities without meaning in the plane, such as inertias about axes in it, are zero.
 
     """
     found = []

@@ -283,7 +283,7 @@ class MechanismTrace:
         Parameters
         ----------
         by : module, optional
-            What takes less where not said.
+            The cheaper one by default.
         tau : ndarray, shape (nv,), optional
             Torques in the joints; an input where not said.
 
@@ -365,7 +365,7 @@ class MechanismTrace:
         joint_forces.require_left_out(self, self.world_accelerations())
 
     def loop_equations(self):
-        """Closure errors, what rates add to their accelerations, and J, in the user's order."""
+        """Closure errors, velocity terms dJ/dt qd and Jacobian J, in the user's order."""
         model, work, one = self.model, self.work, self.recursion
         one.hinges = ()
         one.outward(model, self.q, self.qd, work)

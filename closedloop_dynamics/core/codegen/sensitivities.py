@@ -64,7 +64,7 @@ class SensitivityTrace(DerivativeTrace):
     """
 
     def __init__(self, model, act, values, entries, rows, cuts):
-        """Set the inputs: coordinates, rates and parameters; torques stand for themselves."""
+        """Set the inputs: coordinates, rates and parameters; torques are inputs as they are."""
         super().__init__(model, act, values)
         self._rows, self._cuts = rows, cuts
         state = [*self.q, *self.qd]

@@ -175,7 +175,7 @@ class BodyKinematics(NamedTuple):
     spin, velocity : tuple of 3
         Angular velocity, velocity of the origin.
     spin_rate, acceleration : tuple of 3
-        What q, qd and gravity leave of their rates when qdd = 0.
+        Their rates for qdd = 0, from q, qd and gravity.
     axis : tuple of 6
         The motion for a unit rate of the body's own joint.
 
@@ -238,7 +238,7 @@ class Recursion:
     Parameters
     ----------
     bodies : sequence of Body
-        One for each row of the tree; the first is the ground and is not looked at.
+        One for each row of the tree; the first is the ground and is ignored.
     cuts : sequence of Cut
         In the model's order.
     gravity : tuple of 3
@@ -255,7 +255,7 @@ class Recursion:
     inertia : list of 6 by 6 tuples
         Of the rigid bodies after ``outward``, articulated after ``inward``.
     force : list of tuples of 6
-        What accelerates the bodies as ``motion`` says; with all that hangs on them after
+        Forces for the accelerations of ``motion``; with those of all bodies further out after
         ``inward``.
     rotor : list of tuples of 3
         Angular momentum of rotors on the parents for unit rates of the bodies' joints, in world
