@@ -44,7 +44,7 @@ def _run(arguments):
         f'{scene.name}_accuracy.{ending}' for ending in ('csv', 'png')))
     # Fails at once where the study would fail only after a while.
     checked_torques(arguments.scene, scene, torque)
-    # How far off each method is stands in the table.
+    # The table has the error of each method.
     warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('parts', scene.name) as progress:
         study = study_accuracy(scene, torque, arguments.duration, arguments.quick,

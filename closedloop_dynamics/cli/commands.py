@@ -69,14 +69,14 @@ def run(argv):
 
     """
     for stream in (sys.stdout, sys.stderr):
-        # Names of files and texts of scenes need not be what the terminal can show.
+        # The terminal need not be able to show names of files and texts of scenes.
         stream.reconfigure(errors='backslashreplace')
     argv = sys.argv[1:] if argv is None else argv
     completing = '_ARGCOMPLETE' in os.environ
     words = os.environ['COMP_LINE'].split()[1:] if completing else argv
     whole = parser([name for name in words[:1] if name in COMMANDS] or COMMANDS)
     if completing:
-        # A shell asks for words that may follow; what it needs is in doc/install.md.
+        # A shell requests words that may follow; doc/install.md explains the set-up.
         import argcomplete
         argcomplete.autocomplete(whole)
     arguments, unknown = whole.parse_known_args(argv)
@@ -98,7 +98,7 @@ def _run(arguments):
     except (SceneError, MechanismError, UsageError) as error:
         return _complain(arguments.prog, error, USAGE)
     except BrokenPipeError:
-        # Whoever read the output has enough; what is left goes nowhere when Python ends.
+        # The reader of the output has enough; the rest is dropped when Python ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except (SimulationError, OSError) as error:

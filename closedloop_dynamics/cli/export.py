@@ -103,7 +103,7 @@ def _run(arguments):
 
 def _write_c(arguments):
     """Write a scene as C and its header."""
-    # Only here: no other format needs what generates code.
+    # Only here: no other format needs the code generation.
     from ..simulation.c_source import c_source
     header = arguments.output.with_suffix('.h')
     require_free(arguments, header)

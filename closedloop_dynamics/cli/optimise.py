@@ -34,7 +34,7 @@ SCENE, RESULTS, PATHS, TABLE, PICTURE = (
     'optimised.yaml', 'results.jsonl', 'paths.png', 'front.csv', 'front.png')
 # A number this near to the end of its range, of the range, is at it.
 AT_END = 1e-6
-# Relative difference of an aim of the file that was written, from what was found.
+# Relative difference between an aim of the file that was written and its optimum.
 SAME = 1e-6
 MOST_REASONS = 5
 # Poses at least of paths that are drawn.
@@ -249,7 +249,7 @@ def _has_aims(problem, path, found):
         aims = aims_of(problem, load_scene(path))
     except Infeasible:
         return False
-    # Beside the size of what was there before, as an aim may be zero.
+    # Relative to the size before as well, as an aim may be zero.
     sizes = np.abs(problem.before or found.aims) + np.abs(found.aims)
     return bool((np.abs(np.subtract(aims, found.aims)) <= SAME * sizes + 1e-12).all())
 

@@ -33,7 +33,7 @@ def _run(arguments):
     if arguments.default_only:
         methods = {name: methods[name] for name in (stability.DEFAULT, 'rodas4')}
     paths = free_paths(arguments, *FILES)
-    # How far off each method is stands in the table.
+    # The table has the error of each method.
     warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('cells', 'stability') as progress:
         atlas = stability.study_stability(arguments.quick, cases, methods, progress)

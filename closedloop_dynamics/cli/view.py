@@ -28,7 +28,7 @@ from ..view.page import live_page, recorded_page
 from ..view.saved import recorded, simulated
 from ..visual.progress import announced, progress_to
 
-# Where nothing else is asked for, unless it is taken.
+# By default, unless it is taken.
 USUAL_PORT = 8791
 # Simulated time of a saved page [s], its rows per simulated second beside those that paths and
 # plots need; and the most rows that a page is given of a recording.
@@ -36,7 +36,7 @@ DURATION, RATE, MOST_ROWS = 10.0, 60.0, 36_000
 # Options that drive a scene.
 DRIVING = 'torque', 'speed', 'position', 'motion', 'controller'
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
-# Only ros/ knows ROS: the node is a process of its own.
+# Only ros/ imports ROS: the node is a process of its own.
 VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
 LOADING = 'Loading; code is generated for a mechanism that is new ...'
 

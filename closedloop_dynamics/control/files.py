@@ -15,7 +15,7 @@ from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 KIND = 'controllers'
-# The node whose parameters a file has, and what nodes have that is no setting of a controller.
+# The node whose parameters a file has, and parameters of nodes that set no controller.
 NODE, PARAMETERS = 'closedloop_torque_source', 'ros__parameters'
 OF_NODES = ('allow_code', 'use_sim_time')
 

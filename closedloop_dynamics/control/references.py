@@ -21,9 +21,9 @@ from ..mechanism.rotations import composed, CONJUGATE, quaternion_about
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.
 POSITIONS = 128
-# Newton steps for each of them, and what must be left at most [m or rad].
+# Newton steps for each of them, and the tolerance of the residual [m or rad].
 ITERATIONS, TOLERANCE = 30, 1e-11
-# Slopes are found again where a step does not make what is left smaller by this factor.
+# The Jacobian is renewed where a step does not reduce the residual by this factor.
 SLOW = 0.1
 DIFFERENCE = 1e-6
 # Of a straight way between two places, which a spline goes through.
@@ -125,7 +125,7 @@ class Trajectory:
     """
 
     def __init__(self, points, time, position, velocity):
-        # A quarter of what a node takes to start, where no trajectory is asked for.
+        # A quarter of a node's start-up time, where no trajectory is requested.
         from scipy.interpolate import BPoly, CubicSpline
         times = points.times + (points.stamp - time if points.stamp else 0.0)
         ahead = times > 0.0

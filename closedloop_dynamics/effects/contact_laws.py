@@ -189,7 +189,7 @@ def _spatial_body_contact(forces, table, row, values):
     unit = scale(apart, side / chosen(between > 0.0, between, 1.0))
     out = tuple(chosen(flat, along, one) for along, one in zip(direction, unit))
     distance = chosen(flat, height, side * (between - values[5]))
-    # ``store_path`` of a plane is never asked for.
+    # ``store_path`` of a plane is never called.
     forces.pass_by(apart, _speed_apart(forces, bodies, center))
     place = subtract(center, scale(out, values[4]))
     velocity = _velocity(forces, bodies, place)

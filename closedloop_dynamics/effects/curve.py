@@ -18,7 +18,7 @@ from ..mechanism.fields import FieldError
 
 # Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
 COLUMNS = 8
-# Points of a curve that an expression tells: a spline is within some 1e-9 of it.
+# Points of a curve given by an expression: a spline is within some 1e-9 of it.
 POLAR_POINTS = 360
 # Points of a curve, at most; and how finely its splines are looked at for crossings.
 MOST_POINTS, FINENESS = 2000, 8

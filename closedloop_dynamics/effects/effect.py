@@ -143,7 +143,7 @@ class Effect:
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
     STIFFENS = True
-    # What errors call what ``joint`` names.
+    # Word for ``joint`` in error messages.
     JOINTS = 'one of the joints'
     # Fields that are vectors: of two numbers in the plane, of three in space.
     VECTORS = ()
@@ -151,7 +151,7 @@ class Effect:
     # direction in which the joint slides (``engine/stick_slip.hpp``), or where its course over
     # time has corners (``engine/time_events.hpp``).
     ENDS_STEPS = False
-    # Whether the effect exerts in its joint what a drive would be commanded.
+    # Whether the effect exerts the torque that a drive of its joint would be commanded.
     COMMANDS = False
     # Files that a scene may name: key -> the fields that take their columns.
     FILES = {}

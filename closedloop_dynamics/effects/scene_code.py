@@ -139,7 +139,7 @@ def addresses_in_lanes(model, tables):
 def _addresses(model, table, key, form=SCALAR):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}
-    # Motions and cut joints would have parts in what responds to friction.
+    # Motions and cut joints would respond to friction, too.
     if JOINT_FRICTION in table.kind and PRESCRIBED_MOTION not in table.kind and not len(
             table.cuts.index):
         found[calls.AT_REST] = address_of_scene(

@@ -240,7 +240,8 @@ def _hold(forces, bodies, places, axes, moment):
     (place_a, _), (place_b, rate_b) = (
         forces.place(body, offset) for body, offset in zip(bodies, (start, end)))
     apart, force = subtract(place_b, place_a), ZERO
-    # Against what of the first body would be at the second point: so the axes' turning is seen.
+    # Relative to the first body's point that coincides with the second point, so as to include
+    # the rotation of the axes.
     lever = add(start, apart)
     rate, lost = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0
     for axis, stiffness, damping in axes:

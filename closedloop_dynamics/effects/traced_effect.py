@@ -38,7 +38,7 @@ AXES = ('x', 'y', 'z')
 MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
 # Numbers of an entry of the law's data.
 COLUMNS = 9
-# Addresses of what was compiled, by what it computes.
+# Addresses of compiled code, by what it computes.
 compiled = {}
 
 

@@ -140,7 +140,7 @@ def _of_user(forces, law, entries, values):
     results = replayed(law.graph, law.results, lambda source, place: inputs[source][place])
     for push, force in zip(pushes, results):
         push(force)
-    # Behind forces and the rates of states the energy, and what is lost of it, where that is told.
+    # After forces and rates of states: stored energy and dissipated power, where they are given.
     stored, lost = results[len(entries) + len(law.states):][:2]
     forces.store(stored)
     rates = measured[FIRST_COORDINATE + 1::2]

@@ -27,7 +27,7 @@ from ..mechanism.mechanism import (
 from ..mechanism.rotations import quaternion_of
 from ..mechanism.validation import checked, moments_text, POSSIBLE, possible
 
-# Entries of rotations this near to 0, 1 and -1 are what a file meant by them.
+# Entries of rotations this near to 0, 1 and -1 are rounded to these.
 ROUNDING = 1e-14
 # What is fixed twice may differ by so much [m, or sines of angles].
 AGREEMENT = 1e-9
@@ -50,7 +50,7 @@ UNITS = {'damping': ('N m s/rad', 'N s/m'), 'friction': ('N m', 'N'),
          'armature': ('kg m^2', 'kg'), 'stiffness': ('N m/rad', 'N/m')}
 # So many elements that something is left out of are named.
 MOST_NAMED = 4
-# Reasons of what has no influence on the motion.
+# Reasons why elements have no influence on the motion.
 FOR_OTHERS = re.compile('for (pictures|sensors|programs|controllers|another)|names |not drawn'
                         f'|{GROUND} is')
 

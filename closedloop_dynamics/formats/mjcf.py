@@ -43,7 +43,7 @@ TRANSMISSION = (
     'name', 'class', 'group', 'joint', 'jointinparent', 'tendon', 'site', 'refsite', 'body',
     'cranksite', 'slidersite', 'cranklength', 'gear')
 _SOFT = ('material', 'hfield')
-# What pictures are made of, and what would open files in it.
+# Elements of pictures, and those that would open files.
 DRAWN = ('compiler', 'default', 'asset', 'worldbody')
 NOT_DRAWN = (*PARTS, 'attach', 'composite', 'flexcomp', 'hfield', 'model', 'skin', 'texture')
 # The key frame of files that this package has written.

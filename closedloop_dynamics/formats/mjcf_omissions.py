@@ -10,8 +10,8 @@ from .model import Omission
 _ALONG = 'no effect acts along such tendons'
 _LINEAR = 'springs and dampers are linear'
 _STIFF, _DAMP = ('N/m', 'N m/rad'), ('N s/m', 'N m s/rad')
-# By field of the compiled model: quantity, kind of element, reason, units of what slides and of
-# what turns, and the flag that disables it.
+# By field of the compiled model: quantity, kind of element, reason, units for sliding and turning
+# joints, and the flag that disables it.
 FIELDS = {
     'tendon_stiffness': ('stiffness', 'TENDON', _ALONG, _STIFF, 'SPRING'),
     'tendon_damping': ('damping', 'TENDON', _ALONG, _DAMP, 'DAMPER'),

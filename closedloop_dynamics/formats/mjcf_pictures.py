@@ -18,7 +18,7 @@ from ..mechanism.rotations import of_quaternion, quaternion_of
 HIDDEN = 3
 # How thick a plane is drawn, and how wide one without an end, as shares of the model's extent.
 THICK, WIDE = 0.005, 2.0
-# The colour of what has none.
+# The colour of shapes without one.
 UNTOLD = (0.5, 0.5, 0.5)
 
 

@@ -102,7 +102,7 @@ def _along(name, values, mechanism, world, section, joint_effects):
     if kind == 'tendon':
         rest, stiffness, damping = (np.ravel(values.get(key) or 0.0) for key in (
             'rest', 'stiffness', 'damping'))
-        # Lengths of -1 are what MuJoCo finds where the model is drawn.
+        # For lengths of -1 MuJoCo takes those of the position drawn.
         if max(len(stiffness), len(damping)) > MOST_POWERS or np.all(rest == -1.0):
             return False
         tendon = _fixed(section, values['arms'], joint_effects)

@@ -28,7 +28,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 NO_LIMIT = 1e9
 # Why geometry for contacts is left out.
 NO_CONTACTS = 'bodies pass through each other'
-# By unit of what acts about an axis: the power of the lever by which it is a force.
+# By unit of a moment about an axis: the power of the lever by which it becomes a force.
 LEVERS = {'N m': 1, 'N m/rad': 2, 'N m s/rad': 2, 'kg m^2': 2, 'N m/rad^2': 3,
           'N m s^2/rad^2': 3}
 

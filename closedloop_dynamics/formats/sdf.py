@@ -175,7 +175,7 @@ class _Reader:
         self.element, self.model, self.version = element, model, version
         self.around = dict(around)
         self.links, self.joints = element.all('link'), element.all('joint')
-        # By frame: the element with its pose, and what that is relative to if it names nothing.
+        # By frame: the element with its pose, and the frame of that pose by default.
         self.given, self.found = {}, {MODEL: IDENTITY, **dict(found)}
         for kind, parts in (('link', self.links), ('frame', element.all('frame')),
                             ('joint', self.joints)):
@@ -523,7 +523,7 @@ def _lead(element):
     pitch = element.child('screw_thread_pitch')
     if pitch is not None:
         return pitch.values(pitch.text, 1, 'a pitch')[0] / (2.0 * math.pi)
-    # Turns the other way, and tells radians per metre.
+    # Turns the other way, and gives radians per metre.
     pitch = element.child('thread_pitch')
     found = -1.0 if pitch is None else pitch.values(pitch.text, 1, 'a pitch')[0]
     if found == 0.0:

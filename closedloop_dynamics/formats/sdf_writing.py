@@ -30,7 +30,7 @@ DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',
 DRAKE = 'http://drake.mit.edu'
 # SDF has no links without mass: theirs, in parts of the lightest body's.
 LEAST_MASS = 1e-12
-# Types of joints that can close loops; those that Drake's ball constraints can stand for.
+# Types of joints that can close loops; those that Drake's ball constraints can replace.
 LOOP_JOINTS = REVOLUTE, PRISMATIC, FIXED, SPHERICAL, UNIVERSAL, HELICAL
 BALLS = SPHERICAL, REVOLUTE
 

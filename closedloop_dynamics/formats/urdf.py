@@ -37,7 +37,7 @@ LOOP_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMAT
               'fixed': FIXED, 'spherical': SPHERICAL, 'ball': SPHERICAL, 'planar': PLANAR,
               'universal': UNIVERSAL, 'cylindrical': CYLINDRICAL}
 WITHOUT_AXIS = (FIXED, FREE, SPHERICAL)
-# Why what is not read is not needed.
+# Why elements that are not read are not needed.
 REASONS = {
     'visual': 'for pictures', 'material': 'for pictures', 'collision': NO_CONTACTS,
     'joint_properties': 'for another program',

@@ -27,7 +27,7 @@ from ..mechanism.mechanism import (
     SPHERICAL, UNIVERSAL, UNTURNED)
 from ..mechanism.rotations import about, of_quaternion
 
-# Effects on joints that formats know, and the key of the number of each.
+# Effects on joints that formats have, and the key of the number of each.
 JOINT_EFFECTS = {
     'joint_damping': 'coefficient', 'joint_friction': 'coulomb', 'joint_spring': 'stiffness'}
 # What formats do not have of others.
@@ -36,7 +36,7 @@ BEYOND = {'joint_friction': 'beyond its Coulomb part',
           'actuator': ('beyond its largest torque', 'beyond its largest torque and speed')}
 # Gear ratio from which the turning of a rotor's carrier does not count.
 ENDLESS = 1e9
-# How far apart two balls are that stand for a hinge where a loop is closed [m].
+# Distance of two balls that replace a hinge where a loop is closed [m].
 APART = 0.1
 
 

@@ -225,7 +225,7 @@ class _Parser:
             raise self._error('XML', f'a syntax error: {expat.ErrorString(error.code)}',
                               error.lineno) from None
         except (LookupError, ValueError) as error:
-            # An encoding that Python does not know.
+            # An encoding that Python does not have.
             raise self._error('XML in UTF-8', f'{error}') from None
         for element in self._texts(self.root):
             element.text = ''.join(element.text).strip()

@@ -9,7 +9,7 @@ import re
 
 from .model import Omission
 
-# Tags of what moves bodies, and why it is left out.
+# Tags of elements that affect the motion, and why they are left out.
 MOVING = {
     'velocity_decay': 'damping of velocities acts on no real body',
     'dampingFactor': 'damping of velocities acts on no real body',

@@ -38,7 +38,7 @@ MONITOR_COLUMNS = 11
 # The least tolerance of the default method; its tolerance against the accuracy, and that of the
 # reference run against it; the run's own error against the distance of the two.
 FLOOR, SHARE, LOOSER, CLOSER = 1e-13, 1e-3, 30.0, 0.1
-# In which it looks at its error, and the longest pause between two of these [s].
+# In which it estimates its error, and the longest pause between two estimates [s].
 WINDOW, LONGEST_PAUSE = 1.0, 8.0
 
 # Rows of the scratch of explicit methods before the slopes, and the one with the latest state.

@@ -112,7 +112,7 @@ class FixedSteps:
     def restart(self, moved=False):
         """Forget the past: torques, or with ``moved`` the state. Fixed steps have none."""
 
-    # Views of what outlasts ``restart``.
+    # Views of data that outlast ``restart``.
     memory = ()
 
     def rewind(self):

@@ -28,7 +28,7 @@ class RunBuffer(NamedTuple):
     place: np.ndarray  # Shape (instants, n, 2): in the world [m]
 
 
-# Columns of what is found out about the energy of a run.
+# Columns of the energy balance of a run.
 SHARE, LOST, MOVED, TIME = range(4)
 
 

@@ -285,7 +285,7 @@ def _linked(system, routines, scene=None):
     model, work, effects = system.model, system.work, system.effects
     joint_kernels.connect(model, work.kernel, work.cut_kernel)
     if effects is not None:
-        # Of a copy, too, what laws write is what routines read.
+        # In a copy, too, routines read the arrays that laws write.
         system = system._replace(applied=effects.applied[:len(system.qdd)])
     whole = all_equations(model, work, system.whole)
     table = calls.connect(
@@ -342,7 +342,7 @@ def refine(system, state):
     health, (q, qd, *_) = system.work.health, parts_of_state(system)
     before, system.table[list(codegen.REFINED)] = health.copy(), 0
     native.evaluate_state(system.native, state)
-    # Where equations depend on others, these routines would be asked in vain.
+    # Where equations depend on others, these routines would fail.
     if (health[RANK_REVEALING_COUNT] == before[RANK_REVEALING_COUNT]
             and not native.is_regular(system.native, state[q], state[qd])):
         codegen.link(system.model, system.table, codegen.REFINED)

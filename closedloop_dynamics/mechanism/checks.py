@@ -111,7 +111,7 @@ def none_negative(value):
     return list_of(not_negative)(vector(value))
 
 
-# What has a norm this near to 1 stays as it is, so that what was checked and written can be read
+# Vectors of a norm this near to 1 stay unchanged, so that one checked and written can be read
 # again to the last digit.
 UNIT_NORM = 1e-15
 
@@ -128,7 +128,7 @@ def direction(value):
     return tuple(component / length for component in axis)
 
 
-# How far from 1 the norm of a quaternion may be: what five digits leave.
+# How far from 1 the norm of a quaternion may be: rounding to five digits.
 ROUNDED_NORM = 1e-4
 
 

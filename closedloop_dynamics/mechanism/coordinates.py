@@ -36,7 +36,7 @@ POINT_ON_LINE = 'point_on_line'
 # Joints with an orientation in three dimensions.
 WITH_ORIENTATION = (SPHERICAL, FREE)
 
-# Of a joint with numbers of its own: what follows its name, and whether it is a length.
+# Of a joint with numbers of its own: suffix of its name, and whether it is a length.
 _NUMBERS = {
     REVOLUTE: (('', False),), PRISMATIC: (('', True),), HELICAL: (('', False),),
     UNIVERSAL: (('.1', False), ('.2', False)), CYLINDRICAL: (('.1', False), ('.2', True)),
@@ -45,7 +45,7 @@ _NUMBERS = {
     FREE: (('.x', True), ('.y', True), ('.z', True))}
 # Freedoms of a rotation, behind the name of its joint.
 _TURNS = ('.rx', '.ry', '.rz')
-# The quantities of a state, and what they are called for a rotation.
+# The quantities of a state, and their names for a rotation.
 OF_ROTATIONS = {'position': 'orientation', 'velocity': 'angular_velocity',
                 'acceleration': 'angular_acceleration', 'effort': 'torque'}
 # The part of a quantity of a free joint that is no rotation has the quantity's own name.

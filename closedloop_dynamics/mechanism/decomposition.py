@@ -200,7 +200,7 @@ def _elimination_order(neighbours):
 def _small_elimination_order(neighbours):
     """Eliminate a cut joint that has the fewest neighbours left, and join these; again."""
     left = {a: set(others) for a, others in enumerate(neighbours)}
-    # Among equals the one that has waited longest: what follows need not wait for the last one.
+    # Among equals the one that has waited longest, so that later ones need not wait for the last.
     changed = dict.fromkeys(left, -1)
     order = []
     while left:
@@ -221,7 +221,7 @@ def _fill(neighbours, order):
     blocks = sum(len(later) for later in reach)
     for later in reach:
         if later:
-            # Eliminating a column passes what it reaches to the first column it reaches.
+            # Eliminating a column passes its fill-in to the first column it reaches.
             first = min(later)
             reach[first] |= later - {first}
     return tuple(frozenset(later) for later in reach), sum(map(len, reach)) - blocks

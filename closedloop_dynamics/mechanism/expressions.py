@@ -225,7 +225,7 @@ def parsed(text):
         return None
     try:
         with warnings.catch_warnings():
-            # Python's advice on what it would still understand.
+            # Python's advice on a spelling it would accept.
             warnings.simplefilter('ignore')
             return ast.parse(text.strip(), mode='eval').body
     except (SyntaxError, ValueError, RecursionError, MemoryError):

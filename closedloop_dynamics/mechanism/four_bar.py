@@ -10,7 +10,7 @@ import numpy as np
 
 from .mechanism import GROUND, REVOLUTE
 
-# Of the largest, what is rounding.
+# Rounding, as a share of the largest.
 NOTHING = 1e-9
 
 

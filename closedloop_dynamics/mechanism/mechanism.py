@@ -351,7 +351,7 @@ class Mechanism:
     motions: Tuple[DrivingConstraint, ...] = ()
     ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
 
-    # Set on what validation.checked returns; a copy with other values has not been checked.
+    # Set by validation.checked; a copy with other values has not been checked.
     valid = False
 
     @cached_property

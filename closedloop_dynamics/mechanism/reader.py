@@ -26,7 +26,7 @@ from .validation import checked, SECTIONS, SPATIAL_SECTIONS, validate_mechanism
 
 # What a massless body need not say, beside its centre of mass.
 _NOTHING = {'mass': 0.0, 'inertia': 0.0}
-# What follows from a shape, that stands beside it for a body's keys.
+# Keys of a body that follow from its shape.
 _SHAPE_KEYS = ('shape', 'density')
 
 __all__ = ['mechanism_of', 'read_mechanism', 'validate_mechanism', 'with_cuts', 'with_kept',

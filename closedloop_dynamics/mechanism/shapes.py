@@ -26,7 +26,7 @@ SHAPES = {
     'sphere': (('radius',), ('center',)),
     'rod': (('to',), ('from', 'radius')),
 }
-# The same of what bodies are drawn as.
+# The same for drawn shapes.
 VISUALS = {kind: (required, (*optional, 'color')) for kind, (required, optional) in {
     **SHAPES, MESH: (('file',), ('scale', 'center', 'orientation'))}.items()}
 # What follows from a shape.

@@ -95,7 +95,7 @@ def spatial_inertia(value):
     return found
 
 
-# What other programs call a joint, and what it is here.
+# Names of joint types elsewhere, and the type here.
 _COUPLED_JOINTS = 'write one of the couplings: the sum of joint coordinates, each times its factor'
 _PIN_IN_SLOT = 'write one of the cut_joints, of the type point_on_line'
 _OTHER_NAMES = {
@@ -165,7 +165,7 @@ _WITHOUT_ANGLE = (DISTANCE,)
 AXES_APART = 1e-6
 # Cosine of the angle between universal axes from which on they are parallel.
 PARALLEL = 0.999
-# Names that would stand for two things in one place: CSV columns and topics, frames.
+# Names that would be ambiguous in one place: CSV columns and topics, frames.
 _SHARED_NAMES = (('joints', 'cut_joints'), ('joints', 'couplings'), ('cut_joints', 'couplings'),
                  ('bodies', 'points'))
 

@@ -306,7 +306,7 @@ def _content(record):
             return None
         return breakup_chunk(replace(record, compression='', data=content), validate_crc=True)
     except Exception:
-        # Each library has errors of its own for data that is not what it should be.
+        # Each library has errors of its own for damaged data.
         return None
 
 

@@ -25,7 +25,7 @@ from .metadata import load, METADATA_FILE, ROOT
 from .sqlite_file import read_database, ZSTD
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
-# Damages of a bag that are told one by one.
+# Damages of a bag that are reported one by one.
 MOST_TOLD = 5
 # At once, of a compressed file [bytes].
 READ_AT_ONCE = 1 << 20

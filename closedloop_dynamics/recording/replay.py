@@ -17,7 +17,7 @@ from ..visual.trajectory import magnitudes, Trajectory
 STAMP_ROUNDING = 1e-6
 # Added to the coordinates at each start of a second replay, to see how differences grow [rad, m].
 PERTURBATION = 1e-12
-# Rounding on another machine may do this many times what the perturbation does.
+# Allowed ratio of rounding on another machine to the growth of the perturbation.
 MARGIN = 10.0
 SENSORS = ('the scene has sensors: the states of the log are compared, not what was measured of '
            'them')
@@ -35,7 +35,7 @@ class Replay:
     recorded: Trajectory
     simulated: Trajectory
     starts: list  # List of (float, str): times at which the re-simulation began again [s], and why
-    notes: list  # List of str: what limits the comparison
+    notes: list  # List of str: limits of the comparison
     # How many times larger a small difference of positions has become up to each instant.
     growth: np.ndarray
     # By topic and name, recorded less simulated forces of couplings and prescribed motions.

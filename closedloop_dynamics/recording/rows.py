@@ -109,7 +109,7 @@ def read_table(path, require):
     """
     with open(path, newline='', encoding='utf-8') as file:
         names, *rows = [*csv.reader(file)] or [[]]
-    # Which of several forces is given is no matter to who reads it.
+    # Readers do not care which of several forces is given.
     names = without_marks([UNIT.sub('', name) for name in names])
     require(names)
     try:

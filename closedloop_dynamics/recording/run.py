@@ -25,7 +25,7 @@ QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
 # is kept [rad or m], NaN where none is; evaluations [1/s] and CPU time since the row before, per
 # simulated time, NaN in the first row.
 COSTS = ('error', 'accuracy', 'evaluation_rate', 'cpu_share')
-# Between two looks whether to go on; about 10 ms of computing.
+# Steps between two checks for cancellation; about 10 ms of computing.
 LARGEST_PORTION = 1000
 # Tolerance of the run that gives the error, against that of the run itself.
 FINER = 1.0 / 30.0

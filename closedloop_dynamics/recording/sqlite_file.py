@@ -118,7 +118,7 @@ class SqliteFile:
         try:
             return action(*arguments)
         except sqlite3.Error as error:
-            # On a full disk, sqlite3 has taken back by itself what was not committed.
+            # On a full disk, sqlite3 has rolled back uncommitted data by itself.
             self._take_back()
             raise OSError(str(error)) from None
 
@@ -179,7 +179,7 @@ def _rows(database, checksum):
                     f'SELECT id, topic_id, timestamp, data, {checksum} FROM messages '
                     'WHERE id > ? ORDER BY id', (last,)):
                 if row[0] <= last:
-                    # A damaged page leads back to what was read: this would never end.
+                    # A damaged page leads back to pages that were read: this would never end.
                     raise sqlite3.DatabaseError
                 yield row
                 last, failures = row[0], 0

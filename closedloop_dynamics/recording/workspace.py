@@ -27,7 +27,7 @@ from ..simulation.singular_curves import all_curves, SingularCurves, TYPE_1, TYP
 
 FREE, REACHED, AT_LIMIT, COLLIDES = range(4)
 MEANINGS = ('not reached', 'reached', 'beyond a limit of a joint', 'links too near')
-# Quantity -> unit, and what it is.
+# Quantity -> unit and description.
 QUANTITIES = {
     'condition': ('1', 'condition number of the Jacobian; turns times the arm'),
     'force': ('N', 'largest force in every direction that the actuated joints can hold'),
@@ -39,7 +39,7 @@ PLANAR_NODES, SPATIAL_NODES, SEARCH_NODES = 200, 40, 33
 MOST_NODES, MOST_TURNED = 100_000_000, 1e6
 # Room around what is reached, in steps of the grid that finds it.
 ROOM = 1.5
-# Between two files of what is done so far [s].
+# Period of saving an unfinished map [s].
 SAVE_EVERY = 30.0
 # Nodes whose quantities are computed at once.
 CHUNK = 20000

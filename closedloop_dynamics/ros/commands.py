@@ -294,7 +294,7 @@ def subscribe(node, kind, topic, callback, qos, on_lost):
             on_lost(missing)
         callback(message)
 
-    # What rclpy looks at to find out whether the information is wanted.
+    # rclpy checks this to find out whether the information is wanted.
     received.__signature__ = inspect.signature(lambda message, info: None)
     subscription = node.create_subscription(
         kind, topic, received, qos,

@@ -33,7 +33,7 @@ from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
 from closedloop_dynamics.visual.progress import progress_to
 
 DEFAULT_OUTPUT = 'demo_output'
-# The machines of the package's name, where no other is asked for.
+# The machines of the package's name, where no other is requested.
 SHOWN = ('carpet_scraper', 'three_rrr')
 EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted; '
               '2 a wrong option or scene; 130 interrupted.')
@@ -72,7 +72,7 @@ def _seconds(text):
 
 def main(argv=None):
     """Run the demonstration; return the exit code."""
-    # Unless asked for, nothing leaves this machine.
+    # Unless requested, nothing leaves this machine.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     parser, arguments = arguments_of(argv)
     try:
@@ -186,7 +186,7 @@ def _run_nodes(scene, drive, namespace, duration, directory):
             source.wait_for(READY[TORQUE_SOURCE], LOADING, programs.check)
             heard('torque_command')
         _let_run(programs, duration, scene.name)
-        # The recorder first: what the simulator does without its torques is no part of the show.
+        # The recorder first: the motion without its torques is no part of the demonstration.
         for program in filter(None, (recorder, simulator, source)):
             if program.stop(patience=ENDING) != 0:
                 raise ProgramError(

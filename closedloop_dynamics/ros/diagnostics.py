@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-# Share of the real-time factor asked for that is achieved.
+# Achieved share of the requested real-time factor.
 FACTOR_WARN, FACTOR_ERROR = 0.95, 0.5
 # Share of ticks that came so late that the next one was due.
 MISSED_WARN = 0.05
@@ -93,7 +93,7 @@ class Diagnostics:
         ``commands_finding``, ``graph`` is a finding about the other nodes.
 
         """
-        # Nodes find each other one by one: what is seen twice in a row is meant.
+        # Nodes discover each other one by one: a finding counts when seen twice in a row.
         if graph.level != OK and (graph.message, False) == self._graph:
             self._logger.warning(graph.message)
             self._graph = graph.message, True

@@ -97,7 +97,7 @@ class ExternalWrench:
         simulation, torques = self._simulation, self.torques
         torques[:] = 0.0
         for name, (wrench, end) in list(self._acting.items()):
-            # Half a step: what ends now does not act any more.
+            # Half a step: a wrench that ends now does not act any more.
             if simulation.time > end - 0.5 * simulation.step_size:
                 del self._acting[name]
                 continue

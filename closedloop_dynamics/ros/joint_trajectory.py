@@ -6,7 +6,7 @@
 from closedloop_dynamics.control.references import TrajectoryError, Waypoints
 import numpy as np
 
-# Of what a point of a trajectory gives, in the order of the derivatives.
+# Fields of a trajectory point, in the order of the derivatives.
 KEYS = ('positions', 'velocities', 'accelerations')
 
 

@@ -88,7 +88,7 @@ class LiveSimulation:
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
             publish(self.states.stamp)
-        # Last: who begins a period by the clock finds the state there.
+        # Last: a reader that begins a period by the clock finds the state there.
         self.stamps.publish()
 
     def refresh(self, late=0.0):

@@ -36,7 +36,7 @@ from sensor_msgs.msg import MultiDOFJointState
 # A stamp that is found only where it was put: seconds and nanoseconds.
 _STAMP = struct.Struct('=iI')
 _MARK = (0x2F3A91C5, 0x1B7D4E63)
-# For subscribers to receive what was published: to wait at once, and all in all [s].
+# For subscribers to receive published messages: longest single wait, and total wait [s].
 PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
 # Where the components of a wrench, moment first, are in a message, in the plane and in space.
 _COMPONENTS = {3: np.array([5, 0, 1]), 6: np.array([3, 4, 5, 0, 1, 2])}
@@ -264,7 +264,7 @@ class StatePublisher:
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
         self.stamp.sec, self.stamp.nanosec = sec, nanosec
         self._wrenches[:, _COMPONENTS[wrenches.shape[1]]] = wrenches
-        # The state last: who answers it knows the forces.
+        # The state last: a controller that answers it has the forces.
         for publisher, message, wrench in zip(
                 self.force_publishers, self.templates, self._wrenches):
             publisher.publish(message.filled(sec, nanosec, wrench))

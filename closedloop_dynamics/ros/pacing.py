@@ -22,7 +22,7 @@ EARLY = 0.05
 IDLE_TICK = 0.05
 # A mode that runs as fast as possible attends to messages so often [s].
 SLICE = 0.005
-# States published between two looks whether reliable subscribers have received them.
+# States published between two checks whether reliable subscribers have received them.
 CHECK_EVERY = 200
 # Steps made at once, between which a signal may end the process. Always the same: splitting the
 # way differently would give error-controlled methods other last digits.
@@ -105,7 +105,7 @@ class RealTime:
         """Advance to the present, period by period, and publish."""
         missed = self._ticks_due() - 1
         if not self.pacer.running:
-            # What stands still is the same at every tick.
+            # At rest the state is the same at every tick.
             missed = 0
         made_up = min(missed, MOST_MADE_UP)
         self.missed_ticks += missed

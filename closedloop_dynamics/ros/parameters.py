@@ -95,7 +95,7 @@ def declare(node, parameters):
 
 
 def _declare(node, parameter):
-    # What was given at the start can have any type: rclpy tells it to a parameter of no type.
+    # A value given at the start can have any type: rclpy passes it to a parameter of no type.
     given = _widened(node.declare_parameter(
         parameter.name, parameter.default, ParameterDescriptor(dynamic_typing=True)),
         parameter.kind)

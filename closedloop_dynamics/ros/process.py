@@ -48,7 +48,7 @@ LONGEST_WAIT = 0.1
 # Nearer to a beat than this, what happens waits for it; further, the executor waits until a
 # little before it [s].
 NEAR, BEFORE = 0.004, 0.002
-# A beat that takes longer than this lets another thread run the callbacks; which looks so often,
+# After a beat longer than this, another thread runs the callbacks; it checks so often,
 # and gives the executor back after so long [s].
 LONG_BEAT, POLL, TURN = 0.5, 0.1, 0.02
 # For a node to end after a signal, before its process does so without it [s].
@@ -254,7 +254,7 @@ def spin(executor, over, beat=None):
                 continue
             if ahead > 0.0:
                 time.sleep(ahead)
-            # What a callback has asked for comes before other callbacks.
+            # A callback's request comes before other callbacks.
             if due > -math.inf:
                 _catch_up(executor)
             if attendant is None:

@@ -23,10 +23,10 @@ from rclpy.qos import ReliabilityPolicy
 NAME = 'closedloop_recorder'
 # Messages of a topic that may wait while this process is held up.
 QUEUE_DEPTH = 10000
-# Between two looks for topics [s].
+# Period of the search for topics [s].
 DISCOVERY_PERIOD = 0.1
 MEGABYTE = 1e6
-# For taking in what had arrived when the recording was ended [s].
+# For taking in messages that had arrived when the recording was ended [s].
 LAST_CALL = 0.5
 
 # Published where joints are spherical or free, and with couplings or prescribed motions: that they

@@ -196,7 +196,7 @@ class SimulatorNode(Node):
         if self.simulation.commanded_motions:
             subscribe(self, JointTrajectory, 'motion_command', self.on_motion_command,
                       QoSProfile(depth=COMMAND_DEPTH), self._count_lost_motion)
-        # The newest counts: what is late is of no use.
+        # The newest counts: a late one is of no use.
         self.create_subscription(
             WrenchStamped, 'external_wrench', self.on_external_wrench,
             QoSProfile(depth=WRENCH_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))

@@ -102,7 +102,7 @@ def method_changes(values, own, used):
 
     """
     wanted = {key: values[key] or getattr(own, key) for key in METHOD}
-    # Refuses what makes no sense.
+    # Refuses impossible values.
     method = replace(used, **wanted)
     for key, need in method.unused.items():
         if values.get(key):

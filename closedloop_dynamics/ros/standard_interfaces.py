@@ -53,7 +53,7 @@ class Refusal(Exception):
 class RunControl(NamedTuple):
     """Actions of requests on a run: methods of the simulator node."""
 
-    # Whether time is paused; what keeps it from running otherwise, or ''; why nothing can be
+    # Whether time is paused; another reason why it does not run, or ''; why nothing can be
     # answered now, or ''.
     paused: Callable
     standing: Callable

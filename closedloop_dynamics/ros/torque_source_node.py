@@ -36,12 +36,12 @@ QUEUE_DEPTH = 10
 # Only the newest state is worth an answer: those that waited behind others while this process was
 # held up would be answered too late, which can make a control loop unstable.
 STATE_DEPTH = 1
-# Between two looks for the simulator [s].
+# Period of the search for the simulator [s].
 QUESTION_PERIOD = 0.1
 # A question without an answer for so long is asked again: the node asked may
 # have gone in between [s].
 ANSWER_TIMEOUT = 0.5
-# States that know nothing of the last command are not answered, so many in a row at most: after
+# States older than the last command are not answered, so many in a row at most: after
 # that, the command is taken for lost.
 MOST_SKIPPED = 2
 # A state with the stamp of the one before is the same again: answered again only if the first

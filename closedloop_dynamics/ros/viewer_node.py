@@ -62,7 +62,7 @@ NAME = 'closedloop_viewer'
 RATE, POLL_PERIOD, SILENCE = 60.0, 0.25, 3.0
 # Where all simulators are shown: how long to look for more after the first [s].
 GATHERING = 2.0
-# What stands for the topic of wrenches.
+# Placeholder for the topic of wrenches.
 WRENCHES = 'wrenches'
 # The newest state is enough; it must not be lost, for a machine at rest publishes it once.
 QOS = QoSProfile(depth=1)
@@ -109,7 +109,7 @@ class RemoteSimulator(Shown):
         self._looked_at, self._look_time = -math.inf, 0.0
         self._playing, self._speed = True, 1.0
         self._busy = None
-        # Where what is held is pulled to.
+        # Target of the held point.
         self._at = None
         self._model, self._passed = None, deque(maxlen=PERIODS)
         self._subscriptions = [
@@ -160,7 +160,7 @@ class RemoteSimulator(Shown):
                     WrenchStamped, topic, lambda message, k=k: self._on_force(k, message), QOS))
         place = self._topics['joint_states'].rpartition('/')[0]
         self._commands = self._publish(JointState, f'{place}/joint_command', 1)
-        # Limits of drives would act on what pulls, too.
+        # Limits of drives would act on the pull, too.
         if any(isinstance(record, Actuator) for record in scene.effects.values()):
             self._wrenches = None
         gravity = next((name for name, record in scene.effects.items()
@@ -473,7 +473,7 @@ class RemoteSimulator(Shown):
         good = getattr(answer, 'successful', getattr(answer, 'success', True))
         if not good:
             self.feed.refuse(getattr(answer, 'reason', '') or getattr(answer, 'message', ''))
-            # What was asked for is not how it stands.
+            # The request has not taken effect.
             self.feed.version += 1
         elif then is not None:
             then()

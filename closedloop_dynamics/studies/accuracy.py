@@ -104,7 +104,7 @@ OUTPUTS = 100
 # reference if it is larger; computing a motion with its outputs is given up after so long [s].
 COST_LIMIT, QUICK_COST_LIMIT = 0.1, 0.05
 PATIENCE = 10.0
-# Timing: rounds over all settings in turn, so that what disturbs one disturbs all; runs shorter
+# Timing: rounds over all settings in turn, so that a disturbance meets all; runs shorter
 # than the shortest timing are repeated within a round [s].
 ROUNDS, QUICK_ROUNDS = 7, 5
 # Runs that take longer are measured in the first rounds alone, very long ones once [s].
@@ -120,7 +120,7 @@ class Row:
     """Error and cost of one setting."""
 
     setting: Setting
-    method: object  # Method: what a scene would say under ``method``
+    method: object  # Method: as under the key ``method`` of a scene
     failure: str = ''  # Why there are no numbers; empty where there are
     # Largest over the outputs [rad or m], [rad/s or m/s], [N or N m].
     position_error: float = math.nan

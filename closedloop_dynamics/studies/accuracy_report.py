@@ -51,7 +51,7 @@ def _cells(row):
     value = f'{row.setting.value:g}' + ('' if line.adaptive else ' s')
     start = (line.integrator, line.stabilisation, line.formulation, value)
     if row.failure:
-        # The first sentence says what happened; the last column may be wide.
+        # The first sentence names the event; the last column may be wide.
         return (*start, *[''] * 6, row.failure.split('; ')[0].split('. ')[0])
     return (*start, short(row.position_error), short(row.velocity_error),
             short(row.force_error), short(row.closure), short(row.energy_error),

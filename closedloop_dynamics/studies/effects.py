@@ -53,7 +53,7 @@ class RateControl:
         effects = {name: effect for name, effect in scene.effects.items()
                    if effect.drive() is None}
         self._model = Simulation(scene_with(scene, effects))
-        # At rest dry friction would hold what the torques are to move.
+        # At rest dry friction would hold the joints that the torques are to move.
         self._smooth = Simulation(scene_with(scene, (
             name for name, effect in effects.items() if not effect.ENDS_STEPS)))
         names = self._model.actuated_joints
@@ -180,7 +180,7 @@ class Study:
     again: Ratio
     off: Ratio
     whole: Ratio
-    # Of all that change less than what matters, left out together; None unless there are several.
+    # Of all whose change is below the threshold, left out together; None unless there are several.
     together: Optional[Finding] = None
 
 

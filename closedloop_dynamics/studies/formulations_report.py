@@ -20,7 +20,7 @@ CSV_HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time',
 # Okabe and Ito's palette; markers distinguish the lines without it.
 STYLES = {'subsystem': ('#0072B2', 'o', '-'), 'system': ('#D55E00', 's', '--'),
           'augmented': ('#009E73', 'D', ':'), UNROLLED: ('#56B4E9', '^', '-')}
-# Scenes whose names stand upright below a picture.
+# Scenes with upright names below a picture.
 MOST_UPRIGHT = 8
 HEADINGS = {'ladder': 'N four-bar loops side by side', 'chain': 'N links hung up at both ends'}
 SIZE_LABELS = {'ladder': 'loops N', 'chain': 'links N'}

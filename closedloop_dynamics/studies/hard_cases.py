@@ -40,7 +40,7 @@ class Case:
 
     name: str
     group: str  # Heading that it belongs to
-    text: str  # What is hard, and what counts: two lines at most
+    text: str  # The difficulty and the criterion: two lines at most
     figure: str  # What its number is, with its unit
     # Up to which figure a result counts as accurate, and as degraded but stable.
     accurate: float

@@ -395,7 +395,7 @@ class Identifier:
                 slopes = self._slopes(numbers_now, fit.values)
                 fit = _Linear(
                     np.concatenate([along.regressor[self._samples], slopes], axis=2),
-                    # The numbers are where they are: what is left is linear in their change.
+                    # At the present numbers the residual is linear in their change.
                     wanted + slopes @ numbers_now, deviations,
                     np.concatenate([fit.values, numbers_now]),
                     np.concatenate([along.typical, self._scales]))
@@ -450,7 +450,7 @@ class Identifier:
                                      for steps, weight in weights.items()))
                     break
                 except (FieldError, MechanismError):
-                    # A number at the end of what it may be.
+                    # A number at the end of its range.
                     if weights is FORWARD:
                         raise
         return np.stack(found, axis=2)
@@ -773,7 +773,7 @@ class _Linear:
         inverse = solve_triangular(upper, np.eye(rank)) / lengths[base][:, np.newaxis]
         self.values[base] = inverse @ (orthogonal[:, :rank].T @ (
             wanted - flat[:, rest] @ self.values[rest]))
-        # Once more, for what rounding has left.
+        # Once more, to remove rounding errors.
         self.values[base] += inverse @ (orthogonal[:, :rank].T @ (wanted - flat @ self.values))
         self._base, self._covariance = base, inverse @ inverse.T
 

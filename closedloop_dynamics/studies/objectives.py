@@ -30,9 +30,9 @@ EXPECTED = 'an expression of quantities of the driven machine'
 _DISTANCE = re.compile(r'(distance\(\s*[A-Za-z]\w*\s*,)\s*([^,()]+?)\s*\)')
 _UNIT = re.compile(r'(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)(deg|rad|mm|m)\b')
 _DOTTED = re.compile(r'[A-Za-z]\w*(?:\.\w+)+')
-# In names that stand for others in the text that is evaluated.
+# In names that replace others in the text that is evaluated.
 DOT = '__'
-# A gap to what is required that is taken for none, of the size of what is compared.
+# Relative violation of a constraint that counts as none.
 TOLERANCE = 1e-6
 
 

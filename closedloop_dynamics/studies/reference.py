@@ -194,7 +194,7 @@ MOST_INDEPENDENT = 200
 CANDIDATES = (
     ('dop853', 1e-13, 'subsystem'), ('dopri5', 1e-13, 'augmented'), ('rk4', 1e-3, 'augmented'),
     ('rodas4', 1e-11, 'augmented'), ('dopri5', 1e-13, 'subsystem'), ('rk4', 1e-3, 'subsystem'))
-# Distance of the places that a proof looks at beside a singular configuration, against that of
+# Distance of the places of a proof beside a singular configuration, against that of
 # the reference.
 NEARER = 0.7
 PATIENCE = 10.0

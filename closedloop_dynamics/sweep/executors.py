@@ -27,7 +27,7 @@ import numpy as np
 
 from ..simulation.errors import SimulationError
 
-# Between two looks how many workers a cluster has [s].
+# Period of polling the number of workers of a cluster [s].
 COUNT_WORKERS_EVERY = 5.0
 # Computing time that is worth the start of workers, which takes some 5 s: known well, and guessed
 # from one batch [s].
@@ -117,7 +117,7 @@ class ProcessExecutor:
     def close(self):
         """End the workers, and drop their work."""
         # Not by signals: a worker that is killed while it sends leaves the pool waiting for ever
-        # for the rest of what it sent. A byte for each worker: the end of the pipe means that this
+        # for the rest of its message. A byte for each worker: the end of the pipe means that this
         # process is gone.
         if not self._alive.closed:
             os.write(self._alive.fileno(), bytes(self._workers))
@@ -194,7 +194,7 @@ def _begin(parent):
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
             time.sleep(END_WITHIN)
             if not wanted:
-                # Nobody waits for what is sent. With a parent, sending may take its time.
+                # Nobody waits for the message. With a parent, sending may take its time.
                 os._exit(1)
 
     signal.signal(signal.SIGINT, interrupt)
@@ -327,7 +327,7 @@ def _engine(batches, workers, scheduler, executor):
     return AdaptiveExecutor(batches, processors) if processors > 1 else SerialExecutor()
 
 
-# Between two looks whether to go on [s].
+# Period of polling for cancellation [s].
 ASK_EVERY = 0.2
 
 # What a worker has to give up its computation [s].
@@ -430,7 +430,7 @@ def _result(future, task, given_up, again):
         found = future.result(0)
     except (CancelledError, OSError):
         # The connection to the engine, or the time to wait for a pool that is lost: nothing that
-        # tells against these samples.
+        # counts against these samples.
         again.append(task)
         return True
     except Exception as error:

@@ -34,7 +34,7 @@ TREE_JOINT = 'tree_joint'
 STATUS, REASON, LONGEST_REASON = 'status', 'reason', 400
 JOINTWISE = 'rad or m'
 
-# Variable -> dimensions after the sample, unit, what it is.
+# Variable -> dimensions after the sample, unit, description.
 MOTION = {
     'position': ((TIME, JOINT), JOINTWISE, 'joint coordinates'),
     'velocity': ((TIME, JOINT), 'rad/s or m/s', 'joint rates'),
@@ -255,7 +255,7 @@ class Zarr:
                 chunks=[chunks[name] for name in each.dimensions],
                 dtype={float: 'f8', int: 'i1', str: f'U{each.length}'}[each.kind],
                 fill_value=np.nan if each.kind is float else None,
-                # The first is how xarray knows the dimensions of an array in this format.
+                # The first gives xarray the dimensions of an array in this format.
                 attributes={'_ARRAY_DIMENSIONS': list(each.dimensions), **{
                     name: value.tolist() if isinstance(value, np.ndarray) else value
                     for name, value in each.attributes.items()}})

@@ -166,7 +166,7 @@ class Animation:
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
         self.picture = np.asarray(self._canvas.buffer_rgba())
-        # All that moves; and functions that change it, with what they take in each frame.
+        # Artists that move; and functions that update them, with their data in each frame.
         self._moving, self._changes = [], []
         self._add_bodies(artist)
         if point is not None:
@@ -213,7 +213,7 @@ class Animation:
         kept = np.unique(passed, return_index=True)[1]
         reached = np.searchsorted(motion.time[kept], self._frame_times, 'right') - 1
         line = artist.trace(path[:0])
-        # A point of the ground may be out of what moves.
+        # A point of the ground may lie outside of the moving parts.
         line.set_clip_on(False)
         trail = _Trail(line, path[kept], np.maximum(reached, 0), places)
         self._add(trail, trail.show, range(len(self)))

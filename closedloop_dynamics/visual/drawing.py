@@ -29,7 +29,7 @@ from ..mechanism.rotations import direction
 
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
-# In space the bodies are many, and what slides in another is thinner than that.
+# In space the bodies are many, and a slider is thinner than its guide.
 LINK_WIDTH, SPATIAL_WIDTH, ROD_WIDTH = 5.0, 4.0, 2.2
 # In space: length of the lines along axes of joints, as a share of the picture's extent, and how
 # much nearer bodies are drawn above those behind them.
@@ -37,7 +37,7 @@ AXIS_LENGTH, DEPTH_LAYERS = 0.09, 0.4
 AXIS_DASHES = (0, (8, 2, 1, 2))
 # Least half width and height of a view, as a share of the extent.
 LEAST_VIEW = 0.2
-# Of the floor in a perspective: lines across the extent, about, and the room below what moves.
+# Of the floor in a perspective: lines across the extent, about, and the gap below moving parts.
 FLOOR_LINES, FLOOR_ROOM = 6, 0.03
 INK = '#333333'
 # Style of force arrows: keywords of matplotlib.patches.FancyArrowPatch.
@@ -61,7 +61,7 @@ class Part:
     artist: object  # Matplotlib.lines.Line2D or matplotlib.patches.Polygon
     points: tuple  # Names of bodies, and places in their frames, shape (m, 2) or (m, 3) [m]
     solid: bool = False  # Whether a polygon is the outline of all points, which turns with them
-    layer: Optional[float] = None  # Where what is nearer covers what is farther
+    layer: Optional[float] = None  # Where nearer parts cover farther ones
 
     def place(self, places):
         """Move it to places in the picture, shape (m, 2) [m]."""
@@ -122,7 +122,7 @@ class MechanismArtist:
             axes.grid(color='0.93')
         else:
             axes.axis('off')
-        # Room around what moves, for pivots and arrows.
+        # Margin around moving parts, for pivots and arrows.
         axes.update_datalim([places.min(axis=0) - 0.06 * self.extent,
                              places.max(axis=0) + 0.06 * self.extent])
         if not mechanism.planar:

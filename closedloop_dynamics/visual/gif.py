@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 from PIL.GifImagePlugin import getdata
 
-# Colours of the palette; the last number stands for what does not change.
+# Colours of the palette; the last number marks unchanged pixels.
 UNCHANGED = COLORS = 127
 # A GIF counts the time of a frame in hundredths of a second; shorter ones are shown too long.
 TICKS, SHORTEST = 100, 2

@@ -238,7 +238,7 @@ def deviations(result, title):
     for axes, (label, values, names) in zip(rows[:, 0], panels):
         for k, name in enumerate(names):
             axes.plot(motion.time, values[:, k], label=name, **_style(k))
-        # Zero and rounding side by side with what is visible.
+        # Zero and rounding side by side with visible values.
         largest = np.nanmax(values, initial=0.0)
         axes.set_yscale('symlog', linthresh=1e-15)
         axes.yaxis.set_major_locator(SymmetricalLogLocator(base=1e3, linthresh=1e-15))

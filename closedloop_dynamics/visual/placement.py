@@ -105,7 +105,7 @@ class Placement:
         jac = self._jacobian(position, body)
         wanted = np.concatenate([np.zeros(len(jac) - 6), velocity])
         found = np.array(rates, dtype=float)
-        # A second time for what rounding has left.
+        # A second time, to remove rounding errors.
         for _ in range(2):
             found += np.linalg.lstsq(jac, wanted - jac @ found, rcond=SMALLEST)[0]
         left = np.abs(jac @ found - wanted).max(initial=0.0)

@@ -44,7 +44,7 @@ HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
 # Hardware that is the mechanism itself, and the bandwidth of its servos times the step size.
 MECHANISM_PLUGIN, PROMPTNESS = 'closedloop_hardware/MechanismSystem', 0.1
 ALONG_X, ALONG_Y, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-# Appended to the name of a helical joint: the link between turning and sliding, and what slides.
+# Appended to the name of a helical joint: the link between its two joints, and the sliding joint.
 SCREW, SLIDE = '_screw', '_slide'
 # The same for the links within a joint of several numbers, before their own.
 PART = '_part'

@@ -338,7 +338,7 @@ class _Train:
         first, *others = seats
         for other, factor in zip(others, factors[1:]):
             turned = np.cross(first.axis, other.axis)
-            # Wheels that are alike, as planets are, share what they do to the first one.
+            # Equal wheels, such as planets, share the shape of the first one.
             alike = sum(abs(abs(one) - abs(factor)) < TOLERANCE * abs(factor)
                         for one in factors[1:])
             ratio = alike * factor / factors[0]
