@@ -432,7 +432,8 @@ class EffectSet:
     def begin_at_time(self, states, time):
         """Initialise the own states of time-dependent effects at a time [s], in place."""
         if self._clocks[0] != time:
-            clocks = {self._table.index[row, STATE]: self.records[self._rows[row]].clock(time)
+            # Python's own integers: numpy's take twice as long as places.
+            clocks = {int(self._table.index[row, STATE]): self.records[self._rows[row]].clock(time)
                       for row in self._timed}
             self._clocks = time, [
                 (first + k, value) for first, clock in clocks.items()
