@@ -123,12 +123,9 @@ public:
   : jac_(jac), actuated_(actuated)
   {
     const Index nv = jac.cols();
-    std::vector<bool> drives(nv, false);
-    for (Index joint : actuated) {
-      drives[joint] = true;
-    }
+    passive_.reserve(nv);
     for (Index i = 0; i < nv; ++i) {
-      if (!drives[i]) {
+      if (std::find(actuated.begin(), actuated.end(), i) == actuated.end()) {
         passive_.push_back(i);
       }
     }
