@@ -11,23 +11,21 @@ joint moves, all else moves the other way.
 """
 
 from dataclasses import replace
-from itertools import count
 import math
 from pathlib import Path
 import time
 
 import numpy as np
 
+from .adding import SHORTEST, with_part
+from .body_frames import BodyFrames
 from .removing import without
 from ..mechanism.checks import number
-from ..mechanism.document import with_value
 from ..mechanism.fields import at, FieldError, shown
-from ..mechanism.kinematics import body_poses, poses_in_space
 from ..mechanism.mechanism import DISTANCE, GROUND
-from ..mechanism.rotations import of_quaternion
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.scene import scene_of_yaml
-from ..simulation.scene_source import source_of, with_entries, with_numbers
+from ..simulation.scene_source import source_of, with_numbers
 from ..simulation.scene_text import scene_yaml
 
 # Changes of the same number within so long are undone at once [s]; how many steps are kept.
@@ -37,17 +35,7 @@ PINS = ('revolute', 'spherical', 'universal', 'cylindrical', 'fixed')
 LENGTH = 'length'
 # A hand finds nothing among the numbers of more.
 MOST_BODIES = 100
-# Of what is added: mass of a bar [kg/m], and others by what they are.
-BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0
-SHORTEST = 1e-3
 JOINT, CUT, POINT = 'joint', 'cut', 'point'
-# What each part is added by.
-NEEDED = {
-    'point': ('body_a', 'a'), 'link': ('body_a', 'a', 'b'), 'pin': ('body_a', 'a', 'body_b'),
-    'rod': ('body_a', 'a', 'body_b', 'b'), 'spring': ('body_a', 'a', 'body_b', 'b'),
-    'force': ('body_a', 'a', 'b'), 'damper': ('joint',), 'drive': ('joint',)}
-# Those that change the number of degrees of freedom.
-CONSTRAINING = 'link', 'pin', 'rod'
 
 
 class Editor:
@@ -268,7 +256,7 @@ class Editor:
         """
         if not any((kind, name) == (handle['kind'], handle['name']) for handle in self.handles()):
             raise FieldError('a pin or a point that can be moved', f'{kind} {name}')
-        frames = _Frames(self.scene.mechanism, position)
+        frames = BodyFrames(self.scene.mechanism, position)
         scene = self._with(self._moved(kind, name, np.array(place, dtype=float), frames))
         self._keep(('move', kind, name))
         self.scene = scene
@@ -334,27 +322,8 @@ class Editor:
             Where it cannot be added.
 
         """
-        if not self.scene.mechanism.planar and what in ('link', 'pin'):
-            raise FieldError('a mechanism in the plane', 'one in space', path=(what,))
-        frames = _Frames(self.scene.mechanism, position)
-        given = {**places, 'joint': joint}
-        for key in NEEDED[what]:
-            if given.get(key) is None:
-                raise FieldError(f'{key} of a {what}', 'none', path=(what,))
-        entries, values = getattr(self, f'_{what}')(frames, position, joint, **places)
-        self._write(entries, values, what)
-
-    def _write(self, entries, values, what):
-        """Put entries and numbers into the text; read it again."""
-        def more(text):
-            text = with_entries(text, entries)
-            if what in CONSTRAINING and self.scene.initial.hold and text is not None:
-                # As many would be held as there were degrees of freedom: it is closed as it
-                # stands.
-                text = with_value(text, ('initial', 'hold'), [])
-            return text
-
-        self._rewrite(more, what, values)
+        self._rewrite(lambda text: with_part(
+            self.scene, text, what, position, joint=joint, **places), what)
 
     def remove(self, kind, name):
         """
@@ -380,20 +349,18 @@ class Editor:
         self._rewrite(less, kind)
         return also
 
-    def _rewrite(self, change, what, values=None):
-        """Change the text, and numbers of the scene that is read from it."""
+    def _rewrite(self, change, what):
+        """Change the text, and read the scene from it."""
         text, kept = self.text()
         other = change(text)
         if other is None:
             kept, other = False, change(scene_yaml(self.scene))
         if other is None:
             raise FieldError('a place for it in the file', 'none', path=(what,))
-        base = scene = self._read(other)
-        if values:
-            scene = changed(scene, {resolve(scene, key): value for key, value in values.items()})
+        scene = self._read(other)
         self._keep(None)
-        self._base, self._text, self.words_kept = base, other, kept
-        self.scene = scene
+        self.scene = self._base = scene
+        self._text, self.words_kept = other, kept
 
     def _read(self, text):
         path = self.scene.path or Path('scene.yaml')
@@ -409,139 +376,6 @@ class Editor:
             return scene_yaml(self.scene), False
         return text, self.words_kept
 
-    def _name(self, stem, *taken):
-        mechanism = self.scene.mechanism
-        taken = {*taken, *self.scene.effects, *(one.name for part in (
-            mechanism.bodies, mechanism.joints, mechanism.cut_joints, mechanism.points,
-            mechanism.couplings) for one in part)}
-        return next(name for name in (f'{stem}_{k}' for k in count(1)) if name not in taken)
-
-    def _places(self, frames, names, **places):
-        """Return entries of new points at places."""
-        entries = {}
-        for name, (body, place) in zip(names, places.values()):
-            entries['mechanism', 'points', name] = {
-                'body': body, 'position': frames.rounded(body, place)}
-        return entries
-
-    def _point(self, frames, position, joint, body_a, a, **_):
-        return self._places(frames, [self._name('point')], a=(body_a, a)), {}
-
-    def _link(self, frames, position, joint, body_a, a, b, body_b=None):
-        a, b = np.array(a), np.array(b)
-        length = math.dist(a[:2], b[:2])
-        if not length > SHORTEST:
-            raise FieldError('two places apart from each other', 'one place', path=('link',))
-        link, pin, mass = self._name('link'), self._name('pin'), _rounded(BAR_MASS * length)
-        angle = math.atan2(b[1] - a[1], b[0] - a[0]) - frames.angle(body_a)
-        mechanism = self.scene.mechanism
-        entries = {
-            ('mechanism', 'bodies', link): {
-                'mass': mass, 'center_of_mass': [_rounded(length / 2.0), 0.0],
-                'inertia': _rounded(mass * length ** 2 / 12.0)},
-            ('mechanism', 'joints', pin): {
-                'type': 'revolute', 'parent': body_a, 'child': link,
-                'position': frames.rounded(body_a, a), 'angle': round(angle, 9),
-                **({'actuated': True} if body_a == GROUND and not (
-                    mechanism.actuated_joints) else {})},
-            ('initial', 'position', pin): 0.0}
-        if body_b is None:
-            entries['mechanism', 'points', self._name('end')] = {
-                'body': link, 'position': [round(length, 9), 0.0]}
-        else:
-            entries['mechanism', 'cut_joints', self._name('cut')] = {
-                'type': 'revolute', 'body_a': link, 'point_a': [round(length, 9), 0.0],
-                'body_b': body_b, 'point_b': frames.rounded(body_b, b)}
-        return entries, {}
-
-    def _pin(self, frames, position, joint, body_a, a, body_b, b=None):
-        if body_b is None or body_a == body_b:
-            raise FieldError('two bodies', 'one', path=('pin',))
-        return {('mechanism', 'cut_joints', self._name('cut')): {
-            'type': 'revolute', 'body_a': body_a, 'point_a': frames.rounded(body_a, a),
-            'body_b': body_b, 'point_b': frames.rounded(body_b, a)}}, {}
-
-    def _rod(self, frames, position, joint, body_a, a, body_b, b):
-        return {('mechanism', 'cut_joints', self._name('rod')): {
-            'type': 'distance', 'body_a': body_a, 'point_a': frames.rounded(body_a, a),
-            'body_b': body_b or GROUND, 'point_b': frames.rounded(body_b or GROUND, b),
-            'length': round(frames.apart(a, b), 9)}}, {}
-
-    def _spring(self, frames, position, joint, body_a, a, body_b, b):
-        spring, end = self._name('spring'), self._name('spring_end')
-        other = self._name('spring_end', end)
-        entries = self._places(frames, [end], a=(body_a, a))
-        law = {'type': 'point_spring', 'point_a': end, 'stiffness': STIFFNESS,
-               'free_length': _rounded(frames.apart(a, b))}
-        if body_b in (None, GROUND):
-            law['anchor'] = frames.rounded(GROUND, b)
-        else:
-            entries.update(self._places(frames, [other], b=(body_b, b)))
-            law['point_b'] = other
-        return {**entries, ('effects', spring): law}, {}
-
-    def _damper(self, frames, position, joint, **_):
-        return {('effects', self._name('damper')): {
-            'type': 'joint_damping', 'joint': joint, 'coefficient': DAMPING}}, {}
-
-    def _force(self, frames, position, joint, body_a, a, b, **_):
-        point = self._name('force_at')
-        size = 2 if self.scene.mechanism.planar else 3
-        way = np.subtract(b, a)[:size]
-        way = FORCE * way / (np.linalg.norm(way) or 1.0)
-        return {**self._places(frames, [point], a=(body_a, a)),
-                ('effects', self._name('force')): {
-                    'type': 'external_force', 'point': point,
-                    'force': [_rounded(one) for one in way]}}, {}
-
-    def _drive(self, frames, position, joint, **_):
-        known = {one.name: one for one in self.scene.mechanism.joints}
-        if joint not in known or known[joint].actuated:
-            raise FieldError('a joint of the tree that is not driven yet', shown(joint),
-                             path=('joint',))
-        return {('mechanism', 'joints', joint, 'actuated'): True}, {}
-
-
-class _Frames:
-    """Where bodies are in one position."""
-
-    def __init__(self, mechanism, position):
-        poses = poses_in_space(body_poses(mechanism, np.array(position)))
-        self._poses = {GROUND: (np.zeros(3), np.eye(3))}
-        self._size = 2 if mechanism.planar else 3
-        for body, pose in zip(mechanism.bodies, poses):
-            self._poses[body.name] = pose[:3], of_quaternion(pose[3:])
-
-    def _of(self, body):
-        if body not in self._poses:
-            raise FieldError('a body', shown(body), path=('body',))
-        return self._poses[body]
-
-    def world(self, body, place):
-        origin, turn = self._of(body)
-        return origin + turn @ [*place, 0.0][:3]
-
-    def local(self, body, place):
-        origin, turn = self._of(body)
-        return (turn.T @ (np.array(place, dtype=float) - origin))[:self._size]
-
-    def rounded(self, body, place):
-        return [round(one, 9) + 0.0 for one in self.local(body, place).tolist()]
-
-    def turned_back(self, body, vector):
-        return self._of(body)[1].T @ vector
-
-    def angle(self, body):
-        turn = self._of(body)[1]
-        return math.atan2(turn[1, 0], turn[0, 0])
-
-    def apart(self, a, b):
-        return math.dist(a[:self._size], b[:self._size])
-
 
 def _keyed(key, values):
     return {f'{key}.{k}': float(value) for k, value in enumerate(values)}
-
-
-def _rounded(value):
-    return float(f'{value:.6g}')
