@@ -19,7 +19,8 @@ from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND, MechanismError
 from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
 from ..visual.appearance import body_colors, CONTACT_COLOR, marked_points, solid
-from ..visual.wheels import on_wheel, outlines as wheel_outlines, transmissions
+from ..visual.transmissions import outlines as wheel_outlines, transmissions
+from ..visual.wheels import on_wheel
 
 # Files of the user's own that are looked at.
 MOST_FILES, LARGEST_FILE = 200, 200_000

@@ -17,8 +17,9 @@ from .effect_shapes import circle, outline_of
 from ..effects.body_contact import BodyContact
 from ..mechanism.mechanism import GROUND, POINT_ON_LINE, PRISMATIC
 from ..mechanism.rotations import rotated
+from ..visual.transmissions import transmissions
 from ..visual.wheels import (
-    BACK, BELOW, BEVEL, NEAR, on_wheel, profile, PULLEY, rack_profile, RING, transmissions)
+    BACK, BELOW, BEVEL, NEAR, on_wheel, profile, PULLEY, rack_profile, RING)
 
 # As shares of the size of links: depth of wheels, and how far below its link a wheel lies.
 DEPTH, BEHIND = 0.012, 0.015
@@ -49,7 +50,7 @@ class MachineShapes:
     Attributes
     ----------
     wheels, racks, belts : lists
-        As ``wheels.transmissions`` has them.
+        As ``transmissions.transmissions`` has them.
 
     """
 

@@ -21,8 +21,9 @@ from .appearance import (
     body_colors, convex_hull, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, sliders)
 from .trajectory import force_of
+from .transmissions import outlines, transmissions
 from .views import PLANE
-from .wheels import on_wheel, outlines, transmissions
+from .wheels import on_wheel
 from ..mechanism.kinematics import named_point, pose_of, world_points
 from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
 from ..mechanism.rotations import direction
