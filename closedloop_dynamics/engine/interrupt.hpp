@@ -15,31 +15,32 @@ namespace closedloop
 class Interrupt
 {
 public:
-  /// `asked` returns whether to stop; none: never. `joints`: of the mechanism, for one evaluation
-  /// of a large one takes as long as many of a small one.
-  Interrupt(bool (* asked)(), Index joints)
-  : asked_(asked), joints_(joints), pace_(pace_of_thread()) {}
+  /// `requested` returns whether to stop; nullptr: never. `joints`: number of joints, to which the
+  /// cost of an evaluation is proportional.
+  Interrupt(bool (* requested)(), Index joints)
+  : requested_(requested), joints_(joints), pace_(pace_of_thread()) {}
 
-  /// Ask after so many more evaluations, but no more than some twenty times a second.
+  /// Whether to stop, after some more evaluations; calls `requested` at most some twenty times a
+  /// second.
   bool after(Index evaluations)
   {
     pace_.left -= evaluations * joints_;
-    if (pace_.left > 0 || asked_ == nullptr) {
+    if (pace_.left > 0 || requested_ == nullptr) {
       return false;
     }
-    pace_.left = BETWEEN_LOOKS;
+    pace_.left = BETWEEN_POLLS;
     const auto now = Clock::now();
     if (now < pace_.next) {
       return false;
     }
     pace_.next = now + std::chrono::milliseconds(50);
-    return asked_();
+    return requested_();
   }
 
 private:
   using Clock = std::chrono::steady_clock;
-  // Evaluations, each times the joints, between looks at the clock: some 20 us.
-  static constexpr Index BETWEEN_LOOKS = 1000;
+  // Evaluations times joints between readings of the clock: some 20 us.
+  static constexpr Index BETWEEN_POLLS = 1000;
 
   struct Pace
   {
@@ -47,14 +48,14 @@ private:
     Clock::time_point next;
   };
 
-  /// One for all computations of a thread: many short ones are heard as one long one is.
+  /// One for all computations of a thread: many short ones poll as often as a long one.
   static Pace & pace_of_thread()
   {
-    static thread_local Pace pace = {BETWEEN_LOOKS, {}};
+    static thread_local Pace pace = {BETWEEN_POLLS, {}};
     return pace;
   }
 
-  bool (* asked_)();
+  bool (* requested_)();
   Index joints_;
   Pace & pace_;
 };
