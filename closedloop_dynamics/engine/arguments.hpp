@@ -21,8 +21,8 @@
 #include "system.hpp"
 
 // Functions of C++ as functions of Python: arguments are converted by the types of the parameters.
-// Arrays are seen where they are (C-contiguous, of float64 or int64), named tuples of arrays become
-// the structs of the same fields, None an empty one.
+// Arrays are used in place (C-contiguous, of float64 or int64), named tuples of arrays become the
+// structs of the same fields, None an empty one.
 
 namespace closedloop
 {
@@ -149,7 +149,7 @@ void read(PyObject * from, Cube<Number> & to, Place place)
   to.columns = shape[2];
 }
 
-/// See an array of numbers, if it is one; anything else is left to Python.
+/// Read an array of numbers; Python reports anything else.
 inline void read(PyObject * from, Given & to, Place)
 {
   to = {};
@@ -271,7 +271,7 @@ void read_record(PyObject * from, Record & to, Place place)
     });
 }
 
-/// What a parameter of a type is read into.
+/// Storage of a converted argument of a type.
 template<class Type>
 struct Holder
 {
@@ -327,7 +327,7 @@ PyObject * guarded(Function && function)
   return nullptr;
 }
 
-/// Lets other threads of Python go on while a function runs.
+/// Releases Python's interpreter lock while a function runs.
 class Released
 {
 public:
@@ -366,8 +366,8 @@ private:
   std::vector<PyObject *> owners;
 };
 
-/// The length that an argument must have, by the system that is the first one: none that is
-/// checked; of coordinates; of rates; of states; rows as long as states.
+/// Required length of an argument, by the system, which is the first one: not checked; nq; nv; ns;
+/// rows of ns.
 enum class Length {ANY, Q, QD, STATE, ROWS_OF_STATE};
 
 template<class Type>
@@ -383,8 +383,8 @@ inline bool has_length(const System & system, Length length, const Table & table
   return length == Length::ANY || table.columns == system.ns();
 }
 
-/// What a function expects of its arguments together: a function of its parameters, or of the
-/// first of them, that returns what does not fit, or nullptr; none here (preconditions.hpp).
+/// Precondition of a function: a function of all its parameters, or of the first ones, that returns
+/// an error message, or nullptr. The default: no precondition (preconditions.hpp).
 template<auto Function>
 inline constexpr auto precondition = nullptr;
 
@@ -553,7 +553,7 @@ Entry entry(const char * name, const char * doc)
   return make_entry<Function, false, lengths...>(name, doc);
 }
 
-/// The same for a function that may take long: other threads go on, and Ctrl-C is heard.
+/// The same for a long computation: other threads run, and Ctrl-C interrupts it.
 template<auto Function, Length ... lengths>
 Entry released(const char * name, const char * doc)
 {

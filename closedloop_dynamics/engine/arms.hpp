@@ -7,8 +7,8 @@
 #include "effect_table.hpp"
 
 // Effects along a weighted sum of joint coordinates, as of a tendon: l = sum_j r_j q_j. Entries of
-// such an effect begin with the joints and their moment arms r_j, two numbers each; one without
-// any acts in the joint EffectTable.index tells.
+// such an effect begin with the joints and their moment arms r_j, two numbers each; without any,
+// the effect acts in the joint of EffectTable.index.
 
 namespace closedloop
 {
@@ -21,7 +21,7 @@ inline Index arm_count(const EffectTable & table, Index row)
   return table.kind[row] == effect::TENDON ? entries - 2 : entries;
 }
 
-/// The sum along which an effect acts, of what all joints have, shape (nv + nk,).
+/// An effect's weighted sum of quantities of all joints, shape (nv + nk,).
 inline double along(const EffectTable & table, Index row, Values joints)
 {
   const Index count = arm_count(table, row);

@@ -89,7 +89,7 @@ using Table = Matrix<double>;
 using Indices = Vector<Index>;
 using Indexes = Matrix<Index>;
 
-/// What a caller hands over for numbers: an array of them, nothing, or anything else.
+/// An optional argument: an array of numbers, absent, or of a wrong type.
 struct Given
 {
   Vector<const double> numbers;

@@ -18,13 +18,13 @@ namespace closedloop
 namespace
 {
 using Square = Eigen::MatrixXd;
-// Diagonal entries of R, against the first, that leave no doubt that equations are independent.
+// Diagonal entries of R, against the first, above which equations are certainly independent.
 constexpr double PLAIN = 1e-3;
-// What a joint moves in the loops, against the most that one moves: less is nothing.
+// Smallest velocity ratio of a joint in the loops, against the largest, that is not rounding.
 constexpr double NO_LEVER = 1e-12;
 constexpr int MOST_CORRECTIONS = 50, MOST_HALVINGS = 30;
 
-/// Columns, and rows where asked, of the free coordinates.
+/// Columns of the free coordinates; with `rows`, their rows only.
 Square of_free(Table from, Indices free, bool rows)
 {
   Square found(rows ? free.size : from.rows, free.size);
@@ -55,7 +55,7 @@ bool least_change(const Square & jac, const DenseVector & psi, const Square & ro
     factor.colsPermutation().transpose() * psi);
   x = (factor.householderQ() * share).cwiseQuotient(lever);
   if (columns > rows) {
-    // What the equations leave open.
+    // Inertia in the null space of the equations.
     Square open = Square::Zero(columns, columns - rows);
     open.bottomRows(columns - rows).setIdentity();
     open.applyOnTheLeft(factor.householderQ());

@@ -22,10 +22,10 @@ namespace
 {
 // As of projection.cpp.
 constexpr int MOST_CORRECTIONS = 8;
-// Up to this share of the closure error that ends a run, its lane need not look closer.
+// Share of the closure error that ends a run below which a lane needs no closer check.
 constexpr double CLEARLY = 0.5;
 
-/// Time derivatives of all lanes, those of coordinates if asked; return whether the results are
+/// Time derivatives of all lanes, those of coordinates if requested; return whether the results are
 /// good.
 bool batch_derivative(
   const Batch & batch, Index which, Values state, bool of_coordinates, Values out)
@@ -97,7 +97,7 @@ void correct_coordinates(
   }
 }
 
-/// Correct rates, and positions if asked, in every lane, as projection.cpp does in one.
+/// Correct rates, and positions if requested, in every lane, as projection.cpp does in one.
 Status project(const Batch & batch, Values q, Values qd, bool positions)
 {
   const Values & error = batch.error, & tolerance = batch.tolerance;
@@ -152,7 +152,7 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
     }
   }
 }
-/// What watches the lanes, each with its own memory.
+/// Guards of the lanes, each with its own memory.
 class WatchedLanes
 {
 public:

@@ -24,7 +24,7 @@ struct Batch
   Values qdd;  ///< Shape (LANES * nv,): accelerations
   Values closure;  ///< Shape (LANES * nc,): closure errors of the latest correction
   Table corrections;  ///< Shape (2, LANES * nv): of coordinates and rates
-  Values tolerance;  ///< Shape (LANES,): closure error that projection leaves
+  Values tolerance;  ///< Shape (LANES,): closure tolerance of the projection
   Values limit;  ///< Shape (LANES,): closure error at which it gives up
   Values error;  ///< Shape (LANES,): largest closure error of each lane
   Manifold manifold;  ///< Of all of them
@@ -56,10 +56,10 @@ struct Lane
 
 /// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `state` of shape
 /// (LANES * ns,), `torque` (rows, LANES * nv). `scratch`: shape (stages + 3, LANES * ns). `lanes`:
-/// those that are looked at, of one method; the others repeat the last of them. Positions and
+/// the lanes in use, all of one method; the others repeat the last of them. Positions and
 /// velocities, shapes (LANES, instants, nq or nv), are written in place; `status` and `found`,
-/// shapes (lanes,) and (lanes, finding::COLUMNS), tell how each run ended. Not DONE: nothing is to
-/// be read; SINGULAR: a state needs what only single runs have.
+/// shapes (lanes,) and (lanes, finding::COLUMNS): the end of each run. Not DONE: results are
+/// undefined; SINGULAR: a state needs methods of single runs.
 Status run_batch(
   const Batch &, const std::vector<Lane> & lanes, Values state, Table torque,
   Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,

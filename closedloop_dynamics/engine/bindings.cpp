@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-// The engine in Python: which functions it has there. Nothing is computed here.
+// The engine in Python: the table of its functions. Nothing is computed here.
 
 #include <atomic>
 #include <stdexcept>
@@ -97,8 +97,7 @@ void stop_all(Index stops)
   all_stop = stops == 1;
 }
 
-/// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then in the main
-/// thread.
+/// Whether a signal such as Ctrl-C has come; Python's error is set then in the main thread.
 bool is_interrupted()
 {
   if (all_stop) {
@@ -142,7 +141,7 @@ inline constexpr auto precondition<numbers_of_coordinates> =
 
 namespace expected
 {
-/// What leads coordinates on by driven values, and what else must be true then.
+/// Check the arguments of driven kinematics, and a further condition.
 template<class Condition>
 const char * driven(
   const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,

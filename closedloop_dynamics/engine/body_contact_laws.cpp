@@ -13,7 +13,7 @@ namespace closedloop
 
 namespace
 {
-// Entries of one in space: both places, normal or axis, 1 for a plane, 1 for a cylinder.
+// Entries of a contact in space: both places, normal or axis, 1 for a plane, 1 for a cylinder.
 constexpr Index PLACE_B = 3, DIRECTION = 6, FLAT = 9, ROUND = 10;
 
 /// Hunt and Crossley's normal force, and friction; written to the row, too.
@@ -148,7 +148,7 @@ void apply_spatial_body_contact(
   const Vector3 direction = to_world(body, b, vector3(data + DIRECTION));
   Vector3 out = center - position(body, b, vector3(data + PLACE_B));
   const double height = dot(direction, out);
-  // What lies along a cylinder's axis does not count.
+  // A cylinder: without the component along its axis.
   out = out - (data[ROUND] * height) * direction;
   const double between = std::sqrt(dot(out, out));
   double distance;
@@ -170,7 +170,7 @@ void apply_spatial_body_contact(
   const Vector3 velocity = velocity_at(body, a, place) - velocity_at(body, b, place);
   const double rate = -dot(out, velocity);
   if (update_contact(table.contacts, row, gap, -rate)) {
-    // What is left of the velocity slides.
+    // The tangential part of the velocity.
     const Vector3 sliding = velocity + rate * out;
     const double slip = std::sqrt(dot(sliding, sliding));
     const auto [normal, along] = contact_forces(table, row, gap, rate, slip);

@@ -21,10 +21,10 @@ namespace closedloop
 
 namespace
 {
-// Pivots below this, the square of twice the singular value at which places around a state are
-// asked: rounding, divided three times by its root, would show in accelerations.
+// Pivots below this, the square of twice the singular value at which a state is interpolated from
+// places around it: rounding, divided three times by its root, would show in accelerations.
 constexpr double NEAR_PIVOT = 4e-6;
-// Corrections that bring a state onto its branch: beside it by 1e-4, two leave rounding.
+// Most corrections onto the branch: from 1e-4 beside it, two reach rounding.
 constexpr int MOST_CORRECTIONS = 4;
 // Closure error, against the size of the mechanism, that counts as on the branch; and the one,
 // against the smallest pivot, from which the nearest branch is certain to be that of the state.
@@ -63,8 +63,8 @@ void add_forces(const Workspace & work, Table forces)
   }
 }
 
-/// Closure errors of a state, and what corrects them into System.corrections or the factors of the
-/// loops over bodies; whether its own pivots are good does not matter: the geometry's are judged.
+/// Evaluate closure errors of a state, and their corrections in System.corrections or factors for
+/// the loops over bodies. The pivots of the geometry count, not those of the state.
 bool prepare_corrections(const System & system, Values q, Values qd)
 {
   if (system.is_unrolled()) {
@@ -76,7 +76,7 @@ bool prepare_corrections(const System & system, Values q, Values qd)
     system.model, system.tau.part(0, system.nv()), system.work, NEAR_PIVOT);
 }
 
-/// The least change that takes away errors of positions or rates, shape (nv,).
+/// The least change that corrects errors of positions or rates, shape (nv,).
 Values correction(const System & system, Level level)
 {
   if (system.is_unrolled()) {
@@ -109,7 +109,7 @@ bool return_to_branch(const System & system, Values q, Values qd, double pivot)
   }
 }
 
-/// Accelerations at the branch next to a state, which is moved there; false where none is near.
+/// Accelerations on the nearest branch, to which the state is moved; false where none is near.
 bool accelerate_beside(const System & system, Values q, Values qd, Table added, double pivot)
 {
   if (!return_to_branch(system, q, qd, pivot)) {
@@ -134,7 +134,7 @@ bool accelerate_on_branch(const System & system, Values q, Values qd)
     return false;
   }
   Scratch scratch;
-  // What effects add to the bodies' forces is that of the state itself.
+  // Forces of effects on bodies are evaluated at the state itself.
   const Table added{scratch.take(bodies * size).data, bodies, size};
   if (bodies > 0) {
     outward(system.model, q, qd, work);

@@ -12,10 +12,10 @@
 namespace closedloop
 {
 
-/// Accelerations and multipliers on the branch next to a state, where errors of closure do not show
-/// in them. After `accelerate_refined`, which has found a small pivot of the geometry, and returned
-/// false; false where equations may be dependent: `accelerate_rank_revealing` must be asked. Poses
-/// and closure errors of the state itself are left.
+/// Accelerations and multipliers on the branch next to a state, free of the effect of closure
+/// errors. Call after `accelerate_refined` has found a small pivot of the geometry and returned
+/// false; false where equations may be dependent: use `accelerate_rank_revealing` then. Poses and
+/// closure errors remain those of the state itself.
 bool accelerate_on_branch(const System &, Values q, Values qd);
 
 }  // namespace closedloop

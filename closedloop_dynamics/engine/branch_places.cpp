@@ -20,9 +20,8 @@ namespace closedloop
 
 namespace
 {
-// Places on the branch, in units of the distance between them, in the order in which they are
-// looked for. Of a quantity whose slope along the branch is known there, too, four places are worth
-// eight.
+// Places on the branch, in units of the distance between them, in the order of evaluation. With
+// slopes along the branch, four places interpolate as well as eight.
 constexpr Index MOST_PLACES = 8, SLOPED_PLACES = 4;
 constexpr double PLACES[MOST_PLACES] = {1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0, -4.0};
 // Weights of a quantity's values at them, by which a polynomial gives it at the state; and of the
@@ -44,12 +43,12 @@ constexpr double FEWER_SLOPES[SLOPED_PLACES] = {
   -17.0 / 57.0, -17.0 / 57.0, 0.5 / 57.0, 0.5 / 57.0};
 // Distance of the places that are four, against that of eight.
 constexpr double SLOPED_ASIDE = 1.5;
-// Corrections that bring a place onto the branch: the first one from a line takes the most.
+// Corrections per place; the first place, extrapolated along a line, needs the most.
 constexpr Index MOST_CORRECTIONS = 6;
 // Closure error, against the size of the mechanism, that counts as on the branch.
 constexpr double SETTLED = 1e-11;
 // Smallest pivot at the first place, against the largest: below the first value the places are
-// taken farther away, at most so many times as far, below the second none serves.
+// moved farther away, by at most the third; below the second the method fails.
 constexpr double ENOUGH = 2e-3, LEAST = 1e-4, FARTHEST = 8.0;
 // How much smaller a pivot may be at another place: this one is next to a singular position, too.
 constexpr double SMALLER = 0.05;
@@ -59,13 +58,13 @@ constexpr double BESIDE = 0.1, OTHER_RATE = 0.01, APART = 1e-6;
 // Pivots at the state, against the largest, below which an equation is not worth its multiplier:
 // the rounding of positions on the branch is as large.
 constexpr double VANISHED = 1e-7;
-// Smallest pivot of equations that are looked at nowhere but at the state.
+// Smallest pivot of equations that are evaluated at the state only.
 constexpr double REGULAR = 0.02;
-// Entries of the scaled J that are none, as much as closure errors of a stage make of them.
+// Entries of the scaled J up to this are zero, but for the closure error of a stage.
 constexpr double FOREIGN = 1e-6;
-// A component is at rest where it takes so long to turn by a radian [s].
+// A component is at rest if it needs longer than this to turn by a radian [s].
 constexpr double RESTING = 1e6;
-// Numbers, counts and components that find room on the stack.
+// Numbers, counts and components that fit on the stack.
 constexpr Index NUMBERS = 2048, COUNTS = 64, MOST_PARTS = 8;
 
 /// Arrays that live as long as an evaluation, out of one block.
@@ -96,9 +95,8 @@ private:
   Number * next_ = numbers_.data();
 };
 
-/// Factor a matrix in place, rows and columns exchanged so that each pivot is the largest number
-/// that is left; `row` and `column` tell where each came from. Return how many pivots exceed a
-/// share of the first one; the others are left.
+/// Factor a matrix in place, with complete pivoting; `row` and `column` are the permutations.
+/// Return the number of pivots above a share of the first one; the others are not eliminated.
 Index factorize_fully(Table matrix, Indices row, Indices column, double share)
 {
   const Index rows = matrix.rows, columns = matrix.columns;
@@ -255,18 +253,19 @@ void solve_positive(Table factor, Values right)
   }
 }
 
-/// Equations that share coordinates, and these, by places in the lists of a Branch: of the
-/// coordinates those that the equations decide come first, as many as there are equations, then the
-/// independent ones, first those of them that the equations know.
+/// Equations that share coordinates, as ranges of the lists of a Branch. The coordinates: first the
+/// dependent ones, as many as there are equations, then the independent ones that occur in the
+/// equations, then the others.
 struct Component
 {
   Index row = 0, rows = 0, column = 0, columns = 0;
-  Index moving = 0;  ///< Number of independent coordinates that the equations know
+  Index moving = 0;  ///< Number of independent coordinates in the equations
   bool regular = false;  ///< Whether the equations are independent at the state itself
 };
 
-/// The branch through a state. In each component of the mechanism the independent coordinates go on
-/// evenly, and the closure equations decide the others. The parameter counts places.
+/// The branch through a state. In each component of the mechanism the independent coordinates are
+/// linear functions of the parameter, and the closure equations determine the others. The parameter
+/// numbers the places.
 class Branch
 {
 public:
@@ -310,7 +309,7 @@ public:
     }
     bool regular = true;
     for (Component & part : components_) {
-      // One alone is not: else nobody would ask.
+      // A single component is singular, or this function is not called.
       part.regular = components_.size > 1 && choose(part, REGULAR) > 0.0;
       regular = regular && part.regular;
     }
@@ -335,8 +334,8 @@ private:
   Index column(const Component & part, Index k) const {return order_[part.column + k];}
   Index independent(const Component & part, Index k) const {return column(part, part.rows + k);}
 
-  /// Group equations and coordinates: those of a cut joint belong together, with all that the
-  /// equations know. False where one knows nothing.
+  /// Group equations and coordinates: the equations of a cut joint, and all coordinates in them,
+  /// form one group. False where an equation has no coordinate.
   bool find_components()
   {
     const Indexes & cut = model_.cut;
@@ -393,7 +392,7 @@ private:
     return true;
   }
 
-  /// Closure errors, J and what the rates add to accelerations of closure, at a place.
+  /// Evaluate closure errors, J and constraint bias at a place.
   void look(Values q, Values rates)
   {
     if (table_[routine::LOOP_EQUATIONS] != 0) {
@@ -445,7 +444,7 @@ private:
     return std::abs(matrix(part.rows - 1, part.rows - 1) / matrix(0, 0));
   }
 
-  /// Whether each quaternion is decided as a whole, or goes on evenly as a whole.
+  /// Whether the rates of each quaternion are all dependent, or all independent.
   bool keeps_balls(const Component & part)
   {
     column_.fill(0);
@@ -463,8 +462,8 @@ private:
     return true;
   }
 
-  /// Factor what the equations say of the coordinates that they decide, in the order that was
-  /// chosen; return the smallest pivot against the largest.
+  /// Factor the equations' derivatives by the dependent coordinates; return the smallest pivot
+  /// against the largest.
   double factor(const Component & part)
   {
     const Table matrix = square(part);
@@ -517,7 +516,7 @@ private:
     }
   }
 
-  /// Whether the equations know no coordinate but their own.
+  /// Whether no coordinate of another component occurs in the equations.
   bool stands_alone(const Component & part)
   {
     column_.fill(0);
@@ -534,7 +533,7 @@ private:
     return true;
   }
 
-  /// Settle a place; keep it, the rates along the branch, how they change, and the tangents.
+  /// Correct a place; store it with rates and accelerations along the branch, and the tangents.
   bool keep(const Component & part, Index n)
   {
     const Values q = places_[n], rates = rates_[n], bends = bends_[n];
@@ -579,7 +578,7 @@ private:
     }
   }
 
-  /// Add a share of what the decided coordinates change by with each independent one.
+  /// Add a share of the derivatives of the dependent coordinates by the independent ones.
   void add_tangents(const Component & part, Table out, double share)
   {
     for (Index k = 0; k < part.moving && share != 0.0; ++k) {
@@ -594,7 +593,7 @@ private:
     }
   }
 
-  /// Find what is asked of a component at the state by the places around it.
+  /// Interpolate a component's position, rates, accelerations and tangents at the state.
   bool trace(Component part)
   {
     return find_first(part) && find_others(part) && meet_state(part) && finish_tangents(part);
@@ -651,7 +650,7 @@ private:
     return keep(part, 0);
   }
 
-  /// Find the other places, each from two that are known.
+  /// Find the other places, each extrapolated from two.
   bool find_others(const Component & part)
   {
     count_ = part.moving == 1 ? SLOPED_PLACES : MOST_PLACES;
@@ -674,7 +673,7 @@ private:
     return true;
   }
 
-  /// Go on from a place by the cubic that has the rates of this and of another one.
+  /// Extrapolate from a place by Hermite interpolation of the rates there and at another one.
   void predict(const Component & part, Index n, Index other, Index from)
   {
     const double width = PLACES[from] - PLACES[other], s = (PLACES[n] - PLACES[from]) / width;
@@ -707,8 +706,8 @@ private:
     return found;
   }
 
-  /// Position, rates and what they change by on the branch at the state; false where that is not
-  /// on the branch, or where what the places say does not agree.
+  /// Interpolate position, rates and accelerations at the state; false where the state is not on
+  /// the branch, or where the polynomials disagree.
   bool meet_state(const Component & part)
   {
     const bool sloped = count_ == SLOPED_PLACES, whole = system_.manifold.empty();
@@ -740,7 +739,7 @@ private:
            most(part, other_) <= APART * std::max(sharpest, fastest * fastest / longest);
   }
 
-  /// What the decided coordinates change by with each independent one, at the state.
+  /// Complete the derivatives of the dependent coordinates by the independent ones, at the state.
   bool finish_tangents(const Component & part)
   {
     if (part.moving == 1) {
@@ -763,7 +762,7 @@ private:
     return true;
   }
 
-  /// What regular components do at the state that the others have moved to their branches.
+  /// Accelerations and tangents of regular components, the others being on their branches.
   void finish_regular()
   {
     look(near_, rate_);

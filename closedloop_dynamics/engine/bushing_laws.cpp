@@ -11,8 +11,8 @@ namespace closedloop
 
 namespace
 {
-// Where the numbers of a bushing in space begin: places in both bodies' frames, the axes as rows
-// in those of body a and of body b, stiffness and damping along the axes.
+// Where the numbers of a bushing in space begin: places in both bodies' frames, the axes as rows,
+// in the frames of body a and of body b, stiffness and damping along the axes.
 constexpr Index PLACE_B = 3, AXES_A = 6, AXES_B = 15, ALONG = 24, LOSS = 27;
 }  // namespace
 

@@ -6,8 +6,8 @@
 
 #include "array.hpp"
 
-// What the columns of the arrays hold. The names and meanings are those of core/types.py,
-// core/codegen/space.py, core/codegen/function_table.py and effects/table.py; a test compares them.
+// Columns of the arrays. The names and meanings are those of core/types.py, core/codegen/space.py,
+// core/codegen/function_table.py and effects/table.py; a test compares them.
 
 namespace closedloop
 {
@@ -73,7 +73,7 @@ enum : Index
   POSSIBLE, LENGTHS
 };
 enum Type : Index {PRISMATIC = 1, COUPLING = 11, PRESCRIBED_JOINT = 12, COUPLED_PLACE = 15};
-/// Columns of Model.cut_point for couplings, and how many prescribed motions take at the end.
+/// Columns of Model.cut_point for couplings, and the number of prescribed motions at the end.
 enum Point : Index {HELD_SUM = 0, FACTORS = 1, MOTION_COLUMNS = 3};
 }
 
@@ -112,7 +112,7 @@ enum Array : Index
 };
 }
 
-/// What `update` computes of unit cut forces.
+/// Responses to unit cut forces that `update` computes.
 enum class Responses {NONE, REDUCED, LEVERS, CARRIED};
 
 /// Unknowns of a rank-revealing solution.

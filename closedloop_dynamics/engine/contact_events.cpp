@@ -23,14 +23,13 @@ using contact::PLACE;
 using contact::RATE;
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
-// Gaps of less than this are none [m]: a contact begins or ends there.
+// Gaps below this are zero [m]: a contact begins or ends there.
 constexpr double CLOSED = 1e-11;
-// The least part of a step that is looked for where bodies touch to begin with: they do where the
-// gap is no more than NO_GAP [m].
+// Shortest part of a step that is searched if bodies touch at its start, at gaps up to NO_GAP [m].
 constexpr double LEAST_PART = 1e-6, NO_GAP = 1e-9;
-// Halvings of the interval in which it is.
+// Bisections of that part.
 constexpr int HALVINGS = 50;
-// Parts of a step that agree and those that do not are the same where they are as close as this.
+// Relative width at which the bracket of an event is closed.
 constexpr double SAME = 1e-12;
 // Rates may be this much faster between the evaluations of a step.
 constexpr double FASTER = 1.25;
@@ -43,8 +42,7 @@ constexpr double SAFER = 2.0;
 constexpr double BENT = 0.25;
 // Evaluations on the wrong side, relative to the possible change of the gap, that do not count.
 constexpr double SLIGHT = 0.01;
-// Cuts of one step where nothing but suspicion is the reason, and of one that agrees for the last
-// digits of its end.
+// Cuts of one step on suspicion alone, and cuts that refine the end of a step that agrees.
 constexpr double MOST_SUSPICIONS = 4.0, MOST_REFINED = 10.0;
 // Even parts of an interval between which a cubic is judged, beside its turning points.
 constexpr int PLACES = 8;
@@ -154,14 +152,14 @@ double wrong_sign(const Contacts & contacts, Index row)
   return contacts.mode[row] == contact::TOUCHING ? 1.0 : -1.0;
 }
 
-/// Whether a contact is there or not by decision.
+/// Whether the mode of a contact is fixed, whatever its gap.
 bool is_judged(const EffectTable & effects, Index row)
 {
   return effects.enabled[row] == 1 && effects.contacts.mode[row] != contact::UNDECIDED;
 }
 
 /// Whether a contact has less dissipated energy than before a step, by more than errors of
-/// integration: no law does that, except those with another account of it.
+/// integration: no law does that, except laws that account for it otherwise.
 bool has_gained(const EffectTable & effects, Index row)
 {
   const Index kind = effects.kind[row];
@@ -181,7 +179,7 @@ bool is_far(const double * start, const double * now, double size)
          missed > DEPTHS * std::max(std::abs(start[GAP]), std::abs(now[GAP]));
 }
 
-/// Note that a part of a step [s] does not agree with the modes.
+/// Lower the upper end of the bracket to a part [s] that contradicts the modes.
 void disagree(Values search, double size)
 {
   search[contact::HIGH] = std::min(search[contact::HIGH], size);
@@ -197,7 +195,8 @@ struct Trial
   Index sought;
 };
 
-/// Change a mode that ends as soon as it begins; where it has been, let the gap decide.
+/// Change a mode that ends as soon as it begins; where it was changed before, the gap decides in
+/// each evaluation.
 Trial change(const Contacts & contacts, Index row, double size)
 {
   if (contacts.trial(row, contact::CHANGED) == 0.0) {
@@ -465,7 +464,7 @@ Suspicion suspect(
   return {along, true};
 }
 
-/// Go on from the right end of an interval.
+/// Continue from the right end of an interval.
 void go_on(const Contacts & contacts, Index top)
 {
   for (Index row : contacts.rows) {
@@ -502,7 +501,7 @@ Trial look_inside(const EffectTable & effects, double size, Index sought, double
         return {size, sought};
       }
       if (!followed || search[contact::SUSPECTED] < MOST_SUSPICIONS) {
-        // The state there must be seen: nothing else is known.
+        // Only a step to this point can decide.
         search[contact::SUSPECTED] += 1.0;
         search[contact::LOW] = 0.0;
         return {place * size, -1};
@@ -513,8 +512,7 @@ Trial look_inside(const EffectTable & effects, double size, Index sought, double
   return {size, sought};
 }
 
-/// Whether a contact that nothing was felt of may lie between the ends of a step; `other`: the gap
-/// at its end [m].
+/// Whether an undetected contact may lie within a step; `other`: the gap at its end [m].
 bool may_be_passed(const EffectTable & effects, Index row, double size, double other)
 {
   const Contacts & contacts = effects.contacts;
@@ -524,8 +522,7 @@ bool may_be_passed(const EffectTable & effects, Index row, double size, double o
     trial[is_finite(effects, row) ? contact::SPEED : contact::FASTEST], size);
 }
 
-/// Whether a smooth gap is less than none between the ends of a step, by more than steps of one
-/// size resolve.
+/// Whether a smooth gap is negative within a step, by more than steps of one size resolve.
 bool dips(const Contacts & contacts, Index row, double size)
 {
   const Cubic cubic(contacts.start.row(row), contacts.now.row(row), 1.0, size);

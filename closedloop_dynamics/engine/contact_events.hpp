@@ -10,13 +10,13 @@
 //
 // Within a step a contact is there or not, whatever the sign of the gap, so that the motion is
 // smooth and the gap at its end is right to its last digits. A step at whose end a gap contradicts
-// its mode is never taken: it is cut where the gap changes its sign, by a cubic through gap and
+// its mode is never accepted: it is cut where the gap changes its sign, by a cubic through gap and
 // rate at both ends, then by Newton's method within the bracket of the longest part that agrees and
 // the shortest that does not. The next step begins at once with the size that suits the new motion.
 //
-// A step whose ends agree may have passed through a contact in between. It has not where the gaps
-// of both ends together are more than the gap can have changed by: the step's size times the
-// fastest rate in all its evaluations. Otherwise dense output is evaluated, and the step halved
+// A step whose ends agree may have passed through a contact in between. This is excluded where the
+// gaps of both ends together exceed the largest possible change of the gap: the step's size times
+// the fastest rate in all its evaluations. Otherwise dense output is evaluated, and the step halved
 // until every interval is clear:
 //
 // - Where the gap is smooth (lines, planes, stops, cables), a cubic through gaps and rates less its
@@ -34,8 +34,8 @@ namespace closedloop
 /// Whether a roller may pass a body within a step without any sign at its ends.
 bool is_finite(const EffectTable &, Index row);
 
-/// Whether a contact that nothing was felt of may lie between the ends of a step of a size [s], by
-/// the gaps at its start and end [m], the largest one that was wrong, and the fastest rate.
+/// Whether an undetected contact may lie within a step of a size [s], by the gaps at its start and
+/// end [m], the largest gap of the wrong sign, and the fastest rate.
 bool may_be_passed(double gap, double other, double wrong, double fastest, double size);
 
 /// Freeze the modes of contacts, after the evaluation at which a step begins; return whether any
@@ -52,8 +52,8 @@ void forget_trials(const System &);
 /// The search for the instant at which a contact begins or ends within a step.
 struct ContactSearch
 {
-  /// Row of the contact at whose change the step is to end; none: less than zero; -2: the step is
-  /// to be tried once more as it was.
+  /// Row of the contact at whose change the step is to end; -1: none; -2: the step is to be
+  /// repeated.
   Index sought = -1;
 
   /// The part of a step on which no contact begins or ends [s]: `size` where the step to `out` may
@@ -74,12 +74,12 @@ struct ContactSearch
 
 private:
   /// The same from the state at a share of the step, 1 at its end, which comes first; the share
-  /// becomes the next of which a state is needed, less than zero where none is.
+  /// becomes the next at which a state is needed, negative where none is.
   double examine(const System &, Values state, double size, double & share);
 };
 
-/// Guard of a step of one size, which contacts do not end: no evaluation of it may feel a contact
-/// that is passed between its ends. Made before the evaluation at the start.
+/// Guard of a step of fixed size, which does not end at contacts: detects a contact that begins and
+/// ends between evaluations. Construct before the evaluation at the start.
 class ContactGuard
 {
 public:

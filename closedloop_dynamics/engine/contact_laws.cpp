@@ -65,7 +65,7 @@ void apply_spatial_contact(
   const Vector3 velocity = velocity_at_offset(body, i, offset);
   const double rate = -dot(out, velocity);
   if (update_contact(table.contacts, row, -depth, -rate)) {
-    // What is left of the velocity slides.
+    // The tangential part of the velocity.
     const Vector3 sliding = velocity + rate * out;
     const double slip = std::sqrt(dot(sliding, sliding));
     const auto [normal, along] = contact_forces(table, row, depth, rate, slip);

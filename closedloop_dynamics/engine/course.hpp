@@ -39,7 +39,7 @@ struct PresentPiece
   double period_start;
 };
 
-/// The piece of an effect's course that its states tell; `period` [s]: zero without.
+/// The present piece of an effect's course, by its states; `period` [s]: zero if not periodic.
 PresentPiece present_piece(const EffectTable &, Index row, double period);
 
 /// Number of a piece from the state that counts them: whole but for the differences that stiff

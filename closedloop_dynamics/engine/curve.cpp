@@ -17,7 +17,7 @@ namespace
 // Halley's method earlier: the next one would be of the order of the cube.
 constexpr int MOST_STEPS = 30;
 constexpr double SHORT = 1e-15, SHORT_OF_HALLEY = 1e-6;
-// Pieces on either side of a known one that are looked at first; and a little less than one.
+// Pieces on either side of the previous one that are searched first; and one less rounding.
 constexpr Index BESIDE = 3;
 constexpr double SURELY = 1.0 - 1e-12;
 // A valley of less than this below an end of a path is no other place than that end [m].
@@ -131,8 +131,8 @@ inline Index around(Index piece, Index count)
   return piece < 0 ? piece + count : piece >= count ? piece - count : piece;
 }
 
-/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed
-/// curve its pieces go on.
+/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed curve
+/// its pieces repeat.
 NearestChord nearest_of(
   const double * pieces, Index count, Index first, Index length, Vector2 point)
 {
@@ -148,10 +148,10 @@ NearestChord nearest_of(
   return nearest;
 }
 
-/// The piece whose chord is nearest: it and its neighbours come into question.
+/// The piece whose chord is nearest; the nearest point is on it or a neighbour.
 ///
-/// Looked for beside the one that was nearest when all were looked at. All others were at least
-/// `BEYOND` away then, and are at most nearer by as far as the point has moved since.
+/// Searched first around the result of the last full search. All other chords were at least
+/// `BEYOND` away then, and have come nearer by no more than the point has moved since.
 Index nearest_chord(
   const double * pieces, Index count, bool closed, Vector2 point, double * memory)
 {
@@ -175,7 +175,7 @@ Index nearest_chord(
     }
   }
   const NearestChord found = nearest_of(pieces, count, 0, count, point);
-  // Not worth while where the point leaves the reach of what is known at once.
+  // Not worth while where the point leaves the range of the search at once.
   const bool leaps = known >= 0.0 && !(2.0 * moved < memory[REACH]);
   const double distance = std::sqrt(found.square);
   memory[PIECE] = static_cast<double>(found.piece);
@@ -243,7 +243,7 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
   const double distance = std::sqrt(nearest.square);
   if (distance > 0.0) {
     const Vector2 apart = point - nearest.place;
-    // Past the end of an open curve there is nothing solid.
+    // An open curve has no solid side past its ends.
     const bool past = beside < 0 || beside >= count;
     const double sign = past ? 1.0 : std::copysign(1.0, cross(tangent, apart));
     return {(sign * apart) / distance, sign * distance};

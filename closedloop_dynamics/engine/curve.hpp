@@ -31,17 +31,16 @@ struct CurveDistance
   double distance;
 };
 
-/// What is remembered of a search for the nearest piece, in a row of SceneCode.present: that piece,
-/// not a number where none is known; where the point was [m]; how far the pieces were from it that
-/// are not beside that one, and how much farther than the nearest [m]; the latest point, and what
-/// was found for it, normal and distance.
+/// Memory of the search for the nearest piece, a row of SceneCode.present: that piece, NaN before
+/// the first search; the point [m]; the distance from it of the nearest piece not beside that one,
+/// and how much farther it was [m]; the latest point, with its normal and distance.
 namespace nearby
 {
 enum : Index {PIECE, PLACE, BEYOND = 3, REACH, LAST};
 }
 
 /// Distance of a point, in the frame of the curve's body [m], from a curve of some pieces;
-/// `closed`: the curve ends where it begins. What is remembered does not change the result.
+/// `closed`: the curve ends where it begins. Memory does not change the result.
 CurveDistance distance_from_curve(
   Values pieces, Vector2 point, bool closed, double * memory);
 

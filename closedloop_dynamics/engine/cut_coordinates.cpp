@@ -83,7 +83,7 @@ double rate_along(
   return dot(axis, motion_a.angular - motion_b.angular);
 }
 
-/// What velocities make up of the acceleration of a coordinate.
+/// Velocity-product term of the acceleration of a coordinate.
 double velocity_product_along(
   bool slides, Vector3 axis, Vector3 lever_a, Vector3 lever_b, Twist motion_a, Twist motion_b)
 {

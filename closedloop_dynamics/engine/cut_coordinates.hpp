@@ -21,9 +21,8 @@ Vector3 cut_direction(
   Table body, Index row, bool planar, Table values, Index k, Index first);
 
 /// Coordinates [rad, m] and their rates, written from place `first` on. `states`, shape (nz,), are
-/// the effects' own, among them angles and integrals of rates that are followed. Angles in space
-/// are within half a turn of the one that is followed, or of zero; integrals of rates that are not
-/// followed are zero.
+/// the effects' own, among them integrated angles and rates. Angles in space are within half a turn
+/// of the integrated one, or of zero; integrals of rates without a state are zero.
 void measure_cut_coordinates(
   Indexes index, Table values, Table body, Values states, Index first, Values position,
   Values velocity);
@@ -33,8 +32,8 @@ void apply_cut_efforts(
   Indexes index, Table values, Table body, Values efforts, Index first);
 
 /// Accelerations of the coordinates [rad/s^2, m/s^2] for those of the tree, `qdd`, shape (nv,),
-/// written to the last nk of `out`. `whole`: with what velocities make up; without, this is J qdd,
-/// J being the derivatives of the coordinates by those of the tree.
+/// written to the last nk of `out`. `whole`: with the velocity-product terms; without, this is J
+/// qdd, J being the derivatives of the coordinates by those of the tree.
 void accelerations(
   const CutCoordinates &, const Model &, const Workspace &, Values qdd, bool whole, Values out);
 

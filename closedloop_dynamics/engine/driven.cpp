@@ -55,7 +55,7 @@ public:
       Eigen::Map<RowMatrix>(anchors.data, anchors.rows, anchors.columns);
   }
 
-  /// Take a position, which closes the loops; false where it is singular.
+  /// Start from a position that closes the loops; false where it is singular.
   bool begin(Values q)
   {
     outward(model_, q, view(still_), work_);
@@ -84,7 +84,7 @@ public:
     return converge(q) && stays();
   }
 
-  /// Rates and accelerations in the position taken last, into rows.
+  /// Rates and accelerations in the current position, into rows.
   void complete(Table values, Values q, Values velocity, Values acceleration)
   {
     bool rests = true;
@@ -163,7 +163,7 @@ public:
     inverted_ = kept_inverted_;
   }
 
-  /// Derivatives of some coordinates by the driven values in the position taken last, row by row.
+  /// Derivatives of some coordinates by the driven values in the current position, row by row.
   void rates_of(Indices coordinates, Values out) const
   {
     for (Index row = 0; row < kept_.size; ++row) {
@@ -198,7 +198,7 @@ private:
     return inverse_.allFinite();
   }
 
-  /// Whether the position is on the branch of the last one; takes it if so.
+  /// Whether the position is on the branch of the last one; makes it the current one if so.
   bool stays()
   {
     fill_matrix();

@@ -19,10 +19,10 @@ namespace closedloop
 /// `drives`: rows of the driving equations among the cuts; `kept`: the equations to solve, as many
 /// as there are rates less the rows of `anchors`, which are directions of scaled displacements
 /// without effect (idle spins) that are left as they are; `unit`: of the displacements, shape
-/// (nv,); `open` is the closure error that is taken for zero; `begin`: the driven values of `q`;
+/// (nv,); `open` is the tolerance of the closure error; `begin`: the driven values of `q`;
 /// `values`: driven values, rates and accelerations, shape (n, drives, 3). `q` becomes the last
-/// position of the branch. Returned are how many of the n were reached and the share of the way
-/// to the next one at which the branch ends, or `interrupted` returns true.
+/// position of the branch. Returned are how many of the n were reached and the share of the way to
+/// the next one at which the branch ends, or `interrupted` returns true.
 std::pair<double, double> follow_drives(
   const Model &, const Workspace &, const Manifold &, Indices drives, Indices kept, Values unit,
   Table anchors, double open, Values begin, Cube<double> values, Values q, Table position,

@@ -69,15 +69,14 @@ namespace traced
 /// The most coordinates and own states of a law, and readings beside its power.
 constexpr Index MOST_COORDINATES = 16, MOST_STATES = 16, READINGS = 3;
 
-/// Numbers of the first entry: how many of the first states are the time; own states beside it;
-/// whether the law tells what it stores and dissipates, so that the rest is no work from outside;
-/// whether it has an event, that is a gap and its rate behind its other results.
+/// Numbers of the first entry: number of leading states that are the time; other states; whether
+/// the law gives stored and dissipated energy, so that the rest is no external work; whether it has
+/// an event, that is, gap and rate behind its other results.
 enum Head : Index {CLOCK, OWN, BOOKED, EVENT};
-/// Numbers of the others: what is measured, of which joint or bodies, or along which axis, and
-/// where the points are.
+/// Numbers of the other entries: measured quantity, joint or bodies or axis, and points.
 enum Entry : Index {MEASURED, FIRST, SECOND, POINT_A, POINT_B = 6, COLUMNS = 9};
-/// What is measured: the coordinate of a joint, the distance of two points, a component of the
-/// place of a point.
+/// Measured quantity: coordinate of a joint, distance of two points, component of a point's
+/// position.
 enum Measured : Index {JOINT, DISTANCE, COMPONENT};
 }
 
@@ -133,7 +132,7 @@ struct CutCoordinates
   void fields(Visitor && visit) {visit(index, values, q, qd, before, qdd, scratch);}
 };
 
-/// What the code of a scene reads beside the table of effects.
+/// Inputs of a scene's code beside the table of effects.
 struct SceneCode
 {
   Indices fits;

@@ -10,8 +10,8 @@ namespace closedloop
 
 namespace
 {
-// A pivot below this is small in the mass metric: next to a singular configuration, but also
-// where links differ much in mass. Refinement then asks the geometry.
+// A pivot below this is small in the mass metric: next to a singular configuration, but also where
+// links differ much in mass. Refinement then judges by the geometry.
 constexpr double SMALL_PIVOT = 1e-3;
 // Of many joints in a row small pivots are the size, not the configuration: the smallest one of a
 // regular ladder or chain is 0.3 / nv or 0.9 / nv. From so many joints on the limit falls likewise.
@@ -100,7 +100,7 @@ bool factorize_well(const Model & model, const Workspace & work)
 {
   const double smallest = factorize(model, work);
   const bool fine = good(model, smallest, SMALL_PIVOT);
-  // A small one may be that of the masses alone: refinement reports what it finds.
+  // A small one may be due to the masses alone: refinement then records its own.
   record_pivot(model, work, fine ? smallest : 1.0);
   return fine;
 }

@@ -14,16 +14,16 @@ namespace closedloop
 {
 
 /// EnergyAccount.numbers: work of torques that were held, up to EnergyAccount.since, energy at the
-/// start, NaN where it is not known, and its two parts [J].
+/// start, NaN if unknown, and its two parts [J].
 namespace account
 {
 enum : Index {HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS};
 }
 
-/// What is kept of a run to draw its energy balance (effects/energy_balance.py).
+/// Data of a run for its energy balance (effects/energy_balance.py).
 struct EnergyAccount
 {
-  /// Shape (nz,): what the effects' states are (effects/table.py).
+  /// Shape (nz,): roles of the effects' states (effects/table.py).
   Indices roles;
   /// Shape (nv + nk,): coordinate of each freedom when work was added last.
   Values since;
@@ -53,7 +53,7 @@ struct Energies
 
 /// Add the work of the torques held up to a state, shape (ns,). Of a torque that passes unchanged
 /// it is tau . (q - q at the hold's start), exactly; drives integrate theirs, and so do torques on
-/// rotations in three dimensions, of which no coordinate tells the work.
+/// spherical joints, whose work is no function of coordinates.
 void add_held_work(const System &, const EnergyAccount &, Values state);
 
 /// Measure a state, add the work up to it, and draw the balance.

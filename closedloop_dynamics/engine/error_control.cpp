@@ -20,7 +20,7 @@ namespace
 {
 // Hairer's choices: change the step gently.
 constexpr double LARGEST_GROWTH = 6.0, LARGEST_CUT = 0.2;
-// Errors of the step before that are smaller say little about where the motion goes.
+// Smaller errors of the step before do not show a trend.
 constexpr double SIGNIFICANT = 1e-2;
 // Guesses of the first step, each this many times the one before.
 constexpr int GUESSES = 4;
@@ -134,8 +134,8 @@ void ExplicitRun::interpolate_at(const System & system, double time, Values out)
   normalise(system.manifold, out);
 }
 
-// Torques are expected to change again after as long as they were held the last time: a step ends
-// there, since what goes beyond would be thrown away.
+// Torques are expected to change again after the last holding time: a step ends there, since the
+// rest of it would be discarded.
 //
 // The step size times the fastest rate is estimated as by Hairer and Wanner (1996), section IV.2:
 // two states at the end of a step, the last stage's and the result, differ most in the direction
@@ -175,13 +175,13 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   if (size == 0.0) {
     size = first_step(system, tableau, after, slopes, scale, stage);
   } else if (landed) {
-    // A good size of the motion before says little now.
+    // The step size of the motion before does not fit the new one.
     size = std::min(size, first_step(system, tableau, after, slopes, scale, stage));
   }
   double wanted = size;
   const double rest = control[control::RESTARTED] + control[control::HOLD] - reached;
   if (rest > least) {
-    // Two steps of a half rather than one and a crumb.
+    // Two half steps rather than a full and a tiny one.
     size = size >= rest ? rest : size > 0.5 * rest ? std::min(size, 0.5 * rest) : size;
   }
   bool rejected = false, closed = true, extended = false;
@@ -273,7 +273,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   control[control::STEP_START] = reached;
   control[control::STEP_SIZE] = size;
   control[control::REACHED] += size;
-  // A step cut short says nothing against the size that was to be tried.
+  // A step cut short is no reason to reduce the size to try next.
   control[control::NEXT_STEP] =
     std::max(size * std::max(growth, LARGEST_CUT), size < wanted ? wanted : 0.0);
   control[control::EXTENDED] = extended ? 1.0 : 0.0;

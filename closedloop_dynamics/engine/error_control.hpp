@@ -16,11 +16,11 @@ namespace closedloop
 {
 
 /// Columns of the control record, of all error-controlled methods: the time reached by whole steps;
-/// the step to try next (0: to be guessed); the start and the size of the latest step (0: there is
-/// none to interpolate); whether its slopes for dense output are complete; steps accepted and
-/// rejected since the last reset; the latest and the largest accepted error relative to the
-/// tolerance; evaluations; the time of the latest restart and how long before it the one before
-/// was; step size times fastest rate, as the latest step shows it.
+/// the step to try next (0: to be estimated); the start and the size of the latest step (0: no step
+/// to interpolate); whether its slopes for dense output are complete; steps accepted and rejected
+/// since the last reset; the latest and the largest accepted error relative to the tolerance;
+/// evaluations; the time of the latest restart and the time since the one before; step size times
+/// fastest rate, as the latest step shows it.
 namespace control
 {
 enum : Index
@@ -40,7 +40,7 @@ enum : Index {STAGE, OUT, BEFORE, AFTER, LAST_STAGE, FIRST_SLOPE};
 constexpr double SAFETY = 0.9;
 /// The least step, relative to the time that it has to change; times closer than that are the same.
 constexpr double LEAST = 1e-14;
-/// In the place of a step size: there is no step to interpolate, but there is a past.
+/// In place of a step size: no step to interpolate, but the method has a history.
 constexpr double NOTHING_BETWEEN = -1.0;
 /// Evaluation limit between two times of output; one that takes dense decompositions, next to
 /// a singular position, counts as so many.

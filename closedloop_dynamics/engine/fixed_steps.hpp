@@ -20,13 +20,13 @@ namespace closedloop
 {
 
 /// Advance a state in place by `steps` steps of `step_size` [s]; on failure it is the one before
-/// the failing step. A tableau without weights stands for semi-implicit Euler. `scratch` is of
-/// shape (stages + 3, ns). Returns the status and the steps completed.
+/// the failing step. A tableau without weights means semi-implicit Euler. `scratch` is of shape
+/// (stages + 3, ns). Returns the status and the steps completed.
 std::pair<Status, Index> advance_fixed(
   const System &, const Tableau &, Stabilisation, Table scratch, Values state, double step_size,
   Index steps);
 
-/// Time until the next corner of a force over time [s]; infinity where none is.
+/// Time until the next corner of a force over time [s]; infinity if there is none.
 double time_to_corner(const System &, Values state);
 
 /// State at a share of a step, by the parabola through both its ends with a slope at its start;
@@ -35,11 +35,11 @@ void interpolate_parabola(
   const System &, Values state, Values slope, Values out, double size, double share,
   Values between);
 
-/// A step that is taken in parts, as joints come to rest or forces have corners within it.
+/// A step made in parts, as joints come to rest or forces have corners within it.
 struct Parts
 {
   double whole;  ///< Size of the step [s]
-  double left;  ///< What is left of it [s]
+  double left;  ///< Remaining part [s]
   double size;  ///< The next part [s]
   int cuts = 0;
 

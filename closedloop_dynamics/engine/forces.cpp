@@ -34,7 +34,7 @@ double elastic_force(double stiffness, double exponent, double gap)
 {
   const double depth = std::fabs(gap);
   double force;
-  // A power takes longer than all the rest of a contact.
+  // `pow` costs more than all the rest of a contact.
   if (exponent == 1.0) {
     force = stiffness * depth;
   } else if (exponent == 1.5) {

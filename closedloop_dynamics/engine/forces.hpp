@@ -11,8 +11,8 @@
 #include "effect_table.hpp"
 
 // Vectors, and forces at points of bodies, in the plane and in space. `body` is Workspace.body
-// after `outward`, `row` a body's row, 0 for the ground; vectors are in world axes where nothing
-// else is said. What differs between plane and space is overloaded by the type of the vectors.
+// after `outward`, `row` a body's row, 0 for the ground; vectors are in world axes unless stated
+// otherwise. Functions are overloaded for the plane and for space by the type of the vectors.
 
 namespace closedloop
 {
@@ -66,7 +66,7 @@ inline Vector2 vector2(const double * at) {return {at[0], at[1]};}
 inline Vector3 vector3(const double * at) {return {at[0], at[1], at[2]};}
 inline Vector2 vector_at(const double * at, Vector2) {return vector2(at);}
 inline Vector3 vector_at(const double * at, Vector3) {return vector3(at);}
-/// What turns about: in the plane a number.
+/// Rotational part of a motion or wrench: a number in the plane.
 inline double turning_at(const double * at, Vector2) {return at[0];}
 inline Vector3 turning_at(const double * at, Vector3) {return vector3(at);}
 /// Dimensions of a vector and of a rotation.
@@ -211,8 +211,8 @@ bool update_contact(const Contacts &, Index row, double gap, double rate);
 /// center, in axes in which the body rests, and its speed relative to the body [m, m/s].
 void store_path(const Contacts &, Index row, Vector3 place, double speed);
 
-/// Elastic force of a contact, k d^n [N]. Beyond its end, within a step that is cut there then, a
-/// contact goes on as a pull: so the motion is smooth there, and the end found to the last digits.
+/// Elastic force of a contact, k d^n [N]. Beyond its end, until the step is cut there, a contact
+/// pulls: so the motion is smooth, and the end is located to rounding.
 double elastic_force(double stiffness, double exponent, double gap);
 
 /// Forces of a contact [N]: that which pushes apart, and along the sliding.

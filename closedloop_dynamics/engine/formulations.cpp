@@ -61,7 +61,8 @@ void lower_transposed_solve(Table factor, Values right)
   }
 }
 
-/// Ratio of the smallest to the largest pivot from number `first` on; 0 where any is none.
+/// Ratio of the smallest to the largest pivot from number `first` on; 0 where any is zero or not a
+/// number.
 double ratio_of_pivots(Table matrix, Index first)
 {
   double smallest = std::numeric_limits<double>::infinity(), largest = 0.0;

@@ -51,7 +51,7 @@ void visit_memory(const System & system, const Stepper & stepper, Visit && visit
   visit(system.partition.record);
 }
 
-/// Keep the state and the method's memory.
+/// Store the state and the method's memory.
 void keep(const System & system, const GuardedRun & run, Values kept)
 {
   double * next = std::copy(run.state.begin(), run.state.end(), kept.begin());
@@ -331,7 +331,7 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
   return Pause::FAILURE;
 }
 
-/// Make steps until all are made or there is something to do.
+/// Make steps until all are made or the run pauses.
 Pause go_on(const System & system, const GuardedRun & run)
 {
   const Indices & counts = run.counts;
@@ -505,7 +505,7 @@ void CopiedRun::begin(const System & system, Values start)
   known[account::REFERENCE] = balance.kinetic + balance.stored;
   known[account::START_KINETIC] = balance.kinetic;
   known[account::START_STORED] = balance.stored;
-  // Nothing has been evaluated yet for the run.
+  // The run has no evaluation yet.
   std::copy(health.begin(), health.end(), system.work.health.begin());
   numbers[TIME_BASE] = 0.0;
   numbers.part(MOVED, LOST - MOVED).fill(0.0);

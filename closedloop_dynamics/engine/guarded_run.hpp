@@ -53,25 +53,24 @@ struct Watch
 
 namespace guard
 {
-/// GuardedRun.numbers: the time is TIME_BASE and STEPS times STEP_SIZE [s]; the size of the steps
-/// that are made now, and how far the portion came that failed [s]; what steps have cost: time
-/// simulated [s], steps, time of the clock spent and, where it is measured, CPU time of the thread
-/// [ns]; the largest energy exchanged up to any check [J]; the largest error of the balance
-/// relative to the energy exchanged by then, its time, itself and that energy [J]; the error since
-/// the latest check, and the energy exchanged since [J]; the time of the latest check [s]; balances
-/// where the guard began, at the latest good check and now; time of the latest check of cables and
-/// the error of the balance then; the mass of the mechanism [kg].
+/// GuardedRun.numbers: the time is TIME_BASE and STEPS times STEP_SIZE [s]; the present step size,
+/// and the time reached by the portion that failed [s]; cost of steps: time simulated [s], steps,
+/// wall time and, if measured, CPU time of the thread [ns]; the largest energy exchanged up to any
+/// check [J]; the largest error of the balance relative to the energy exchanged by then, its time,
+/// itself and that energy [J]; error and energy exchanged since the latest check [J]; the time of
+/// the latest check [s]; balances where the guard began, at the latest good check and now; time of
+/// the latest check of cables and the error of the balance then; the mass of the mechanism [kg].
 enum Number : Index
 {
   TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS,
   COST_CPU_NANOSECONDS, MOVED, WORST, WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, CHECK_TIME,
   BEGIN, CHECK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, MASS, NUMBERS
 };
-/// GuardedRun.counts: steps since TIME_BASE; those left of the present call, and all of it; the
-/// portion handed to the host, how many steps of it were made, and how it ended; the checks that
-/// are due; steps until the error of one is estimated, negative where none is; steps since the
-/// latest check of energy, and between two; the same for equations; whether the guards have checked
-/// the start; whether the guard has warned, and has ended a run.
+/// GuardedRun.counts: steps since TIME_BASE; steps left of the present call, and all of them; the
+/// portion handed to the host, its steps made, and its status; the checks that are due; steps until
+/// the next error estimate, negative without; steps since the latest check of energy, and between
+/// two; the same for equations; whether the guards have checked the start; whether the guard has
+/// warned, and has ended a run.
 enum Count : Index
 {
   STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
@@ -82,7 +81,7 @@ enum Checked : Index {NOT, AT_STATE, AT_BALANCE};
 }  // namespace guard
 
 /// Why a run pauses: all steps are made; or the host is to check torques, find the energy at the
-/// start, estimate an error, make steps itself, go on after a failure or report it, choose other
+/// start, estimate an error, make steps itself, continue after a failure or report it, choose other
 /// equations; or to report a small or large error of the energy balance, a leap of a cable, a
 /// singular position, open loops.
 enum class Pause : Index
@@ -125,7 +124,7 @@ struct GuardedRun
 /// Apply torques and make steps, until all are made or the host has to act.
 Pause advance_run(const System &, const GuardedRun &, const Given & tau, Index steps);
 
-/// Go on with the rest of a call.
+/// Continue with the rest of a call.
 Pause resume_run(const System &, const GuardedRun &);
 
 /// Check the energy balance now.
@@ -152,19 +151,19 @@ public:
   CopiedRun(const CopiedRun &) = delete;
   CopiedRun & operator=(const CopiedRun &) = delete;
 
-  /// Begin at a state, its energy known.
+  /// Begin at a state, whose energy has been computed.
   void begin(const System &, Values start);
   /// Apply torques.
   void command(const System &, Values torque);
   Values state() const {return run_.state;}
   /// Make steps; DOUBTFUL where the host has to decide how the run ends.
   Status advance(const System &, Index steps);
-  /// Check the energy; whether the run goes on.
+  /// Check the energy; return whether the run continues.
   bool keeps_energy(const System &);
-  /// Check a state after steps made elsewhere, by torques of a known work [J]: its loops and, if
-  /// requested, its energy; whether the run goes on.
+  /// Check a state after steps made elsewhere, with the work of its torques [J]: its loops and, if
+  /// requested, its energy; return whether the run continues.
   bool keeps_to(const System &, Values state, Index steps, double work, bool at_energy);
-  /// What is known of the energy.
+  /// Write the energy columns of a result.
   void report(Values found) const;
 
 private:

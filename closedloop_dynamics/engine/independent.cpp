@@ -17,15 +17,15 @@ namespace closedloop
 
 namespace
 {
-// Partition.record: the pivot ratio when the set was chosen (0: none chosen yet), the latest one,
-// how often the set was changed.
+// Partition.record: the pivot ratio when the set was chosen (0: not chosen yet), the latest one,
+// the number of changes of the set.
 enum : Index {CHOSEN_RATIO, RATIO, SWITCHES};
 // A set whose pivots have shrunk to this share of what they were is exchanged for a better one:
 // the error of a step grows fast while the independent coordinates turn singular (3-RRR, 1 s
 // of RK4 at 1 ms: 8e-3 rad at 0.2, 5e-6 at 0.5, 1.5e-6 at 0.8), a change costs one factorization.
 constexpr double WORN = 0.8;
 constexpr int MOST_ITERATIONS = 12;
-// Rounding errors of coordinates, relative, and of what follows from them on the way to a cut joint.
+// Relative rounding error of a coordinate, with the kinematics from it to a cut joint.
 constexpr double ROUNDING = 16.0 * std::numeric_limits<double>::epsilon();
 
 /// Choose the dependent coordinates, first in `order`, by complete pivoting of the Jacobian.
@@ -68,8 +68,8 @@ void choose(const Partition & partition)
   partition.record[SWITCHES] += 1.0;
 }
 
-/// Whether closure errors are what rounding of the coordinates alone makes of them: where a slide
-/// has gone a thousand sizes of the mechanism far, that is more than the tolerance.
+/// Whether closure errors are rounding of the coordinates: after a prismatic joint has moved a
+/// thousand sizes of the mechanism, rounding exceeds the tolerance.
 bool is_rounding(
   const Partition & partition, const Manifold & manifold, Values q, Values error,
   double tolerance)

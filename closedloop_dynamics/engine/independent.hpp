@@ -12,7 +12,7 @@ namespace closedloop
 {
 
 /// Close the loops by the dependent coordinates and rates, in place, choosing independent ones
-/// where none are chosen yet or, after a step, where those have worn out; false where loops stay
+/// initially and, after a step, where their pivots have become too small; false where loops remain
 /// open.
 bool close_by_dependent(
   const Model &, const Workspace &, const Partition &, const Manifold &, Values q, Values qd,

@@ -151,7 +151,7 @@ void apply_joint_friction(
   const double rate = along(table, row, qd);
   const double most = friction_limit(table, row, rate);
   double direction = table.states[state], torque;
-  // A joint that breaks away within a step goes on as one that slides.
+  // A joint that breaks away within a step slides from then on.
   if (std::fabs(direction) < 0.5 && std::fabs(rate) > REST) {
     direction = rate;
   }

@@ -34,7 +34,7 @@ void follow_load(const EffectTable & table, Index row, double size)
   table.output(row, 2) = size;
 }
 
-/// Force in a joint of the tree, across the axis of one that slides [N]: in the plane, in space.
+/// Force in a joint of the tree, across the axis of a prismatic one [N]: in the plane, in space.
 double planar_load(Indexes tree, Table body, Table reaction, Index i)
 {
   const double fx = reaction(i, FORCE_X), fy = reaction(i, FORCE_Y);
@@ -69,7 +69,7 @@ double cut_load(
   const bool planar = cuts.index(k, cut_coordinate::IN_PLANE) == 1;
   Vector3 force = planar ? Vector3{share[FORCE_X], share[FORCE_Y], 0.0} : vector3(share + 3);
   if (cuts.index(k, cut_coordinate::ACROSS) == 0) {
-    // What acts along the joint's slides passes through it, too.
+    // Forces along the slides of the joint load it, too.
     const Index first = table.applied.size - cuts.index.rows;
     for (Index n = 0; n < cuts.index.rows; ++n) {
       if (cuts.index(n, cut_coordinate::CUT) == a && cuts.index(n, cut_coordinate::SLIDES) == 1) {

@@ -148,7 +148,7 @@ Status LaneEvents::make(Values state, Values out, double size)
     }
     const Status status =
       make_steps(system, lanes_[lane].run.stepper, own, 0.0, 0, size, 1).first;
-    // Guards know the work of torques by themselves.
+    // Guards compute the work of torques themselves.
     system.tau.fill(0.0);
     if (status != Status::DONE) {
       return status;

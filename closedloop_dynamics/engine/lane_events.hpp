@@ -8,10 +8,10 @@
 
 #include "batch.hpp"
 
-// Steps in which something happens to the effects of one lane. The lanes of a vector make whole
-// steps alike, with one joint under dry friction at rest in each lane, too; a lane in which several are, a
-// joint comes to rest or creeps, or a contact may be passed unfelt, makes that step alone, as a
-// single run does, and goes on with the others.
+// Steps with an event of an effect in one lane. The lanes of a vector make whole steps alike, with
+// one joint under dry friction at rest in each lane, too; a lane where several are at rest, a joint
+// comes to rest or creeps, or a contact may be missed, makes that step alone, as a single run does,
+// and then continues with the others.
 
 namespace closedloop
 {
@@ -29,20 +29,20 @@ public:
   /// The routine that evaluates the states of the present step.
   Index routine() const {return at_rest_ ? routine::AT_REST : routine::EVALUATION;}
 
-  /// Take note of the gaps at the start of a step, after the evaluation there.
+  /// Store the gaps at the start of a step, after the evaluation there.
   void store_start();
 
-  /// Find the lanes to whose effects something has happened within a step to `out`, and whether
-  /// joints at rest in the others have broken away.
+  /// Find the lanes with an event within a step to `out`, and whether joints at rest in the others
+  /// have broken away.
   void find(Values state, Values out, double size);
 
-  /// Make the steps of lanes that are alone, of one size [s], into `out`.
+  /// Make steps of one size [s] of single lanes, into `out`.
   Status make(Values state, Values out, double size);
 
 private:
   /// How many joints are at rest.
   Index resting(Values state, std::size_t lane) const;
-  /// Look at a joint at rest at the end of a step; return whether it moves, but slowly.
+  /// Whether a joint at rest moves slowly at the end of a step.
   bool creeps(Index row, Values out, std::size_t lane) const;
   double along(Index row, Values out, std::size_t lane) const;
 

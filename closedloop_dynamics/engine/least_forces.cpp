@@ -78,7 +78,7 @@ double * terms_of_wrench(
   return out;
 }
 
-/// All that counts: of the joints of the tree and the cut joints, and of other equations.
+/// Terms of the norm: of tree joints, cut joints and other equations.
 Eigen::VectorXd terms(
   const System & system, const Model & model, const Workspace & work,
   const std::vector<Arms> & arms, Table wrench, Values lam)

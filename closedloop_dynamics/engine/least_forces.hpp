@@ -27,7 +27,7 @@ void minimise_joint_wrenches(
   const System &, const Model &, const Workspace & work, const DenseMatrix & jac, Table wrench,
   Values lam, Index independent);
 
-/// Multipliers of all equations that are zero where the elimination leaves an equation out.
+/// Multipliers of all equations, zero for those that the elimination omits.
 void spread_multipliers(const System &, Values lam);
 
 }  // namespace closedloop

@@ -9,13 +9,13 @@
 namespace closedloop
 {
 
-/// Least squares of any rank, of all solutions the least one; compiled once, which takes seconds.
+/// Least squares of any rank, minimum-norm solution; compiled once, as it costs seconds.
 class LeastSquares
 {
 public:
   /// Factorise; pivots below threshold times the largest belong to columns that repeat others.
   void compute(const Eigen::MatrixXd & matrix, double threshold);
-  /// The least x of those that bring matrix x nearest to what is wanted.
+  /// The minimum-norm x that minimises |matrix x - wanted|.
   Eigen::VectorXd solve(const Eigen::VectorXd & wanted) const;
   Eigen::Index rank() const {return decomposition_.rank();}
   /// Columns that span all x with matrix x = 0, orthonormal.

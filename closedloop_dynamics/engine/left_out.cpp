@@ -19,8 +19,8 @@ enum : Index {PIVOT, KINETIC, LENIENT, OPENED};
 // Kinetic energy that the projection may discard after a step, of the most that there was: more is
 // no error of the step, but equations that hinder the motion.
 constexpr double DISCARDED = 1e-6;
-// Pivots that are good enough; how much smaller one must have become; and how fast, from step to
-// step, the pivot that this is measured by may grow.
+// Sufficient pivot; ratio to the reference pivot below which equations are poor; and growth of that
+// reference per step.
 constexpr double GOOD_PIVOT = 0.02, SMALLER = 0.25, GROWTH = 1.1;
 
 /// Kinetic energy of a state [J].

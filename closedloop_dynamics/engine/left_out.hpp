@@ -6,17 +6,17 @@
 
 #include "system.hpp"
 
-// Whether the closure equations that are kept stand for all, where some that repeat others are not.
-// Which equations are redundant changes with the position: kept ones may come to depend on one
-// another, and left-out ones may become independent.
+// Whether the kept closure equations imply all, where redundant ones are omitted. Which equations
+// are redundant changes with the position: kept ones may come to depend on one another, and
+// left-out ones may become independent.
 
 namespace closedloop
 {
 
-/// Whether the kept equations serve in a state, shape (ns,), after a step that was stabilised. They
-/// do not where those that are left out have opened, where they have come closer to depending on
-/// one another, or where the projection has discarded energy. True where none are left out, and for
-/// stabilisations that let loops drift apart.
+/// Whether the kept equations suffice in a state, shape (ns,), after a stabilised step. They do not
+/// where omitted ones are violated, where kept ones are closer to dependence than before, or where
+/// the projection has discarded energy. True where none are omitted, and for stabilisations that
+/// allow drift.
 bool equations_serve(const System &, Stabilisation, Values state);
 
 }  // namespace closedloop

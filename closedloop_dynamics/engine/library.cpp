@@ -12,14 +12,14 @@ namespace closedloop
 namespace
 {
 /// `entries`: of the effect, so many numbers; `memory`: its row of SceneCode.present; `flag`, `x`,
-/// `y`: what is asked; `results`: three numbers at most, behind the one that is returned.
+/// `y`: arguments of the search; `results`: up to three results after the returned one.
 using Function = double (
   const double * entries, double * memory, double length, double flag, double x, double y,
   double * results);
 
 Values as_values(const double * entries, double length)
 {
-  // Nothing writes there.
+  // Searches only read the entries.
   return {const_cast<double *>(entries), static_cast<Index>(length)};
 }
 

@@ -11,7 +11,7 @@
 namespace closedloop
 {
 
-/// Carry a wrench inward over entries of a path; keep its share in each joint.
+/// Transmit a wrench inward along entries of a path; store its component in each joint.
 static void carry(
   const Model & model, const Workspace & work, Index which, Index first, Index last,
   double * wrench, Index row)
@@ -150,7 +150,7 @@ void respond(const Model & model, const Workspace & work, Index which, Index a, 
   }
 }
 
-/// Value and rate of what a coupling makes of the joints of the tree, less what it holds.
+/// Value and rate of a coupling: its weighted sum of tree joints, less its constant.
 static void sum_of_joints(
   const Model & model, const Workspace & work, Index a, Index begin, double & value,
   double & rate)
@@ -172,7 +172,7 @@ static void sum_of_joints(
   }
 }
 
-/// The code for a cut joint computes all equations that it may have: leave those that are kept.
+/// Generated code computes all equations of a cut joint: move the kept ones to the front.
 static void leave_kept(Index possible, Index kept, Index size, double * equation)
 {
   double * next = equation;

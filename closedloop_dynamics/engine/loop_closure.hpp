@@ -18,10 +18,10 @@ void measure(const Model &, const Workspace &, Index a);
 /// `which` is a column of Workspace.kernel: REDUCE, LEVER or CARRY.
 void respond(const Model &, const Workspace &, Index which, Index a, Index row);
 
-/// Closure errors, rates and biases of all cuts, and the responses that are asked for.
+/// Closure errors, rates and biases of all cuts, and the requested responses.
 void update(const Model &, const Workspace &, Responses);
 
-/// Largest absolute value; NaN where there is one.
+/// Largest absolute value; NaN if any is NaN.
 double largest(Values);
 
 /// Accelerations of the closure errors without cut forces, in elimination order.

@@ -42,7 +42,7 @@ struct Model
   }
 };
 
-/// What one evaluation writes (core/types.py).
+/// Results and scratch of one evaluation (core/types.py).
 struct Workspace
 {
   Table body;
@@ -86,7 +86,7 @@ struct Workspace
   }
 };
 
-/// Where quaternions are among the coordinates (core/manifold.py); empty where there are none.
+/// Places of quaternions among the coordinates (core/manifold.py); empty without any.
 struct Manifold
 {
   Indexes balls;

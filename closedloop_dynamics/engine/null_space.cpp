@@ -23,14 +23,14 @@ constexpr double DEPENDENT = 1e-11;
 constexpr double DOUBT = 3.0;
 // Entries of J against the largest: less is the rounding of a zero, not to be scaled up.
 constexpr double NOTHING = 1e-12;
-// Inertia of a motion against the largest: less is none.
+// Inertia of a motion, against the largest, below which it is zero.
 constexpr double NO_INERTIA = 1e-14;
-// Square roots of pivots above this leave no doubt that all motions have one.
+// Square roots of pivots above which all motions certainly have inertia.
 constexpr double CLEAR = 1e-3;
 // Singular values below this times the largest belong to equations that repeat others.
 constexpr double REPEATED = 1e-9;
 
-/// The rest of a solution: shares in the singular vectors of J, and which of them are taken.
+/// Components of a solution along the singular vectors of J, and the equations that are used.
 template<int Most>
 struct Choice
 {
@@ -38,8 +38,8 @@ struct Choice
   Eigen::Array<bool, Eigen::Dynamic, 1, Eigen::ColMajor, Most, 1> taken;
 };
 
-/// Motion of the equations taken, and in the directions left the one of least constraint; false
-/// where one without inertia is pushed.
+/// Motion by the equations used and, in the remaining directions, by Gauss's least constraint;
+/// false where a force acts on a motion without inertia.
 template<int Most>
 bool solve_motion(
   const Decomposition<Most> & place, const Choice<Most> & choice,
@@ -100,7 +100,7 @@ bool solve_motion(
   return determined;
 }
 
-/// Whether a weak equation's residual can be told from its estimated error.
+/// Whether a weak equation's residual exceeds its estimated error.
 bool is_worth_taking(
   Level level, double singular, double residual, double gap, double drift, double gap_along,
   double drift_along, double speed, double size)
@@ -118,7 +118,7 @@ bool is_worth_taking(
   return residual > DOUBT * error;
 }
 
-/// Remove from the multipliers what the equations left out would not notice.
+/// Remove from the multipliers the components along the equations that are not used.
 template<int Most>
 void make_least(
   const Decomposition<Most> & place, const Choice<Most> & choice, Eigen::Map<DenseVector> lam)

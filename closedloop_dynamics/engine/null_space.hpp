@@ -23,8 +23,8 @@ inline Values view(DenseVector & vector) {return {vector.data(), vector.size()};
 inline Eigen::Map<DenseVector> dense(Values values) {return {values.data, values.size};}
 inline Eigen::Map<DenseMatrix> dense(Table table) {return {table.data, table.rows, table.columns};}
 
-/// Singular values below this belong to a singular configuration nearby: whether such an
-/// equation is taken depends on whether its right-hand side can be told from its error.
+/// Singular values below this belong to a singular configuration nearby: such an equation is used
+/// only if its right-hand side exceeds its error.
 constexpr double WEAK = 0.1;
 /// Rounding of scaled places and terms.
 constexpr double ROUNDING = 2e-15;
@@ -32,8 +32,8 @@ constexpr double ROUNDING = 2e-15;
 /// Rank of the closure equations, by a rank-revealing solution.
 struct Rank
 {
-  Index taken = 0;  ///< Number of equations taken
-  double weakest = 1.0;  ///< Smallest scaled singular value of one that repeats no other
+  Index taken = 0;  ///< Number of equations used
+  double weakest = 1.0;  ///< Smallest scaled singular value of an independent one
   Index distinct = 0;  ///< Number of equations that repeat no other
 };
 
@@ -76,7 +76,7 @@ struct DenseEquations
   typename Sized<Most>::Vector psi, rate;  ///< Closure errors of positions and rates
 };
 
-/// The closure equations and the inertias at one place, whatever moves there.
+/// The closure equations and the inertias at one position, for any rates.
 template<int Most>
 struct Decomposition
 {
@@ -93,9 +93,8 @@ struct Decomposition
 /// Scales of the rows and columns of J that make its entries comparable lengths.
 void scales(const Model &, Table jac, Values row, Values column);
 
-/// Solve with the equations that can be told apart; motion is NaN where one without inertia is
-/// pushed; of all multipliers that give the same motion the least ones. They are computed for
-/// accelerations only.
+/// Solve with the distinct equations, with the least multipliers for that motion, which are
+/// computed for accelerations only. NaN where a force acts on a motion without inertia.
 template<int Most>
 Rank solve(
   const Decomposition<Most> &, const DenseEquations<Most> &, double speed, Level, Values motion,

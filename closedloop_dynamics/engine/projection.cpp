@@ -24,7 +24,7 @@ namespace
 // Closure tolerance near a singular configuration, against the ordinary one.
 constexpr double SHARPER = 1e-3;
 
-/// Which code knows the corrections of a state.
+/// The code that computes the corrections of a state.
 enum class By {ROUTINE, LOOPS, RANK};
 
 /// Factor by loops over bodies; return whether the closure equations are independent.
@@ -70,8 +70,8 @@ void correction(const System & system, By by, Level level, Values q, Values qd)
   }
 }
 
-/// Correct rates, and positions if asked; return whether the loops are closed, to the tolerance or,
-/// where closure equations are dependent, to the limit.
+/// Correct rates, and positions if requested; return whether the loops are closed, to the tolerance
+/// or, where closure equations are dependent, to the limit.
 bool project(const System & system, Values q, Values qd, bool positions)
 {
   const Workspace & work = system.work;

@@ -11,16 +11,16 @@
 namespace closedloop
 {
 
-/// Corrections of the positions of a state. Newton's method doubles the digits each time: what these
-/// do not close stays open.
+/// Corrections of the positions of a state. Newton's method doubles the digits each time: more do
+/// not help.
 constexpr Index MOST_POSITION_CORRECTIONS = 8;
 
-/// Correct a state, shape (ns,), in place; return whether the loops are closed where positions
-/// were to be corrected. Quaternions get norm 1 in any case, which keeps the order of the method.
+/// Correct a state, shape (ns,), in place; return whether the loops are closed if positions were
+/// corrected. Quaternions get norm 1 in any case, which keeps the order of the method.
 bool stabilise(const System &, Stabilisation, Values state);
 
 /// The same of a state between the ends of a step: independent coordinates stay those of the step,
-/// so that a run does not depend on where its states are asked for.
+/// so that a run does not depend on its output times.
 bool stabilise_between(const System &, Stabilisation, Values state);
 
 /// The least change of coordinates or rates that closes the loops, into System.qdd, by the factors

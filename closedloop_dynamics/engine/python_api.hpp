@@ -4,11 +4,11 @@
 /// @file
 /// The part of Python's stable binary interface (PEP 384) that the bindings use, under its names.
 ///
-/// A module that uses nothing else runs in every Python from 3.11 on, and is compiled without the
+/// A module that uses only this part runs in every Python from 3.11 on, and is compiled without the
 /// headers of any: machines without a C++ compiler rarely have these, and a Python for another
 /// architecture is not needed to compile for it. The sizes and orders of the members are promised
-/// by https://docs.python.org/3/c-api/stable.html. A test compiles this file behind Python.h,
-/// which gives the types then: each declaration below must agree with Python's own.
+/// by https://docs.python.org/3/c-api/stable.html. A test compiles this file behind Python.h, which
+/// gives the types then: each declaration below must agree with Python's own.
 
 #pragma once
 

@@ -19,22 +19,21 @@ namespace closedloop
 
 namespace
 {
-// Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
+// Most corrections onto the branch: from 1e-4 beside it, two reach rounding.
 constexpr int MOST_CORRECTIONS = 4;
 // Closure error, against the size of J's entries, that counts as on the branch.
 constexpr double SETTLED = 1e-10;
 // Singular values below this: rounding, divided three times by s, would show in accelerations.
 constexpr double CLOSE = 1e-3;
-// Positions around a state that are evaluated instead: at -4 to 4 times `aside`, but not at 0.
-// The eighth power of that distance is the error of the interpolation, which is nothing beside the
-// tightest tolerance; that of four places, 1e-7, was found by step after step of an
-// error-controlled method.
+// Positions around a state that are evaluated instead: at -4 to 4 times `aside`, but not at 0. The
+// eighth power of that distance is the error of the interpolation, far below the tightest
+// tolerance; that of four places, 1e-7, was found by step after step of an error-controlled method.
 constexpr int PLACES = 8;
-// Smallest singular value at which a position is evaluated. Where many loops come to lie in one
-// line at once, singular values grow slowly with the distance. The places are then taken farther
-// away, at most FARTHEST times as far, evaluated if singular values there are BETTER times those
-// here, and accepted if all but the outermost agree: up to APART of the largest acceleration, or
-// what rounding, NOISE, makes of the state's own.
+// Smallest singular value at which a position is evaluated. Where many loops become collinear at
+// once, singular values grow slowly with the distance. The places are then moved farther away, at
+// most FARTHEST times as far, evaluated if singular values there are BETTER times those here, and
+// accepted if all but the outermost agree: up to APART of the largest acceleration, or of the
+// rounding error, NOISE, of those at the state.
 constexpr double ENOUGH = 2.0 * CLOSE, LEAST_ENOUGH = 0.1 * CLOSE;
 constexpr double FARTHEST = 8.0, BETTER = 2.0, APART = 1e-6, NOISE = 1e-18;
 
@@ -118,7 +117,7 @@ private:
     }
   }
 
-  /// Closure errors of the state in the workspace, with all that its equations say.
+  /// Evaluate errors and rates of all closure equations at the state in the workspace.
   void measure()
   {
     update(model_, work_, Responses::NONE);
@@ -228,7 +227,7 @@ void Solver<Most>::accelerate(
   if (close) {
     health[health::SINGULAR_COUNT] += 1.0;
   }
-  // An ordinary place, repeated equations aside, or nothing moves.
+  // A regular position but for redundant equations, or a mechanism at rest.
   if (!((close || (here < nc && health[health::LOOKED_BESIDE] == 0.0)) && speed > 0.0)) {
     return;
   }
@@ -277,8 +276,7 @@ void Solver<Most>::accelerate(
       health[health::MOST_DISTINCT] =
         std::max(health[health::MOST_DISTINCT], static_cast<double>(rank.distinct));
     }
-    // No branch there, or none that leads out of here, or equations that are repeated there, too:
-    // what was found first must do.
+    // Not on a branch, or with redundant equations there, too, the first result is used.
     if (!close && static_cast<double>(here) < health[health::MOST_DISTINCT]) {
       close = true;
       health[health::SINGULAR_COUNT] += 1.0;
@@ -287,7 +285,7 @@ void Solver<Most>::accelerate(
       break;
     }
     if (rank.distinct > few) {
-      // What vanished at the state.
+      // A singular value that is zero at the state.
       weak = 0.0;
     }
     if (rank.weakest < ENOUGH && !farther) {

@@ -115,7 +115,7 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
 void wrenches_of_cut(
   Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a)
 {
-  // The code computes with all equations that there may be: those left out exert nothing.
+  // Generated code computes all equations of a cut joint: multipliers of omitted ones are zero.
   double multiplier[6];
   const double * next = lam.data + cut(a, cut::CUT_ROW);
   double * last = multiplier;

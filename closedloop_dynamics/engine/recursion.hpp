@@ -37,7 +37,7 @@ void newton(const Model &, const Workspace &, Values qdd, Table wrench);
 void joint_wrenches(
   const Model &, const Workspace &, Values qdd, Values lam, Table wrench);
 
-/// Wrenches in the joints of the tree from multipliers alone: nothing moves, nothing else acts.
+/// Wrenches in the joints of the tree from multipliers alone, without motion and other forces.
 void wrenches_of_multipliers(const Model &, const Workspace &, Values lam, Table wrench);
 
 /// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and

@@ -15,14 +15,13 @@ namespace closedloop
 
 namespace
 {
-// The error shrinks each time by the rounding of the smallest pivot, and by the share that the
-// stand-ins have in the inertia around them: three times is enough for masses that differ by 12
-// decades.
+// The error shrinks each time by the rounding of the smallest pivot, and by the ratio of substitute
+// inertias to those around them: three suffice for masses that differ by 12 decades.
 constexpr int REFINEMENTS = 3;
 // Remainders before the last refinement: of the closure accelerations against their terms; of the
-// forces on joints without inertia against those on all joints, as they may be none, or, where no
-// constraint force acts at all, against the first ones; and, where nothing accelerates, of the
-// closure accelerations against those without constraint forces.
+// forces on joints without inertia against those on all joints, as they may be zero, or, without
+// any constraint force, against the first ones; and, without any acceleration, of the closure
+// accelerations against those without constraint forces.
 constexpr double CONVERGED = 1e-8;
 constexpr double ROUNDING = 1e-13;
 // Mobility of a joint without inertia, against that of the lightest one beside it.
@@ -39,7 +38,7 @@ double factor_geometry(const Model & model, const Workspace & work)
     joint(i, joint::SQUARE) = 0.0;
   }
   for (Index a = 0; a < cut.rows; ++a) {
-    // What a coupling reads has no lever.
+    // Couplings act on coordinates, without a lever.
     if (cut(a, cut::LENGTHS) == 0) {
       continue;
     }
@@ -60,7 +59,7 @@ double factor_geometry(const Model & model, const Workspace & work)
     }
   }
   for (Index i : path_body) {
-    // Joints that no equation has a lever on, such as those that only couplings hold.
+    // Joints on which no equation has a lever, as joints held by couplings only.
     double & square = joint(i, joint::SQUARE);
     square = square > 0.0 ? square : 1.0;
   }
@@ -77,7 +76,7 @@ double factor_geometry(const Model & model, const Workspace & work)
   return factorize(model, work);
 }
 
-/// Give joints without inertia one that stands in for none; false where no path leads to one.
+/// Give joints without inertia a small substitute; false where no path leads to such a joint.
 bool stand_in(const Model & model, const Workspace & work)
 {
   const Table & body = work.body, & joint = work.joint;

@@ -22,8 +22,8 @@ namespace closedloop
 
 namespace
 {
-// Smallest pivot, about the squared sine between an equation and the others, of positions that are
-// no singular ones for sure.
+// Smallest pivot, about the squared sine between an equation and the others, above which a position
+// is certainly not singular.
 constexpr double CLEAR_PIVOT = 1e-6;
 
 /// Which row of the torques acts at an instant.

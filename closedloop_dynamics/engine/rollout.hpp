@@ -52,8 +52,8 @@ void check_starts(
 void annotate(
   const System &, Table torque, Index zero_order_hold, Index decimation, const RunBuffer &);
 
-/// Wrenches in the joints of the tree at the instants of a known motion, shape (instants, nv, 3 or
-/// 6); `scratch` is of shape (nb + 1, 6 or 12).
+/// Wrenches in the joints of the tree at the instants of a motion, shape (instants, nv, 3 or 6);
+/// `scratch` is of shape (nb + 1, 6 or 12).
 void fill_joint_forces(
   const System &, Table torque, Index zero_order_hold, Index decimation, Table state, Table qdd,
   Table lam, Table scratch, Cube<double> out);

@@ -124,14 +124,14 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
   return true;
 }
 
-/// What is known of a Jacobian that was factored.
+/// Rate and cost of a factored Jacobian.
 struct Factored
 {
-  double rate;  ///< The fastest of the motion [1/s]
-  Index evaluations;  ///< That it took
+  double rate;  ///< Fastest rate of the motion [1/s]
+  Index evaluations;  ///< Evaluations spent on it
 };
 
-/// Factor I / (h gamma) - J at a state; return none where that was interrupted.
+/// Factor I / (h gamma) - J at a state; empty where interrupted.
 std::optional<Factored> factor_jacobian(
   const System & system, Values state, double step_size, Table matrix, Indices pivots,
   Table scratch, Interrupt & interrupt)
@@ -339,7 +339,7 @@ Status StiffRun::accepted_step(
   control[control::ERROR] = error;
   control[control::LARGEST_ERROR] = std::max(control[control::LARGEST_ERROR], error);
   control[control::STIFFNESS] = rate;
-  // A step cut short says nothing against the size that was to be tried.
+  // A step cut short is no reason to reduce the size to try next.
   const bool shortened = last || cuts > 0 || cut <= used;
   control[control::NEXT_STEP] = shortened ? std::max(size, used * factor) : used * factor;
   return Status::DONE;

@@ -20,8 +20,8 @@ inline void call_joint_kernel(
   reinterpret_cast<Kernel>(address)(constant, own, other, first, second);
 }
 
-/// Call the code generated for a law of force: its parameters, the coordinates that it measures,
-/// each with its rate, its states, and what it returns.
+/// Call the code generated for a force law with its parameters, measured coordinates, each with its
+/// rate, states, and results.
 inline void run_law(
   Index address, const double * parameters, const double * measured, const double * states,
   double * results)
@@ -37,8 +37,8 @@ inline bool call(Indices table, Index which, Vector<double> q, Vector<double> qd
   return reinterpret_cast<Routine>(table[which])(table.data, q.data, qd.data) != 0;
 }
 
-/// Call routine 0 of a table on a state, then routine 1, which knows what that one left, from each
-/// row of columns to the same row of the results; return whether all are good.
+/// Call routine 0 of a table on a state, then routine 1, which uses its results, from each row of
+/// columns to the same row of the results; return whether all are good.
 inline bool call_for_columns(
   Indices table, Vector<double> q, Vector<double> qd, Matrix<double> columns,
   Matrix<double> results)

@@ -6,15 +6,14 @@
 
 #include "effect_table.hpp"
 
-// What the code that was generated for a scene with its effects does not find out itself.
+// Preparation of the code generated for a scene with its effects.
 
 namespace closedloop
 {
 
-/// The routine of that code that evaluates the states of the effects that the table has now; less
-/// than zero where there is none: effects have other laws, one of them is switched off, friction
-/// feels reactions, or several joints under dry friction are at rest. What the laws would search for
-/// is found: pieces of courses, modes of contacts.
+/// Index of the routine of that code for the present states of the effects; negative where there is
+/// none: effects have other laws, one is disabled, friction depends on reactions, or several joints
+/// under dry friction are at rest. Finds the pieces of courses and modes of contacts for that code.
 Index prepare_code(const EffectTable &);
 
 /// Hand the modes of contacts over to generated code.

@@ -40,7 +40,7 @@ protected:
   Values slope(Index stage) const {return scratch_[stage].part(0, nx());}
   Values spare(Index number) const {return scratch_[run_.stages() + number];}
 
-  /// Parts of what the routines take, or of what a gradient is by.
+  /// Parts of an argument of the routines, or of a gradient.
   Values q_of(Values all) const {return all.part(0, nq());}
   Values qd_of(Values all) const {return all.part(nq(), nv());}
   Values tau_of(Values all) const {return all.part(nx(), nv());}

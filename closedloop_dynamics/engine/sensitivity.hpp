@@ -10,8 +10,8 @@
 #include "runge_kutta.hpp"
 
 // Runs by steps of one size, and their derivatives by the start, the torques and the parameters:
-// forward in one direction, or in reverse by all of them. What is differentiated is the arithmetic
-// of the steps, with their stabilisation. Effects are smooth functions of coordinates and rates.
+// forward in one direction, or in reverse by all of them. The discrete steps are differentiated,
+// with their stabilisation. Effects are smooth functions of coordinates and rates.
 
 namespace closedloop
 {
@@ -98,8 +98,8 @@ static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
 std::pair<Status, Index> record_steps(
   const System &, const SteppedRun &, Table scratch, const Tape &);
 
-/// What the states at all instants, shape (instants, nq + nv), change by. SINGULAR where there is no
-/// derivative, with the number of the step.
+/// Directional derivative of the states at all instants, shape (instants, nq + nv). SINGULAR where
+/// there is no derivative, with the number of the step.
 std::pair<Status, Index> change_of_steps(
   const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
   const RunInputs & change, Table out);

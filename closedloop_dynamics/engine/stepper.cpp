@@ -59,7 +59,7 @@ bool fits(const System & system, const Stepper & stepper)
   const bool is_switching = stepper.kind == stepper::SWITCHING;
   const bool is_stiff = stepper.kind >= stepper::SWITCHING;
   const Tableau & tableau = stepper.tableau;
-  // Steps of one size by the stiff method have what the others have.
+  // Fixed steps have no control record, by the stiff method neither.
   return ((stepper.is_fixed() && runs.control.rows == 0 && runs.scale.pages == 0) || (
            runs.control.rows == count && runs.control.columns == (
              is_switching ? static_cast<Index>(switching::COLUMNS) :

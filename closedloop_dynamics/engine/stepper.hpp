@@ -27,7 +27,7 @@ struct Stepper
   Tableau tableau;
   /// Shape (2, ns): tolerances for one of 1; of the default method.
   Table unit;
-  /// With a row for the run alone but of the default method, empty where a method has none.
+  /// One row, two for the default method; empty for methods without.
   Runs runs;
 
   bool is_fixed() const {return kind == stepper::FIXED || kind == stepper::STIFF_FIXED;}

@@ -38,7 +38,7 @@ bool lists_friction(const System & system)
   return false;
 }
 
-/// When the first joint comes to rest, by the secant; `size` where none does.
+/// Time at which the first joint comes to rest, by the secant; `size` if none does.
 double first_rest(
   const EffectTable & effects, Values grips, Values before, Values after, double size,
   double floor)

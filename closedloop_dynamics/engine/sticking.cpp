@@ -15,12 +15,12 @@ namespace
 {
 // Joints whose responses agree to this share one freedom: the first of them bears its load.
 constexpr double DEPENDENT = 1e-8;
-// Accelerations below this part of what they are a sum of are rounding.
+// Accelerations below this share of their largest term are rounding.
 constexpr double ROUNDING = 1e-10;
 // Changes of the active set, for each joint; more are a circle among equals.
 constexpr Index MOST_CHANGES = 5;
 
-/// Set what the joint of an effect has to zero; what several joints share stays as it was found.
+/// Zero the entry of an effect's joint; entries of joints of a tendon remain.
 void clear(const EffectTable & table, Index place, Values joints)
 {
   const Index row = table.sticking.rows[place + 1];
@@ -69,7 +69,7 @@ void compute_move(const Sticking & sticking, Index count, Values out)
   }
 }
 
-/// The unknown that the slope pulls away from its bound most; less than zero if none.
+/// Index of the bounded unknown with the steepest descent into the box; negative if none.
 Index most_loose(const Sticking & sticking, Index count, Values out)
 {
   const Table & matrix = sticking.matrix;

@@ -7,17 +7,17 @@
 #include "effect_table.hpp"
 
 // Static friction: joints and tendons at rest, and inertia reflected at cut joints and along
-// tendons, whose forces follow from accelerations. Between rigid bodies, friction at rest is whatever keeps the joint at rest, up to
-// its limit: the complementarity problem
+// tendons, whose forces follow from accelerations. Between rigid bodies, friction at rest keeps the
+// joint at rest, up to its limit: the complementarity problem
 //
 //     a = a_0 + W tau,     a_i = 0 with |tau_i| <= F_i,  or  tau_i = -F_i sign(a_i)
 //
 // for the accelerations a of all joints at rest; a_0 are those without their friction, W is the
-// response of the mechanism, its loops closed. These are the conditions of a convex problem,
-// min tau W tau / 2 + a_0 tau in a box, so that a is unique, even where several joints share one
-// freedom and tau is not. Reflected inertia I at a cut joint, or along a tendon, is one more unknown
-// without bounds, tau = -I a: it adds tau^2 / (2 I) to what is least. Along a tendon (arms.hpp) the
-// rate, acceleration and force are those of its length.
+// response of the mechanism, its loops closed. These are the conditions of a convex problem, min
+// tau W tau / 2 + a_0 tau in a box, so that a is unique, even where several joints share one
+// freedom and tau is not. Reflected inertia I at a cut joint, or along a tendon, is one more
+// unknown without bounds, tau = -I a: it adds tau^2 / (2 I) to the objective. Along a tendon
+// (arms.hpp) the rate, acceleration and force are those of its length.
 //
 // a_0 and W come from one evaluation without that friction and one with the limit of each:
 // `keep_frictionless`, `keep_response`, then `balance_friction`. `qdd`, shape (nv,) or, where

@@ -20,7 +20,7 @@ enum : Index {RUN, REFERENCE};
 // it 30 times as small at best.
 constexpr double CLOSER = 0.1;
 // Share of the accuracy at which the tolerance is tightened, and again at ten times as much each
-// time in a window; by how much; and down to what.
+// time in a window; the factor; and the lower limit.
 constexpr double TIGHTEN_AT = 0.3, TIGHTER = 0.1, FLOOR = 1e-13;
 constexpr double WINDOW = 1.0, LONGEST_PAUSE = 8.0;
 // Step size times fastest rate from which on stability may limit the explicit steps (it does at
@@ -88,7 +88,7 @@ void consider_explicit(Values control)
   }
   const double rate = work_rate(control);
   if (control[switching::EXPLICIT_RATE] > 0.0 && rate > control[switching::EXPLICIT_RATE]) {
-    // The trial has failed: the next one after a longer while.
+    // The trial has failed: wait longer before the next one.
     control[switching::STIFF_THRESHOLD] =
       std::min(2.0 * control[switching::STIFF_THRESHOLD], MOST_THRESHOLD);
     change(control, 0.0);
@@ -181,8 +181,8 @@ void Pair::begin(double time, Values state)
     open_window();
   } else if (monitor[monitor::OPEN] == 1.0) {
     const Values other = runs_.control[REFERENCE];
-    // Amid a step it is set back: a run that is restored does not know that step. So it is where
-    // both would make the same step, which it takes over then.
+    // The reference run restarts where it is within a step, which a restored run does not have, and
+    // where both runs would make the same step.
     const bool amid =
       std::abs(other[control::REACHED] - time) > LEAST * std::max(std::abs(time), 1e-3);
     const double least = std::min(control[control::NEXT_STEP], other[control::NEXT_STEP]);
@@ -331,7 +331,7 @@ void Pair::update_monitor(bool lost)
   }
 }
 
-/// Make one step of a run by the explicit method that is its turn.
+/// Make one step of a run by its present explicit method.
 Status Pair::explicit_step(Index which)
 {
   const Values control = runs_.control[which];
@@ -351,7 +351,7 @@ Status Pair::explicit_step(Index which)
   return status;
 }
 
-/// Make one step of a run by the method that is its turn.
+/// Make one step of a run by its present method.
 Status Pair::make_step(Index which, double limit)
 {
   const Values control = runs_.control[which];
@@ -360,7 +360,7 @@ Status Pair::make_step(Index which, double limit)
     if (status == Status::DONE) {
       consider_stiff(control);
     } else if (status != Status::INTERRUPTED && status != Status::POOR_EQUATIONS) {
-      // What stops the one may not stop the other.
+      // Where one method fails, the other may not.
       control[switching::EXPLICIT_RATE] = 0.0;
       change(control, 1.0);
       return Status::DONE;
@@ -427,7 +427,7 @@ Status Pair::advance(Values state, const Grid & grid)
   }
   if (status != Status::DONE) {
     copy(runs_.scratch[RUN][scratch::AFTER], state);
-    // With other equations both go on.
+    // With other equations both continue.
     if (status != Status::POOR_EQUATIONS) {
       control[control::STEP_SIZE] = 0.0;
     }

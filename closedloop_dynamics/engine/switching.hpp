@@ -11,9 +11,9 @@
 // Where torques are held for so short that one step of order five does, DOPRI5 makes it, with fewer
 // evaluations than DOP853.
 //
-// Where steps of the explicit method are limited by stability, the stiff one is tried, and
-// whichever takes less work for the same time goes on; work is counted in evaluations, so that the
-// same run changes at the same steps every time.
+// Where steps of the explicit method are limited by stability, the stiff one is tried, and the one
+// with less work per time continues; work is counted in evaluations, so that the same run changes
+// at the same steps every time.
 //
 // The local tolerance is a thousandth of the requested accuracy. Whether that is enough is
 // monitored: in windows of one second a reference run with a tolerance 30 times as large starts
@@ -25,10 +25,10 @@ namespace closedloop
 {
 
 /// Columns of the control record that follow those of error_control.hpp: whether the stiff method
-/// steps; explicit steps in a row that stability seems to limit and those that it does not; how
-/// many of the first kind let the stiff method be tried; work and time when that count, or the
-/// trial, began; work per time of the explicit method before the trial; steps of the trial; whether
-/// the present step is DOPRI5's, the step that it would make next, and after how many restarts it is
+/// steps; consecutive explicit steps that seem limited by stability, and that do not; how many of
+/// the former start a trial of the stiff method; work and time when that count, or the trial,
+/// began; work per time of the explicit method before the trial; steps of the trial; whether the
+/// present step is DOPRI5's, the step that it would make next, and after how many restarts it is
 /// tried again.
 namespace switching
 {

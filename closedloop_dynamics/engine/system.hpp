@@ -88,7 +88,7 @@ struct System
   AllEquations whole;
   JointPlaces joints;
   AccelerationDerivatives derivatives;
-  /// Returns whether a computation that takes long is to stop; none: never. Set by the host.
+  /// Returns whether a long computation is to stop; nullptr: never. Set by the host.
   bool (* interrupted)() = nullptr;
 
   Index nv() const {return qdd.size;}

@@ -14,7 +14,7 @@ namespace
 {
 using namespace traced;  // NOLINT: columns of one table
 
-/// What the routine gets before coordinates and rates: the time; 1 where the gap is less than zero.
+/// Inputs of the routine before coordinates and rates: the time; 1 where the gap is negative.
 enum Input : Index {TIME, SIDE, COORDINATES};
 
 inline Vector2 unit(Index axis, Vector2) {return {axis == 0 ? 1.0 : 0.0, axis == 1 ? 1.0 : 0.0};}
@@ -70,7 +70,7 @@ void apply_law(const EffectTable & table, Index row, Table body, Values q, Value
   const bool inside = table.contacts.mode[row] == contact::TOUCHING;
   run(inside);
   if (head[EVENT] == 1.0) {
-    // The gap belongs to both sides: only what follows from it may be that of the other one.
+    // The gap is the same for both sides of the event; forces may be those of the other side.
     const double * gap = results + count + own + 2 + READINGS;
     if (update_contact(table.contacts, row, gap[0], gap[1]) != inside) {
       run(!inside);

@@ -38,7 +38,7 @@ bool is_range(Index first, Index last, Index size)
 /// How many equations of a cut joint these are, as bits.
 Index count(Index equations) {return static_cast<Index>(std::bitset<6>(equations).count());}
 
-/// Whether the equations of a cut joint that are kept are among those that it may have.
+/// Whether the kept equations of a cut joint are valid for its type.
 bool are_kept(const Index * cut)
 {
   const Index possible = cut[cut::POSSIBLE], kept = cut[cut::KEPT];
@@ -92,7 +92,7 @@ const char * misfit_of_tree(const Model & model, Index nq)
       return "model.tree: parents come before their children";
     }
     const bool ball = model.tree(i, tree::TYPE) == tree::BALL;
-    // A row each for the three rates of a spherical joint, whose last one is asked for all.
+    // A spherical joint has a row for each of three rates; the last row is checked for all.
     const Index before = ball && model.tree(i, tree::AXIS) == 2 ? 2 : 0;
     if (!is_place(model.tree(i, tree::DOF) - before, nv - before) ||
       !is_place(model.tree(i, tree::COORDINATE), nq - (ball ? 3 : 0)) ||
@@ -306,13 +306,13 @@ bool has_cuts(const CutCoordinates & cuts, Index count)
   return within(cuts.index, cut_coordinate::CUT, 0, 0, count - 1);
 }
 
-/// A number that stands for a place among so many; less than zero for others.
+/// A number as an index below `size`; negative where it is none.
 Index as_place(double number, Index size)
 {
   return number >= 0.0 && number < static_cast<double>(size) ? static_cast<Index>(number) : -1;
 }
 
-/// Whether an expression is whole: it has a result, and takes no number that is not there.
+/// Whether an expression is whole: it has a result, and every operation has its operands.
 bool is_expression(Values data, Index at)
 {
   const Index count = is_place(at, data.size) ? as_place(data[at], data.size) : -1;
@@ -389,8 +389,8 @@ bool is_tendon(Values data, Index entries, Values values, Index joints)
 
 bool is_traced(Index kind) {return kind == effect::TRACED || kind == effect::SPATIAL_TRACED;}
 
-/// States of a law that was traced: the time, its own, and what it dissipates or its work; less
-/// than zero where there is no such number, or a coordinate that it measures is not there.
+/// Number of states of a traced law: time, its own, and dissipation or work; negative where an
+/// entry is invalid, or a measured coordinate does not exist.
 Index states_of_traced(Values data, Index count, Index joints, Index bodies, bool planar)
 {
   if (count < 0 || count > traced::MOST_COORDINATES ||

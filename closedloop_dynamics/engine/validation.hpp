@@ -11,8 +11,7 @@
 namespace closedloop
 {
 
-/// The first thing that does not fit; nullptr where all does. Addresses of routines are taken as
-/// they are.
+/// Message of the first error; nullptr where all fits. Addresses of routines are taken as they are.
 const char * misfit(const System &);
 const char * misfit(const Model &);
 /// The pattern of the constraint matrix and of its factor, which only the elimination needs.
@@ -22,7 +21,7 @@ const char * misfit(const EffectTable &, Index nv, Index bodies, bool planar);
 const char * misfit(const CutCoordinates &, Index nv, Index bodies, bool planar, Index states);
 const char * misfit(const Manifold &, Index nq, Index nv);
 
-/// Whether the cut joints whose coordinates these are are among so many.
+/// Whether the coordinates belong to existing cut joints.
 bool has_cuts(const CutCoordinates &, Index cuts);
 
 /// Length of the coordinates of a valid tree.
