@@ -153,10 +153,10 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
   }
 }
 /// Guards of the lanes, each with its own memory.
-class WatchedLanes
+class GuardedLanes
 {
 public:
-  WatchedLanes(const std::vector<Lane> & lanes, Values state, Indices status)
+  GuardedLanes(const std::vector<Lane> & lanes, Values state, Indices status)
   : lanes_(lanes), status_(status)
   {
     status_.fill(static_cast<Index>(Status::DONE));
@@ -293,10 +293,10 @@ Status run_batch(
       copy(state, since);
     };
   LaneEvents events(batch, lanes);
-  WatchedLanes watched(lanes, state, status);
+  GuardedLanes guarded(lanes, state, status);
   const auto check = [&](Index done, bool at_energy) {
       add_work_since();
-      watched.check(state, worked, done, at_energy);
+      guarded.check(state, worked, done, at_energy);
     };
   // Corrections of the rates have measured the loops of the states that they were made in.
   const bool measures =
@@ -377,7 +377,7 @@ Status run_batch(
       record(state, position, velocity, done / decimation);
     }
   }
-  watched.report(found);
+  guarded.report(found);
   return Status::DONE;
 }
 

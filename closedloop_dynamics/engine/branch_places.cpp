@@ -302,7 +302,7 @@ public:
     copy(qd_, rate_);
     bend_.fill(0.0);
     tangents_.fill(0.0);
-    look(q_, qd_);
+    evaluate_equations(q_, qd_);
     scales(model_, jac_, row_scale_, column_scale_);
     if (!find_components()) {
       return false;
@@ -314,7 +314,7 @@ public:
       regular = regular && part.regular;
     }
     for (const Component & part : components_) {
-      if (!part.regular && !trace(part)) {
+      if (!part.regular && !interpolate(part)) {
         return false;
       }
     }
@@ -393,7 +393,7 @@ private:
   }
 
   /// Evaluate closure errors, J and constraint bias at a place.
-  void look(Values q, Values rates)
+  void evaluate_equations(Values q, Values rates)
   {
     if (table_[routine::LOOP_EQUATIONS] != 0) {
       call({table_.data(), routine::TABLE_COLUMNS}, routine::LOOP_EQUATIONS, q, rates);
@@ -426,7 +426,7 @@ private:
       each = row_[part.row + each];
     }
     std::copy(rows.begin(), rows.end(), row_.data + part.row);
-    if (!enough || !keeps_balls(part)) {
+    if (!enough || !keeps_quaternions_whole(part)) {
       return 0.0;
     }
     part.moving = 0;
@@ -445,7 +445,7 @@ private:
   }
 
   /// Whether the rates of each quaternion are all dependent, or all independent.
-  bool keeps_balls(const Component & part)
+  bool keeps_quaternions_whole(const Component & part)
   {
     column_.fill(0);
     for (Index k = 0; k < part.rows; ++k) {
@@ -497,7 +497,7 @@ private:
     const double size = system_.settings[setting::SIZE];
     double before = 0.0;
     for (Index count = 0; ; ++count) {
-      look(q, rate_);
+      evaluate_equations(q, rate_);
       double error = 0.0;
       for (Index i = 0; i < part.rows; ++i) {
         const double each = closure_[row(part, i)];
@@ -517,7 +517,7 @@ private:
   }
 
   /// Whether no coordinate of another component occurs in the equations.
-  bool stands_alone(const Component & part)
+  bool is_isolated(const Component & part)
   {
     column_.fill(0);
     for (Index k = 0; k < part.columns; ++k) {
@@ -544,7 +544,7 @@ private:
     if (n == 0) {
       pivot_ = pivot;
     }
-    if (!(pivot >= SMALLER * pivot_) || (n == 0 && !stands_alone(part))) {
+    if (!(pivot >= SMALLER * pivot_) || (n == 0 && !is_isolated(part))) {
       return false;
     }
     rates.fill(0.0);
@@ -565,7 +565,7 @@ private:
       add_tangents(part, tangents_, VALUE[n]);
       add_tangents(part, tangents_of_fewer_, FEWER_VALUES[n]);
     }
-    look(q, rates);
+    evaluate_equations(q, rates);
     negate_bias();
     solve_decided(part, bends);
     return true;
@@ -594,9 +594,10 @@ private:
   }
 
   /// Interpolate a component's position, rates, accelerations and tangents at the state.
-  bool trace(Component part)
+  bool interpolate(Component part)
   {
-    return find_first(part) && find_others(part) && meet_state(part) && finish_tangents(part);
+    return find_first(part) && find_others(part) && interpolate_state(part) &&
+           finish_tangents(part);
   }
 
   /// Put a place where the rates lead to.
@@ -626,7 +627,7 @@ private:
     }
     for (int attempt = 0; ; ++attempt) {
       go_straight(part, 0);
-      look(places_[0], qd_);
+      evaluate_equations(places_[0], qd_);
       const double pivot = choose(part, LEAST);
       if (pivot >= ENOUGH || (pivot > 0.0 && attempt > 0)) {
         break;
@@ -708,7 +709,7 @@ private:
 
   /// Interpolate position, rates and accelerations at the state; false where the state is not on
   /// the branch, or where the polynomials disagree.
-  bool meet_state(const Component & part)
+  bool interpolate_state(const Component & part)
   {
     const bool sloped = count_ == SLOPED_PLACES, whole = system_.manifold.empty();
     double fastest = 0.0, sharpest = 0.0, longest = 0.0;
@@ -765,7 +766,7 @@ private:
   /// Accelerations and tangents of regular components, the others being on their branches.
   void finish_regular()
   {
-    look(near_, rate_);
+    evaluate_equations(near_, rate_);
     for (const Component & part : components_) {
       if (part.regular) {
         factor(part);

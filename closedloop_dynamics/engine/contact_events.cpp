@@ -180,7 +180,7 @@ bool is_far(const double * start, const double * now, double size)
 }
 
 /// Lower the upper end of the bracket to a part [s] that contradicts the modes.
-void disagree(Values search, double size)
+void reject_part(Values search, double size)
 {
   search[contact::HIGH] = std::min(search[contact::HIGH], size);
   if (search[contact::LOW] >= search[contact::HIGH]) {
@@ -257,7 +257,7 @@ Trial judge_end(const EffectTable & effects, double size, Index sought)
     refused = refused || has_gained(effects, row) || (sign > 0.0 && is_far(start, now, size));
   }
   if (first >= 0) {
-    disagree(search, size);
+    reject_part(search, size);
     if (!(least > LEAST_PART) && std::abs(contacts.start(first, GAP)) <= NO_GAP) {
       return change(contacts, first, size);
     }
@@ -271,7 +271,7 @@ Trial judge_end(const EffectTable & effects, double size, Index sought)
     return {tried, first};
   }
   if (refused) {
-    disagree(search, size);
+    reject_part(search, size);
     low = 0.0;
     return {SHORTER * size, -1};
   }
@@ -346,7 +346,7 @@ Trial push(const EffectTable & effects, double size, double share)
       std::max(contacts.trial(row, contact::LARGEST), std::abs(now[GAP]));
   }
   if (first >= 0) {
-    disagree(search, size);
+    reject_part(search, size);
     search[contact::LOW] = 0.0;
     if (!(earliest > LEAST_PART) && std::abs(contacts.start(first, GAP)) <= NO_GAP) {
       return change(contacts, first, size);
@@ -475,7 +475,7 @@ void go_on(const Contacts & contacts, Index top)
 
 /// Go from interval to interval as long as they are clear. `share`: where dense output is needed
 /// next; less than zero where it is not.
-Trial look_inside(const EffectTable & effects, double size, Index sought, double & share)
+Trial examine_interval(const EffectTable & effects, double size, Index sought, double & share)
 {
   const Contacts & contacts = effects.contacts;
   const Values & search = contacts.search;
@@ -609,7 +609,7 @@ double ContactSearch::examine(const System & system, Values state, double size, 
   }
   share = -1.0;
   if (found.part == size) {
-    found = look_inside(effects, size, found.sought, share);
+    found = examine_interval(effects, size, found.sought, share);
   }
   sought = found.sought;
   if (share < 0.0) {
@@ -683,7 +683,7 @@ double ContactGuard::next_share(double size, bool & passed) const
   const EffectTable & effects = system_.effects;
   const Contacts & contacts = effects.contacts;
   double share = -1.0;
-  while (look_inside(effects, size, -1, share).part != size) {
+  while (examine_interval(effects, size, -1, share).part != size) {
     // The finest interval: only a path that enters the body counts.
     const Index top = static_cast<Index>(contacts.search[contact::TOP]);
     const Table left = contacts.nodes[0], right = contacts.nodes[top];

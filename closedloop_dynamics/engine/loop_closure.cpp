@@ -173,7 +173,7 @@ static void sum_of_joints(
 }
 
 /// Generated code computes all equations of a cut joint: move the kept ones to the front.
-static void leave_kept(Index possible, Index kept, Index size, double * equation)
+static void move_kept_to_front(Index possible, Index kept, Index size, double * equation)
 {
   double * next = equation;
   for (; possible != 0; possible >>= 1, kept >>= 1) {
@@ -222,7 +222,7 @@ void measure(const Model & model, const Workspace & work, Index a)
     work.cut_kernel(a, kernel::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
     work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
   if (cut(a, cut::KEPT) != cut(a, cut::POSSIBLE)) {
-    leave_kept(
+    move_kept_to_front(
       cut(a, cut::POSSIBLE), cut(a, cut::KEPT), 3 + 2 * work.size(), work.equation.data);
   }
 }

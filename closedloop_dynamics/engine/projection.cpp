@@ -25,7 +25,7 @@ namespace
 constexpr double SHARPER = 1e-3;
 
 /// The code that computes the corrections of a state.
-enum class By {ROUTINE, LOOPS, RANK};
+enum class Corrector {ROUTINE, LOOPS, RANK};
 
 /// Factor by loops over bodies; return whether the closure equations are independent.
 bool factor_by_loops(const System & system, Values q, Values qd)
@@ -41,25 +41,26 @@ bool factor_by_loops(const System & system, Values q, Values qd)
 }
 
 /// Prepare corrections at a state: closure errors, responses, factors.
-By factor_configuration(const System & system, Values q, Values qd)
+Corrector factor_configuration(const System & system, Values q, Values qd)
 {
   if (system.is_unrolled()) {
     if (call(system.table, routine::CORRECTION, q, qd)) {
-      return By::ROUTINE;
+      return Corrector::ROUTINE;
     }
     if (system.table[routine::REFINED_CORRECTION] != 0) {
-      return call(system.table, routine::REFINED_CORRECTION, q, qd) ? By::ROUTINE : By::RANK;
+      return call(system.table, routine::REFINED_CORRECTION, q, qd) ?
+             Corrector::ROUTINE : Corrector::RANK;
     }
   }
-  return factor_by_loops(system, q, qd) ? By::LOOPS : By::RANK;
+  return factor_by_loops(system, q, qd) ? Corrector::LOOPS : Corrector::RANK;
 }
 
 /// -I^-1 J^T (J I^-1 J^T)^+ times the error into System.qdd: the least change in the mass metric.
-void correction(const System & system, By by, Level level, Values q, Values qd)
+void correction(const System & system, Corrector corrector, Level level, Values q, Values qd)
 {
-  if (by == By::LOOPS) {
+  if (corrector == Corrector::LOOPS) {
     correct_by_loops(system, level);
-  } else if (by == By::ROUTINE) {
+  } else if (corrector == Corrector::ROUTINE) {
     copy(system.corrections[level == Level::POSITION ? 0 : 1], system.qdd);
   } else {
     const AllEquations & all = system.whole;
@@ -77,23 +78,23 @@ bool project(const System & system, Values q, Values qd, bool positions)
   const Workspace & work = system.work;
   const Values & out = system.qdd, & settings = system.settings;
   int corrections = 0;
-  By by = factor_configuration(system, q, qd);
+  Corrector corrector = factor_configuration(system, q, qd);
   double error = largest(work.closure);
   // Near a singular configuration a small closure error is a large one of the state.
   while (positions && corrections < MOST_POSITION_CORRECTIONS &&
-    error > settings[setting::CLOSURE_TOLERANCE] * (by == By::RANK ? SHARPER : 1.0))
+    error > settings[setting::CLOSURE_TOLERANCE] * (corrector == Corrector::RANK ? SHARPER : 1.0))
   {
-    correction(system, by, Level::POSITION, q, qd);
+    correction(system, corrector, Level::POSITION, q, qd);
     move(system.manifold, q, out, 1.0);
     ++corrections;
-    by = factor_configuration(system, q, qd);
+    corrector = factor_configuration(system, q, qd);
     const double before = error;
     error = largest(work.closure);
     if (!(error < 0.5 * before)) {
       break;
     }
   }
-  correction(system, by, Level::VELOCITY, q, qd);
+  correction(system, corrector, Level::VELOCITY, q, qd);
   for (Index i = 0; i < qd.size; ++i) {
     qd[i] += out[i];
   }

@@ -77,7 +77,7 @@ double factor_geometry(const Model & model, const Workspace & work)
 }
 
 /// Give joints without inertia a small substitute; false where no path leads to such a joint.
-bool stand_in(const Model & model, const Workspace & work)
+bool substitute_inertias(const Model & model, const Workspace & work)
 {
   const Table & body = work.body, & joint = work.joint;
   double most = 0.0;
@@ -149,7 +149,7 @@ bool prepare_refined(const Model & model, Values tau, const Workspace & work, do
     return false;
   }
   inward(model, tau, work, true);
-  if (!stand_in(model, work)) {
+  if (!substitute_inertias(model, work)) {
     return false;
   }
   update(model, work, Responses::REDUCED);

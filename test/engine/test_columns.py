@@ -77,7 +77,7 @@ ENUMS = {
     'step_routine': (sensitivities, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
+INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: Corrector', 'rosenbrock.cpp: STAGE',
          'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head',
          'traced_laws.cpp: Input', 'nearby'}
 # Constants of the same name.
