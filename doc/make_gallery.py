@@ -18,7 +18,8 @@ WIDTH = 720
 MACHINES = (
     ('Crank-rocker', (), 'four_bar', ('crank_joint=60:420deg:361',)),
     ('Slider-crank', (), 'slider_crank', ('crank_joint=60:420deg:361',)),
-    ('Straight line and pantograph', (), 'hoeken_pantograph_leg', ('theta_1=60:420deg:361',)),
+    ('Hoeken straight-line leg with a pantograph', (), 'hoeken_pantograph_leg',
+     ('theta_1=60:420deg:361',)),
     ('Carpet scraper', (), 'carpet_scraper_dry', ('theta_1=60:420deg:361',)),
     ('Planar parallel manipulator', (), 'three_rrr_vertical',
      ('theta_1=2:2.2:21', 'theta_6=3.4', 'theta_7=4.7')),
@@ -26,22 +27,23 @@ MACHINES = (
      'cognates/cognate_1.yaml', ('coupler_joint=30:390deg:361',)),
     ('Second cognate of the crank-rocker', (),
      'cognates/cognate_2.yaml', ('input_joint=30:390deg:361',)),
-    ('Oscillating cylinder', ('invert slider_crank --ground rod --output cylinder.yaml',),
+    ('Inversion of the slider-crank: an oscillating cylinder',
+     ('invert slider_crank --ground rod --output cylinder.yaml',),
      'cylinder.yaml', ('crank_joint=-60:-420deg:361',)),
-    ('Crank-rocker on its crank: a double crank',
+    ('Inversion of the crank-rocker: a double crank',
      ('invert four_bar --ground crank --output drag_link.yaml',), 'drag_link.yaml',
      ('crank_joint=-60:-420deg:361',)),
-    ('The other leg', ('mirror hoeken_pantograph_leg --output other_leg.yaml',),
+    ('Mirror image of the Hoeken leg', ('mirror hoeken_pantograph_leg --output other_leg.yaml',),
      'other_leg.yaml', ('theta_1=-60:-420deg:361',)),
-    ('Spatial crank and rocker', (), 'rssr_four_bar', ('crank=0:360deg:361',)),
-    ('Spatial crank and rocker in a mirror',
+    ('Spatial crank-rocker', (), 'rssr_four_bar', ('crank=0:360deg:361',)),
+    ('Mirror image of the spatial crank-rocker',
      ('mirror rssr_four_bar --axis z --output mirrored.yaml',), 'mirrored.yaml',
      ('crank=0:360deg:361',)))
 INTRODUCTION = """\
 # Gallery
 
-Twelve machines, each with the commands that made its picture and its numbers.
-`python doc/make_gallery.py` makes them again; the terms are explained in
+Twelve machines, each with the commands for its picture and its numbers (drive torques in N m).
+`python doc/make_gallery.py` makes the page again; the terms are explained in
 [recipes.md](recipes.md#words-of-the-trade).
 [optimise.md](optimise.md) improves the numbers of a machine.
 """
