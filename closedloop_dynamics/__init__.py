@@ -18,7 +18,7 @@ from typing import Any, List
 # already is left alone.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-# For type checkers the same stands in __init__.pyi.
+# For type checkers __init__.pyi declares the same.
 _HOMES = {
     'AssemblyError': 'simulation.errors', 'Body': 'mechanism.mechanism',
     'ClosureError': 'simulation.errors', 'Coupling': 'mechanism.mechanism',

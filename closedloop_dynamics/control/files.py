@@ -31,7 +31,7 @@ class Controller:
     values : dict
         Of ``settings.SETTINGS``, as ``read_controller`` returns them.
     scene : simulation.scene_records.Scene
-        What is driven. The controller has a model of it for itself.
+        The scene to control. The controller has a model of it for itself.
 
     Attributes
     ----------

@@ -279,7 +279,7 @@ class CircularPath:
     phase : float
         Angle at which it begins, seen from the centre [rad].
     joints : sequence of str
-        Whose motion is asked for.
+        Joints whose motion is wanted.
     tilt : float
         Angle of the cone that the body's axes go round with the point, from where they begin
         [rad]; in space, with six degrees of freedom.

@@ -16,7 +16,7 @@ HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS = range(5)
 class EnergyAccount(NamedTuple):
     """The engine's data for the energy balance of a run."""
 
-    roles: np.ndarray  # Shape (nz,): what the effects' states are, as of ``table``
+    roles: np.ndarray  # Shape (nz,): roles of the effects' states, as of ``table``
     since: np.ndarray  # Shape (nv + nk,): coordinates when work was added last
     numbers: np.ndarray  # Shape (COLUMNS,)
 

@@ -13,7 +13,7 @@ except ImportError as error:
         'scripts/build in a checkout, colcon build in a workspace, or install the package with '
         'pip.') from error
 
-# An installed package has no sources, and no need to look.
+# An installed package has no sources, and nothing to check.
 if (Path(__file__).parent / 'bindings.cpp').is_file():
     from closedloop_dynamics.engine import build
     if native.sources != build.digest():

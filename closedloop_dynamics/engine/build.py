@@ -23,7 +23,7 @@ import sys
 import tempfile
 
 FOLDER = Path(__file__).resolve().parent
-# Where a checkout keeps what is compiled in place.
+# Folder of the compiled files in a checkout.
 OBJECTS = FOLDER.parents[1] / 'build' / 'engine'
 MODULE = 'native.abi3.so'
 # Compiled first, as they take longest: templates of dense decompositions.

@@ -52,7 +52,7 @@ class Recording:
     # Its times are simulated ones where the log tells them, otherwise those of the stamps
     # since the first; forces that were not recorded are NaN.
     motion: Trajectory
-    scene: object = None  # Or None: as it was at the beginning; None where nothing tells
+    scene: object = None  # Or None: as it was at the beginning; None where unknown
     # List of (Scene, dict): the scene at the beginning and after every change, with the
     # facts beside it.
     changes: list = field(default_factory=list)

@@ -37,7 +37,7 @@ QUANTITIES = {
 PLANAR_NODES, SPATIAL_NODES, SEARCH_NODES = 200, 40, 33
 # Of a grid; and angles beyond which nothing is left of their digits [rad].
 MOST_NODES, MOST_TURNED = 100_000_000, 1e6
-# Room around what is reached, in steps of the grid that finds it.
+# Margin around the reachable range, in steps of the grid that finds it.
 ROOM = 1.5
 # Period of saving an unfinished map [s].
 SAVE_EVERY = 30.0

@@ -245,7 +245,7 @@ class SequenceGaps:
     """Counts the messages of a topic that were sent and did not arrive, by their numbers."""
 
     def __init__(self):
-        # Latest number of each publisher, the least recent first: who sent a message is not told.
+        # Latest number of each publisher, oldest first: messages do not name their sender.
         self._latest = []
 
     def forget(self):

@@ -81,7 +81,7 @@ def main(argv=None):
         output = _output(arguments.output)
     except (SceneError, MechanismError, OSError) as error:
         parser.error(str(error))
-    # The first signal unwinds what runs, and the others do not disturb that.
+    # The first signal ends the demonstration; later ones do not disturb that.
     watch = SignalWatch(lambda number: None, SIGNALS)
     watch.install()
     try:

@@ -63,7 +63,7 @@ def read_run(path, namespace):
     """
     recording = read_recording(path, namespace=namespace)
     whole, stamps = recording.motion, recording.stamps
-    # Time stands still until the first command.
+    # Time does not advance until the first command.
     begin = max(0, int(np.argmax(whole.time > whole.time[0])) - 1)
     motion = replace(whole.part(slice(begin, None)),
                      time=(stamps[begin:] - stamps[begin]) * NANOSECONDS)

@@ -60,7 +60,7 @@ NAME = 'closedloop_viewer'
 # Frames per second; time between two looks for simulators; how long one may be silent before it is
 # said [s].
 RATE, POLL_PERIOD, SILENCE = 60.0, 0.25, 3.0
-# Where all simulators are shown: how long to look for more after the first [s].
+# Where all simulators are shown: how long to search for more after the first [s].
 GATHERING = 2.0
 # Placeholder for the topic of wrenches.
 WRENCHES = 'wrenches'
@@ -144,7 +144,7 @@ class RemoteSimulator(Shown):
         self._position = names.start()
         self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
-        # By actuated joint: what drives it, its value, and the integral of a position drive.
+        # By actuated joint: drive mode, value, and the integral of a position drive.
         # Cut joints are driven by commands: the page shows the joints of the tree.
         self.drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
                        if name in names.index}

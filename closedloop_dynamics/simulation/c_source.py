@@ -123,7 +123,7 @@ class _Text:
             self.joints += [cut.name for cut in simulation.mechanism.cut_joints]
         # Factors that columns of derivatives have in common.
         self.factors = 0
-        # By the input of a routine: the member of the model, its numbers, and what they are.
+        # By the input of a routine: the member of the model, its numbers, and their description.
         self.members = {
             BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
             GRAVITY: ('gravity', self.model.gravity, 'acceleration of gravity'),

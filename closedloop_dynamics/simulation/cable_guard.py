@@ -7,9 +7,9 @@ import math
 
 from .errors import NumericalError
 
-# Steps between looks: in these no pulley turns round in earnest.
+# Steps between checks, in which no pulley makes a real turn.
 CHECK_EVERY = 10
-# A winding that changes by more between two looks has leapt by a whole turn [rad].
+# A winding that changes by more between two checks has jumped by a whole turn [rad].
 LEAP = 1.5 * math.pi
 # A run that stops with a winding this near to its limits stops for that [rad].
 NEAR = 1e-3

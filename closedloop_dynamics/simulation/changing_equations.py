@@ -67,7 +67,7 @@ def changeable_in_space(mechanism, model, size):
         Where a loop cannot close: an equation that no motion changes is not met.
 
     """
-    # Lengths and masses may differ: the symbols stand for any.
+    # Lengths and masses may differ: they are symbols.
     shape = tuple((array.shape, array.tobytes()) for array in (
         *space.structure(model), model.tree, model.cut, model.path_body))
     if shape not in _always_held:

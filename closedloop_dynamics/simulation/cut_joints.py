@@ -158,7 +158,7 @@ class CutJoints:
         self.count, numbers = len(self.names), [cut.name for cut in mechanism.cut_joints]
         known = cut_freedoms(mechanism) if self.count else {}
         self._numbers = [numbers.index(one.cut.name) for one in known.values()]
-        # Efforts are what the freedom's own body A feels.
+        # Efforts act on the freedom's own body A.
         self._signs = [-1.0 if one.exchanged else 1.0 for one in known.values()]
         nv, bodies = len(model.tree) - 1, len(model.tree)
         self._arrays = CutCoordinates(

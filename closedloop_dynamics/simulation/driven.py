@@ -312,7 +312,7 @@ class DrivenKinematics:
     def _choose(self):
         """Choose independent equations in the present position; return whether they are others."""
         _, loops, drives = self._jacobian()
-        # Those of the loops beside what is driven, which is always kept.
+        # Those of the loops beside the driving equations, which are always kept.
         left = loops - loops @ np.linalg.pinv(drives) @ drives
         chosen, _ = independent(left, self._equations.groups[:len(loops)])
         kept = np.concatenate((np.flatnonzero(chosen), np.arange(

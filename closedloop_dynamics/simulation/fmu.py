@@ -64,7 +64,7 @@ class Variable(NamedTuple):
     start: float = None
     unit: str = None
     description: str = ''
-    derivative: int = None  # Value reference of what this is the derivative of
+    derivative: int = None  # Value reference of the quantity of which this is the derivative
     whole: bool = False  # Whether it is an integer
 
 

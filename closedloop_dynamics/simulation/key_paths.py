@@ -81,7 +81,7 @@ def changed(scene, values):
     if _is_numbers_alone(changes):
         return _with_numbers(scene, changes)
     if 'parameters' in changes:
-        # First: what is given beside them stands.
+        # First, so that values given beside them override theirs.
         scene = scene_with(scene, changes.pop('parameters'))
     new = {}
     for section, below in changes.items():
@@ -112,7 +112,7 @@ def _with_numbers(scene, changes):
     return other
 
 
-# The scene whose numbers were asked for last, and these.
+# The scene whose numbers were requested last, and these.
 _latest = (lambda: None), {}
 
 

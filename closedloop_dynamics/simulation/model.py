@@ -88,9 +88,9 @@ class Model(Names):
         super().__init__(scene)
         self._work = _Workspace(scene)
         self._lock = RLock()
-        # By what is driven.
+        # By driven joints and points.
         self._driven: Dict[Any, DrivenKinematics] = {}
-        # By independent joints: the system that it is of, and what linearises.
+        # By independent joints: the system, and its linearisation.
         self._linear: Dict[Any, Tuple[Any, Any]] = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':

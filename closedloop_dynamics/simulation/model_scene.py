@@ -31,7 +31,7 @@ HELD = 'the drives held'
 DIGITS = 1e-6
 # Types of joints that close loops at an anchor.
 ANCHORED = (SPHERICAL, REVOLUTE, FIXED)
-# Shorter ways are not told [rad or m].
+# Shorter displacements are not reported [rad or m].
 FAR = 0.05
 
 

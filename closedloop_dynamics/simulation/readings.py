@@ -42,7 +42,7 @@ class Readings(Data):
         self._couples = bool(self._coupled[0].any())
         self.acts_in_cuts = len(self.acted) > 0 or self._couples or any(
             measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
-        # Of what an evaluation tells by name.
+        # Of the quantities of an evaluation, by name.
         records: Dict[str, Sequence[Any]] = {
             'joint_forces': self.mechanism.joints, 'constraint_forces': self.cut_joints,
             'points': self.mechanism.points, 'body_poses': self.mechanism.bodies,

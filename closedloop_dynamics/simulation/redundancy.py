@@ -23,7 +23,7 @@ PLANAR_WRENCH = ('moment', 'force x', 'force y')
 SPATIAL_WRENCH = tuple(f'{kind} {axis}' for kind in ('moment', 'force') for axis in 'xyz')
 # How far lengths are changed to see that.
 CHANGE = 1e-3
-# Shares in what equations have in common below this are rounding.
+# Shares in dependences between equations below this are rounding.
 NO_SHARE = 1e-6
 
 

@@ -143,7 +143,7 @@ class _Twins:
     def __init__(self, simulation):
         """Begin without any."""
         self._like = self._traits(simulation)
-        # Pairs of a simulation and what makes runs of it side by side.
+        # Pairs of a simulation and its batch runner.
         self.spare = []
         # Of threads whose samples have parameters: simulations that take other numbers.
         self.varying = []

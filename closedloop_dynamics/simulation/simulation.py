@@ -135,7 +135,7 @@ class Simulation(Readings):
         """Generate the Jacobian of the stiff method, where that is the scene's."""
         self._derivatives: Optional[DerivativeCode] = None
         system, method = self.system, self.scene.method
-        # Forces over time, quaternions and Baumgarte's terms the generated code does not know.
+        # The generated code has no forces over time, quaternions or Baumgarte's terms.
         if (INTEGRATORS[method.integrator].family == ROSENBROCK and not refusals(self)
                 and system.manifold is None and not self._effects.follows_time
                 and method.stabilisation not in ('baumgarte', 'independent')):
@@ -633,7 +633,7 @@ class Simulation(Readings):
                     opened and not self._geometry.serves(self._q)):
                 numbers[LENIENT] = 1.0
                 return True
-            # What is left out may be what holds it together.
+            # An equation left out may be the one that closes the loop.
             model = self._geometry.keep(None)
         self.exchange(model)
         return True

@@ -58,7 +58,7 @@ def with_part(scene, text, what, position, **given):
     entries = getattr(_Entries(scene, position), what)(**given)
     text = with_entries(text, entries)
     if what in CONSTRAINING and scene.initial.hold and text is not None:
-        # As many would be held as there were degrees of freedom: it is closed as it stands.
+        # As many would be held as there were degrees of freedom: close from the present position.
         text = with_value(text, ('initial', 'hold'), [])
     return text
 

@@ -32,7 +32,7 @@ from ..visual.trajectory import force_of, magnitudes
 ARROW = 6
 # Sine of the angle to a parallel singularity below which its direction is shown.
 NEAR = 0.05
-# What effects with arrows or lines tell that is plotted.
+# Readings of effects with arrows or lines that are plotted.
 READINGS = {Contact: {'normal_force': 'normal', 'friction_force': 'friction'},
             BodyContact: {'normal_force': 'normal', 'friction_force': 'friction'},
             PointSpring: {'tension': 'tension'}, Cable: {'tension': 'tension'},

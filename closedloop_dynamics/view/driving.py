@@ -49,7 +49,7 @@ class Driving:
         self.own, self.drives = own, {}
         # Where each driven freedom is among those of the simulation.
         self._places = {}
-        # When the controller was asked, and the torques that it gave.
+        # Time of the controller's last call, and its torques.
         self._held = math.inf, {}
 
     def begin(self, simulation):

@@ -14,7 +14,7 @@ import numpy as np
 from .messages import read
 from ..mechanism.fields import FieldError
 
-# Messages of pages that wait to be followed; what comes on top is refused.
+# Queue length for messages of pages; further ones are refused.
 MOST_WAITING = 1000
 # Of what was refused, or went wrong, so much is kept for pages that ask late.
 MOST_NOTES = 5

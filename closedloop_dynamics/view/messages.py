@@ -13,7 +13,7 @@ from ..mechanism.fields import at, FieldError, mapping, shown
 # What can be added while a machine is edited; where machines come from.
 ADDITIONS = ('point', 'link', 'pin', 'rod', 'spring', 'damper', 'force', 'drive')
 SHIPPED, YOURS = 'shipped', 'yours'
-# Kinds of what can be removed.
+# Kinds of parts that can be removed.
 REMOVALS = BODY, JOINT, POINT, EFFECT = 'body', 'joint', 'point', 'effect'
 # Seconds of motion per second.
 SLOWEST, FASTEST = 0.01, 10.0

@@ -9,7 +9,7 @@ from .messages import BODY, EFFECT, JOINT, POINT
 from ..mechanism.document import with_value, without_entry
 from ..mechanism.fields import FieldError, shown
 
-# Where parts of a kind stand in a file, by the key of the mapping of their names.
+# Places of the parts of a kind in a file, by the key of the mapping of their names.
 SECTIONS = {BODY: ('bodies',), JOINT: ('cut_joints', 'joints'), POINT: ('points',)}
 
 
@@ -70,7 +70,7 @@ def without(scene, text, kind, name):
         for key in ('position', 'velocity', 'turned'):
             text = without_entry(text, ('initial', key, joint)) or text
     if kind in (BODY, JOINT) and scene.initial.hold:
-        # There are other degrees of freedom now: the rest is closed as it stands.
+        # The degrees of freedom have changed: the rest is closed from its present position.
         text = with_value(text, ('initial', 'hold'), [])
     return text, [one for _, one in parts[1:]]
 

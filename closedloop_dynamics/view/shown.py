@@ -9,7 +9,7 @@ from .thinning import Thinning
 from ..mechanism.fields import FieldError, shown
 from ..simulation.errors import SimulationError
 
-# Of what comes faster than frames, the newest counts.
+# Of messages that come faster than frames, the newest counts.
 NEWEST = 'pull', 'pose', 'command', 'move', 'set'
 
 
@@ -34,7 +34,7 @@ class Shown:
         self.feed, self.holder, self.drives = None, None, {}
         # What is held: numbers of a body and of a place of it.
         self._grabbed, self._kinematic, self._hand = None, False, None
-        # Of states between frames: which are told, and the newest.
+        # Of states between frames: selection of those sent, and the newest.
         self._thinning, self._newest = None, None
 
     # For each of both.

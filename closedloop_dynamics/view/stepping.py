@@ -21,7 +21,7 @@ LONGEST_STEP, PART_TIME, LEAST_PART = 0.02, 0.01, 0.01
 # What takes longer on the clock is stopped [s], and made in parts so much smaller; the smallest
 # ones take their time, unless a page wants something.
 LONGEST_WAIT, SMALLER = 0.15, 0.1
-# Steps that are asked for one by one are made so many at once.
+# Steps that are requested one by one are made so many at once.
 TOGETHER = 10
 
 
@@ -57,10 +57,10 @@ class Stepper:
     def begin(self, simulation, driving, rows):
         """Go on with another simulation, under the torques of ``driving``, seen by ``rows``."""
         self._simulation, self._driving, self._rows = simulation, driving, rows
-        # Share of a step that is made at once, and steps that were asked for one by one.
+        # Share of a step that is made at once, and steps that were requested one by one.
         self._part, self._single = 1.0, 0.0
         self._paced = 0.0, 0.0
-        # Steps since the last look at a state between frames, and how long one takes [s].
+        # Steps since the last sample between frames, and the time of a sample [s].
         self._unseen, self._look_time = 0, 0.0
         self._keep_before()
 

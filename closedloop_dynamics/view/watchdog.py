@@ -8,7 +8,7 @@ import time
 
 from ..engine import native
 
-# Between two looks at the clock [s].
+# Period of checking the clock [s].
 PERIOD = 0.03
 
 

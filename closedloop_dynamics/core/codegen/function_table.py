@@ -33,9 +33,9 @@ OF_SCENE = (EVALUATION, AT_REST)
  RATES) = range(12, 34)
 # Addresses of functions of the engine (``engine/library.hpp``).
 LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(34, 37)
-# Addresses of what the routines of forces read and write.
+# Addresses of the arrays that the routines of forces read and write.
 WRENCH, JOINT_POINT, LAM_OF_ALL = range(37, 40)
-# Addresses of what LOOP_EQUATIONS writes beside CLOSURE; the engine fills them in.
+# Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
 BIAS, JACOBIAN = range(40, 42)
 TABLE_COLUMNS = 42
 # Numbers of a row of PRESENT (``effects/table.py``).

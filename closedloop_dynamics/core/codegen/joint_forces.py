@@ -24,7 +24,7 @@ from ..types import (
 # What is left of an equation's levers when those of the equations before it are taken away, as a
 # share: less is for pivoting. The same of the forces of a combination that moves nothing.
 DISTINCT = 1e-3
-# What is left of accelerations of closure errors, of what they are a sum of.
+# Tolerance of the closure accelerations, relative to their terms.
 CLOSED = 1e-6
 # Places on a body, and in a row of the model, that differ by less are the same [m].
 SAME_PLACE = 1e-12

@@ -21,7 +21,7 @@ from .routines import A_SECOND, form_for, MechanismTrace, topology, unrolled_siz
 from .scene_routines import Forces
 from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 
-# Addresses of what was compiled, by what it depends on.
+# Addresses of compiled code, by its dependences.
 _addresses = {}
 # Added and subtracted, it rounds to a whole number.
 _ROUNDER = 6755399441055744.0

@@ -150,7 +150,7 @@ class Packing:
             for begin in range(0, len(left) - FEWEST + 1, WIDEST):
                 rest = [tuple(left[begin:begin + WIDEST])]
                 while rest:
-                    # Then what they work on, in the same lanes.
+                    # Then their operands, in the same lanes.
                     members = rest.pop()
                     if len(members) >= FEWEST and len(set(members)) == len(members) and all(
                             map(free, members)) and len({kinds[one] for one in members}) == 1:

@@ -112,7 +112,7 @@ def unrolled_size(model):
     """
     cut = model.cut
     passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
-    # Of each column the square of what is below it.
+    # Of each column the squared number of entries below it.
     elimination = (np.diff(model.column) ** 2).sum()
     return int(_OF_BODY * (len(model.tree) - 1) + _OF_PASSAGE * passages + elimination)
 

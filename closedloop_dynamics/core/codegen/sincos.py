@@ -119,7 +119,7 @@ def polynomials(function, angle, count):
         'fadd', exact('fmul', angle, constant(0.6366197723675814)), constant(ROUNDER))
     quarter = function.convert('bitcast', shifted, vector_of(WORD, count))
     turns = exact('fsub', shifted, constant(ROUNDER))
-    # x + tail is what is left: the products are exact, so are both differences but the last.
+    # x + tail is the remainder: the products are exact, so are both differences but the last.
     near = minus(angle, times(turns, constant(PARTS[0])))
     part = times(turns, constant(PARTS[1]))
     x = exact('fsub', near, part)

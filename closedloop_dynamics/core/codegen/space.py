@@ -165,7 +165,7 @@ def equation_names(kind, held):
     kind : int
         Its ``CUT_TYPE``.
     held : sequence or dict
-        What cut joints hold, by type: ``HELD``, here or of ``plane``.
+        Components that cut joints hold, by type: ``HELD``, here or of ``plane``.
 
     Returns
     -------
@@ -240,7 +240,7 @@ def _cut_structure(model):
     kind = model.cut[:, CUT_TYPE]
     couplings = (kind == COUPLING) | (kind == PRESCRIBED_JOINT)
     found[couplings] = _structure(model.cut_point[couplings], slice(None))
-    # A sum may be zero now and another one later; so may what is prescribed.
+    # A sum may be zero now and another one later; so may a prescribed value.
     found[kind == COUPLING, HELD_SUM] = np.nan
     found[kind >= PRESCRIBED_JOINT, -MOTION_COLUMNS:] = np.nan
     coupled = kind >= COUPLED_PLACE

@@ -403,7 +403,7 @@ class Recursion:
         self.factors[i] = share, alone
         if parent > 0:
             scaled = scale(share, inverse)
-            # An axis of the world's takes its whole row and column: what is left is exactly zero.
+            # An axis of the world's takes its whole row and column: the remainder is exactly zero.
             left = symmetric(
                 lambda m, n: (0.0 if alone in (m, n) else inertia[m][n] - share[m] * scaled[n]),
                 size=6)
