@@ -172,7 +172,7 @@ public:
     for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
       const System & system = *lanes_[lane].system;
       if (status_[lane] == static_cast<Index>(Status::DONE) && !(
-          runs_[lane]->keeps_to(system, state_of(state, lane), done, work[lane], at_energy)))
+          runs_[lane]->check_state(system, state_of(state, lane), done, work[lane], at_energy)))
       {
         status_[lane] = static_cast<Index>(Status::DOUBTFUL);
       }

@@ -249,8 +249,8 @@ const Entry entries[] = {
   entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
   entry<stabilise, Length::ANY, Length::STATE>(
     "stabilise", "stabilise(system, stabilisation, state)"),
-  entry<equations_serve, Length::ANY, Length::STATE>(
-    "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
+  entry<equations_suffice, Length::ANY, Length::STATE>(
+    "equations_suffice", "equations_suffice(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
   entry<library_function>(

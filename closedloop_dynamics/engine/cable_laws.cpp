@@ -13,10 +13,10 @@ namespace closedloop
 namespace
 {
 // Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m], and
-// how much cable lies on it at the latest evaluation [m]; in space one more.
+// length of cable on it at the latest evaluation [m]; in space one more.
 constexpr Index COLUMNS = 5, SPATIAL_COLUMNS = 6;
-// Columns of EffectTable.values in space: row of the body of the pulleys' axis, less than zero
-// where there are guides alone; the axis in the frame of that row.
+// Columns of EffectTable.values in space: row of the body of the pulleys' axis, negative with
+// guides only; the axis in the frame of that row.
 constexpr Index CARRIER = 3, AXIS = 4;
 
 /// Row of the body of an entry's point.
@@ -31,7 +31,8 @@ Line<Vector2> straight(Table body, const double * entry)
   const Vector2 velocity =
     velocity_at(body, body_row(next), end) - velocity_at(body, body_row(entry), start);
   const Vector2 apart = end - start;
-  // From center to center the way goes along the tangent, and across by what the radii differ.
+  // The line of centers has a component along the tangent, and one across: the difference of the
+  // radii.
   const double between = dot(apart, apart), across = next[3] - entry[3];
   const double length = std::sqrt(std::max(0.0, between - across * across));
   Line<Vector2> line = {start, end, apart, length, 0.0};
@@ -44,7 +45,7 @@ Line<Vector2> straight(Table body, const double * entry)
   return line;
 }
 
-/// How much cable lies on a pulley between two directions [m].
+/// Length of cable on a pulley between two directions [m].
 double wrapped_length(double radius, Vector2 before, Vector2 after)
 {
   // A quarter turn from -180 to 180 degrees: -90 to 270.

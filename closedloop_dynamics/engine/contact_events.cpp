@@ -513,11 +513,11 @@ Trial examine_interval(const EffectTable & effects, double size, Index sought, d
 }
 
 /// Whether an undetected contact may lie within a step; `other`: the gap at its end [m].
-bool may_be_passed(const EffectTable & effects, Index row, double size, double other)
+bool may_miss_contact(const EffectTable & effects, Index row, double size, double other)
 {
   const Contacts & contacts = effects.contacts;
   const double * trial = contacts.trial.row(row);
-  return effects.enabled[row] == 1 && closedloop::may_be_passed(
+  return effects.enabled[row] == 1 && closedloop::may_miss_contact(
     contacts.start(row, GAP), other, trial[contact::WRONG],
     trial[is_finite(effects, row) ? contact::SPEED : contact::FASTEST], size);
 }
@@ -536,7 +536,7 @@ bool dips(const Contacts & contacts, Index row, double size)
 /// Evaluate the gaps of a state, which need no accelerations.
 void update_gaps(const System & system, Values state)
 {
-  take_states(system, state);
+  load_effect_states(system, state);
   outward(system.model, system.q(state), system.qd(state), system.work);
   apply_listed(system, system.q(state), system.qd(state));
 }
@@ -551,7 +551,7 @@ bool is_finite(const EffectTable & effects, Index row)
     effects.data[effects.index(row, effect::DATA) + FLAT] == 0.0);
 }
 
-bool may_be_passed(double gap, double other, double wrong, double fastest, double size)
+bool may_miss_contact(double gap, double other, double wrong, double fastest, double size)
 {
   // Written so that a NaN may.
   return !(gap < 0.0) && !(other < 0.0) && !(wrong > 0.0) &&
@@ -636,7 +636,7 @@ bool ContactGuard::is_near(double size) const
   const EffectTable & effects = system_.effects;
   return std::any_of(
     effects.contacts.rows.begin(), effects.contacts.rows.end(),
-    [&](Index row) {return may_be_passed(effects, row, size, 0.0);});
+    [&](Index row) {return may_miss_contact(effects, row, size, 0.0);});
 }
 
 double ContactGuard::examine_end(Values out, double size, bool & passed) const
@@ -646,7 +646,7 @@ double ContactGuard::examine_end(Values out, double size, bool & passed) const
   update_gaps(system_, out);
   bool doubtful = false;
   for (Index row : contacts.rows) {
-    if (!may_be_passed(effects, row, size, contacts.now(row, GAP))) {
+    if (!may_miss_contact(effects, row, size, contacts.now(row, GAP))) {
       continue;
     }
     if (is_finite(effects, row)) {

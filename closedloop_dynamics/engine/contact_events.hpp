@@ -36,7 +36,7 @@ bool is_finite(const EffectTable &, Index row);
 
 /// Whether an undetected contact may lie within a step of a size [s], by the gaps at its start and
 /// end [m], the largest gap of the wrong sign, and the fastest rate.
-bool may_be_passed(double gap, double other, double wrong, double fastest, double size);
+bool may_miss_contact(double gap, double other, double wrong, double fastest, double size);
 
 /// Freeze the modes of contacts, after the evaluation at which a step begins; return whether any
 /// begin or cease just here.

@@ -251,7 +251,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
     size *= std::max(LARGEST_CUT, cut);
     wanted = size;
   }
-  if (!equations_serve(system, stabilisation, out)) {
+  if (!equations_suffice(system, stabilisation, out)) {
     release_modes(system);
     return Status::POOR_EQUATIONS;
   }

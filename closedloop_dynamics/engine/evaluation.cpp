@@ -37,7 +37,7 @@ void move_bodies(const System & system, Values q, Values qd)
   }
 }
 
-/// Of the multipliers that give the same motion, the least ones in all joints together.
+/// Replace the multipliers by those of the least joint forces, with the same motion.
 void minimise_multipliers(const System & system, Values q, Values qd)
 {
   const Model & model = system.model;
@@ -86,7 +86,7 @@ void accelerate_near_singular(const System & system, Values q, Values qd)
   }
 }
 
-/// Accelerations by loops over bodies, where nothing is unrolled.
+/// Accelerations by loops over bodies, without generated code for the mechanism.
 void accelerate_by_loops(const System & system, Values q, Values qd)
 {
   const Values & settings = system.settings;
@@ -175,7 +175,7 @@ void hold_joints_at_rest(const System & system, Values q, Values qd)
   if (with_cuts) {
     copy(qdd, system.qdd);
     if (effects.loaded[0] > 0) {
-      // Friction at a cut joint acts on bodies: it is part of what the reactions balance.
+      // Friction at a cut joint acts on bodies: reactions balance it, too.
       for (Index place = 0; place < count; ++place) {
         hold[stuck[place + 1]] = effects.output(stuck[place + 1], 1);
       }
@@ -204,7 +204,7 @@ void evaluate_joint_loads(const System & system, Values q, Values qd)
     update_joint_loads(system.model, system.work, effects, qd, system.lam);
   } else {
     if (!system.work.planar()) {
-      // The elimination leaves less behind than is read here.
+      // The elimination does not write all quantities that are read here.
       outward(system.model, q, qd, system.work);
     }
     load_joints(system, system.model, system.work, qd, system.qdd, system.lam);
@@ -229,7 +229,7 @@ void complete(const System & system, Values q, Values qd)
 }
 }  // namespace
 
-void take_states(const System & system, Values state)
+void load_effect_states(const System & system, Values state)
 {
   if (system.has_effects()) {
     copy(state.from(system.own()), system.effects.states);
@@ -279,14 +279,14 @@ void evaluate(const System & system, Values q, Values qd)
 
 void evaluate_with_poses(const System & system, Values state)
 {
-  take_states(system, state);
+  load_effect_states(system, state);
   evaluate(system, system.q(state), system.qd(state));
 }
 
 void measure(const System & system, Values state)
 {
   const Values q = system.q(state), qd = system.qd(state);
-  take_states(system, state);
+  load_effect_states(system, state);
   if (system.is_unrolled()) {
     call(system.table, routine::OUTWARD, q, qd);
   } else {
@@ -311,7 +311,7 @@ void evaluate_state(const System & system, Values state)
   const Values q = system.q(state), qd = system.qd(state);
   system.work.health[health::WRITTEN] = 0.0;
   if (system.has_effects()) {
-    take_states(system, state);
+    load_effect_states(system, state);
     const Index which = system.is_unrolled() ? prepare_code(system.effects) : -1;
     if (which < 0 || system.table[which] == 0 || !call(system.table, which, q, qd))
     {
@@ -364,7 +364,7 @@ void rates_with_cuts(const System & system, Values state, Values out)
 void update_motions(const System & system, Values state)
 {
   if (system.has_effects() && system.effects.motions.rows > 0) {
-    take_states(system, state);
+    load_effect_states(system, state);
     update_driven_motions(system.effects);
   }
 }

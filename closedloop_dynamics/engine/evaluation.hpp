@@ -11,8 +11,8 @@
 namespace closedloop
 {
 
-/// Accelerations and multipliers of a state into System.qdd and System.lam; poses, velocities and
-/// closure errors are left in System.work. Effects' states are those in System.effects.
+/// Accelerations and multipliers of a state into System.qdd and System.lam; System.work then has
+/// poses, velocities and closure errors. Effects' states are read from System.effects.
 void evaluate(const System &, Values q, Values qd);
 
 /// The same without friction at rest, driving forces and joint loads.
@@ -31,27 +31,27 @@ bool is_regular(const System &, Values q, Values qd);
 /// and closure errors may be left undefined.
 void evaluate_state(const System &, Values state);
 
-/// Evaluate a state again and again, to be timed without the calls; each evaluation waits for the
-/// one before, as in a simulation.
+/// Evaluate a state repeatedly, to time it without the calls; each evaluation waits for the one
+/// before, as in a simulation.
 void evaluate_again(const System &, Values state, Index count);
 
-/// Time derivative of a state, both of shape (ns,). Of independent coordinates the others are first
-/// guesses only: they are corrected in `state`.
+/// Time derivative of a state, both of shape (ns,). With independent coordinates, the dependent
+/// ones are first guesses, corrected in `state`.
 void derivative(const System &, Values state, Values out);
 
-/// Hand the effects' own states over to them.
-void take_states(const System &, Values state);
+/// Copy the effects' own states from a state vector to EffectTable.states.
+void load_effect_states(const System &, Values state);
 
 /// Forces of the listed effects on the bodies, and joint torques, after `outward`.
 void apply_listed(const System &, Values q, Values qd);
 
-/// The same on other bodies than those of the system.
+/// The same on other bodies than System.work.
 void apply_listed_to(const System &, Table body, Values q, Values qd);
 
 /// Rates of all joints of a state, those of cut joints behind, shape (nv + nk,).
 void rates_with_cuts(const System &, Values state, Values out);
 
-/// Bring the closure equations of driven motions up to the time of a state.
+/// Update the closure equations of driven motions to the time of a state.
 void update_motions(const System &, Values state);
 
 }  // namespace closedloop

@@ -90,7 +90,7 @@ std::pair<Status, Index> make_steps_in_parts(
       Status failure = Status::DONE;
       if (!(closed && finite) || stops) {
         failure = stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE;
-      } else if (!equations_serve(system, stabilisation, out)) {
+      } else if (!equations_suffice(system, stabilisation, out)) {
         failure = Status::POOR_EQUATIONS;
       } else if (parts.shorten(system, state, out)) {
         continue;

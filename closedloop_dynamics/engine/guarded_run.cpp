@@ -544,7 +544,7 @@ bool CopiedRun::keeps_energy(const System & system)
   return pause == Pause::NONE || pause == Pause::INACCURATE;
 }
 
-bool CopiedRun::keeps_to(
+bool CopiedRun::check_state(
   const System & system, Values state, Index steps, double work, bool at_energy)
 {
   copy(state, run_.state);

@@ -162,7 +162,7 @@ public:
   bool keeps_energy(const System &);
   /// Check a state after steps made elsewhere, with the work of its torques [J]: its loops and, if
   /// requested, its energy; return whether the run continues.
-  bool keeps_to(const System &, Values state, Index steps, double work, bool at_energy);
+  bool check_state(const System &, Values state, Index steps, double work, bool at_energy);
   /// Write the energy columns of a result.
   void report(Values found) const;
 

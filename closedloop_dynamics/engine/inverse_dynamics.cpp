@@ -35,10 +35,10 @@ namespace
 constexpr double OPENS = 1e-8, NOISE = 1e-12;
 // Forces missing at joints that are not actuated, of the largest needed.
 constexpr double MISSING = 1e-8;
-// Pivots above this times the largest leave no doubt of the rank; singular values below the second
-// one belong to what repeats.
+// Pivots above this times the largest decide the rank; singular values below the second are those
+// of redundant equations.
 constexpr double CLEAR = 1e-9, REPEATS = 1e-12;
-// Smallest pivot of LU factors, of the largest, with which multipliers lose no digits that matter.
+// Smallest pivot of LU factors, of the largest, at which multipliers are accurate enough.
 constexpr double SOUND = 1e-5;
 // Change of reactions, of the largest, at which friction that depends on them is found.
 constexpr double SETTLED = 1e-12;
@@ -77,8 +77,8 @@ bool opens(const System & system, const Loops & all, Index loops, const DenseVec
   return !(part <= NOISE * largest_acceleration + OPENS * most);
 }
 
-/// What torques and constraint forces must add up to at the joints; `moved`: the bodies have been
-/// moved there, and no effect has acted yet.
+/// Required sum of torques and constraint forces at the joints; `moved`: the bodies have been moved
+/// there, and no effect has acted yet.
 void find_need(const System & system, Values q, Values qd, Values qdd, bool moved, Values need)
 {
   const EffectTable & table = system.effects;
@@ -86,7 +86,7 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
     outward(system.model, q, qd, system.work);
   }
   if (system.has_effects()) {
-    // Friction is that of a steady motion, and drives are what is asked for.
+    // Friction is that of a steady motion; the drives are the unknowns.
     begin_friction(table, qd, table.states);
     std::vector<Index> enabled(table.enabled.begin(), table.enabled.end());
     for (Index row = 0; row < table.count(); ++row) {
@@ -135,7 +135,7 @@ public:
       levers.row(i) = jac.col(passive_[i]).transpose();
     }
     if (levers.size() > 0 && count == jac.rows()) {
-      // Most mechanisms: as many drives as freedoms.
+      // Most mechanisms: as many drives as degrees of freedom.
       square_ = levers;
       pivots_.resize(count);
       unique_ = factorize(view(square_), {pivots_.data(), count}) > SOUND;
@@ -168,7 +168,7 @@ public:
       }
       unknowns.rightCols(jac.rows()) = jac.transpose();
       of_all_.compute(unknowns, REPEATS);
-      // What may be added: combinations of torques and multipliers that add up to nothing.
+      // Null space: torques and multipliers whose sum is zero.
       const Index left = unknowns.cols() - of_all_.rank();
       if (left > 0 && actuated.size > 0) {
         nothing_ = of_all_.null_space();
@@ -178,7 +178,7 @@ public:
     }
   }
 
-  /// Whether torques and multipliers, side by side, add up to what is needed.
+  /// Whether torques and multipliers, written to `out`, have the required sum.
   bool solve(const DenseVector & need, Values out)
   {
     const Index count = actuated_.size;
@@ -227,8 +227,8 @@ public:
   }
 
 private:
-  /// Factor the passive joints' levers by rows; return whether multipliers that do nothing at these
-  /// joints do nothing at those that are actuated, either.
+  /// Factor the passive joints' levers by rows; return whether multipliers without force at these
+  /// joints have none at the actuated joints, either.
   bool has_unique_torques(const DenseMatrix & levers)
   {
     const Index count = levers.rows(), idle = levers.cols() - count;
@@ -246,7 +246,7 @@ private:
     return true;
   }
 
-  /// The least multipliers that do at the passive joints what is needed.
+  /// The least multipliers that give the required forces at the passive joints.
   Sized<FEW>::Vector least_multipliers(const DenseVector & at_passive) const
   {
     const Index count = at_passive.size();
@@ -264,7 +264,7 @@ private:
   bool unique_ = false;
   // Whether torques are unique, and multipliers are not.
   bool repeats_ = false;
-  // LU factors of the passive joints' levers, with their pivots; none where these are not square.
+  // LU factors of the passive joints' levers, with their pivots; empty if not square.
   DenseMatrix square_;
   std::vector<Index> pivots_;
   // Of the passive joints' levers otherwise, transposed where these are fewer than the equations;
@@ -318,7 +318,7 @@ bool find_torques(
     return false;
   }
   Balance balance(all.jac, actuated);
-  // Where more are needed, Python goes on, which can be interrupted.
+  // Where more are needed, Python continues, which can be interrupted.
   for (int round = 0; round < MOST_ROUNDS; ++round) {
     const bool moved = round == 0 && system.whole.empty();
     need.setZero();

@@ -9,10 +9,10 @@
 namespace closedloop
 {
 
-/// Torques of the actuated joints, at places among the rates, and behind them the multipliers of
-/// all equations that a motion needs; the first `loops` equations are no prescribed motion. False,
-/// and nothing is to be read, where these are no arrays of finite numbers that fit, the motion
-/// opens the loops or cannot be produced, or anything acts in cut joints.
+/// Inverse dynamics: torques of the actuated joints, given by their places among the rates, then
+/// the multipliers of all equations; the first `loops` equations are loop closures. False, with
+/// results undefined, where arguments are no arrays of finite numbers of the right lengths, the
+/// motion opens the loops or cannot be produced, or effects act in cut joints.
 bool find_torques(
   const System &, Indices actuated, Index loops, Values out, const Given & q, const Given & qd,
   const Given & qdd);

@@ -126,7 +126,7 @@ void LaneEvents::find(Values state, Values out, double size)
     const double * wrong = trial + LANES * contact::WRONG;
     for (Index lane = 0; lane < LANES; ++lane) {
       alone_[lane] = alone_[lane] ||
-        may_be_passed(gap[lane], 0.0, wrong[lane], fastest[lane], size);
+        may_miss_contact(gap[lane], 0.0, wrong[lane], fastest[lane], size);
     }
   }
 }

@@ -32,7 +32,7 @@ double kinetic_energy(const AllEquations & all, Values q, Values qd)
 }
 }  // namespace
 
-bool equations_serve(const System & system, Stabilisation stabilisation, Values state)
+bool equations_suffice(const System & system, Stabilisation stabilisation, Values state)
 {
   const AllEquations & all = system.whole;
   if (all.empty() || stabilisation < Stabilisation::PROJECTION) {

@@ -17,7 +17,7 @@ namespace closedloop
 /// where omitted ones are violated, where kept ones are closer to dependence than before, or where
 /// the projection has discarded energy. True where none are omitted, and for stabilisations that
 /// allow drift.
-bool equations_serve(const System &, Stabilisation, Values state);
+bool equations_suffice(const System &, Stabilisation, Values state);
 
 }  // namespace closedloop
 

@@ -23,9 +23,9 @@ namespace closedloop
 
 namespace
 {
-// How far from 1 norms of quaternions are by rounding.
+// Rounding error of the norm of a unit quaternion.
 constexpr double UNIT_NORM = 1e-15;
-// What is left of accelerations of closure errors, of the largest that they are a sum of.
+// Largest acceleration of a closure error, relative to its largest term, that is zero.
 constexpr double CLOSED = 1e-6;
 
 template<class Number>
@@ -49,7 +49,7 @@ void begin_effects(const System & system, const Request & request)
   copy(request.own, own);
   Values rates = system.qd(request.state);
   if (system.has_cut_coordinates()) {
-    take_states(system, request.state);
+    load_effect_states(system, request.state);
     rates_with_cuts(system, request.state, system.effects.cuts.qd);
     rates = system.effects.cuts.qd;
   }
@@ -276,7 +276,7 @@ bool find_joint_forces(
     copy(lam, all.empty() ? system.lam : all.lam);
     call(system.table, routine::WRENCHES, q, qd);
   } else {
-    take_states(system, state);
+    load_effect_states(system, state);
     outward(model, q, qd, work);
     if (system.has_cut_coordinates()) {
       hold_as_evaluated(system.effects);

@@ -15,12 +15,12 @@ namespace closedloop
 struct Request
 {
   Values state;
-  /// The effects' own states that it begins with.
+  /// Initial values of the effects' own states.
   Values own;
-  /// Torques of the actuated joints, and their places in System.tau, -1 where none may act.
+  /// Torques of the actuated joints, and their places in System.tau, -1 for a joint without torque.
   Values torque;
   Indices actuated;
-  /// Multipliers of all equations; empty where the elimination works on all or none are wanted.
+  /// Multipliers of all equations; empty where the elimination works on all, or if not requested.
   Values lam;
   /// Scratch, of the length of System.tau.
   Values held;
@@ -32,8 +32,9 @@ struct Request
 /// Copy a given array, if it has as many numbers.
 bool take(const Given &, Values to);
 
-/// Put the torques of actuated joints, none for zero, in their places in System.tau, -1 where none
-/// may act; false where they are no array of as many finite numbers, or one acts that may not.
+/// Copy the torques of actuated joints, zero if absent, to their places in System.tau, -1 for a
+/// joint without torque; false where they are no array of as many finite numbers, or such a joint
+/// has one.
 bool spread_torques(Indices actuated, Values tau, const Given &);
 
 /// How a given array compares with numbers: the same, others of at most a size, or neither.
@@ -46,9 +47,9 @@ double sum_of_sizes(Values);
 /// Whether coordinates are finite, quaternions among them of norm 1 but for rounding.
 bool is_position(const Manifold &, Values q);
 
-/// Evaluate coordinates, rates and torques, none for zero; false where they are no arrays of finite
-/// numbers of these lengths, quaternions of norm 1, or where the equations that the elimination
-/// works on do not suffice: the results are undefined then.
+/// Evaluate coordinates, rates and torques, zero if absent; false where they are no arrays of
+/// finite numbers of these lengths, quaternions of norm 1, or where the equations that the
+/// elimination works on do not suffice: the results are undefined then.
 bool evaluate_given(
   const System &, const Request &, const Given & q, const Given & qd, const Given & torque);
 
@@ -56,12 +57,12 @@ bool evaluate_given(
 /// where those of `system` do not suffice. False where the numbers are no state.
 bool evaluate_request(const System & system, const System & whole, const Request &);
 
-/// Multipliers of all equations in an evaluated state, where the elimination works on some: those
-/// of least_forces.hpp. Readings of effects are to be evaluated again afterwards. False where the
+/// Multipliers of all equations in an evaluated state, where the elimination omits some: the least
+/// forces (least_forces.hpp). Readings of effects are invalid afterwards. False where the
 /// accelerations do not fulfil all equations.
 bool find_all_multipliers(const System &, Values q, Values qd, Values lam);
 
-/// Whether the accelerations fulfil the equations, too, that the elimination leaves out.
+/// Whether the accelerations also fulfil the equations that the elimination omits.
 bool fulfil_left_out(const System &, Values q, Values qd);
 
 /// Whether accelerations fulfil J qdd = -bias but for rounding.

@@ -42,7 +42,7 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
     return;
   }
   const Values q = system.q(state), qd = system.qd(state);
-  take_states(system, state);
+  load_effect_states(system, state);
   evaluate(system, q, qd);
   copy(system.qdd, buffer.qdd[instant]);
   copy(system.lam, buffer.lam[instant]);
@@ -223,7 +223,7 @@ void fill_joint_forces(
   Interrupt interrupt(system.interrupted, system.nv());
   for (Index instant = 0; instant < state.rows && !interrupt.after(1); ++instant) {
     const Values q = system.q(state[instant]), qd = system.qd(state[instant]);
-    take_states(system, state[instant]);
+    load_effect_states(system, state[instant]);
     outward(system.model, q, qd, system.work);
     copy(torque[row_at(instant, decimation, zero_order_hold)], system.tau);
     apply_listed(system, q, qd);

@@ -326,7 +326,7 @@ Status StiffRun::accepted_step(
     size = used * (closed ? std::min(factor, SAFETY) : 0.5);
   }
   release_modes(system);
-  if (!equations_serve(system, stabilisation, out)) {
+  if (!equations_suffice(system, stabilisation, out)) {
     return Status::POOR_EQUATIONS;
   }
   update_friction_modes(system, out);

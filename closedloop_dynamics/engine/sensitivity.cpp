@@ -361,7 +361,7 @@ std::pair<Status, Index> record_steps(
     if (!closed) {
       return {Status::OPEN_LOOP, done};
     }
-    if (!equations_serve(system, run.stabilisation, out)) {
+    if (!equations_suffice(system, run.stabilisation, out)) {
       return {Status::POOR_EQUATIONS, done};
     }
     copy(out, tape.state[done + 1]);

@@ -48,7 +48,7 @@ class SciPySolver:
         out = self._dense(target) if self._dense is not None else state.copy()
         if not native.stabilise(self._system.native, self._stabilisation, out):
             return OPEN_LOOP, 0.0
-        if not native.equations_serve(self._system.native, self._stabilisation, out):
+        if not native.equations_suffice(self._system.native, self._stabilisation, out):
             return POOR_EQUATIONS, 0.0
         state[:] = out
         return DONE, steps * step_size

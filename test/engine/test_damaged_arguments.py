@@ -154,7 +154,7 @@ def use_kernels(simulation, note):
     call('evaluate_again', handle, state, 2)
     call('derivative', handle, state, np.zeros_like(state))
     call('stabilise', handle, PROJECTION, state)
-    call('equations_serve', handle, PROJECTION, state)
+    call('equations_suffice', handle, PROJECTION, state)
     call('add_held_work', handle, account, state)
     call('fill_balance', handle, account, state, np.zeros(5))
     call('advance_run', handle, run, system.tau.copy(), 2)
