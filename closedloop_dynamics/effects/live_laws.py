@@ -17,6 +17,7 @@ import numpy as np
 
 from . import cable, contact_laws, course, force_table, smooth_laws
 from .actuator import FADING
+from .smooth_laws import push_along
 from .table import (
     ACROSS_B, ACTUATOR, AXIS, CABLE, CUT_VALUE_COLUMNS, DATA, ENTRIES, entries_of, FIRST, FOLLOWED,
     IN_PLANE, JOINT_FRICTION, NODE_COLUMNS, ORIENTATION_SPRING, POINT_A, POINT_B, PRESCRIBED_FORCE,
@@ -26,7 +27,7 @@ from .table import (
 from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
-from ..core.codegen.vectors import dot, in_space, scale, subtract
+from ..core.codegen.vectors import dot, scale, subtract
 
 # In scenes with the other ones laws of the engine act.
 _SMOOTH = {kind: law for kind, law in smooth_laws.LAWS.items() if kind != ORIENTATION_SPRING}
@@ -168,15 +169,10 @@ def _prescribed_torque(forces, table, row, _):
 
 def _prescribed_force(size):
     def law(forces, table, row, values):
-        body = int(table.index[row, FIRST])
-        offset, direction = forces.turned(body, values[2:2 + size]), in_space(
-            values[2 + size:2 + 2 * size])
-        turns = values[2 + 2 * size] > 0.5
-        direction = tuple(one if one is own else chosen(turns, own, one) for own, one in zip(
-            forces.turned(body, direction[:size]), direction))
         force = _course(forces.trace, table, row)[0]
-        forces.push(body, offset, scale(direction, force))
-        forces.flow(1.0, 0.0, force * dot(direction, forces.place(body, offset)[1]))
+        forces.flow(1.0, 0.0, push_along(
+            forces, int(table.index[row, FIRST]), values[2:2 + size],
+            values[2 + size:2 + 2 * size], values[2 + 2 * size], force))
     return law
 
 

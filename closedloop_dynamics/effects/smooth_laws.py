@@ -127,13 +127,31 @@ def _spatial_force(forces, body, _, values, __):
     _constant(forces, body, values[:3], values[3:6], tuple(values[6:9]), values[9])
 
 
+def push_along(forces, body, point, direction, turns, force):
+    """
+    Push a point of a body along a direction, of the body's axes where ``turns`` is positive.
+
+    Returns
+    -------
+    number
+        The power.
+
+    """
+    offset, direction = forces.turned(body, point), in_space(direction)
+    direction = _turned(forces, body, direction, turns)
+    forces.push(body, offset, scale(direction, force))
+    return force * dot(direction, forces.place(body, offset)[1])
+
+
+def _turned(forces, body, vector, turns):
+    return tuple(x if one is x else chosen(turns > 0.0, x, one) for x, one in zip(
+        forces.turned(body, vector), vector))
+
+
 def _constant(forces, body, point, force, moment, turns):
     """Apply a force and a moment, of a body's axes where ``turns`` is positive."""
     offset, force = forces.turned(body, point), in_space(force)
-    turned = turns > 0.0
-    force, moment = (
-        tuple(x if one is x else chosen(turned, x, one) for x, one in zip(
-            forces.turned(body, vector), vector)) for vector in (force, moment))
+    force, moment = (_turned(forces, body, vector, turns) for vector in (force, moment))
     moment = add(moment, ZERO)
     forces.push(body, offset, force, moment)
     forces.flow(dot(force, forces.place(body, offset)[1]) + dot(moment, forces.spin(body)))

@@ -15,9 +15,12 @@ import numpy as np
 
 from . import force_table
 from .registry import effect_type
-from .smooth_laws import FORCE_TABLES, LAWS, line_between, push_apart
-from .table import entries_of, ENTRIES, FIRST, SECOND, SPATIAL_TRACED, STATE, TENDON, TRACED
-from .traced_effect import COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS
+from .smooth_laws import FORCE_TABLES, LAWS, line_between, push_along, push_apart
+from .table import (
+    entries_of, ENTRIES, FIRST, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SECOND,
+    SPATIAL_PRESCRIBED_FORCE, SPATIAL_TRACED, STATE, TENDON, TRACED, VALUE_COLUMNS)
+from .traced_effect import (
+    COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS, TIME)
 from ..core.codegen.expression_graph import chosen, replayed
 from ..core.codegen.vectors import dot
 
@@ -34,7 +37,24 @@ _REASONS = {
     'prescribed_force': 'it follows the time',
     'rotor': 'at a joint that closes a loop it acts on accelerations'}
 
-def refused(effects):
+
+def _prescribed_torque(forces, joint, _, values, force):
+    forces.twist(joint, force)
+
+
+def _prescribed_force(size):
+    def law(forces, body, _, values, force):
+        push_along(forces, body, values[2:2 + size], values[2 + size:2 + 2 * size],
+                   values[2 + 2 * size], force)
+    return law
+
+
+FORCES_OVER_TIME = {
+    PRESCRIBED_FORCE: _prescribed_force(2), PRESCRIBED_TORQUE: _prescribed_torque,
+    SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
+
+
+def refused(effects, instant=False):
     """
     Return which effects have no law here, and why.
 
@@ -42,6 +62,8 @@ def refused(effects):
     ----------
     effects : EffectSet
         Of a scene.
+    instant : bool
+        Whether the time is held.
 
     Returns
     -------
@@ -57,11 +79,11 @@ def refused(effects):
         if element.kind in (TRACED, SPATIAL_TRACED):
             law = effects.records[name].traced
             reason = ('it has an event' if law.gap is not None else
-                      'it follows the time' if law.follows_time else
+                      'it follows the time' if law.follows_time and not instant else
                       'it has states of its own' if law.states else None)
             if reason is not None:
                 found[name] = f'{kind}: {reason}'
-        elif element.kind not in LAWS:
+        elif element.kind not in LAWS and not (instant and element.kind in FORCES_OVER_TIME):
             found[name] = f'{kind}: {_REASONS.get(kind, "only the engine has its law")}'
     return found
 
@@ -86,10 +108,22 @@ def act(table, forces, laws=None):
         forces.row, forces.first = int(row), int(table.index[row, STATE])
         kind, values, constants = table.kind[row], forces.numbers(row), constants_of(table, row)
         if laws and row in laws:
-            _of_user(forces, laws[row], _measured(table, row), values)
-        else:
-            LAWS[kind](forces, *table.index[row, [FIRST, SECOND]], values, partial(
-                _look_up, constants) if kind in FORCE_TABLES else constants)
+            _of_user(forces, laws[row], _measured(table, row), values,
+                     _present(forces, table, row) if laws[row].follows_time else None)
+            continue
+        last = constants
+        if kind in FORCE_TABLES:
+            last = partial(_look_up, constants)
+        elif kind in FORCES_OVER_TIME:
+            last = _present(forces, table, row)
+        (LAWS | FORCES_OVER_TIME)[kind](
+            forces, *table.index[row, [FIRST, SECOND]], values, last)
+
+
+def _present(forces, table, row):
+    """Return what is behind the numbers of all rows for this one: its force, or the time."""
+    below, place = divmod(row, VALUE_COLUMNS)
+    return forces.numbers(len(table.kind) + below)[place]
 
 
 def constants_of(table, row):
@@ -120,8 +154,9 @@ def _measured(table, row):
     return entries_of(table, row).reshape(-1, COLUMNS)[1:1 + table.index[row, FIRST]]
 
 
-def _of_user(forces, law, entries, values):
+def _of_user(forces, law, entries, values, time):
     measured, pushes = FIRST_COORDINATE * [None], []
+    measured[TIME] = time
     for kind, first, second, *places in entries.tolist():
         first, second = int(first), int(second)
         if kind == JOINT:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from .traced_scene import require_derivatives, TracedScene
+from .traced_scene import TracedScene
 from ..core.codegen import function_table as calls
 from ..core.codegen.derivatives import COLUMN, DerivativeTrace, FLOW, RATE
 from ..core.codegen.machine_code import LANES, machine_code, PACKED
@@ -22,11 +22,13 @@ class DerivativeCode:
     Parameters
     ----------
     simulation : data.Data
-        Of the scene.
+        Of a scene that has derivatives.
     qdd, lam : ndarray, shape (nv,), (nc,)
         Accelerations and multipliers of the state: read by the code.
     states : int
         nz: of the effects, whose rates are differentiated, too; all of them, or none.
+    scene : TracedScene, optional
+        Of that simulation.
 
     Attributes
     ----------
@@ -39,17 +41,11 @@ class DerivativeCode:
     flows : ndarray, shape (2 nv, nz)
         Derivatives of the rates of the effects' states.
 
-    Raises
-    ------
-    SimulationError
-        Where an effect has no derivative, or the mechanism is too large, with names and reasons.
-
     """
 
-    def __init__(self, simulation, qdd, lam, states=0):
+    def __init__(self, simulation, qdd, lam, states=0, scene=None):
         """Compile, unless an earlier process has."""
-        require_derivatives(simulation)
-        self._scene, model = TracedScene(simulation), simulation.system.model
+        self._scene, model = scene or TracedScene(simulation), simulation.system.model
         effects = simulation.system.effects
         nv, nc = len(qdd), len(lam)
         shape = -(-3 * nv // calls.LANES), (nv + nc) * calls.LANES

@@ -3,6 +3,7 @@
 
 """Derivatives of accelerations and multipliers of a scene, by generated code."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from .derivative_code import DerivativeCode
 from .errors import SimulationError, SingularityError
 from .parameters import parameter_arrays
 from .step_derivatives import StepDerivatives
-from .traced_scene import laws_of, require_derivatives
+from .traced_scene import laws_of, require_derivatives, TracedScene
 from ..core.codegen.function_table import LANES
 from ..engine import native
 
@@ -100,8 +101,10 @@ class Differentiator:
 
     Notes
     -----
-    The residuals of motion and closure are differentiated, and solved by the factors of the
-    articulated inertias and of the constraint matrix (``core.codegen.derivatives``). Coordinates
+    Forces over time are those of the simulation's present time; the numbers of their courses are
+    no parameters. The residuals of motion and closure are differentiated, and solved by the
+    factors of the articulated inertias and of the constraint matrix
+    (``core.codegen.derivatives``). Coordinates
     of the tree are changed one by one, with the loops open and equations of closure as they are
     then: by directions that keep the loops closed these are the derivatives of the motion. Terms
     of Baumgarte's method are left out. By parameters, what of the scene the arrays of masses and
@@ -112,14 +115,20 @@ class Differentiator:
 
     def __init__(self, simulation, parameters=()):
         """Compile, unless an earlier process has."""
-        require_derivatives(simulation)
-        self._steps = StepDerivatives(simulation, parameter_arrays(simulation, parameters))
+        require_derivatives(simulation, instant=True)
+        for key in parameters:
+            if re.fullmatch(r'effects\..*\.period', key):
+                raise ValueError(f'{key}: expected a number that forces at an instant follow, '
+                                 'got that of a course over time')
+        self._scene = TracedScene(simulation, instant=True)
+        self._steps = StepDerivatives(
+            simulation, parameter_arrays(simulation, parameters), self._scene)
         self._simulation = simulation
         self._enabled, self._laws = dict(simulation.effect_set.enabled), laws_of(simulation)
         self._system = system = simulation.system
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
-        self._code = DerivativeCode(simulation, self._qdd, self._lam)
+        self._code = DerivativeCode(simulation, self._qdd, self._lam, scene=self._scene)
 
     def __call__(self, position, velocity, torque=None):
         """
@@ -222,4 +231,5 @@ class Differentiator:
                 'Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
         self._lam[:] = self._system.lam
+        self._scene.update()
         return tuple(np.array(one, dtype=float) for one in (position, velocity))

@@ -292,6 +292,9 @@ class Linearisation:
         """
         if not (math.isfinite(period) and period > 0.0):
             raise ValueError(f'period: expected a finite number > 0 [s], got {period!r}')
+        if self._simulation.effect_set.follows_time:
+            raise SimulationError('forces follow the time: their model in discrete time would '
+                                  'change from period to period. Switch them off.')
         q, qd = self._state(position, velocity)
         model, _, own, _, _ = self._model(q, qd, torque, outputs, None)
         nq, nv, n, m = len(q), len(qd), len(model.states), len(model.inputs)

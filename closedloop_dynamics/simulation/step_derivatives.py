@@ -29,6 +29,8 @@ class StepDerivatives:
     simulation : Simulation
         Of a scene that has derivatives; its state stays as it is.
     parameters : parameters.ParameterArrays
+    scene : TracedScene, optional
+        Of that simulation.
 
     Attributes
     ----------
@@ -36,11 +38,11 @@ class StepDerivatives:
 
     """
 
-    def __init__(self, simulation, parameters):
+    def __init__(self, simulation, parameters, scene=None):
         """Allocate the arrays of the routines."""
         self.parameters, self._system = parameters, simulation.system
         nv, nc = len(self._system.qdd), len(self._system.lam)
-        self._scene = TracedScene(simulation)
+        self._scene = scene or TracedScene(simulation)
         self._nq = len(simulation.position)
         size = self._nq + 2 * nv + len(parameters.entries)
         qdd, lam = np.zeros(nv), np.zeros(nc)

@@ -8,10 +8,10 @@ import numpy as np
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
 from ..effects.table import ENTRIES, FIRST, SECOND, VALUE_COLUMNS
-from ..effects.traced_laws import act, constants_of, refused
+from ..effects.traced_laws import act, constants_of, FORCES_OVER_TIME, refused
 
 
-def refusals(simulation):
+def refusals(simulation, instant=False):
     """
     Return the parts of a simulation without derivatives, and the reasons.
 
@@ -19,6 +19,8 @@ def refusals(simulation):
     ----------
     simulation : Simulation
         Of the scene.
+    instant : bool
+        Whether the time is held.
 
     Returns
     -------
@@ -27,7 +29,7 @@ def refusals(simulation):
 
     """
     found = {f'effects.{name}': reason
-             for name, reason in refused(simulation.effect_set).items()}
+             for name, reason in refused(simulation.effect_set, instant).items()}
     for name in simulation.torque_names[len(simulation.joint_names):]:
         found[name] = 'a joint that closes a loop, in which something acts'
     if not simulation.system.is_unrolled:
@@ -37,9 +39,9 @@ def refusals(simulation):
     return found
 
 
-def require_derivatives(simulation):
+def require_derivatives(simulation, instant=False):
     """
-    Refuse a scene that has no derivatives.
+    Refuse a scene that has no derivatives, or none while the time is held.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def require_derivatives(simulation):
         With names and reasons.
 
     """
-    reasons = refusals(simulation)
+    reasons = refusals(simulation, instant)
     if reasons:
         raise SimulationError(
             f'{simulation.scene.name} has no derivatives: ' + '; '.join(
@@ -61,27 +63,48 @@ class TracedScene:
     Parameters
     ----------
     simulation : Simulation
+    instant : bool
+        Whether the time is held, so that forces over time are numbers.
 
     Attributes
     ----------
     values : ndarray, shape (rows, VALUE_COLUMNS)
-        Numbers of the effects.
+        Numbers of the effects; where the time is held, and any follows it, with more rows.
     key : tuple
         Dependences of the code beside the mechanism.
 
     """
 
-    def __init__(self, simulation):
+    def __init__(self, simulation, instant=False):
         """Collect the effects that are traced."""
         self._model, self._effects = simulation.system.model, simulation.system.effects
         self._laws, effects = simulation.effect_set.laws, self._effects
         self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values
+        self._simulation = None
+        if instant and simulation.effect_set.follows_time:
+            self._simulation = simulation
+            count = len(effects.values)
+            self.values = np.zeros((count - -count // VALUE_COLUMNS, VALUE_COLUMNS))
+            self.update()
         measured = laws_of(simulation)
         rows = () if effects is None else tuple(
             (row, int(effects.kind[row]),
              *measured.get(row, effects.index[row, [FIRST, SECOND]].tolist()))
             for row in np.flatnonzero(effects.enabled).tolist())
         self.key = rows, self.values.shape
+
+    def update(self):
+        """Take the numbers of the present time, where that is held."""
+        simulation = self._simulation
+        if simulation is None:
+            return
+        count = len(self._effects.values)
+        self.values[:count] = self._effects.values
+        present = self.values[count:].reshape(-1)
+        present[:] = simulation.time
+        for row, name in enumerate(simulation.effect_set.by_name):
+            if self._effects.enabled[row] and self._effects.kind[row] in FORCES_OVER_TIME:
+                present[row] = simulation.effect_readings(name)['force']
 
     def act(self, forces):
         """Apply the effects to a ``core.codegen.scene_routines.Forces``."""

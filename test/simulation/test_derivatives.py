@@ -18,13 +18,16 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.key_paths import numbers
+from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Scene
+from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -131,12 +134,12 @@ def torques(simulation):
                     0.3 * rng.normal(size=len(simulation.actuated_joints))))
 
 
-def twin(scene, effects, command):
-    """Return accelerations and multipliers of changes, by the dense augmented equations."""
+def twin(scene, effects, command, present):
+    """Return accelerations and multipliers of changes, at the time and by the dense equations."""
     simulation = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
     assert not simulation.system.is_unrolled
     tau = simulation.joint_torques(command)
-    state = simulation.integrated.copy()
+    state = present.integrated.copy()
     nq, nv = len(simulation.position), len(simulation.velocity)
 
     def moved(q, qd, change):
@@ -159,7 +162,7 @@ def require_derivatives(scene, effects=(), duration=0.2, step=1e-3):
     q, qd, nv = simulation.position, simulation.velocity, len(simulation.velocity)
     assert np.abs(qd).max() > 1e-3
     found = Differentiator(simulation)(q, qd, command)
-    dense = twin(scene, effects, command)
+    dense = twin(scene, effects, command, simulation)
     np.testing.assert_allclose(
         np.concatenate((found.acceleration, found.multipliers)),
         dense(q, qd, np.zeros(3 * nv)), rtol=1e-9, atol=1e-9)
@@ -258,12 +261,43 @@ def test_laws_of_users_whose_arithmetic_has_changed_are_differentiated_again():
         differentiate(*state)
 
 
-@pytest.mark.parametrize('values, reason', [
-    ({'forces': {'q': 't'}}, 'it follows the time'),
-    ({'forces': {'q': 'z'}, 'states': {'z': '1'}}, 'states of its own')])
-def test_laws_of_users_with_more_than_the_motion_are_refused(values, reason):
-    law = Law(joints={'q': 'crank_joint'}, **values)
-    with pytest.raises(SimulationError, match=f'effects.it .*{reason}'):
+def test_forces_over_time_are_differentiated_at_their_time():
+    point = load_scene('three_rrr').mechanism.points[1].name
+    simulation, _ = require_derivatives('three_rrr', {
+        'push': PrescribedForce('sine', point=point, direction=(0.6, 0.8), axes='body',
+                                amplitude=20.0, frequency=1.0, phase=0.2),
+        'turn': PrescribedForce('table', 'theta_2', times=(0.0, 0.5), values=(1.0, 3.0)),
+        'law': Law({'q': '-3*q*cos(5*t)'}, joints={'q': 'theta_1'})})
+    forces = [simulation.effect_readings(name)['force'] for name in ('push', 'turn')]
+    assert forces == pytest.approx([20.0 * np.sin(0.4 * np.pi + 0.2), 1.8])
+    differentiate = Differentiator(simulation)
+    before = differentiate(simulation.position, simulation.velocity).by_position
+    simulation.step(None, 0.2)
+    after = differentiate(simulation.position, simulation.velocity).by_position
+    again = Differentiator(simulation)(simulation.position, simulation.velocity).by_position
+    np.testing.assert_array_equal(after, again)
+    assert not np.allclose(after, before, rtol=1e-3)
+    require_derivatives('rssr_four_bar', {'push': PrescribedForce(
+        'sine', point=load_scene('rssr_four_bar').mechanism.points[0].name,
+        direction=(0.6, 0.0, 0.8), amplitude=20.0, frequency=1.0)}, step=2e-3)
+
+
+def test_forces_over_time_have_no_derivatives_along_a_motion():
+    scene = load_scene('three_rrr')
+    scene = replace(scene, effects={**scene.effects, 'turn': PrescribedForce(
+        'trapezoid', 'theta_2', amplitude=1.0, rise=0.1, hold=0.1, period=1.0)})
+    with pytest.raises(SimulationError, match='effects.turn .*it follows the time'):
+        Sensitivity(scene.model(), {'integrator': 'rk4', 'step_size': 1e-3})
+    simulation = Simulation.from_scene(scene)
+    with pytest.raises(SimulationError, match='follow the time'):
+        Linearisation(simulation).discrete_model(0.01)
+    with pytest.raises(ValueError, match='course over time'):
+        Differentiator(simulation, ['effects.turn.period'])
+
+
+def test_laws_of_users_with_states_are_refused():
+    law = Law({'q': 'z'}, joints={'q': 'crank_joint'}, states={'z': '1'})
+    with pytest.raises(SimulationError, match='effects.it .*states of its own'):
         Differentiator(simulation_of('four_bar', {'it': law}))
 
 
@@ -337,6 +371,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
             state[:nv] += change[:nv]
         else:
             native.move(manifold, state[:len(q)], change[:nv].copy(), 1.0)
+        dense.integrated[:] = simulation.integrated
         dense.integrated[:len(state)], dense.system.tau[:] = state, tau + change[2 * nv:]
         dense.touch()
         return np.array([dense.force(name) for name in found.joints])
@@ -356,7 +391,8 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
 
         def of_other(change):
             other = model.with_parameters({key: value + change})
-            all_forces = other.evaluate(other.state(q, qd), command)
+            all_forces = other.evaluate(other.state(
+                q, qd, own=simulation.snapshot().own), command)
             return np.array([
                 (all_forces.constraint_forces if name in cuts else all_forces.joint_forces)[name]
                 for name in found.joints])
@@ -369,6 +405,8 @@ def test_derivatives_of_wrenches_in_the_plane():
         'mechanism.bodies.distal_1.mass', 'mechanism.joints.theta_4.position.0',
         'mechanism.bodies.proximal_1.center_of_mass.0', 'effects.damper.coefficient'),
         {'damper': JointDamping('theta_2', 0.05),
+         'push': PrescribedForce('sine', point=point, direction=(0.6, 0.8), axes='body',
+                                 amplitude=20.0, frequency=1.0),
          'strut': PointSpring(point, None, (0.1, 0.7), 20.0, 0.3, 0.1)})
 
 
