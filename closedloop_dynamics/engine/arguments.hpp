@@ -105,7 +105,7 @@ Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
   if (PyObject_GetBuffer(from, &view, flags) < 0) {
     throw PythonError();
   }
-  // The array is kept by who hands it over.
+  // The caller holds a reference to the array.
   PyBuffer_Release(&view);
   constexpr bool wants_real = std::is_same_v<std::remove_const_t<Number>, double>;
   const char kind = kind_of(view);
@@ -162,7 +162,7 @@ inline void read(PyObject * from, Given & to, Place)
     PyErr_Clear();
     return;
   }
-  // The array is kept by who hands it over.
+  // The caller holds a reference to the array.
   PyBuffer_Release(&view);
   to.is_array = view.ndim == 1 && is_real(view) && is_aligned<double>(view);
   if (to.is_array) {

@@ -109,7 +109,7 @@ bool return_to_branch(const System & system, Values q, Values qd, double pivot)
   }
 }
 
-/// Accelerations on the nearest branch, to which the state is moved; false where none is near.
+/// Accelerations on the nearest branch, to which the state is moved; false without a branch near.
 bool accelerate_beside(const System & system, Values q, Values qd, Table added, double pivot)
 {
   if (!return_to_branch(system, q, qd, pivot)) {

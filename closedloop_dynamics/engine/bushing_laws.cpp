@@ -26,7 +26,7 @@ void apply_bushing(
   const Vector2 end = position(body, b, vector2(data + 2));
   // The first axis (x, y), the second (-y, x).
   const Vector2 axis = to_world(body, a, vector2(values + 3));
-  // Against what of body a would be at point b: so the axes' turning is seen.
+  // Relative to the point of body a that coincides with b, as seen in the turning axes.
   const Vector2 velocity = velocity_at(body, b, end) - velocity_at(body, a, end);
   const Vector2 apart = end - start;
   const double along = dot(axis, apart), across = cross(axis, apart);
@@ -60,7 +60,7 @@ void apply_spatial_bushing(
   const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
   const Vector3 start = position(body, a, vector3(data));
   const Vector3 end = position(body, b, vector3(data + PLACE_B));
-  // Against what of body a would be at point b: so the axes' turning is seen.
+  // Relative to the point of body a that coincides with b, as seen in the turning axes.
   const Vector3 velocity = velocity_at(body, b, end) - velocity_at(body, a, end);
   const Vector3 turning = spin_in_space(body, b) - spin_in_space(body, a), apart = end - start;
   Vector3 force = {0.0, 0.0, 0.0}, moment = {0.0, 0.0, 0.0};

@@ -33,8 +33,8 @@ constexpr int HALVINGS = 50;
 constexpr double SAME = 1e-12;
 // Rates may be this much faster between the evaluations of a step.
 constexpr double FASTER = 1.25;
-// A path is resolved where it is no longer than the largest known gap, or than so many chords: a
-// point on a circle that comes near does not turn round unseen.
+// A path is resolved where it is no longer than the largest gap so far, or than so many chords:
+// then a point on a circle cannot approach and turn back undetected.
 constexpr double CHORDS = 2.0;
 // The error of a smaller interval may be this many times the expected one.
 constexpr double SAFER = 2.0;
@@ -465,7 +465,7 @@ Suspicion suspect(
 }
 
 /// Continue from the right end of an interval.
-void go_on(const Contacts & contacts, Index top)
+void start_next_interval(const Contacts & contacts, Index top)
 {
   for (Index row : contacts.rows) {
     copy(contacts.nodes[top][row], contacts.nodes[0][row]);
@@ -507,7 +507,7 @@ Trial examine_interval(const EffectTable & effects, double size, Index sought, d
         return {place * size, -1};
       }
     }
-    go_on(contacts, top);
+    start_next_interval(contacts, top);
   }
   return {size, sought};
 }
@@ -523,7 +523,7 @@ bool may_miss_contact(const EffectTable & effects, Index row, double size, doubl
 }
 
 /// Whether a smooth gap is negative within a step, by more than steps of one size resolve.
-bool dips(const Contacts & contacts, Index row, double size)
+bool penetrates(const Contacts & contacts, Index row, double size)
 {
   const Cubic cubic(contacts.start.row(row), contacts.now.row(row), 1.0, size);
   const auto [one, other] = cubic.turning_points();
@@ -652,7 +652,7 @@ double ContactGuard::examine_end(Values out, double size, bool & passed) const
     if (is_finite(effects, row)) {
       contacts.mode[row] = contact::FREE;
       doubtful = true;
-    } else if (dips(contacts, row, size)) {
+    } else if (penetrates(contacts, row, size)) {
       contacts.search[contact::PASSED] = static_cast<double>(row);
       passed = true;
       return -1.0;
@@ -696,7 +696,7 @@ double ContactGuard::next_share(double size, bool & passed) const
         return -1.0;
       }
     }
-    go_on(contacts, top);
+    start_next_interval(contacts, top);
     contacts.search[contact::TOP] -= 1.0;
     contacts.search[contact::SUSPECTED] = 0.0;
   }

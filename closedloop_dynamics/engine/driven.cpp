@@ -81,7 +81,7 @@ public:
     outward(model_, q, view(still_), work_);
     fill_matrix();
     lu_.compute(matrix_);
-    return converge(q) && stays();
+    return converge(q) && is_on_branch();
   }
 
   /// Rates and accelerations in the current position, into rows.
@@ -199,7 +199,7 @@ private:
   }
 
   /// Whether the position is on the branch of the last one; makes it the current one if so.
-  bool stays()
+  bool is_on_branch()
   {
     fill_matrix();
     // A bound of the change, where that is enough, and the change.

@@ -121,8 +121,8 @@ struct ExplicitRun
 };
 
 /// Advance a state, shape (ns,), over the grid by error-controlled steps that need not end on it.
-/// With STEP_SIZE zero the integration starts at the state; otherwise it goes on from where the
-/// latest step ended. On failure the state and REACHED are the latest good ones.
+/// With STEP_SIZE zero the integration starts at the state; otherwise it continues from the end of
+/// the latest step. On failure the state and REACHED are the latest good ones.
 Status advance_explicit(
   const System &, const Tableau &, Stabilisation, Values control, Table scale, Table scratch,
   Values state, double origin, Index done, double step_size, Index steps);

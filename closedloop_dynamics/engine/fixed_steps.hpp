@@ -62,8 +62,8 @@ struct StepScratch
 };
 
 /// Advance a state in place by steps of one size, as `advance_fixed` does. `attempt(size,
-/// interrupt)` makes a step of that size [s] from the state and its slope, both known, into `out`,
-/// in `evaluations`; false where it was interrupted.
+/// interrupt)` makes a step of that size [s] from the state and its slope into `out`, in
+/// `evaluations`; false where it was interrupted.
 template<class Attempt>
 std::pair<Status, Index> make_steps_in_parts(
   const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,

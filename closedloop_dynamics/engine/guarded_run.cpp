@@ -332,7 +332,7 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
 }
 
 /// Make steps until all are made or the run pauses.
-Pause go_on(const System & system, const GuardedRun & run)
+Pause make_steps_until_pause(const System & system, const GuardedRun & run)
 {
   const Indices & counts = run.counts;
   while (true) {
@@ -401,7 +401,7 @@ Pause advance_run(const System & system, const GuardedRun & run, const Given & t
   if (found == Comparison::USUAL) {
     let_act(system, run, tau.numbers.data);
   }
-  return go_on(system, run);
+  return make_steps_until_pause(system, run);
 }
 
 Pause resume_run(const System & system, const GuardedRun & run)
@@ -411,7 +411,7 @@ Pause resume_run(const System & system, const GuardedRun & run)
     run.counts[HANDED] = 0;
     book(system, run, handed);
   }
-  return go_on(system, run);
+  return make_steps_until_pause(system, run);
 }
 
 void record_loss(Values numbers, double lost, double moved, double rounding, double time)
@@ -529,10 +529,10 @@ void CopiedRun::command(const System & system, Values torque)
 Status CopiedRun::advance(const System & system, Index steps)
 {
   begin_call(run_, steps);
-  Pause pause = go_on(system, run_);
+  Pause pause = make_steps_until_pause(system, run_);
   while (pause == Pause::INACCURATE) {
     run_.counts[WARNED] = 1;
-    pause = go_on(system, run_);
+    pause = make_steps_until_pause(system, run_);
   }
   return pause == Pause::NONE ? Status::DONE :
          pause == Pause::FAILURE ? static_cast<Status>(run_.counts[STATUS]) : Status::DOUBTFUL;

@@ -20,9 +20,9 @@ namespace
 // Partition.record: the pivot ratio when the set was chosen (0: not chosen yet), the latest one,
 // the number of changes of the set.
 enum : Index {CHOSEN_RATIO, RATIO, SWITCHES};
-// A set whose pivots have shrunk to this share of what they were is exchanged for a better one:
-// the error of a step grows fast while the independent coordinates turn singular (3-RRR, 1 s
-// of RK4 at 1 ms: 8e-3 rad at 0.2, 5e-6 at 0.5, 1.5e-6 at 0.8), a change costs one factorization.
+// A set whose pivots have shrunk to this share of the initial ones is replaced by a better one: the
+// error of a step grows fast while the independent coordinates turn singular (3-RRR, 1 s of RK4 at
+// 1 ms: 8e-3 rad at 0.2, 5e-6 at 0.5, 1.5e-6 at 0.8), a change costs one factorization.
 constexpr double WORN = 0.8;
 constexpr int MOST_ITERATIONS = 12;
 // Relative rounding error of a coordinate, with the kinematics from it to a cut joint.

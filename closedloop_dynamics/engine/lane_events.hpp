@@ -22,8 +22,7 @@ public:
   LaneEvents(const Batch & batch, const std::vector<Lane> & lanes);
 
   /// Begin a step from a state: find the lanes that cannot make it with the others. Returns the
-  /// state that the vector is to begin with, in which these repeat another one; of no length where
-  /// there is no lane that can.
+  /// start of the vector's step, where those lanes are copies of another one; empty if no lane can.
   Values begin(Values state);
 
   /// The routine that evaluates the states of the present step.

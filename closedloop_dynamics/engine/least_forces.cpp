@@ -17,7 +17,7 @@ namespace closedloop
 
 namespace
 {
-// Pivots below this times the largest belong to equations that repeat others.
+// Pivots below this times the largest belong to redundant equations.
 constexpr double REPEATED = 1e-9;
 
 /// From the reference point of a wrench to the joint's points on its two bodies [m].

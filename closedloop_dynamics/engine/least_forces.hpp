@@ -7,8 +7,8 @@
 #include "null_space.hpp"
 #include "system.hpp"
 
-// Forces in the joints where closure equations repeat others. These forces are not unique: those
-// are chosen that are least in all joints together, of the tree and cut ones alike,
+// Forces in the joints where closure equations are redundant. These forces are not unique: the
+// least ones of all joints together, of the tree and cut ones alike, are chosen,
 //
 //   sum over the joints of |F|^2 + (|M_a|^2 + |M_b|^2) / (2 size^2)  =  least
 //

@@ -13,7 +13,7 @@ namespace closedloop
 class LeastSquares
 {
 public:
-  /// Factorise; pivots below threshold times the largest belong to columns that repeat others.
+  /// Factorise; pivots below threshold times the largest belong to dependent columns.
   void compute(const Eigen::MatrixXd & matrix, double threshold);
   /// The minimum-norm x that minimises |matrix x - wanted|.
   Eigen::VectorXd solve(const Eigen::VectorXd & wanted) const;

@@ -16,8 +16,8 @@ namespace closedloop
 
 namespace
 {
-// Singular values of the scaled J below this times the largest are rounding: equations that
-// repeat others.
+// Singular values of the scaled J below this times the largest are rounding, of redundant
+// equations.
 constexpr double DEPENDENT = 1e-11;
 // The right-hand side of an equation must exceed its estimated error by this factor.
 constexpr double DOUBT = 3.0;
@@ -27,7 +27,7 @@ constexpr double NOTHING = 1e-12;
 constexpr double NO_INERTIA = 1e-14;
 // Square roots of pivots above which all motions certainly have inertia.
 constexpr double CLEAR = 1e-3;
-// Singular values below this times the largest belong to equations that repeat others.
+// Singular values below this times the largest belong to redundant equations.
 constexpr double REPEATED = 1e-9;
 
 /// Components of a solution along the singular vectors of J, and the equations that are used.

@@ -34,7 +34,7 @@ struct Rank
 {
   Index taken = 0;  ///< Number of equations used
   double weakest = 1.0;  ///< Smallest scaled singular value of an independent one
-  Index distinct = 0;  ///< Number of equations that repeat no other
+  Index distinct = 0;  ///< Number of independent equations
 };
 
 /// Singular values and all singular vectors of a large matrix, by divide and conquer.

@@ -270,7 +270,7 @@ void Solver<Most>::accelerate(
   for (int k = 0; k < PLACES; ++k) {
     const double place = place_of(k);
     const bool settled = solve_ahead(place * aside / speed);
-    // On the branch only: beside it equations that repeat one another seem not to.
+    // On the branch only: beside it redundant equations seem independent.
     if (settled) {
       health[health::LOOKED_BESIDE] = 1.0;
       health[health::MOST_DISTINCT] =

@@ -7,7 +7,7 @@
 #include "elimination.hpp"
 #include "model.hpp"
 
-// Forward dynamics by iterative refinement, where links differ much in mass or have none.
+// Forward dynamics by iterative refinement, where links differ much in mass or are massless.
 
 namespace closedloop
 {

@@ -48,7 +48,7 @@ void run_samples(
 void check_starts(
   const System &, const GuardedRun &, double tolerance, Table states, Indices fine);
 
-/// Fill in a buffer of which only the states are known.
+/// Compute the remaining quantities of a buffer from its states.
 void annotate(
   const System &, Table torque, Index zero_order_hold, Index decimation, const RunBuffer &);
 

@@ -70,7 +70,7 @@ void compute_move(const Sticking & sticking, Index count, Values out)
 }
 
 /// Index of the bounded unknown with the steepest descent into the box; negative if none.
-Index most_loose(const Sticking & sticking, Index count, Values out)
+Index steepest_bound(const Sticking & sticking, Index count, Values out)
 {
   const Table & matrix = sticking.matrix;
   Index loose = -1;
@@ -131,7 +131,7 @@ void minimise_in_box(const Sticking & sticking, Index count, Values out)
       free[blocking] = 0;
       out[blocking] = std::copysign(bound[blocking], move[blocking]);
     } else {
-      const Index loose = most_loose(sticking, count, out);
+      const Index loose = steepest_bound(sticking, count, out);
       if (loose < 0) {
         return;
       }

@@ -306,7 +306,7 @@ bool has_cuts(const CutCoordinates & cuts, Index count)
   return within(cuts.index, cut_coordinate::CUT, 0, 0, count - 1);
 }
 
-/// A number as an index below `size`; negative where it is none.
+/// A number as an index below `size`; negative if it is not one.
 Index as_place(double number, Index size)
 {
   return number >= 0.0 && number < static_cast<double>(size) ? static_cast<Index>(number) : -1;
