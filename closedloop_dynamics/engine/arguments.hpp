@@ -427,10 +427,10 @@ struct Kernel<Function, Releases, lengths...>: Bound
     }
     using Precondition = std::remove_cv_t<decltype(precondition<Function>)>;
     if constexpr (!std::is_null_pointer_v<Precondition>) {
-      constexpr Py_ssize_t asked = count_parameters(&Precondition::operator());
+      constexpr Py_ssize_t parameters = count_parameters(&Precondition::operator());
       // Once: when the last of these arguments is read.
-      if (first < asked && first + count >= asked) {
-        check_together(std::make_index_sequence<asked>{});
+      if (first < parameters && first + count >= parameters) {
+        check_together(std::make_index_sequence<parameters>{});
       }
     }
   }

@@ -276,7 +276,8 @@ public:
       2 * nc_ * nv_ + 5 * nc_ + 6 * nv_ + MOST_PLACES * (q.size + 2 * nv_) + 3 * nv_ * nv_ +
       q.size + free_ * (nv_ + free_ + 1)),
     jac_(scratch_.take(nc_, nv_)), factor_(scratch_.take(nc_, nv_)),
-    closure_(scratch_.take(nc_)), bias_(scratch_.take(nc_)), row_scale_(scratch_.take(nc_)), right_(scratch_.take(nc_)), ordered_(scratch_.take(nc_)),
+    closure_(scratch_.take(nc_)), bias_(scratch_.take(nc_)), row_scale_(scratch_.take(nc_)),
+    right_(scratch_.take(nc_)), ordered_(scratch_.take(nc_)),
     column_scale_(scratch_.take(nv_)), change_(scratch_.take(nv_)),
     places_(scratch_.take(MOST_PLACES, q.size)), rates_(scratch_.take(MOST_PLACES, nv_)),
     bends_(scratch_.take(MOST_PLACES, nv_)), tangents_(scratch_.take(nv_, nv_)),
@@ -343,21 +344,21 @@ private:
       root_[j] = j;
     }
     for (Index a = 0; a < cut.rows; ++a) {
-      Index known = -1;
+      Index group = -1;
       for (Index i = cut(a, cut::CUT_ROW); i < cut(a, cut::CUT_ROW) + cut(a, cut::ROWS); ++i) {
         for (Index j = 0; j < nv_; ++j) {
           if (std::abs(entry(i, j)) > FOREIGN) {
-            known = known < 0 ? find(root_, j) : known;
-            root_[find(root_, j)] = known;
+            group = group < 0 ? find(root_, j) : group;
+            root_[find(root_, j)] = group;
           }
         }
-        pivot_row_[i] = known;
+        pivot_row_[i] = group;
       }
       for (Index i = cut(a, cut::CUT_ROW); i < cut(a, cut::CUT_ROW) + cut(a, cut::ROWS); ++i) {
-        if (known < 0) {
+        if (group < 0) {
           return false;
         }
-        pivot_row_[i] = known;
+        pivot_row_[i] = group;
       }
     }
     Index rows = 0, columns = 0, count = 0;

@@ -166,9 +166,9 @@ Index nearest_chord(
       const Index begin = std::max<Index>(0, first);
       return std::pair{begin, std::min(count, first + length) - begin};
     };
-  const double known = memory[PIECE];
-  if (known >= 0.0 && known < static_cast<double>(count)) {
-    const auto [first, length] = beside(static_cast<Index>(known));
+  const double previous = memory[PIECE];
+  if (previous >= 0.0 && previous < static_cast<double>(count)) {
+    const auto [first, length] = beside(static_cast<Index>(previous));
     const NearestChord found = nearest_of(pieces, count, first, length, point);
     if (std::sqrt(found.square) + moved < SURELY * memory[BEYOND]) {
       return found.piece;
@@ -176,7 +176,7 @@ Index nearest_chord(
   }
   const NearestChord found = nearest_of(pieces, count, 0, count, point);
   // Not worth while where the point leaves the range of the search at once.
-  const bool leaps = known >= 0.0 && !(2.0 * moved < memory[REACH]);
+  const bool leaps = previous >= 0.0 && !(2.0 * moved < memory[REACH]);
   const double distance = std::sqrt(found.square);
   memory[PIECE] = static_cast<double>(found.piece);
   memory[PLACE] = point.x;

@@ -186,9 +186,9 @@ Pause check_cables(const System & system, const GuardedRun & run)
 double record_balance(const System & system, const GuardedRun & run, const Energies & present)
 {
   if (run.counts[CHECKED] == AT_STATE) {
-    const Values & known = run.account.numbers;
+    const Values & numbers = run.account.numbers;
     write(
-      {known[account::START_KINETIC], known[account::START_STORED], 0.0, 0.0, 0.0},
+      {numbers[account::START_KINETIC], numbers[account::START_STORED], 0.0, 0.0, 0.0},
       at(run, CHECK));
     copy(at(run, CHECK), at(run, BEGIN));
     run.counts[CHECKED] = AT_BALANCE;
@@ -496,15 +496,15 @@ void CopiedRun::begin(const System & system, Values start)
 {
   require_fitting(system, run_);
   const std::vector<double> health(system.work.health.begin(), system.work.health.end());
-  const Values & known = run_.account.numbers, & numbers = run_.numbers;
+  const Values & balances = run_.account.numbers, & numbers = run_.numbers;
   const Indices & counts = run_.counts;
   copy(start, run_.state);
-  known[account::REFERENCE] = 0.0;
+  balances[account::REFERENCE] = 0.0;
   const Energies balance = draw_balance(system, run_.account, run_.state);
-  known[account::HELD_WORK] = 0.0;
-  known[account::REFERENCE] = balance.kinetic + balance.stored;
-  known[account::START_KINETIC] = balance.kinetic;
-  known[account::START_STORED] = balance.stored;
+  balances[account::HELD_WORK] = 0.0;
+  balances[account::REFERENCE] = balance.kinetic + balance.stored;
+  balances[account::START_KINETIC] = balance.kinetic;
+  balances[account::START_STORED] = balance.stored;
   // The run has no evaluation yet.
   std::copy(health.begin(), health.end(), system.work.health.begin());
   numbers[TIME_BASE] = 0.0;

@@ -109,10 +109,10 @@ bool is_worth_taking(
     return residual <= 0.25 * singular * singular;
   }
   gap_along += ROUNDING;
-  const double known = gap + std::min(gap_along / singular, std::sqrt(gap_along));
-  double error = speed * known + ROUNDING * (speed + size);
+  const double position_error = gap + std::min(gap_along / singular, std::sqrt(gap_along));
+  double error = speed * position_error + ROUNDING * (speed + size);
   if (level == Level::ACCELERATION) {
-    error = speed * (speed * known + 2.0 * (drift + drift_along / singular)) + ROUNDING * (
+    error = speed * (speed * position_error + 2.0 * (drift + drift_along / singular)) + ROUNDING * (
       speed * speed + size);
   }
   return residual > DOUBT * error;

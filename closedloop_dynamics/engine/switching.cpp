@@ -183,10 +183,10 @@ void Pair::begin(double time, Values state)
     const Values other = runs_.control[REFERENCE];
     // The reference run restarts where it is within a step, which a restored run does not have, and
     // where both runs would make the same step.
-    const bool amid =
+    const bool within_step =
       std::abs(other[control::REACHED] - time) > LEAST * std::max(std::abs(time), 1e-3);
     const double least = std::min(control[control::NEXT_STEP], other[control::NEXT_STEP]);
-    if (!amid && !(control[control::HOLD] > 0.0 && least >= control[control::HOLD])) {
+    if (!within_step && !(control[control::HOLD] > 0.0 && least >= control[control::HOLD])) {
       other[control::HOLD] = control[control::HOLD];
       other[control::RESTARTED] = other[control::REACHED] = time;
       other[control::STEP_SIZE] = 0.0;

@@ -136,8 +136,8 @@ const char * misfit_of_cuts(const Model & model)
     const bool both = type >= cut::COUPLED_PLACE;
     const Index factors = type == cut::COUPLING || type == cut::PRESCRIBED_JOINT || both ?
       cut::FACTORS + cut[cut::PATH_END] - cut[cut::PATH_A] : 0;
-    const Index asked = type >= cut::PRESCRIBED_JOINT ? static_cast<Index>(cut::MOTION_COLUMNS) : 0;
-    if (model.cut_point.columns < (both ? least : 0) + factors + asked) {
+    const Index motion = type >= cut::PRESCRIBED_JOINT ? static_cast<Index>(cut::MOTION_COLUMNS) : 0;
+    if (model.cut_point.columns < (both ? least : 0) + factors + motion) {
       return "model.cut_point: factors of couplings";
     }
   }
