@@ -17,7 +17,7 @@ from . import force_table
 from .registry import effect_type
 from .smooth_laws import FORCE_TABLES, LAWS, line_between, push_along, push_apart
 from .table import (
-    entries_of, ENTRIES, FIRST, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SECOND,
+    ENTRIES, entries_of, FIRST, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SECOND,
     SPATIAL_PRESCRIBED_FORCE, SPATIAL_TRACED, STATE, TENDON, TRACED, VALUE_COLUMNS)
 from .traced_effect import (
     COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS, TIME)

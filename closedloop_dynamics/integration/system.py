@@ -193,7 +193,7 @@ class System(NamedTuple):
 
     @property
     def code(self):
-        """Selection of code (``Code``) for systems on other equations of this mechanism."""
+        """Which code systems on other equations of this mechanism are to have."""
         # Forces in joints are published or plotted, not integrated.
         return Code(tuple(one for one in self.routines if one not in codegen.OF_FORCES),
                     scene_code.known_structure(self.table))

@@ -68,6 +68,8 @@ def add(tab, what, *places):
 
 
 def remove(tab, what):
+    # What can be removed arrives behind the machine.
+    tab.wait(f'[...page.edit.less.options].some((one) => one.value === "{what}")')
     tab.ask(f"""page.edit.less.value = "{what}"; page.edit.less.onchange()""")
 
 
