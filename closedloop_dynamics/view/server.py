@@ -215,6 +215,8 @@ class _Page:
                 self._changed.clear()
                 if self._feed.described != described:
                     described = self._feed.described
+                    # A page does not show frames that came before, nor say that it has.
+                    self._sent.clear()
                     await self._connection.send(self._feed.description)
                 # What belongs to a description that the page does not have yet comes after that.
                 told, controls = self._feed.version, self._feed.controls

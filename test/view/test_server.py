@@ -204,3 +204,20 @@ def test_a_connection_that_asks_for_nothing_holds_up_no_end():
     with socket.create_connection(('127.0.0.1', server.port)), Client(server.url):
         server.close()
         assert not server.thread.is_alive()
+
+
+def test_frames_of_an_earlier_machine_are_not_waited_for():
+    # A page that gets another machine drops the frames that it has not drawn, without a word.
+    description = {'name': 'test', 'columns': {'width': 5}}
+    feed = Feed(description)
+    server = Server(['page'], [feed])
+    row = np.zeros(5, dtype=np.float32)
+    try:
+        with Client(server.url) as client:
+            for number in range(WINDOW + 2):
+                feed.describe({**description, 'number': number}, float(number), row)
+                while client.time != number or client.row is None:
+                    client.take(seen=False)
+                client.row = None
+    finally:
+        server.close()
