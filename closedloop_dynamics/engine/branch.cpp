@@ -3,8 +3,6 @@
 
 #include "branch.hpp"
 
-#include <array>
-
 #include "branch_places.hpp"
 #include "elimination.hpp"
 #include "evaluation.hpp"
@@ -15,6 +13,7 @@
 #include "recursion.hpp"
 #include "refinement.hpp"
 #include "routines.hpp"
+#include "scratch.hpp"
 
 namespace closedloop
 {
@@ -31,27 +30,6 @@ constexpr int MOST_CORRECTIONS = 4;
 constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
 // Numbers of all arrays that are needed here.
 constexpr Index ROOM = 1024;
-
-/// Arrays that live as long as an evaluation, out of one block.
-class Scratch
-{
-public:
-  Values take(Index count)
-  {
-    used_ += count;
-    return {numbers_.data() + used_ - count, count};
-  }
-  Values copy_of(Values values)
-  {
-    const Values found = take(values.size);
-    copy(values, found);
-    return found;
-  }
-
-private:
-  std::array<double, ROOM> numbers_;
-  Index used_ = 0;
-};
 
 /// Add forces to those on the bodies.
 void add_forces(const Workspace & work, Table forces)
@@ -128,14 +106,15 @@ bool accelerate_on_branch(const System & system, Values q, Values qd)
   const Values & health = work.health;
   const double pivot = health[health::SMALLEST_PIVOT];
   const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
+  const Index numbers = q.size + qd.size + bodies * size;
   if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && !good(system.model, pivot, POOR_PIVOT) &&
-    q.size + qd.size + bodies * size <= ROOM))
+    numbers <= ROOM))
   {
     return false;
   }
-  Scratch scratch;
+  Scratch<double, ROOM> scratch(numbers);
   // Forces of effects on bodies are evaluated at the state itself.
-  const Table added{scratch.take(bodies * size).data, bodies, size};
+  const Table added = scratch.take(bodies, size);
   if (bodies > 0) {
     outward(system.model, q, qd, work);
     bias_forces(work, added);

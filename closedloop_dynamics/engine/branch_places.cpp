@@ -7,13 +7,14 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <memory>
 
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "recursion.hpp"
 #include "routines.hpp"
+#include "scratch.hpp"
+#include "small_factors.hpp"
 
 namespace closedloop
 {
@@ -66,192 +67,6 @@ constexpr double FOREIGN = 1e-6;
 constexpr double RESTING = 1e6;
 // Numbers, counts and components that fit on the stack.
 constexpr Index NUMBERS = 2048, COUNTS = 64, MOST_PARTS = 8;
-
-/// Arrays that live as long as an evaluation, out of one block.
-template<class Number, Index ROOM>
-class Scratch
-{
-public:
-  explicit Scratch(Index count)
-  {
-    if (count > ROOM) {
-      large_ = std::make_unique<Number[]>(static_cast<std::size_t>(count));
-      next_ = large_.get();
-    }
-  }
-  Vector<Number> take(Index count)
-  {
-    next_ += count;
-    return {next_ - count, count};
-  }
-  Matrix<Number> take(Index rows, Index columns)
-  {
-    return {take(rows * columns).data, rows, columns};
-  }
-
-private:
-  std::array<Number, ROOM> numbers_;
-  std::unique_ptr<Number[]> large_;
-  Number * next_ = numbers_.data();
-};
-
-/// Factor a matrix in place, with complete pivoting; `row` and `column` are the permutations.
-/// Return the number of pivots above a share of the first one; the others are not eliminated.
-Index factorize_fully(Table matrix, Indices row, Indices column, double share)
-{
-  const Index rows = matrix.rows, columns = matrix.columns;
-  for (Index i = 0; i < rows; ++i) {
-    row[i] = i;
-  }
-  for (Index j = 0; j < columns; ++j) {
-    column[j] = j;
-  }
-  double first = 0.0;
-  for (Index k = 0; k < rows; ++k) {
-    Index at = k, to = k;
-    double most = -1.0;
-    for (Index i = k; i < rows; ++i) {
-      for (Index j = k; j < columns; ++j) {
-        if (std::abs(matrix(i, j)) > most) {
-          most = std::abs(matrix(i, j));
-          at = i;
-          to = j;
-        }
-      }
-    }
-    first = k == 0 ? most : first;
-    if (!(most > share * first)) {
-      return k;
-    }
-    if (at != k) {
-      std::swap_ranges(matrix.row(k), matrix.row(k) + columns, matrix.row(at));
-      std::swap(row[k], row[at]);
-    }
-    if (to != k) {
-      for (Index i = 0; i < rows; ++i) {
-        std::swap(matrix(i, k), matrix(i, to));
-      }
-      std::swap(column[k], column[to]);
-    }
-    const double inverse = 1.0 / matrix(k, k);
-    for (Index i = k + 1; i < rows; ++i) {
-      const double scale = matrix(i, k) * inverse;
-      matrix(i, k) = scale;
-      for (Index j = k + 1; j < columns; ++j) {
-        matrix(i, j) -= scale * matrix(k, j);
-      }
-    }
-  }
-  return rows;
-}
-
-/// Factor a square matrix in place, its pivots in their places, replaced by their inverses; return
-/// the smallest against the largest.
-double factorize_in_place(Table matrix)
-{
-  const Index n = matrix.rows;
-  double least = std::numeric_limits<double>::infinity(), most = 0.0;
-  for (Index k = 0; k < n; ++k) {
-    const double pivot = matrix(k, k), inverse = 1.0 / pivot;
-    // Not a number: all comparisons fail.
-    least = std::abs(pivot) >= least ? least : std::abs(pivot);
-    most = std::max(most, std::abs(pivot));
-    matrix(k, k) = inverse;
-    for (Index i = k + 1; i < n; ++i) {
-      if (matrix(i, k) != 0.0) {
-        const double scale = matrix(i, k) *= inverse;
-        for (Index j = k + 1; j < n; ++j) {
-          matrix(i, j) -= scale * matrix(k, j);
-        }
-      }
-    }
-  }
-  return least / most;
-}
-
-/// Solve with these factors in place.
-void solve_in_place(Table factor, Values right)
-{
-  const Index n = factor.rows;
-  for (Index i = 1; i < n; ++i) {
-    for (Index k = 0; k < i; ++k) {
-      right[i] -= factor(i, k) * right[k];
-    }
-  }
-  for (Index i = n - 1; i >= 0; --i) {
-    for (Index k = i + 1; k < n; ++k) {
-      right[i] -= factor(i, k) * right[k];
-    }
-    right[i] *= factor(i, i);
-  }
-}
-
-/// The same with the transpose of the matrix.
-void solve_transposed(Table factor, Values right)
-{
-  const Index n = factor.rows;
-  for (Index i = 0; i < n; ++i) {
-    right[i] *= factor(i, i);
-    for (Index k = i + 1; k < n; ++k) {
-      right[k] -= factor(i, k) * right[i];
-    }
-  }
-  for (Index i = n - 1; i > 0; --i) {
-    for (Index k = 0; k < i; ++k) {
-      right[k] -= factor(i, k) * right[i];
-    }
-  }
-}
-
-/// Lower triangle of the products of rows, of so many columns, with one another.
-template<class Entry>
-void fill_products(Table out, Entry && entry, Index columns)
-{
-  for (Index k = 0; k < out.rows; ++k) {
-    for (Index m = 0; m <= k; ++m) {
-      out(k, m) = 0.0;
-      for (Index j = 0; j < columns; ++j) {
-        out(k, m) += entry(k, j) * entry(m, j);
-      }
-    }
-  }
-}
-
-/// Factor a symmetric positive definite matrix in place, lower triangle; false where it is not.
-bool factorize_positive(Table matrix)
-{
-  for (Index i = 0; i < matrix.rows; ++i) {
-    for (Index j = 0; j <= i; ++j) {
-      double total = matrix(i, j);
-      for (Index k = 0; k < j; ++k) {
-        total -= matrix(i, k) * matrix(j, k);
-      }
-      if (i == j && !(total > 0.0)) {
-        return false;
-      }
-      matrix(i, j) = i == j ? std::sqrt(total) : total / matrix(j, j);
-    }
-  }
-  return true;
-}
-
-/// Solve with these factors in place.
-void solve_positive(Table factor, Values right)
-{
-  const Index n = factor.rows;
-  for (Index i = 0; i < n; ++i) {
-    for (Index k = 0; k < i; ++k) {
-      right[i] -= factor(i, k) * right[k];
-    }
-    right[i] /= factor(i, i);
-  }
-  for (Index i = n - 1; i >= 0; --i) {
-    right[i] /= factor(i, i);
-    for (Index k = 0; k < i; ++k) {
-      right[k] -= factor(i, k) * right[i];
-    }
-  }
-}
 
 /// Equations that share coordinates, as ranges of the lists of a Branch. The coordinates: first the
 /// dependent ones, as many as there are equations, then the independent ones that occur in the

@@ -38,7 +38,7 @@ def with_part(scene, text, what, position, **given):
     text : str
         Of it.
     what : str
-        One of ``messages.ADDITIONS``.
+        A key of ``NEEDED``.
     position : ndarray, shape (nq,)
         Where the machine stands [rad or m].
     **given

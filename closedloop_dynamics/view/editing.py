@@ -307,7 +307,7 @@ class Editor:
         Parameters
         ----------
         what : str
-            One of ``messages.ADDITIONS``.
+            A key of ``adding.NEEDED``.
         position : ndarray, shape (nq,)
             Present joint coordinates [rad or m].
         joint : str, optional

@@ -6,12 +6,12 @@
 from dataclasses import fields
 import json
 
+from .adding import NEEDED
 from ..effects.registry import effect_type
 from ..mechanism.checks import boolean, list_of, name, number, one_of
 from ..mechanism.fields import at, FieldError, mapping, shown
 
-# What can be added while a machine is edited; where machines come from.
-ADDITIONS = ('point', 'link', 'pin', 'rod', 'spring', 'damper', 'force', 'drive')
+# Where machines come from.
 SHIPPED, YOURS = 'shipped', 'yours'
 # Kinds of parts that can be removed.
 REMOVALS = BODY, JOINT, POINT, EFFECT = 'body', 'joint', 'point', 'effect'
@@ -101,7 +101,7 @@ ASKED = {
     'edit': {'on': boolean},
     'set': {'key': _text, 'value': number},
     'move': {'kind': _word, 'name': _word, 'at': _place},
-    'add': {'what': one_of(ADDITIONS), 'joint': _word, 'body_a': _word, 'a': _place,
+    'add': {'what': one_of(tuple(NEEDED)), 'joint': _word, 'body_a': _word, 'a': _place,
             'body_b': _word, 'b': _place},
     'remove': {'kind': one_of(REMOVALS), 'name': _word},
     'undo': {}, 'redo': {},

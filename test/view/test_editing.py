@@ -13,10 +13,10 @@ from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, po
 from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view import rebuilding
+from closedloop_dynamics.view.adding import NEEDED
 from closedloop_dynamics.view.coupler_curves import curves
 from closedloop_dynamics.view.editing import Editor
 from closedloop_dynamics.view.library import Library
-from closedloop_dynamics.view.messages import ADDITIONS
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE, Runner
 import numpy as np
@@ -239,12 +239,12 @@ def test_what_cannot_be_assembled_goes_back():
         assert edited.scene == before
     edited.ask('add', what='pin', body_a='crank', a=[0.0, 0.0, 0.0], body_b='crank')
     assert edited.scene == before
-    for what in ADDITIONS:
+    for what in NEEDED:
         for given in ({}, {'body_a': 'nobody', 'a': [0.0, 0.0, 0.0], 'b': [0.0, 0.1, 0.0],
                            'body_b': 'nobody', 'joint': 'no_joint'}):
             told = edited.ask('add', what=what, **given)
             assert edited.scene == before and told['undoable'] == [False, False]
-    assert told['refused'] >= 2 * len(ADDITIONS)
+    assert told['refused'] >= 2 * len(NEEDED)
     # While it runs nothing is dragged.
     edited.ask('edit', on=False)
     told = edited.ask('move', kind='point', name='coupler_point', at=[0.2, 0.2, 0.0])
