@@ -8,7 +8,7 @@ import numpy as np
 from peer_cases import Run, simulation
 
 from closedloop_dynamics.engine import native  # noqa: I100
-from closedloop_dynamics.simulation.derivatives import Differentiator
+from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.simulation import Simulation
 from evaluations import evaluate_again
@@ -77,9 +77,8 @@ class Engine:
         one = self._simulation
         one.system.tau[:] = tau
         # Kept: its code writes into arrays of its own.
-        self._differentiate = ours = Differentiator(one)
-        ours(q, qd, tau[list(one.coordinates.actuated)])
-        again = native.bind('call_for_columns', ours._table, q, qd, ours._columns, ours._found)
+        self._derivatives = code = DerivativeCode(one, one.system.qdd, one.system.lam)
+        again = native.bind('call_for_columns', code.table, q, qd, code.columns, code.found)
 
         def derivatives(count):
             evaluate_again(one.system, q, qd, count)
