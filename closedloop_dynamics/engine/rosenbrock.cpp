@@ -98,11 +98,13 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
   if (system.has_effects()) {
     store_sides(system.effects);
   }
-  bool good = call(code.table, 0, system.q(state), system.qd(state));
-  for (Index block = 0; good && LANES * block < columns; ++block) {
-    good = call(code.table, 1, code.columns[block], code.found[block]);
-  }
-  if (!good) {
+  // Derivatives by torques, in the last columns, are not part of it.
+  const Index blocks = (columns + LANES - 1) / LANES;
+  if (!call_for_columns(
+      code.table, system.q(state), system.qd(state),
+      {code.columns.data, blocks, code.columns.columns},
+      {code.found.data, blocks, code.found.columns}))
+  {
     return false;
   }
   for (Index i = 0; i < nv; ++i) {

@@ -131,7 +131,7 @@ class Function:
     def take(self, vector, lane):
         """Write the extraction of a lane."""
         return self.result(
-            vector[0].split()[-1][:-1], f'extractelement {_typed(vector)}, {INDEX} {lane}')
+            _kind_in(vector), f'extractelement {_typed(vector)}, {INDEX} {lane}')
 
     def gather(self, values):
         """Write the filling of a vector by single numbers."""
@@ -152,7 +152,7 @@ class Function:
         """Write a vector of lanes of another one."""
         mask = ', '.join(f'{INDEX} {lane}' for lane in lanes)
         return self.result(
-            vector_of(vector[0].split()[-1][:-1], len(lanes)),
+            vector_of(_kind_in(vector), len(lanes)),
             f'shufflevector {_typed(vector)}, {vector[0]} undef, '
             f'{vector_of(INDEX, len(lanes))} <{mask}>')
 
@@ -189,6 +189,11 @@ class Function:
     def end(self, value):
         """Write the return from the function."""
         self._lines.append(f'ret {_typed(value)}')
+
+
+def _kind_in(vector):
+    """Return the type of the lanes of a vector: the last word between the brackets."""
+    return vector[0].split()[-1][:-1]
 
 
 def _typed(value):
