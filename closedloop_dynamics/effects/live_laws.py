@@ -171,8 +171,7 @@ def _prescribed_force(size):
     def law(forces, table, row, values):
         force = _course(forces.trace, table, row)[0]
         forces.flow(1.0, 0.0, push_along(
-            forces, int(table.index[row, FIRST]), values[2:2 + size],
-            values[2 + size:2 + 2 * size], values[2 + 2 * size], force))
+            forces, size, int(table.index[row, FIRST]), values, force))
     return law
 
 

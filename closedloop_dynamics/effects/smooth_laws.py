@@ -127,9 +127,23 @@ def _spatial_force(forces, body, _, values, __):
     _constant(forces, body, values[:3], values[3:6], tuple(values[6:9]), values[9])
 
 
-def push_along(forces, body, point, direction, turns, force):
+def push_along(forces, size, body, values, force):
     """
-    Push a point of a body along a direction, of the body's axes where ``turns`` is positive.
+    Apply a prescribed force at a point of a body, in a space of two or three dimensions.
+
+    Parameters
+    ----------
+    forces : core.codegen.scene_routines.Forces
+        To which it is added.
+    size : int
+        Of the space.
+    body : int
+        Its row.
+    values : sequence
+        Numbers of the effect: from the third on the point, the direction, and whether this is of
+        the body's axes (positive).
+    force : number
+        Present one [N].
 
     Returns
     -------
@@ -137,8 +151,9 @@ def push_along(forces, body, point, direction, turns, force):
         The power.
 
     """
-    offset, direction = forces.turned(body, point), in_space(direction)
-    direction = _turned(forces, body, direction, turns)
+    offset = forces.turned(body, values[2:2 + size])
+    direction = _turned(
+        forces, body, in_space(values[2 + size:2 + 2 * size]), values[2 + 2 * size])
     forces.push(body, offset, scale(direction, force))
     return force * dot(direction, forces.place(body, offset)[1])
 

@@ -4,8 +4,9 @@
 """
 The effects of a scene on symbols, for derivatives and C.
 
-Those whose laws have no jumps (``smooth_laws``), and laws of users without events, time and states
-of their own. The numbers of a row are loads; those of its entries are constants of the code.
+Those whose laws have no jumps (``smooth_laws``), and laws of users without events and states of
+their own; forces over time, at an instant. The numbers of a row are loads; those of its entries
+are constants of the code.
 
 """
 
@@ -43,10 +44,7 @@ def _prescribed_torque(forces, joint, _, values, force):
 
 
 def _prescribed_force(size):
-    def law(forces, body, _, values, force):
-        push_along(forces, body, values[2:2 + size], values[2 + size:2 + 2 * size],
-                   values[2 + 2 * size], force)
-    return law
+    return lambda forces, body, _, values, force: push_along(forces, size, body, values, force)
 
 
 FORCES_OVER_TIME = {
