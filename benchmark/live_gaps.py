@@ -298,11 +298,11 @@ def measure_page(scene, duration):
             runner.tick()
             time.sleep(max(0.0, moments[-1] + period - time.monotonic()))
             moments.append(time.monotonic())
-        told = json.loads(runner.feed.controls)
+        controls = json.loads(runner.feed.controls)
+        answer = 'refused' if runner.feed.refused > refused else 'accepted'
         print(f'{runner.editor.scene.mechanism.name:18}{name:32}'
               f'{1e3 * np.diff(moments).max():8.1f}{bare.longest:8.1f}  '
-              f'{told["failure"] or ("refused" if runner.feed.refused > refused else "accepted")}',
-              flush=True)
+              f'{controls["failure"] or answer}', flush=True)
 
 
 def main(argv=None):

@@ -173,9 +173,9 @@ def test_code_that_takes_long_is_announced_before_it_is_made(tmp_path, monkeypat
         for _ in range(2):
             machine_code(('long', 2), one('long'), SCALAR, seconds=12.0)
     machine_code(('long', 3), one('unheard'), SCALAR, seconds=12.0)
-    short, told, long, unheard = events
+    short, announced, long, unheard = events
     assert (short, long, unheard) == ('short', 'long', 'unheard')
-    assert 'may take 12 s' in told
+    assert 'may take 12 s' in announced
 
 
 def run(address, inputs, outputs):

@@ -149,8 +149,8 @@ def test_effects_are_saved_as_they_were_changed(tmp_path):
     name = next(name for name in scene.effects if name != 'gravity')
     edited.ask('effect', name=name, enabled=False)
     edited.ask('effect', name='gravity', values={'acceleration': [1.0, -2.0]})
-    told = edited.ask('save', name='mine')
-    assert 'could not be kept' not in told['notes'][-1]['text']
+    controls = edited.ask('save', name='mine')
+    assert 'could not be kept' not in controls['notes'][-1]['text']
     saved = load_scene(tmp_path / 'mine.yaml')
     assert saved.switched_off == (name,)
     assert saved.effects['gravity'].acceleration == (1.0, -2.0)
@@ -167,9 +167,9 @@ def test_edits_while_it_moves_go_on_from_there():
     edited.ask('play', frames=60)
     begin = edited.runner.simulation.time
     position = edited.runner.simulation.position.copy()
-    told = edited.ask('set', key='length.rocker.cut_1', value=0.27)
+    controls = edited.ask('set', key='length.rocker.cut_1', value=0.27)
     edited.settle()
-    assert told['playing'] and told['undoable'] == [True, False]
+    assert controls['playing'] and controls['undoable'] == [True, False]
     simulation = edited.runner.simulation
     assert begin <= simulation.time < begin + 0.05
     assert np.abs(simulation.position - position).max() < 0.3
@@ -218,9 +218,9 @@ def test_a_machine_that_cannot_be_built_while_it_moves_goes_back():
     edited.ask('set', key='length.coupler.cut_1', value=2.0)
     edited.settle()
     edited.run(10)
-    told = json.loads(edited.runner.feed.controls)
-    assert 'closed' in told['notes'][-1]['text'] and told['playing']
-    assert told['undoable'] == [False, False]
+    controls = json.loads(edited.runner.feed.controls)
+    assert 'closed' in controls['notes'][-1]['text'] and controls['playing']
+    assert controls['undoable'] == [False, False]
     assert edited.runner.simulation is before
     assert edited.runner.editor.scene.mechanism == mechanism
 
@@ -230,9 +230,9 @@ def test_what_cannot_be_assembled_goes_back():
     edited.ask('edit', on=True)
     before = edited.scene
     assert edited.scene['curves'] and edited.scene['handles']
-    told = edited.ask('set', key='length.coupler.cut_1', value=2.0)
-    assert 'closed' in told['notes'][-1]['text']
-    assert edited.scene == before and told['undoable'] == [False, False]
+    controls = edited.ask('set', key='length.coupler.cut_1', value=2.0)
+    assert 'closed' in controls['notes'][-1]['text']
+    assert edited.scene == before and controls['undoable'] == [False, False]
     for wrong in ({'kind': 'joint', 'name': 'no_such', 'at': [0.0, 0.0, 0.0]},
                   {'kind': 'point', 'name': 'coupler_point', 'at': [1e9, 0.0, 0.0]}):
         edited.ask('move', **wrong)
@@ -242,24 +242,24 @@ def test_what_cannot_be_assembled_goes_back():
     for what in NEEDED:
         for given in ({}, {'body_a': 'nobody', 'a': [0.0, 0.0, 0.0], 'b': [0.0, 0.1, 0.0],
                            'body_b': 'nobody', 'joint': 'no_joint'}):
-            told = edited.ask('add', what=what, **given)
-            assert edited.scene == before and told['undoable'] == [False, False]
-    assert told['refused'] >= 2 * len(NEEDED)
+            controls = edited.ask('add', what=what, **given)
+            assert edited.scene == before and controls['undoable'] == [False, False]
+    assert controls['refused'] >= 2 * len(NEEDED)
     # While it runs nothing is dragged.
     edited.ask('edit', on=False)
-    told = edited.ask('move', kind='point', name='coupler_point', at=[0.2, 0.2, 0.0])
-    assert 'edited' in told['notes'][-1]['text']
+    controls = edited.ask('move', kind='point', name='coupler_point', at=[0.2, 0.2, 0.0])
+    assert 'edited' in controls['notes'][-1]['text']
 
 
 def test_a_machine_is_built_by_hand(tmp_path):
     edited = Edited('slider_crank', tmp_path)
     edited.ask('edit', on=True)
     edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
-    told = edited.ask('add', what='rod', body_a='link_1', a=[1.0, 0.2, 0.0], body_b='rod',
+    controls = edited.ask('add', what='rod', body_a='link_1', a=[1.0, 0.2, 0.0], body_b='rod',
                       b=[0.3, 0.05, 0.0])
     edited.ask('add', what='damper', joint='pin_1')
-    told = edited.ask('save', name='built')
-    assert 'saved as' in told['notes'][-1]['text']
+    controls = edited.ask('save', name='built')
+    assert 'saved as' in controls['notes'][-1]['text']
     scene = load_scene(tmp_path / 'built.yaml')
     assert [body.name for body in scene.mechanism.bodies][-1] == 'link_1'
     assert Simulation(scene).closure < 1e-9
@@ -267,8 +267,8 @@ def test_a_machine_is_built_by_hand(tmp_path):
     assert json.loads(edited.runner.feed.controls)['failure'] is None
     # Another file is not replaced.
     (tmp_path / 'other.yaml').write_text('mine')
-    told = edited.ask('save', name='other')
-    assert 'no file has yet' in told['notes'][-1]['text']
+    controls = edited.ask('save', name='other')
+    assert 'no file has yet' in controls['notes'][-1]['text']
     assert (tmp_path / 'other.yaml').read_text() == 'mine'
 
 
@@ -290,12 +290,12 @@ def test_machines_are_opened_by_name_and_from_text(tmp_path):
     before = edited.scene
     for wrong in ('mechanism: four_bar', 'x: [', 'mechanism: {bodies: 1}\ninitial: {position: {}}',
                   'effects: {a: {type: !!python/object/apply:os.system [ls]}}'):
-        told = edited.ask('load', name='wrong', text=wrong)
-        assert told['notes'][-1]['text'] and edited.scene == before
+        controls = edited.ask('load', name='wrong', text=wrong)
+        assert controls['notes'][-1]['text'] and edited.scene == before
     for path in ('/picture/yours/../mine.svg', '/picture/shipped/none.svg', '/etc/passwd'):
         assert edited.runner.resource(path) is None
-    told = edited.ask('open', name='no_such', kind='shipped')
-    assert 'one of the machines' in told['notes'][-1]['text']
+    controls = edited.ask('open', name='no_such', kind='shipped')
+    assert 'one of the machines' in controls['notes'][-1]['text']
 
 
 REMOVED = [
@@ -314,8 +314,8 @@ def test_parts_are_removed_and_undone_to_the_letter(tmp_path, name, kind, part, 
     text, kept = edited.runner.editor.text()
     assert kept
     position = dict(zip(edited.runner.simulation.joint_names, edited.runner.simulation.position))
-    told = edited.ask('remove', kind=kind, name=part)
-    assert told['undoable'] == [True, False]
+    controls = edited.ask('remove', kind=kind, name=part)
+    assert controls['undoable'] == [True, False]
     editor, simulation = edited.runner.editor, edited.runner.simulation
     less, kept = editor.text()
     assert kept and simulation.closure < 1e-9
@@ -354,10 +354,10 @@ def test_what_others_need_is_not_removed(name, kind, part, reason):
     edited = Edited(name)
     edited.ask('edit', on=True)
     before, text = edited.scene, edited.runner.editor.text()
-    told = edited.ask('remove', kind=kind, name=part)
-    assert reason in told['notes'][-1]['text']
+    controls = edited.ask('remove', kind=kind, name=part)
+    assert reason in controls['notes'][-1]['text']
     assert edited.scene == before and edited.runner.editor.text() == text
-    assert told['undoable'] == [False, False]
+    assert controls['undoable'] == [False, False]
 
 
 def test_another_tree_is_chosen_where_joints_are_between_bodies(tmp_path):
@@ -386,14 +386,14 @@ def test_a_controller_is_fitted_once_what_is_edited_moves_again(monkeypatch):
         edited.ask('move', frames=30, kind='joint', name='theta_2',
                    at=[0.2 + 0.001 * k, 0.346, 0.0])
     assert not fitted
-    told = edited.ask('play', frames=20)
-    assert len(fitted) == 1 and told['failure'] is None
-    assert told['drives']['theta_1']['mode'] == 'own'
+    controls = edited.ask('play', frames=20)
+    assert len(fitted) == 1 and controls['failure'] is None
+    assert controls['drives']['theta_1']['mode'] == 'own'
     # Other coordinates: it is fitted before the next step.
     edited.ask('edit', on=True)
     edited.ask('add', what='link', body_a='ground', a=[2.0, 0.0, 0.0], b=[2.0, 0.3, 0.0])
-    told = edited.ask('play', frames=5)
-    assert len(fitted) == 2 and told['failure'] is None
+    controls = edited.ask('play', frames=5)
+    assert len(fitted) == 2 and controls['failure'] is None
 
 
 def test_a_controller_is_fitted_beside_a_machine_that_moves(monkeypatch):
@@ -417,5 +417,5 @@ def test_a_controller_is_fitted_beside_a_machine_that_moves(monkeypatch):
     gate.set()
     edited.settle()
     edited.run(20)
-    told = json.loads(edited.runner.feed.controls)
-    assert told['drives']['theta_1']['mode'] == 'own' and told['failure'] is None
+    controls = json.loads(edited.runner.feed.controls)
+    assert controls['drives']['theta_1']['mode'] == 'own' and controls['failure'] is None
