@@ -122,13 +122,14 @@ def _panel(axes, heading, lines, study):
         if not rows:
             refused.append(label)
             continue
+        style = {'color': LINE_COLORS[number % len(LINE_COLORS)]}
         if label in FORMULATIONS:
-            style = {'linestyle': ('-', '--', ':')[FORMULATIONS.index(label)]}
-        else:
-            style = {'linestyle': '--' if label.startswith('scipy') else '-'}
+            style['linestyle'] = ('-', '--', ':')[FORMULATIONS.index(label)]
+        elif label.startswith('scipy'):
+            # In grey, so that no two lines share a color.
+            style = {'color': '#666666', 'linestyle': ('--', '-.', ':')[number % 3]}
         axes.plot([row.cost for row in rows], [max(row.position_error, 0.3 * floor)
                                                for row in rows],
-                  color=LINE_COLORS[number % len(LINE_COLORS)],
                   marker=MARKERS[number % len(MARKERS)],
                   markersize=4.5, linewidth=1.4, label=label, **style)
     axes.axvline(REAL_TIME, color='#B2182B', linewidth=1.2)
