@@ -157,7 +157,7 @@ def _curve_contact(forces, table, row, values):
     center, apart = _centers(forces, table, row, values)
     in_body = _seen_from(forces, bodies[1], apart)
     forces.pass_by((*in_body, 0.0), _speed_apart(forces, bodies, center))
-    distance, x, y = forces.ask(
+    distance, x, y = forces.call_engine(
         calls.NEAREST, *_pieces(table, row), values[5], *in_body, results=2)
     _press(forces, table, row, values, center, forces.turned(bodies[1], (x, y)), distance)
 
@@ -167,7 +167,7 @@ def _face_contact(forces, table, row, values):
     # The face is a line of the first body; its normal points away from that.
     line = forces.turned(a, (values[5], values[11]))
     out = -line[1], line[0], 0.0
-    deepest = forces.ask(calls.FURTHEST, *_pieces(table, row), 0.0, *(
+    deepest = forces.call_engine(calls.FURTHEST, *_pieces(table, row), 0.0, *(
         -one for one in _seen_from(forces, b, out)), results=1)
     other, _ = forces.place(b, forces.turned(b, values[2:4]))
     place = add(other, forces.turned(b, deepest))

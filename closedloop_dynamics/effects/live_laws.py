@@ -126,7 +126,8 @@ class LiveLaws:
         if kind in smooth_laws.FORCE_TABLES:
             length = force_table.COLUMNS * int(table.index[row, ENTRIES])
             # No step asks for the energy.
-            return lambda stroke: (*forces.ask(calls.LOOK_UP, begin, length, 0.0, stroke), 0.0)
+            return lambda stroke: (
+                *forces.call_engine(calls.LOOK_UP, begin, length, 0.0, stroke), 0.0)
         found = [forces.trace.entry(begin + k) for k in range(count)]
         if kind != TENDON:
             return found

@@ -230,7 +230,7 @@ class LiveForces(Forces):
         first = self.row * self.trace.laws.columns[source] + column
         self.outputs += [(source, first + n, value) for n, value in enumerate(values)]
 
-    def ask(self, function, begin, length, flag, x, y=0.0, results=0):
+    def call_engine(self, function, begin, length, flag, x, y=0.0, results=0):
         """Call a function of the engine on entries of the effect; see ``expression_graph``."""
         graph = self.trace.graph
         found = graph.put(CALL, *map(float, (function, self.row, begin, length)), *(
