@@ -20,7 +20,7 @@ from .actuator import FADING
 from .smooth_laws import push_along
 from .table import (
     ACROSS_B, ACTUATOR, AXIS, CABLE, CUT_VALUE_COLUMNS, DATA, ENTRIES, entries_of, FIRST, FOLLOWED,
-    IN_PLANE, JOINT_FRICTION, NODE_COLUMNS, ORIENTATION_SPRING, POINT_A, POINT_B, PRESCRIBED_FORCE,
+    IN_PLANE, JOINT_FRICTION, NODE_COLUMNS, POINT_A, POINT_B, PRESCRIBED_FORCE,
     PRESCRIBED_MOTION, PRESCRIBED_TORQUE, PRESENT_COLUMNS, RATE_ONLY, ROW_A, ROW_B, SCALE, SECOND,
     SIDE_A, SIDE_B, SLIDES, SPATIAL_PRESCRIBED_FORCE, STATE, TENDON, TRIAL_COLUMNS, VALUE_COLUMNS,
     ZERO)
@@ -29,8 +29,6 @@ from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
 from ..core.codegen.vectors import dot, scale, subtract
 
-# In scenes with the other ones laws of the engine act.
-_SMOOTH = {kind: law for kind, law in smooth_laws.LAWS.items() if kind != ORIENTATION_SPRING}
 _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
                 'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
 # As of ``engine/sticking.hpp`` [rad/s; m/s].
@@ -113,7 +111,7 @@ class LiveLaws:
         for row, kind in enumerate(table.kind.tolist()):
             forces.row, forces.first = row, int(table.index[row, STATE])
             values = forces.numbers(row)
-            if kind in _SMOOTH:
+            if kind in smooth_laws.LAWS:
                 LAWS[kind](forces, *table.index[row, [FIRST, SECOND]].tolist(), values,
                            self._constants(forces, row))
             else:
@@ -273,7 +271,7 @@ def _cable(forces, table, row, values):
         forces.push(bodies[k + 1], offsets[k + 1], scale(pull, -1.0))
 
 
-LAWS = {**_SMOOTH, **contact_laws.LAWS, ACTUATOR: _actuator, CABLE: _cable,
+LAWS = {**smooth_laws.LAWS, **contact_laws.LAWS, ACTUATOR: _actuator, CABLE: _cable,
         JOINT_FRICTION: _joint_friction, PRESCRIBED_FORCE: _prescribed_force(2),
         PRESCRIBED_MOTION: _prescribed_motion, PRESCRIBED_TORQUE: _prescribed_torque,
         SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}

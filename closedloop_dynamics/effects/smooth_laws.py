@@ -58,31 +58,38 @@ def _joint_spring(forces, joint, _, values, __):
 def _orientation_spring(forces, parent, child, values, constants):
     axes, others = ([forces.turned(body, constants[n + 3 * k:n + 3 * k + 3]) for k in range(3)]
                     for body, n in ((parent, 0), (child, 9)))
-    turned = [[dot(axis, other) for other in others] for axis in axes]
-    # The axis of the turn by the angle phi, times sin phi.
-    sines = [0.5 * (turned[(k + 2) % 3][(k + 1) % 3] - turned[(k + 1) % 3][(k + 2) % 3])
-             for k in range(3)]
-    cosine = 0.5 * (turned[0][0] + turned[1][1] + turned[2][2] - 1.0)
-    square = dot(sines, sines)
-    sine = square_root(square)
-    # phi / sin phi: where that is small, its series, as the root has no derivative at zero.
-    whole = arctangent(sine, cosine) / sine
-    series = 0.0
-    for coefficient in reversed(_ARC):
-        series = coefficient + square * series
-    ratio = chosen(cosine > 0.0, chosen(square < _SMALL, series, whole), whole)
-    moment = scale(_along(axes, sines), -(values[0] * ratio))
+    turn = _turn([[dot(axis, other) for other in others] for axis in axes])
+    moment = ZERO
+    for axis, component in zip(axes, turn):
+        moment = subtract(moment, scale(axis, values[0] * component))
     forces.push(child, ZERO, ZERO, moment)
     forces.push(parent, ZERO, ZERO, scale(moment, -1.0))
-    forces.store(0.5 * (values[0] * (ratio * ratio * square)))
+    forces.store(0.5 * (values[0] * dot(turn, turn)))
 
 
-def _along(axes, components):
-    """Return a vector of its components along three axes."""
-    found = ZERO
-    for axis, one in zip(axes, components):
-        found = add(found, scale(axis, one))
-    return found
+def _turn(matrix):
+    """Return the angle phi of a rotation, 0 to pi, times its axis a."""
+    # a sin phi, from the antisymmetric part.
+    sines = [0.5 * (matrix[(k + 2) % 3][(k + 1) % 3] - matrix[(k + 1) % 3][(k + 2) % 3])
+             for k in range(3)]
+    cosine = 0.5 * (matrix[0][0] + matrix[1][1] + matrix[2][2] - 1.0)
+    square = dot(sines, sines)
+    sine = square_root(square)
+    angle, series = arctangent(sine, cosine), 0.0
+    # phi / sin phi: where that is small, its series, as the root has no derivative at zero.
+    for coefficient in reversed(_ARC):
+        series = coefficient + square * series
+    near = scale(sines, chosen(square < _SMALL, series, angle / sine))
+    # Beyond a right angle: the longest column of a a^T (1 - cos phi), the symmetric part.
+    columns = [[0.5 * (matrix[i][k] + matrix[k][i]) - (cosine if i == k else 0.0)
+                for i in range(3)] for k in range(3)]
+    longest, most = columns[0], columns[0][0]
+    for k in (1, 2):
+        longer, most = columns[k][k] > most, larger(most, columns[k][k])
+        longest = [chosen(longer, one, other) for one, other in zip(columns[k], longest)]
+    factor = angle / square_root(dot(longest, longest))
+    far = scale(longest, chosen(dot(longest, sines) < 0.0, -factor, factor))
+    return [chosen(cosine > 0.0, *one) for one in zip(near, far)]
 
 
 def _joint_force_table(forces, joint, _, values, table):

@@ -100,9 +100,12 @@ IN_SPACE = {
 AT_A_CUT = {'cut joint in space': [
     ('joint_spring', {'joint': 'joint_4', 'stiffness': 1.37, 'rest': 0.2}),
     ('joint_damping', {'joint': 'joint_4', 'coefficient': 0.3})]}
+AT_A_BALL = {'spring of an orientation': [
+    ('joint_spring', {'joint': 'lower_ball', 'stiffness': 30.0})]}
 CASES = {**{name: ('slider_crank', one) for name, one in IN_PLANE.items()},
          **{name: ('rssr_four_bar', one) for name, one in IN_SPACE.items()},
-         **{name: ('bennett', one) for name, one in AT_A_CUT.items()}}
+         **{name: ('bennett', one) for name, one in AT_A_CUT.items()},
+         **{name: ('double_wishbone', one) for name, one in AT_A_BALL.items()}}
 
 
 def simulated(name):
