@@ -3,11 +3,10 @@
 
 """``closedloop check``: the contents of a file as they were read, or its faults."""
 
-import sys
-
 import numpy as np
 
-from .command import add_reading, add_set, Command, READING, reading, UsageError, with_numbers
+from .command import (
+    add_reading, add_set, Command, complain, READING, reading, UsageError, with_numbers)
 from ..formats.registry import is_model, read_model
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
@@ -54,7 +53,7 @@ def _run(arguments):
         raise UsageError(f'{arguments.scene}: {error}') from None
     print(describe(read, simulation))
     for note in simulation.start_notes():
-        print(f'{arguments.prog}: {note}', file=sys.stderr)
+        complain(arguments, note)
     return 0
 
 

@@ -3,10 +3,9 @@
 
 """``closedloop cognates``: the other four-bar linkages of a coupler curve."""
 
-from pathlib import Path
-
 from .command import (
-    add_reading, add_scene, add_set, Command, free_paths, scene_to_change, write_variants)
+    add_directory, add_reading, add_scene, add_set, Command, free_paths, scene_to_change,
+    write_variants)
 from ..mechanism.four_bar import four_bar
 from ..mechanism.mechanism import GROUND
 from ..simulation.cognates import cognates
@@ -22,10 +21,7 @@ def _add_arguments(parser):
     parser.add_argument('--point', metavar='NAME',
                         help='the point of the coupler that traces the curve (default: its first '
                              'one)')
-    parser.add_argument('--output', metavar='DIR', type=Path, required=True,
-                        help=f'where to write {", ".join(FILES)}')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
+    add_directory(parser, ', '.join(FILES), '')
 
 
 def _run(arguments):

@@ -125,8 +125,9 @@ def add_reading(parser):
                             'give links with inertia but no mass a negligible one')
     group.add_argument('--model', metavar='NAME',
                        help='which one of several models of a world')
-    group.add_argument('--argument', type=_argument, action='append', default=[],
-                       metavar='NAME:=VALUE', help='argument of a xacro file; may be repeated')
+    group.add_argument('--argument', type=pair('NAME:=VALUE', ':=', empty=True), action='append',
+                       default=[], metavar='NAME:=VALUE',
+                       help='argument of a xacro file; may be repeated')
     group.add_argument('--anywhere', action='store_true',
                        help='read meshes and parts of a model from outside of its folder, too')
 
@@ -153,14 +154,6 @@ def reading(arguments, path):
     return found
 
 
-def _argument(text):
-    """Convert ``NAME:=VALUE`` to a pair."""
-    name, sign, value = text.partition(':=')
-    if not (name and sign):
-        raise ArgumentTypeError(f'expected NAME:=VALUE, got {text!r}')
-    return name, value
-
-
 def add_torque(parser):
     """Add the option of constant torques, to be read by ``mapping``."""
     parser.add_argument('--torque', type=assignment, action='append', default=[],
@@ -171,19 +164,11 @@ def add_torque(parser):
 
 def add_motion(parser):
     """Add the option of prescribed motions, to be read by ``mapping``."""
-    parser.add_argument('--motion', type=law, action='append', default=[],
+    parser.add_argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
                         metavar='JOINT=EXPRESSION',
                         help='motion of a joint as an expression in the time t [rad or m], such '
                              'as theta_1=4.7124*t; the effort is reported; may be repeated '
                              '(default: as the scene says)')
-
-
-def law(text):
-    """Convert ``JOINT=EXPRESSION`` to a pair."""
-    name, equals, law = text.partition('=')
-    if not (name and law):
-        raise ArgumentTypeError(f'expected JOINT=EXPRESSION, got {text!r}')
-    return name, law
 
 
 def add_set(parser):
@@ -274,7 +259,7 @@ def write_variants(arguments, make):
         write_scene(one.scene, path)
         print(path)
         for note in one.left_out:
-            print(f'{arguments.prog}: {path.name}: left out: {note}', file=sys.stderr)
+            complain(arguments, f'{path.name}: left out: {note}')
     return 0
 
 
@@ -296,6 +281,12 @@ def with_motion(scene, arguments):
         return moving(scene, mapping(arguments.motion, '--motion'))
     except FieldError as error:
         raise UsageError(f'--{error}') from None
+
+
+def add_picture(parser, what):
+    """Add the option of a picture, to be checked by ``require_picture``."""
+    parser.add_argument('--picture', metavar='FILE.png', type=Path,
+                        help=f'where to draw {what} (or .pdf, .svg)')
 
 
 def add_directory(parser, files, default=' (default: only print)'):
@@ -491,18 +482,37 @@ def not_negative(text):
     return value
 
 
-def port(text):
-    """Convert an option's value to the number of a port; 0: any that is free."""
-    if not (text.isdecimal() and len(text) < 6 and int(text) < 65536):
-        raise ArgumentTypeError(f'expected a whole number from 0 to 65535, got {text!r}')
-    return int(text)
+def whole(least=0, most=math.inf):
+    """Return the conversion of an option's value to a whole number of a range."""
+    def convert(text):
+        if not (text.isdecimal() and least <= int(text) <= most):
+            end = 'on' if most == math.inf else f'to {most}'
+            raise ArgumentTypeError(f'expected a whole number from {least} {end}, got {text!r}')
+        return int(text)
+    return convert
+
+
+def comma_separated(text):
+    """Convert names with commas between them to a list."""
+    return [name.strip() for name in text.split(',')]
+
+
+def pair(form, sign='=', empty=False):
+    """Return the conversion of an option's value to a name and a text, of a form for messages."""
+    def convert(text):
+        name, found, value = text.partition(sign)
+        if not (name and (value or empty and found)):
+            raise ArgumentTypeError(f'expected {form}, got {text!r}')
+        return name, value
+    return convert
 
 
 def assignment(text):
     """Convert ``NAME=NUMBER`` to a pair."""
-    name, equals, value = text.partition('=')
-    if not (name and equals and math.isfinite(_number(value))):
-        raise ArgumentTypeError(f'expected NAME=NUMBER, got {text!r}')
+    form = 'NAME=NUMBER'
+    name, value = pair(form)(text)
+    if not math.isfinite(_number(value)):
+        raise ArgumentTypeError(f'expected {form}, got {text!r}')
     return name, float(value)
 
 
@@ -514,6 +524,18 @@ def mapping(pairs, option):
         twice = next(name for name in names if names.count(name) > 1)
         raise UsageError(f'{option} {twice}: expected once, got it {names.count(twice)} times')
     return result
+
+
+def complain(arguments, message, code=FAILED):
+    """Print a message on the standard error; return the exit code."""
+    print(f'{arguments.prog}: {message}', file=sys.stderr)
+    return code
+
+
+def interrupted(arguments, signal, resumable):
+    """Report that a computation was interrupted; return the exit code."""
+    more = '; what is written is kept, and the same command with --resume goes on'
+    return complain(arguments, f'interrupted{more if resumable else ""}', 128 + signal)
 
 
 def _number(text):

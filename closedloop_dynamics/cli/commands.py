@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 
-from .command import add_code, FAILED, HelpfulParser, UsageError
+from .command import add_code, complain, HelpfulParser, UsageError
 from .. import __version__
 from ..core.codegen import announced_by
 from ..mechanism.mechanism import MechanismError
@@ -83,9 +83,9 @@ def run(argv):
     if unknown:
         arguments.refuse(f'unrecognized arguments: {" ".join(unknown)}')
     with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
+        warnings.showwarning = lambda message, *where: complain(arguments, message)
         with program_watch.interrupting(), announced_by(
-                lambda text: _complain(arguments.prog, text, None)):
+                lambda text: complain(arguments, text)):
             return _run(arguments)
 
 
@@ -96,19 +96,14 @@ def _run(arguments):
         sys.stdout.flush()
         return code
     except (SceneError, MechanismError, UsageError) as error:
-        return _complain(arguments.prog, error, USAGE)
+        return complain(arguments, error, USAGE)
     except BrokenPipeError:
         # The reader of the output has enough; the rest is dropped when Python ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except (SimulationError, OSError) as error:
-        return _complain(arguments.prog, error, FAILED)
+        return complain(arguments, error)
     except MemoryError as error:
-        return _complain(arguments.prog, f'out of memory: {error}', FAILED)
+        return complain(arguments, f'out of memory: {error}')
     except Interrupted as interrupt:
-        return _complain(arguments.prog, 'interrupted', 128 + interrupt.args[0])
-
-
-def _complain(prog, message, code):
-    print(f'{prog}: {message}', file=sys.stderr)
-    return code
+        return complain(arguments, 'interrupted', 128 + interrupt.args[0])

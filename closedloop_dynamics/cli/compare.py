@@ -5,11 +5,10 @@
 
 from argparse import ArgumentTypeError, Namespace
 import math
-import sys
 
 from .command import (
-    add_directory, add_reading, assignment, Command, FAILED, free_paths, read_scene, UsageError,
-    with_numbers)
+    add_directory, add_reading, assignment, Command, complain, FAILED, free_paths, read_scene,
+    UsageError, with_numbers)
 from .kinematics import add_drive, drive_axis, driven_run
 from ..mechanism.rotations import in_three
 from ..recording import design
@@ -80,7 +79,7 @@ def _run(arguments):
     ended = [f'{label}: pose {len(run.time)}: {run.end.reason}'
              for label, (run, _) in runs.items() if run.end is not None]
     for text in ended:
-        print(f'{arguments.prog}: {text}', file=sys.stderr)
+        complain(arguments, text)
     return FAILED if ended else 0
 
 

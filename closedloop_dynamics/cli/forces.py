@@ -6,12 +6,12 @@
 from contextlib import contextmanager
 import csv
 from pathlib import Path
-import sys
 
 import numpy as np
 
 from .command import (
-    add_set, Command, FAILED, not_negative, require_free, UsageError, with_numbers)
+    add_set, Command, comma_separated, complain, not_negative, require_free, UsageError,
+    with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.reading import BagReadError
 from ..recording.recording import RecordingError
@@ -31,7 +31,7 @@ def _add_arguments(parser):
     add_set(parser)
     parser.add_argument('--topic', metavar='NAME', default='/joint_states',
                         help='whose positions are taken (default: /joint_states)')
-    parser.add_argument('--joints', metavar='NAMES',
+    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
                         help='measured joints, with commas between them (default: the actuated '
                              'ones); the others follow from the loops')
     parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
@@ -50,7 +50,7 @@ def _run(arguments):
     require_free(arguments, arguments.output)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     mechanism = scene.mechanism
-    joints = [name.strip() for name in arguments.joints.split(',')] if arguments.joints else [
+    joints = arguments.joints or [
         name for name in mechanism.actuated_joints if name in mechanism.coordinates.names]
     with announced('Reading and compiling ...'):
         try:
@@ -68,9 +68,8 @@ def _run(arguments):
                 largest.sample()
                 show(times[k])
         except SimulationError as error:
-            print(f'{arguments.prog}: at {times[largest.count]:.6g} s of the recording: {error}',
-                  file=sys.stderr)
-            return FAILED
+            return complain(
+                arguments, f'at {times[largest.count]:.6g} s of the recording: {error}')
         except ValueError as error:
             raise UsageError(f'--joints: {error}') from None
     print(f'{arguments.bag}: {len(times)} states of {simulation.scene.name}, {times[-1]:.6g} s, '

@@ -4,7 +4,7 @@
 """``closedloop formulations``: time and rounding error of formulations over size."""
 
 from .command import (
-    add_directory, add_reading, Command, free_paths, read_scene, UsageError)
+    add_directory, add_reading, Command, free_paths, read_scene, whole)
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations, study_scenes
 from ..visual.progress import parts_bar
@@ -18,14 +18,12 @@ def _add_arguments(parser):
                              'mechanisms, ladders and chains that grow)')
     add_reading(parser)
     add_directory(parser, ' and the picture '.join(FILES))
-    parser.add_argument('--largest', type=int, default=max(SIZES), metavar='N',
+    parser.add_argument('--largest', type=whole(1), default=max(SIZES), metavar='N',
                         help=f'no ladder or chain larger than this (default: {max(SIZES)})')
     parser.add_argument('--quick', action='store_true', help='fewer and smaller ones')
 
 
 def _run(arguments):
-    if arguments.largest < 1:
-        raise UsageError(f'--largest: expected a number > 0, got {arguments.largest}')
     paths = free_paths(arguments, *FILES)
     scenes = [read_scene(name, arguments) for name in arguments.scene]
     with parts_bar('mechanisms', 'formulations') as progress:

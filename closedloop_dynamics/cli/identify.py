@@ -3,13 +3,9 @@
 
 """``closedloop identify``: parameters of a mechanism from a recorded motion."""
 
-from argparse import ArgumentTypeError
-from pathlib import Path
-import sys
-
 from .command import (
-    add_scene, add_set, Command, FAILED, not_negative, positive, require_picture, UsageError,
-    with_numbers)
+    add_picture, add_scene, add_set, Command, comma_separated, complain, FAILED, not_negative,
+    positive, require_picture, UsageError, whole, with_numbers)
 from ..recording.measurements import read_measurements
 from ..simulation.completion import CompletionError
 from ..simulation.scene import load_scene
@@ -32,7 +28,7 @@ def _add_arguments(parser):
                              'parameters.l; mechanism.bodies.crank: mass, centre of mass and '
                              'inertia; mechanism.bodies: those of all bodies')
     add_set(parser)
-    parser.add_argument('--joints', metavar='NAMES',
+    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
                         help='measured joints, with commas between them (default: driven ones, '
                              'where they decide all others); the others follow from the loops')
     parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
@@ -41,9 +37,7 @@ def _add_arguments(parser):
                              '(default: 0, those recorded)')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
-    parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help='where to draw recorded efforts, and what is left of them (or '
-                             '.pdf, .svg)')
+    add_picture(parser, 'recorded efforts, and what is left of them')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     group = parser.add_argument_group('a motion to record')
     group.add_argument('--excite', metavar='SECONDS', type=positive,
@@ -52,14 +46,8 @@ def _add_arguments(parser):
     group.add_argument('--amplitude', metavar='SIZE', type=positive, default=AMPLITUDE,
                        help='the most that a joint moves away from its start [rad or m] '
                             f'(default: {AMPLITUDE})')
-    group.add_argument('--harmonics', metavar='N', type=_harmonics, default=HARMONICS,
+    group.add_argument('--harmonics', metavar='N', type=whole(2, 20), default=HARMONICS,
                        help=f'terms of each Fourier series (default: {HARMONICS})')
-
-
-def _harmonics(text):
-    if not (text.isdecimal() and 2 <= int(text) <= 20):
-        raise ArgumentTypeError(f'expected a whole number from 2 to 20, got {text!r}')
-    return int(text)
 
 
 def _run(arguments):
@@ -68,12 +56,10 @@ def _run(arguments):
     require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     try:
-        joints = tuple(name.strip() for name in arguments.joints.split(',')) if (
-            arguments.joints) else measured_joints(scene)
+        joints = tuple(arguments.joints or measured_joints(scene))
         return (_identify if arguments.excite is None else _excite)(arguments, scene, joints)
     except CompletionError as error:
-        print(f'{arguments.prog}: {error}', file=sys.stderr)
-        return FAILED
+        return complain(arguments, error)
     except (OSError, ValueError) as error:
         raise UsageError(str(error)) from None
 
@@ -119,9 +105,8 @@ def _identify(arguments, scene, joints):
         _draw(arguments, scene, measured, found)
         print(f'picture in {arguments.picture}')
     for name, share in found.impossible.items():
-        print(f'{arguments.prog}: mechanism.bodies.{name}: no distribution of mass has these '
-              f'numbers: an eigenvalue of the pseudo-inertia matrix is {share:.2g} of the largest',
-              file=sys.stderr)
+        complain(arguments, f'mechanism.bodies.{name}: no distribution of mass has these numbers: '
+                 f'an eigenvalue of the pseudo-inertia matrix is {share:.2g} of the largest')
     return FAILED if found.impossible else 0
 
 

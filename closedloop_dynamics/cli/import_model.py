@@ -5,9 +5,9 @@
 
 import os
 from pathlib import Path
-import sys
 
-from .command import add_reading, Command, positive, reading, require_free, UsageError, YAML
+from .command import (
+    add_reading, Command, complain, positive, reading, require_free, UsageError, YAML)
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
@@ -53,7 +53,7 @@ def _run(arguments):
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')
     for note in notes:
-        print(f'{arguments.prog}: {note}', file=sys.stderr)
+        complain(arguments, note)
     return 0
 
 

@@ -6,13 +6,13 @@
 from argparse import ArgumentTypeError
 import math
 from pathlib import Path
-import sys
 
 import numpy as np
 
 from .command import (
-    add_drawing, add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene,
-    require_drawing, require_free, require_picture, TABLE, UsageError, with_numbers, write_drawing)
+    add_drawing, add_picture, add_reading, add_scene, add_set, Command, complain, mapping, pair,
+    positive, require_drawing, require_free, require_picture, scene_to_change, TABLE, UsageError,
+    whole, write_drawing)
 from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import (
     assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
@@ -45,7 +45,7 @@ def add_drive(parser, default=''):
                            'others take the same time (default: 1)')
     pace.add_argument('--duration', type=positive, metavar='SECONDS',
                       help='how long the motion takes instead')
-    parser.add_argument('--branch', type=_branch, metavar='N',
+    parser.add_argument('--branch', type=whole(1), metavar='N',
                         help='number of the assembly at the first pose, as --assemblies lists '
                              "them (default: the branch of the scene's start, followed to there)")
 
@@ -159,10 +159,21 @@ def _value(text):
     return (number, unit) if math.isfinite(number) else None
 
 
-def _branch(text):
-    if not (text.isdecimal() and int(text) > 0):
-        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
-    return int(text)
+def interval(form):
+    """Return the conversion of ``NAME=LOW:HIGH``, with units; ``form`` is for messages."""
+    def convert(text):
+        name, ends = pair(form)(text)
+        values = tuple(value_of(part) for part in ends.split(':'))
+        if len(values) != 2 or None in values:
+            raise ArgumentTypeError(f'expected {form}, got {text!r}')
+        return name, values
+    return convert
+
+
+def ending(arguments, run):
+    """Report where a driven run ended early, if it did; return the exit code."""
+    return 0 if run.end is None else complain(
+        arguments, f'pose {len(run.time)}: {run.end.reason}')
 
 
 def _add_arguments(parser):
@@ -174,8 +185,7 @@ def _add_arguments(parser):
                         help='only list all assemblies at the first pose')
     parser.add_argument('--output', metavar='FILE.csv', type=Path,
                         help='where to write a row for each pose')
-    parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help='where to draw it (or .pdf, .svg)')
+    add_picture(parser, 'it')
     parser.add_argument('--over', choices=('drive', 'time'), default='drive',
                         help='the abscissa of the picture (default: drive)')
     add_drawing(parser)
@@ -187,7 +197,7 @@ def _run(arguments):
         require_free(arguments, arguments.output, endings=TABLE)
     require_picture(arguments, arguments.picture)
     require_drawing(arguments)
-    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
+    scene = scene_to_change(arguments)
     if arguments.assemblies:
         return _list_assemblies(arguments, scene)
     with announced('Following the branch ...'):
@@ -205,10 +215,7 @@ def _run(arguments):
     for path in (arguments.output, arguments.picture, arguments.drawing):
         if path is not None:
             print(f'  output    {path}')
-    if run.end is not None:
-        print(f'{arguments.prog}: pose {len(run.time)}: {run.end.reason}', file=sys.stderr)
-        return FAILED
-    return 0
+    return ending(arguments, run)
 
 
 def _list_assemblies(arguments, scene):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_scene, add_set, add_torque, checked_torques, Command, mapping, positive, require_free,
-    require_picture, TABLE, UsageError, with_numbers)
+    add_picture, add_scene, add_set, add_torque, checked_torques, Command, mapping, positive,
+    require_free, require_picture, TABLE, UsageError, whole, with_numbers)
 from ..recording.modes import mode_motion, mode_table, usual_amplitude
 from ..recording.rows import write_scene
 from ..simulation.linearisation import Linearisation
@@ -30,12 +30,11 @@ def _add_arguments(parser):
                         help="stay in the scene's start, under the torques that hold it (default: "
                              'go to the position near it that the torques given hold)')
     add_set(parser)
-    parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help=f'where to draw the shapes, of the first {MOST_SHAPES} modes')
+    add_picture(parser, f'the shapes of the first {MOST_SHAPES} modes')
     parser.add_argument('--output', metavar='FILE.csv', type=Path,
                         help='where to write the motion of one mode, without growth or decay, '
                              'for animate and view')
-    parser.add_argument('--mode', metavar='NUMBER', type=int,
+    parser.add_argument('--mode', metavar='NUMBER', type=whole(1),
                         help='with --output, which one (default: 1)')
     parser.add_argument('--amplitude', metavar='SIZE', type=positive,
                         help='with --output or --picture, of the joint that moves most [rad or '
@@ -76,7 +75,7 @@ def _run(arguments):
     print(text_table(('mode', 'frequency [Hz]', 'damping', 'growth [1/s]', 'shape'), rows))
     if arguments.output is not None:
         number = 1 if arguments.mode is None else arguments.mode
-        if not 1 <= number <= len(modes):
+        if number > len(modes):
             raise UsageError(f'--mode: expected a number from 1 to {len(modes)}, got {number}')
         motion = mode_motion(linearisation, modes[number - 1], position,
                              _amplitude(arguments, scene, modes[number - 1]))

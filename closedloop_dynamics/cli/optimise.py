@@ -3,18 +3,16 @@
 
 """``closedloop optimise``: the numbers of a machine that make an expression least."""
 
-from argparse import ArgumentTypeError
 from dataclasses import replace
 import math
 from pathlib import Path
-import sys
 
 import numpy as np
 
 from .command import (
-    add_directory, add_reading, add_scene, add_set, Command, FAILED, free_paths, mapping,
-    read_scene, require_writable, UsageError, with_numbers)
-from .kinematics import add_drive, paced, value_of
+    add_directory, add_reading, add_scene, add_set, Command, complain, free_paths, interrupted,
+    mapping, require_writable, scene_to_change, UsageError, whole)
+from .kinematics import add_drive, interval, paced
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.fields import at, FieldError
 from ..simulation.errors import AssemblyError
@@ -45,7 +43,7 @@ def _add_arguments(parser):
     add_scene(parser)
     add_reading(parser)
     what = parser.add_argument_group('problem')
-    what.add_argument('--vary', type=_range, action='append', required=True,
+    what.add_argument('--vary', type=interval('KEY=LOW:HIGH'), action='append', required=True,
                       metavar='KEY=LOW:HIGH',
                       help='a number of the scene or its mechanism by its key path, and its '
                            'range; units deg, rad, mm, m; may be repeated')
@@ -58,41 +56,20 @@ def _add_arguments(parser):
                       f'{POSES} poses)')
     add_set(parser)
     how = parser.add_argument_group('how to search')
-    how.add_argument('--starts', type=_count, default=STARTS, metavar='N',
+    how.add_argument('--starts', type=whole(1), default=STARTS, metavar='N',
                      help='the scene as it is, and N - 1 machines that are drawn (default: '
                           f'{STARTS})')
-    how.add_argument('--front', type=_count, default=FRONT, metavar='N',
+    how.add_argument('--front', type=whole(1), default=FRONT, metavar='N',
                      help=f'machines on the front of two aims, 3 or more (default: {FRONT})')
-    how.add_argument('--seed', type=_number, default=0, metavar='N',
+    how.add_argument('--seed', type=whole(), default=0, metavar='N',
                      help='of the draws; the same seed finds the same (default: 0)')
-    how.add_argument('--workers', type=_count, metavar='N',
+    how.add_argument('--workers', type=whole(1), metavar='N',
                      help='processes on this machine (default: one for each processor, as soon '
                           'as there is enough to do)')
     how.add_argument('--resume', action='store_true',
                      help='continue the search in the directory')
     add_directory(parser, f'{SCENE}, {PATHS} (before and after) and {RESULTS}; of two aims '
                           f'{TABLE}, {PICTURE} and a scene of each machine, front_1.yaml, ...')
-
-
-def _range(text):
-    """Convert ``KEY=LOW:HIGH`` to a pair."""
-    key, equals, ends = text.partition('=')
-    values = [value_of(part) for part in ends.split(':')]
-    if not (key and equals and len(values) == 2 and None not in values):
-        raise ArgumentTypeError(f'expected KEY=LOW:HIGH, got {text!r}')
-    return key, tuple(values)
-
-
-def _number(text):
-    if not text.isdecimal():
-        raise ArgumentTypeError(f'expected a whole number, got {text!r}')
-    return int(text)
-
-
-def _count(text):
-    if not (text.isdecimal() and int(text) > 0):
-        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
-    return int(text)
 
 
 def _run(arguments):
@@ -112,7 +89,7 @@ def _run(arguments):
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
         require_writable(directory, '--output')
-    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
+    scene = scene_to_change(arguments)
     with program_watch.noting() as received:
         problem = _problem(arguments, scene)
         with parts_bar('searches', scene.name) as show:
@@ -126,14 +103,9 @@ def _run(arguments):
     best = optimum.best
     print(_summary(optimum))
     if not optimum.finished:
-        kept = '' if directory is None else (
-            '; what is written is kept, and the same command with --resume goes on')
-        print(f'{arguments.prog}: interrupted{kept}', file=sys.stderr)
-        return 128 + received[0]
+        return interrupted(arguments, received[0], directory is not None)
     if best is None or (two and not optimum.front):
-        print(f'{arguments.prog}: no machine was found that meets all requirements',
-              file=sys.stderr)
-        return FAILED
+        return complain(arguments, 'no machine was found that meets all requirements')
     if directory is None:
         return 0
     machines = {SCENE: best} if not two else dict(
@@ -239,8 +211,8 @@ def _write(arguments, optimum, found, path):
             raise UsageError(f'{path}: the scene that was written does not close its loops as '
                              'the machine that was found does')
     if not kept:
-        print(f'{arguments.prog}: {path.name}: the whole scene, without the comments of its '
-              'file, which does not have these numbers in places of their own', file=sys.stderr)
+        complain(arguments, f'{path.name}: the whole scene, without the comments of its file, '
+                 'which does not have these numbers in places of their own')
     return files
 
 

@@ -4,15 +4,12 @@
 """``closedloop recover``: repair a bag that was cut short or damaged."""
 
 from pathlib import Path
-import sys
 
-from .command import Command, UsageError
+from .command import Command, complain, UsageError
 from ..recording.contents import messages
 from ..recording.reading import BagReadError
 from ..recording.recover import recover
 from ..visual.tables import text_table
-
-LOST = 1
 
 
 def _add_arguments(parser):
@@ -39,11 +36,10 @@ def _run(arguments):
     if not damaged.finished:
         print('the recording was not ended in order')
     for damage in damaged.damages:
-        print(f'{arguments.prog}: {damage}', file=sys.stderr)
+        complain(arguments, damage)
     if damaged.lost == 0:
         return 0
-    print(f'{arguments.prog}: {messages(damaged.lost)} could not be recovered', file=sys.stderr)
-    return LOST
+    return complain(arguments, f'{messages(damaged.lost)} could not be recovered')
 
 
 COMMAND = Command(

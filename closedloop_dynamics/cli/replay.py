@@ -4,16 +4,12 @@
 """``closedloop replay``: simulate a recording again and compare."""
 
 import math
-from pathlib import Path
-import sys
 
 from .command import (
-    add_recording, Command, PICTURES, positive, recording_of, require_picture)
+    add_picture, add_recording, Command, complain, positive, recording_of, require_picture)
 from ..recording.replay import PERTURBATION, replay, table
 from ..visual import pictures
 from ..visual.progress import announced, progress_to
-
-DIFFERENT = 1
 
 
 def _add_arguments(parser):
@@ -21,9 +17,7 @@ def _add_arguments(parser):
     parser.add_argument('--tolerance', metavar='ERROR', type=positive,
                         help='exit with 1 if a position is further off [rad or m] (default: than '
                              'rounding explains)')
-    parser.add_argument('--picture', metavar='FILE', type=Path,
-                        help='draw the deviations over time '
-                             f'({", ".join(PICTURES)})')
+    add_picture(parser, 'the deviations over time')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 
 
@@ -50,10 +44,7 @@ def _judged(arguments, result):
         why = (None if result.unexplained is None
                else f'from {result.unexplained:.6g} s on by more than can be explained, up to '
                     f'{result.largest:.3g}')
-    if why is not None:
-        print(f'{arguments.prog}: positions are off {why}', file=sys.stderr)
-        return DIFFERENT
-    return 0
+    return 0 if why is None else complain(arguments, f'positions are off {why}')
 
 
 def _print_summary(arguments, recording, result):

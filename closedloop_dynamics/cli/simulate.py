@@ -11,8 +11,8 @@ import sys
 import warnings
 
 from .command import (
-    add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
-    mapping, positive, require_free, scene_of, TABLE, UsageError)
+    add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, complain,
+    FAILED, mapping, positive, require_free, scene_of, TABLE, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
@@ -111,10 +111,9 @@ def _run(arguments):
         except SimulationError as error:
             failure = error
     if failure is not None:
-        print(f'{arguments.prog}: {failure}', file=sys.stderr)
+        complain(arguments, failure)
     elif not report.finished:
-        print(f'{arguments.prog}: interrupted at t = {report.time:.6g} s of '
-              f'{arguments.duration:g} s', file=sys.stderr)
+        complain(arguments, f'interrupted at t = {report.time:.6g} s of {arguments.duration:g} s')
     summary = _summary(simulation, report, arguments, estimate)
     # The standard output belongs to the rows where they go there.
     print(summary, file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)

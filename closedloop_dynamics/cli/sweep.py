@@ -6,12 +6,12 @@
 from argparse import ArgumentTypeError
 from contextlib import contextmanager
 from pathlib import Path
-import sys
 
 import numpy as np
 
 from .command import (
-    add_scene, add_torque, Command, FAILED, mapping, positive, require_writable, UsageError)
+    add_scene, add_torque, Command, FAILED, interrupted, mapping, positive, require_writable,
+    UsageError, whole)
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
@@ -32,9 +32,9 @@ def _add_arguments(parser):
     what.add_argument('--vary', action='append', default=[], metavar='KEY=VALUES',
                       help=f'a number of the scene or its mechanism by its key path, and '
                            f'{FORMS}; may be repeated')
-    what.add_argument('--samples', type=_count, default=1, metavar='N',
+    what.add_argument('--samples', type=whole(), default=1, metavar='N',
                       help='draws from the distributions, at each point of the grid (default: 1)')
-    what.add_argument('--seed', type=_count, default=0, metavar='N',
+    what.add_argument('--seed', type=whole(), default=0, metavar='N',
                       help='of the draws; the same seed draws the same (default: 0)')
     run = parser.add_argument_group('what is run')
     run.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
@@ -58,19 +58,12 @@ def _add_arguments(parser):
                        help='go on where the file ends, if there is one')
     again.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
     where = parser.add_argument_group('where it is computed')
-    where.add_argument('--workers', type=_count, metavar='N',
+    where.add_argument('--workers', type=whole(), metavar='N',
                        help='processes on this machine (default: one for each processor, as '
                             'soon as there is enough to do)')
     where.add_argument('--scheduler', type=_address, metavar='ADDRESS',
                        help='scheduler of a Dask cluster to compute on instead, such as '
                             'tcp://192.0.2.1:8786')
-
-
-def _count(text):
-    """Convert an option's value to a whole number >= 0."""
-    if not text.isdecimal():
-        raise ArgumentTypeError(f'expected a whole number >= 0, got {text!r}')
-    return int(text)
 
 
 def _address(text):
@@ -101,12 +94,9 @@ def _run(arguments):
                 f'--{error}' if option in vars(arguments) else f'--vary: {error}') from None
         except StorageError as error:
             raise UsageError(str(error)) from None
-    if not outcome.finished:
-        print(f'{arguments.prog}: interrupted; what is written is kept, and the same command with '
-              '--resume goes on', file=sys.stderr)
     print(_summary(outcome, arguments))
     if received:
-        return 128 + received[0]
+        return interrupted(arguments, received[0], resumable=True)
     return FAILED if outcome.failed == outcome.done > 0 else 0
 
 

@@ -13,8 +13,8 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, assignment, checked_torques, Command, law, mapping, port,
-    positive, read_scene, recording_of, require_free, UsageError, with_motion, with_numbers)
+    add_reading, add_recording, assignment, checked_torques, Command, mapping, pair, positive,
+    read_scene, recording_of, require_free, UsageError, whole, with_motion, with_numbers)
 from ..control.errors import StartError
 from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
@@ -65,7 +65,7 @@ def _add_arguments(parser):
                        ('position', 'position that a drive holds [rad or m]')):
         parser.add_argument(f'--{name}', type=assignment, action='append', default=[],
                             metavar='JOINT=VALUE', help=f'{what}; may be repeated')
-    parser.add_argument('--motion', type=law, action='append', default=[],
+    parser.add_argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
                         metavar='JOINT=EXPRESSION',
                         help='position that a drive tracks, an expression in the time t, such as '
                              'theta_1=1.05+2*pi*t [rad or m]; with --save the exact motion of the '
@@ -78,7 +78,7 @@ def _add_arguments(parser):
     parser.add_argument('--host', metavar='ADDRESS', default='127.0.0.1',
                         help='address to listen on; any but that of this host needs the token in '
                              'the address that is printed (default: 127.0.0.1)')
-    parser.add_argument('--port', metavar='NUMBER', type=port,
+    parser.add_argument('--port', metavar='NUMBER', type=whole(0, 65535),
                         help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
     parser.add_argument('--no-open', action='store_true', help='do not open a browser')
     add_reading(parser)

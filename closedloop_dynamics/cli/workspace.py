@@ -5,14 +5,13 @@
 
 from argparse import ArgumentTypeError
 from pathlib import Path
-import sys
 
 import numpy as np
 
 from .command import (
-    add_reading, add_scene, add_set, assignment, Command, mapping, positive, require_free,
-    require_picture, scene_to_change, UsageError)
-from .kinematics import course, value_of
+    add_picture, add_reading, add_scene, add_set, assignment, Command, interrupted, mapping,
+    positive, require_free, require_picture, scene_to_change, UsageError, whole)
+from .kinematics import course, interval, value_of
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
 from ..simulation.driven import BranchEndError
@@ -48,7 +47,7 @@ def _add_arguments(parser):
                       metavar='AXIS=FROM:TO:COUNT',
                       help='many orientations instead, such as z=0:350deg:36: what is reached in '
                            'one of them, and in all (the dexterous workspace)')
-    what.add_argument('--limit', type=_limit, action='append', default=[],
+    what.add_argument('--limit', type=interval('JOINT=LOW:HIGH'), action='append', default=[],
                       metavar='JOINT=LOW:HIGH', help='range of a joint; may be repeated')
     what.add_argument('--clearance', type=positive, metavar='METRES',
                       help='least distance of links that no joint joins, each a segment between '
@@ -59,11 +58,10 @@ def _add_arguments(parser):
     what.add_argument('--stiffness', type=assignment, action='append', default=[],
                       metavar='JOINT=VALUE',
                       help='of an actuated joint [N m/rad or N/m] (default: 1)')
-    parser.add_argument('--workers', type=_count, metavar='N',
+    parser.add_argument('--workers', type=whole(1), metavar='N',
                         help='threads (default: one for each processor)')
     parser.add_argument('--output', type=Path, metavar='FILE.nc', help='where to write the map')
-    parser.add_argument('--picture', type=Path, metavar='FILE.png',
-                        help='where to draw it (or .pdf, .svg)')
+    add_picture(parser, 'it')
     parser.add_argument('--show', choices=(*QUANTITIES, STATUS),
                         help='the quantity to draw (default: condition)')
     parser.add_argument('--resume', action='store_true',
@@ -83,21 +81,6 @@ def _angles(text):
     if len(values) not in (1, 3) or None in values:
         raise ArgumentTypeError(f'expected ANGLE or ANGLE,ANGLE,ANGLE, got {text!r}')
     return tuple(values)
-
-
-def _limit(text):
-    """Convert ``JOINT=LOW:HIGH``."""
-    name, equals, ends = text.partition('=')
-    values = [value_of(part) for part in ends.split(':')]
-    if not (name and equals and len(values) == 2 and None not in values):
-        raise ArgumentTypeError(f'expected JOINT=LOW:HIGH, got {text!r}')
-    return name, tuple(values)
-
-
-def _count(text):
-    if not (text.isdecimal() and int(text) > 0):
-        raise ArgumentTypeError(f'expected a whole number from 1 on, got {text!r}')
-    return int(text)
 
 
 def _run(arguments):
@@ -132,10 +115,7 @@ def _run(arguments):
     if arguments.output is not None:
         print(f'  output    {arguments.output}')
     if received:
-        kept = '' if arguments.output is None else (
-            '; what is written is kept, and the same command with --resume goes on')
-        print(f'{arguments.prog}: interrupted{kept}', file=sys.stderr)
-        return 128 + received[0]
+        return interrupted(arguments, received[0], arguments.output is not None)
     if arguments.picture is not None:
         with announced('Drawing ...'):
             _draw(arguments, scene, found)
