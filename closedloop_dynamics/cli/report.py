@@ -8,16 +8,15 @@ from html import escape
 from io import BytesIO
 import math
 from pathlib import Path
-import sys
 import time
 
 import numpy as np
 from scipy.integrate import trapezoid
 
 from .command import (
-    add_reading, add_scene, add_set, Command, FAILED, mapping, positive, read_scene, require_free,
-    UsageError, with_numbers)
-from .kinematics import add_drive, curves, drive_axis, driven_run
+    add_reading, add_scene, add_set, Command, mapping, positive, require_free, scene_to_change,
+    UsageError)
+from .kinematics import add_drive, curves, drive_axis, driven_run, ending
 from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
@@ -57,7 +56,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     require_free(arguments, arguments.output, endings=('.html',))
-    scene = with_numbers(read_scene(arguments.scene, arguments), arguments)
+    scene = scene_to_change(arguments)
     begin = time.process_time()
     with announced('Following the branch ...'):
         run = driven_run(arguments, scene)
@@ -75,10 +74,7 @@ def _run(arguments):
             print('  '.join([f'{title}:', *(f'{name} {cell}'.strip()
                                             for name, cell in zip(rows[0], row))]))
     print(arguments.output)
-    if run.end is not None:
-        print(f'{arguments.prog}: pose {len(run.time)}: {run.end.reason}', file=sys.stderr)
-        return FAILED
-    return 0
+    return ending(arguments, run)
 
 
 # Sections that are printed, too.
@@ -134,7 +130,7 @@ def _mechanism(scene, run, table, at):
         base, crank, coupler, rocker = bars.lengths
         rows += [('lengths', f'base {base:.6g} m, input {crank:.6g} m, coupler {coupler:.6g} m, '
                              f'output {rocker:.6g} m'),
-                 ('Grashof', f'{bars.kind} ({bars.grashof})'),
+                 ('four-bar linkage', f'{bars.kind} ({bars.grashof})'),
                  ('limit positions', ', '.join(
                      f'+-{math.degrees(one):.6g} deg between input link and base'
                      for one in bars.limits) or 'none: the input turns round')]
@@ -156,15 +152,17 @@ def _loads(run, column, values, at):
         power = power + torque * rate
         largest = design.extreme(torque, values, lambda one: np.argmax(np.abs(one)))
         fastest = design.extreme(torque * rate, values, lambda one: np.argmax(np.abs(one)))
-        rows.append((what, f'{largest.value:.6g}', at(largest.drive),
-                     f'{_rms(torque, run.time):.6g}', f'{fastest.value:.6g}', at(fastest.drive)))
-    yield 'Drive', rows, ['<p class="note">Torques in N m, forces in N.</p>']
+        unit = design.effort_unit(run, what)
+        rows.append((what, f'{largest.value:z.6g} {unit}', at(largest.drive),
+                     f'{_rms(torque, run.time):.6g} {unit}', f'{fastest.value:z.6g}',
+                     at(fastest.drive)))
+    yield 'Drive', rows, []
     if exerted:
         yield 'Energy', [
-            ('', '[J]'), ('work of the drives', f'{trapezoid(power, run.time):.6g}'),
-            ('supplied by the drives', f'{trapezoid(np.maximum(power, 0.0), run.time):.6g}'),
+            ('', '[J]'), ('work of the drives', f'{trapezoid(power, run.time):z.6g}'),
+            ('supplied by the drives', f'{trapezoid(np.maximum(power, 0.0), run.time):z.6g}'),
             ('absorbed by the drives',
-             f'{trapezoid(np.maximum(-power, 0.0), run.time):.6g}')], []
+             f'{trapezoid(np.maximum(-power, 0.0), run.time):z.6g}')], []
     yield 'Forces in the joints', [('', 'largest [N]', 'at'), *(
         (what, f'{one.value:.6g}', at(one.drive)) for what, one in (
             (what, design.extreme(force, values)) for what, force in forces(column).items()))], []
@@ -174,7 +172,7 @@ def _loads(run, column, values, at):
     for what, each in (('force [N]', size),
                        ('moment about the origin [N m]', design.signed_or_size(moment))):
         one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
-        rows.append((what, f'{one.value:.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
+        rows.append((what, f'{one.value:z.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
     yield 'Shaking force and moment', rows, [
         '<p class="note">Force and moment of the bodies\' inertia on the ground, without weights '
         'and other forces.</p>']

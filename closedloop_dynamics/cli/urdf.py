@@ -42,6 +42,9 @@ def _run(arguments):
     if arguments.hardware is not None:
         if subject is mechanism:
             raise UsageError(f'--hardware: expected a scene, got the mechanism {arguments.scene}')
+        if not arguments.hardware.is_file():
+            raise UsageError('--hardware: expected the C of the scene, compiled as a library, got '
+                             f'no file {arguments.hardware}')
         hardware = arguments.hardware.resolve(), subject.method.step_size
     try:
         text = urdf(mechanism, loops=arguments.loops,

@@ -258,7 +258,7 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
     if angle is not None:
         found['least transmission angle [deg]'] = math.degrees(angle.min())
     for what, torque in torques.items():
-        unit = 'N' if what not in _names(run) or _is_length(run, what) else 'N m'
+        unit = effort_unit(run, what)
         found[f'largest torque or force {what} [{unit}]'] = float(np.abs(torque).max())
         found[f'rms {what} [{unit}]'] = float(np.sqrt(np.mean(torque ** 2)))
     for what, force in forces.items():
@@ -269,8 +269,10 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
     return found
 
 
-def _names(run):
-    return (*run.mechanism.coordinates.names, *run.mechanism.cut_coordinates.names)
+def effort_unit(run, drive):
+    """Return the unit of a drive's effort: N m where it is the angle of a joint, else N."""
+    names = *run.mechanism.coordinates.names, *run.mechanism.cut_coordinates.names
+    return 'N' if drive not in names or _is_length(run, drive) else 'N m'
 
 
 def _is_length(run, name):

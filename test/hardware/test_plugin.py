@@ -20,17 +20,25 @@ NEEDED = ('hardware_interface/system_interface.hpp', 'pluginlib/class_list_macro
           'rclcpp/logging.hpp', 'rclcpp_lifecycle/state.hpp')
 
 
+@pytest.fixture
+def library(tmp_path):
+    """Return the path of a file in the place of the compiled C."""
+    path = tmp_path / 'mechanism.so'
+    path.touch()
+    return str(path)
+
+
 def described(capsys, scene, *options):
     """Return the ``ros2_control`` element that the command writes."""
     assert main(['urdf', scene, *options]) == 0
     return ElementTree.fromstring(capsys.readouterr().out).find('ros2_control')
 
 
-def test_the_description_names_all_joints_and_commands_of_driven_ones(capsys, tmp_path):
-    control = described(capsys, 'three_rrr', '--hardware', str(tmp_path / 'three_rrr.so'))
+def test_the_description_names_all_joints_and_commands_of_driven_ones(capsys, library):
+    control = described(capsys, 'three_rrr', '--hardware', library)
     scene = load_scene('three_rrr')
     parameters = {one.get('name'): one.text for one in control.findall('hardware/param')}
-    assert parameters['model'] == str(tmp_path / 'three_rrr.so')
+    assert parameters['model'] == library
     assert float(parameters['step_size']) == scene.method.step_size
     # What the mechanism accepts.
     assert 0.0 < float(parameters['bandwidth']) * scene.method.step_size <= 0.5
@@ -44,8 +52,8 @@ def test_the_description_names_all_joints_and_commands_of_driven_ones(capsys, tm
             'position', 'velocity', 'acceleration', 'effort']
 
 
-def test_joints_of_several_freedoms_are_those_of_the_description(capsys):
-    assert main(['urdf', 'stewart_platform', '--hardware', 'any.so']) == 0
+def test_joints_of_several_freedoms_are_those_of_the_description(capsys, library):
+    assert main(['urdf', 'stewart_platform', '--hardware', library]) == 0
     robot = ElementTree.fromstring(capsys.readouterr().out)
     joints = {one.get('name') for one in robot.findall('joint')}
     named = [one.get('name') for one in robot.findall('ros2_control/joint')]
@@ -53,14 +61,14 @@ def test_joints_of_several_freedoms_are_those_of_the_description(capsys):
     assert len(named) == 18 and set(named) <= joints
 
 
-def test_the_plugin_is_called_the_same_everywhere(capsys):
-    library = ElementTree.parse(PACKAGE / 'closedloop_hardware.xml').getroot()
-    name = library.find('class').get('name')
-    control = described(capsys, 'three_rrr', '--hardware', 'a.so')
+def test_the_plugin_is_called_the_same_everywhere(capsys, library):
+    declared = ElementTree.parse(PACKAGE / 'closedloop_hardware.xml').getroot()
+    name = declared.find('class').get('name')
+    control = described(capsys, 'three_rrr', '--hardware', library)
     assert control.findtext('hardware/plugin') == name
-    assert library.find('class').get('type') == name.replace('/', '::')
+    assert declared.find('class').get('type') == name.replace('/', '::')
     lists = (PACKAGE / 'CMakeLists.txt').read_text()
-    assert f'add_library({library.get("path")} SHARED' in lists
+    assert f'add_library({declared.get("path")} SHARED' in lists
     versions = {ElementTree.parse(path / 'package.xml').getroot().findtext('version')
                 for path in (PACKAGE, PACKAGE.parent)}
     assert len(versions) == 1
@@ -71,6 +79,12 @@ def test_a_mechanism_has_no_steps_to_make(capsys):
     assert main(['urdf', str(mechanism), '--hardware', 'a.so']) == 2
     assert f'--hardware: expected a scene, got the mechanism {mechanism}' in (
         capsys.readouterr().err)
+
+
+def test_a_library_that_is_not_there_is_refused(capsys, tmp_path):
+    missing = tmp_path / 'three_rrr.so'
+    assert main(['urdf', 'three_rrr', '--hardware', str(missing)]) == 2
+    assert f'got no file {missing}' in capsys.readouterr().err
 
 
 def headers():
