@@ -15,7 +15,6 @@ The motion that errors are measured against is that of dop853 with a tolerance o
 with another formulation shows how far and how well it is known. CPU time of one thread; of held
 torques that of a loop in Python that makes a call for each of them. Robots are found by name in a
 folder with a clone of example-parallel-robots and left out without it.
-
 """
 
 import argparse

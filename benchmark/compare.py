@@ -8,7 +8,6 @@ Each commit is checked out into a worktree of its own, where its engine is compi
 process of its own with a cache of its own; the tasks are run in turn, one round after the other,
 so that what disturbs one disturbs the other. A commit may be any name that git knows, or a dot:
 the files as they are. Results are stored as JSON: the times of every round, machine and commits.
-
 """
 
 import argparse

@@ -7,7 +7,6 @@ The tasks of compare.py, run with the files of whichever commit is on the path.
 Its arguments name tasks, all when there are none. Prints their names, then for each name that it
 reads the CPU time of one call. Of the package
 it uses only what has long been there; a task that this commit does not know is left out.
-
 """
 
 import json

@@ -6,7 +6,6 @@ What ``closedloop simulate --dry-run`` expects, against what the same run takes.
 
 Every shipped scene is probed and run in turn, at its accuracy and at a thousandth of it. CPU time
 of this process, the run that gives the error and the rows left out.
-
 """
 
 import argparse

@@ -11,7 +11,6 @@ by side: blocks of steps of the one and of the other in turn, so that what else 
 meets both. Their ratio is the median of those of neighbouring blocks. The time of building is
 printed apart: the first run generates code, which a second one reads. Beside them are steps of
 rollouts, whose samples go side by side in the lanes of a vector.
-
 """
 
 from argparse import ArgumentParser

@@ -6,7 +6,6 @@ What a step of the C that ``closedloop export`` writes costs, beside one of the 
 
 Both make the same steps of RK4 with projection from the start of a scene, in turn, in one thread
 of one process; the C with the options that doc/export.md gives, for any machine and for this one.
-
 """
 
 import argparse

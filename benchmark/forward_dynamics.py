@@ -8,7 +8,6 @@ Prints, for each scene: the time of one evaluation of the forward dynamics insid
 compiled code, of one called from Python, of one RK4 step in a long run; memory allocated per
 step; and, once, the time of the first start (with an empty cache of generated code) and of a
 warm one, from the start of Python to the end of the first step.
-
 """
 
 import argparse
@@ -89,7 +88,6 @@ def allocation(simulation, count):
     Return the bytes that Python still holds after ``count`` steps, beyond those after one.
 
     (A call from Python makes some objects itself, for its arguments.)
-
     """
     tau = simulation.joint_torques(None)
     simulation.advance(tau, 2 * count)

@@ -9,7 +9,6 @@ What the gradient of a trajectory costs, beside the same trajectory without one.
 The gradient is that of a cost of all states by all torques, the start and the mass of a body, by
 the adjoint of 200 RK4 steps; the trajectory is part of its time. Without one: ``rollout``. Both
 in turn, CPU time. Compiling is apart: with an empty cache it is what a first use waits for.
-
 """
 
 import argparse

@@ -9,7 +9,6 @@ What a cycle of the hardware interface of ros2_control costs, without ROS.
 Wall clock time of cycles of 1 ms, one step each, of the small loop that the tests drive, too: all
 driven joints under efforts of 0, or held by servos. States and commands of ros2_control's handles
 are not in it.
-
 """
 
 import argparse

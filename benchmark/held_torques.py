@@ -8,7 +8,6 @@ Each method restarts at every new torque, so that its steps are no longer than t
 which torques are held. Two costs are measured: evaluations of the accelerations, which do not
 depend on the machine, and CPU time of a loop in Python that calls ``Simulation.advance`` once a
 period.
-
 """
 
 import argparse

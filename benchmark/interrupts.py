@@ -9,7 +9,6 @@ random. Printed are the median and the largest CPU time of that process, and the
 clock time, between the signal and the KeyboardInterrupt that leaves the task. A task that runs
 in several threads or processes adds up the CPU time of its threads. ``compile`` begins each time
 with an empty cache: LLVM cannot be interrupted within a function that it compiles.
-
 """
 
 import argparse

@@ -16,7 +16,6 @@ beside it, of what the machine itself causes, and what the simulator answered.
 With ``--pages`` the frames of ``closedloop view`` at 60 Hz instead, without a browser: a point is
 pulled as by a mouse, drives, effects and methods are changed, and so are sliders of the machine
 while it moves.
-
 """
 
 import argparse

@@ -9,7 +9,6 @@ doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` are ma
 files, with ``--measured`` without measuring. The text around them stays. doc/accuracy_machines.md
 is filled in the same way, by all_machines.py, which needs the packages of the extra ``bench`` for
 the other simulators. To be run on a machine that does nothing else.
-
 """
 
 import argparse

@@ -8,7 +8,6 @@ Runs make_accuracy_doc.py, make_performance_doc.py and throughput.py (for doc/sw
 the other, then puts the figures of README.md in; with ``--stability`` it runs the hard cases for
 doc/stability_cases.md, too. The commit is reported as it was when this began: the files that are
 written along the way do not make it another one. To be run on a machine that does nothing else.
-
 """
 
 import argparse

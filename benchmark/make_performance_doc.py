@@ -8,7 +8,6 @@ Runs peers.py, operation_count.py, elements.py, size.py, startup.py and, where a
 is given, models.py one after the other, each in a process of its own, then writes
 doc/pictures/performance_*.* and fills the passages of the document between ``<!-- begin NAME -->``
 and ``<!-- end NAME -->``; the text around them stays.
-
 """
 
 import argparse

@@ -7,7 +7,6 @@ Models of robots in MuJoCo, for the comparison in models.py.
 A file in MJCF is read by MuJoCo itself, with its meshes; other models are written as MJCF first.
 Equalities are soft in MuJoCo: what accelerations they lead to when hard follows from its inertia,
 bias force and Jacobian.
-
 """
 
 from pathlib import Path

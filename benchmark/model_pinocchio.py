@@ -7,7 +7,6 @@ Models of robots in Pinocchio, for the comparison in models.py.
 A URDF file is read by Pinocchio itself; joints that a YAML file beside it makes spherical or
 universal are replaced, and loops are closed by rigid constraints between the frames that our
 reader found. Evaluations run in C++ (pinocchio_model.cpp) where there is a compiler.
-
 """
 
 import ctypes

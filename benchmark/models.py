@@ -8,7 +8,6 @@ Takes a folder of models, which this project does not ship: clones of example-pa
 mujoco_menagerie and others. Closes the loops of each, compares accelerations in random states with
 those that follow from the inertia, bias force and Jacobian of Pinocchio (which reads URDF itself)
 or MuJoCo (MJCF), and measures the time of an evaluation beside theirs, in turn, on one thread.
-
 """
 
 import argparse

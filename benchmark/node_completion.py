@@ -16,7 +16,6 @@ Prints for each scene, of measurements along a motion of the scene at some rate:
 - latency [ms]: from before a measurement is published until the completed one has been taken in by
   its subscriber in this process, the node running in a process of its own. Both ways through DDS
   are in it; echo is the same with a node that sends back what it gets.
-
 """
 
 import argparse
@@ -74,7 +73,6 @@ def costs(scene, rate, count):
     Return CPU times [us]: completing, callback (and its tenth percentile), with forces, ready.
 
     Medians but for the last, matrices for the next measurement: a mean, as they are rarely made.
-
     """
     names, rows = measured(scene, rate, count)
     found, own = {}, []

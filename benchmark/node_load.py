@@ -10,7 +10,6 @@ missed, by the times at which DDS sent its states, and those that a bare loop mi
 nothing but sleep until the next period, beside the node and for as long. From the node's
 diagnostics come the accuracy that it keeps, the bound of the error, and the CPU time that it uses
 of its budget.
-
 """
 
 import argparse

@@ -11,7 +11,6 @@ many messages were lost on the way, by the numbers that the publisher gives them
 ``--record`` the package's recorder listens, too. Before and after, a bare loop that does nothing
 but sleep until the next period shows how evenly this machine wakes a process up at all, and
 ``stolen`` is what the host of a virtual machine took from it meanwhile.
-
 """
 
 import argparse

@@ -8,7 +8,6 @@ Prints, for each scene, CPU times [us] of one thread: the physics of a tick, rea
 and the constraint forces out of it, filling and publishing its messages (and, for comparison,
 publishing them as message objects), what goes along with a state, and one round of diagnostics.
 Nobody subscribes; subscribers add what DDS takes to send.
-
 """
 
 import argparse

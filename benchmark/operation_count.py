@@ -9,7 +9,6 @@ twice, and nothing that the results do not depend on. A multiplication whose pro
 addition takes is one operation with it, as in the machine code. The longest chain of dependent
 operations bounds the time from below, as do all operations side by side; both by the measured
 times of single operations in generated code.
-
 """
 
 import argparse

@@ -5,7 +5,6 @@
 What all simulators are given: a mechanism, a start, torques; and the answer they should give.
 
 Everything is read from the shipped scenes, nothing is copied by hand.
-
 """
 
 from dataclasses import dataclass, replace

@@ -7,7 +7,6 @@ Exudyn (Gerstmayr), for the comparison in peers.py.
 Built for flexible multibody systems in redundant coordinates with implicit integration: here
 bodies with three coordinates each, every joint a constraint, generalized alpha. As fast as it was
 found to go: dense linear solver, modified Newton, no output.
-
 """
 
 import importlib.metadata

@@ -8,7 +8,6 @@ Built for control and learning with contact: loops are soft "connect" equalities
 the cut point together. The settings here are the ones that gave the smallest errors among
 those tried: impedance at its upper bound, critically damped springs as stiff as the step allows,
 Newton's method with the one iteration that a quadratic cost needs, everything else switched off.
-
 """
 
 from xml.sax.saxutils import quoteattr

@@ -8,7 +8,6 @@ A library of rigid-body algorithms, without integrators of its own: constraintDy
 from Python (a time loop of our own, SciPy's DOP853; in the plane) and, where a C++ compiler and
 the headers of Eigen are found, from loops in C++ (pinocchio_loop.cpp) with Boost's integrators. In
 space lcaba, its algorithm over the bodies, too.
-
 """
 
 import ctypes

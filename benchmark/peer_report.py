@@ -81,7 +81,6 @@ def evaluation_table(result, make=markdown_table):
     Return the times of an evaluation or step, and in brackets how many times ours.
 
     Of several trees the shortest time, and the name of a tree that is not the scene's own.
-
     """
     ours = [min(row['best'] for row in rows if row['engine'] == OURS)
             for rows in result['evaluation'].values()]

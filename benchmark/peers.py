@@ -10,7 +10,6 @@ step, and error against CPU time of whole motions; in space also how many steps 
 at once a second has. In the plane the 3-RRR and the carpet scraper, in space a Stewart platform, a
 Delta robot and Bricard's linkage, which the others are given with a second tree, too. Needs the
 packages of the extra ``bench``; a simulator that is not installed is left out.
-
 """
 
 import argparse

@@ -10,7 +10,6 @@ state that is not evaluated yet; ``inverse_dynamics`` as it is, and over ``forwa
 other readings as they are; one step of ``advance`` beyond a step of many. With ``--rollouts``
 what a sample of a short rollout takes beyond its steps [ms], the same model for all and a mass of
 its own for each.
-
 """
 
 import argparse

@@ -5,7 +5,6 @@
 Sentences of the documents, with numbers from the CSV files of doc/pictures.
 
 What a sentence recommends is written by hand: read it again where its numbers change much.
-
 """
 
 import csv

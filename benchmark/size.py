@@ -9,7 +9,6 @@ and workspace, the time to set a mechanism up. All sizes are timed in turn, one 
 
 Timed are the kernels alone, by loops, one evaluation waiting for the one before; small mechanisms
 have unrolled kernels.
-
 """
 
 import argparse

@@ -7,7 +7,6 @@ What a start takes: time of importing, building and the first step, and memory.
 Each start is a process of its own: of the Python interface, and where ROS 2 is found of the
 simulator node. A first start generates the code of the mechanism into an empty cache; a warm one
 reads it from there. Times are CPU time of the process, memory is what of it lies in RAM (RSS).
-
 """
 
 import argparse

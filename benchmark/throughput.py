@@ -13,7 +13,6 @@ steps ten times smaller.
     python benchmark/throughput.py --sweep             and sweeps with a mass that varies
     python benchmark/throughput.py --fidelity          which error at how many samples a second:
                                                        torques held at 100 Hz, one second
-
 """
 
 import argparse
@@ -74,7 +73,6 @@ def mujoco_rollout(scene, torques, integrator, frequency, step, held):
 
     Its integrator, the natural frequency of its loops' springs times the step, the step [s], and
     in how many of them each torque is held; the function returns the positions at the end.
-
     """
     import mujoco
     from mujoco import rollout

@@ -7,7 +7,6 @@ How well the controllers to start from track, in lockstep and with the clock.
 Starts a real simulator and a real torque source with the parameters of config/controllers,
 listens to the states, and prints for each rate and mode how far the platform's centre is from its
 circle, and how far the crank is from its speed, once settled.
-
 """
 
 import argparse

@@ -9,7 +9,6 @@ WebGL by the processor, and lets it run in real time, its drives held. Printed a
 a client without a browser gets when it asks for the next one at once, those that the page has
 drawn, the distances between them, and the shares of a core that the command and the browser took.
 It ends with 1 if the page has shown fewer frames than ``--least``.
-
 """
 
 import argparse

@@ -6,7 +6,6 @@ Simulate mechanisms with closed kinematic loops by subsystem-level forward dynam
 
 What a user needs is loaded when it is first asked for: programs of this package install
 their signal handlers before the compiler is loaded.
-
 """
 
 from importlib import import_module
@@ -46,5 +45,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> List[str]:
-    """List the public names."""
     return [*globals(), *__all__]

@@ -8,7 +8,6 @@ Draw the folders of the package and who imports whom: ``doc/pictures/architectur
 
 Floors are the layers of the contract in setup.cfg, and the line in each box is the first of the
 folder's docstring. Arrows are imports in the code; those that follow from others are left out.
-
 """
 
 import ast

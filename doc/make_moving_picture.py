@@ -8,7 +8,6 @@ Make the moving picture at the top of README.md: ``doc/pictures/machines.gif``.
 
 The machines are simulated under drives that follow a motion which repeats itself, and drawn by the
 page of ``closedloop view``. Needs Chromium.
-
 """
 
 from pathlib import Path

@@ -5,7 +5,6 @@
 Write ``doc/scene_keys.md``: every key of mechanism and scene files, from the code that reads them.
 
 Keys and defaults are those of the records, meanings and units those of their docstrings.
-
 """
 
 from dataclasses import fields, MISSING

@@ -6,7 +6,6 @@ Write ``doc/stability_cases.md`` and its picture: every hard case, its criteria 
 
 The cases are those of the code, the results those of ``doc/pictures/stability.csv``, which
 ``closedloop stability --output`` writes.
-
 """
 
 import csv

@@ -11,7 +11,6 @@ and error, ``view_edit.png`` a machine that is edited, ``view_time.png`` two run
     python doc/make_view_picture.py          (from the checkout, which is on the PYTHONPATH)
 
 Needs Chromium.
-
 """
 
 from contextlib import contextmanager

@@ -6,7 +6,6 @@ What the documentation site (``mkdocs.yml``) has beside the pages of doc/: pages
 
 MkDocs calls the functions here while it builds. README.md becomes the first page; links to files
 that are pages lead to these pages, so that the same text serves on a disk and on the site.
-
 """
 
 from pathlib import Path, PurePosixPath

@@ -9,7 +9,6 @@ The torques and joint forces that a recorded motion takes: a bag in, a bag out.
 
 Without a bag, five seconds of the 3-RRR on its circle are recorded first, into the bag motion.
 doc/examples_forces.md looks at what comes out.
-
 """
 
 from pathlib import Path

@@ -10,7 +10,6 @@ The Delta robot picks and places: on a path of its own, or as MoveIt plans.
 With moveit:=true the simulator stands for the hardware of ros2_control, and move_group plans for
 the driven joints; it needs MoveIt and ros2_controllers. Other arguments are those of
 simulate.launch.py. doc/examples_moveit.md states what MoveIt is given.
-
 """
 
 from pathlib import Path

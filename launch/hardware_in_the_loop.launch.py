@@ -10,7 +10,6 @@ A simulated machine that waits for each answer of a controller: hardware in the 
 The controller answers each state on joint_states with one command on torque_command; with
 stand_in:=true closedloop_torque_source does. Other arguments are those of simulate.launch.py.
 doc/examples_lockstep.md has a bridge to a device.
-
 """
 
 from pathlib import Path

@@ -9,7 +9,6 @@ All joints of a humanoid's ankle, and the forces in its rods, from what its moto
 
 A simulator in the namespace robot stands for the robot; without it, drivers of the motors publish
 on /robot/joint_states. doc/examples_ankle.md looks at what comes out.
-
 """
 
 from pathlib import Path

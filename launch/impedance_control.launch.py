@@ -7,7 +7,6 @@ The platform of the 3-RRR gives way like a spring: impedance control.
     ros2 launch closedloop_dynamics impedance_control.launch.py
 
 Arguments are those of simulate.launch.py. doc/examples_impedance.md pushes the platform.
-
 """
 
 from pathlib import Path

@@ -8,7 +8,6 @@ Simulate a scene, and drive, record and show it if asked to.
     ros2 launch closedloop_dynamics simulate.launch.py drive:=three_rrr_circle rviz:=true
 
 ``ros2 launch closedloop_dynamics simulate.launch.py --show-args`` tells all arguments.
-
 """
 
 from pathlib import Path

@@ -7,7 +7,6 @@ Simulate both machines side by side, each in a namespace of its own: left and ri
     ros2 launch closedloop_dynamics two_mechanisms.launch.py rviz:=true
 
 The left one is the 3-RRR on its circle, the right one the carpet scraper at 45 rpm.
-
 """
 
 from pathlib import Path

@@ -8,7 +8,6 @@ Used on top of a ROS installation, whose packages fit each other: with plain pin
 second copy of many of them in front. A package that is installed in another version than the pin
 may have any version between the two; pip then keeps the installed one, unless something needs a
 newer one.
-
 """
 
 from importlib.metadata import distributions

@@ -7,7 +7,6 @@ What all tests share: ``--all`` and ``--starts``, and an environment that harms 
 The environment is set here, before anything imports rclpy, for runs without
 ``scripts/test``: by hand, or by ``colcon test``. What is set already is left alone. Where the
 engine is compiled elsewhere, as by ``colcon build``, the package installed there is tested.
-
 """
 
 import gc
@@ -49,7 +48,6 @@ def in_order(files):
 
     Long files first, so that none is begun when all others have ended; those whose tests wait
     evenly among those whose tests compute.
-
     """
     kinds = {}
     for file in sorted(files, key=lambda file: (-file.stat().st_size, file)):

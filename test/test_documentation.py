@@ -13,7 +13,6 @@ first line is a comment with the file's name. A comment before a block says how 
     <!-- with what was recorded above -->     after these nodes, with the bag they leave behind
     <!-- needs gymnasium -->                  run where that module is installed
     <!-- not run: why -->
-
 """
 
 from dataclasses import dataclass

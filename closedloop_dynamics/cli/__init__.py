@@ -6,7 +6,6 @@ The command ``closedloop``: one file for each of its commands.
 
 It watches for signals before it imports its commands: that takes seconds, and Ctrl-C must not end
 in a traceback there either.
-
 """
 
 from ..simulation.signals import program_watch

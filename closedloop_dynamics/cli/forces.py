@@ -94,7 +94,6 @@ class _Largest:
     """The largest torques and forces of a motion, as text."""
 
     def __init__(self, simulation):
-        """Begin with none."""
         self._simulation, self.count = simulation, 0
         self._torque = np.zeros(len(simulation.actuated_joints))
         self._force = np.zeros(len(simulation.cut_joints))

@@ -127,7 +127,6 @@ def course(text):
     Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, a ``Drive`` and the count.
 
     The count is None of a single value. Units are as for ``--drive``.
-
     """
     name, equals, ends = text.partition('=')
     parts = ends.split(':')

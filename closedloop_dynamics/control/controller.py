@@ -21,7 +21,6 @@ def open_loop(values, joints):
 
     ``values`` are those of the parameters, ``joints`` the names of those to drive. Raises
     StartError if a parameter does not fit the joints; so do all functions here.
-
     """
     mean, wave = _spread(values, 'torque', joints), _wave(values, '', joints)
     if values['mode'] == 'constant':
@@ -48,7 +47,6 @@ def gains(values, joints, simulation=None):
     Return the tunable values of a law: gains, feedforward and limit, shape (n,).
 
     Gains are kp, kd and ki, of shape (n,), or stiffness and damping, one per direction.
-
     """
     names, places = ('kp', 'kd', 'ki'), joints
     if values['mode'] == IMPEDANCE:
@@ -131,7 +129,6 @@ def per_joint(name, values, joints, nan_allowed=False):
     Return a list parameter as one value per joint: one for all joints, or one for each.
 
     Raises StartError if the length fits neither, or a value is not finite (or NaN, if allowed).
-
     """
     if not all(math.isfinite(value) or nan_allowed and math.isnan(value) for value in values):
         raise StartError(

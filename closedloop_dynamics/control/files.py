@@ -47,7 +47,6 @@ class Controller:
     """
 
     def __init__(self, name, values, scene):
-        """Build the model and the law."""
         self.name, self._values, self._model = name, values, Simulation(scene)
         self.joints = self._model.actuated_joints
         driven = [cut.name for cut in self._model.cut_joints if cut.actuated]
@@ -151,7 +150,6 @@ def shipped_controller(scene, model=None):
     That is one made for the scene, or for another one of the same mechanism that can follow it
     from the start of this one. Its model is that of another scene where one is given: with more
     effects, say.
-
     """
     if not scene.mechanism.actuated_joints:
         return None

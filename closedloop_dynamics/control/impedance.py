@@ -8,7 +8,6 @@ The joints that are not driven follow by the loops: with J the Jacobian of the c
 rates are ``G qd_driven``, where ``J G = 0`` and the rows of G of driven joints are those of the
 identity. A wrench w at the point is Q in the joints of the spanning tree and ``G^T Q`` in the
 driven ones (principle of virtual power).
-
 """
 
 import numpy as np

@@ -6,7 +6,6 @@ Where joints are to be, by time: waves about a motion, trajectories, paths.
 
 Every quantity is an array over the joints driven, in one order. A path is that of a point of a
 mechanism, a circle or straight ways from place to place: smooth, periodic, from rest.
-
 """
 
 from dataclasses import dataclass
@@ -36,7 +35,6 @@ class Wave:
     ``amplitude * sin(2 pi frequency t + phase)`` for every joint.
 
     Arrays of shape (n,): any unit, Hz, rad.
-
     """
 
     amplitude: np.ndarray
@@ -121,7 +119,6 @@ class Trajectory:
     over are left out. ``time``, at which the joints are in the state [s], is counted as
     ``points.stamp``; the time of the motion is zero then. ``position`` and ``velocity`` have shape
     (number of joints,). Raises TrajectoryError if it is over.
-
     """
 
     def __init__(self, points, time, position, velocity):
@@ -168,7 +165,6 @@ def residual(mechanism, position, point, place, turn):
     ``position``, shape (..., nq) [rad or m]; ``place``, shape (2,), in space (3,), in the world
     [m]; ``turn``, the angle [rad] or unit quaternion x, y, z, w that its body is to have; None:
     any. The result has shape (..., number of equations).
-
     """
     poses = body_poses(mechanism, position)
     parts = closure_errors(mechanism, poses) + coupling_errors(mechanism, position)
@@ -190,7 +186,6 @@ def solve(mechanism, position, point, place, turn):
 
     ``position`` is nearby; the rest is as for ``residual``. Raises PathError where there are
     none nearby, or many.
-
     """
     return _solve(mechanism, position, point, place, turn)[0]
 

@@ -20,7 +20,6 @@ class Setting(NamedTuple):
     ``default`` has the type of the setting; the description has the unit; ``limits`` are the
     smallest and largest value of a number, ``choices`` the words there are (empty: any);
     ``read_only``: it stays as it is while the controller runs.
-
     """
 
     name: str

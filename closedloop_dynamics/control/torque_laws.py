@@ -8,7 +8,6 @@ A mechanism with closed loops may need a hundred times the torque in one
 position that it needs in another, for the same acceleration. Gains that hold
 it in the one shake it to pieces in the other. With the model between them (computed torque), the
 controller sees a unit inertia everywhere.
-
 """
 
 import math
@@ -79,7 +78,6 @@ class ProportionalDerivative:
 
         The time [s] has any origin: the first state, and one from before the last (a simulation
         that was reset), starts the reference again. Position and velocity have shape (n,).
-
         """
         if self._first is None or time < self._last:
             self._first = self._last = time
@@ -107,7 +105,6 @@ class ComputedTorque:
     Of the simulation, the model, the state is not used. The controller's torques are taken for
     accelerations [rad/s^2 or m/s^2]. ``feedforward`` is added always, ``limit`` is the largest
     magnitude, infinite: none; both of shape (n,) [N m or N].
-
     """
 
     def __init__(self, simulation, controller, feedforward, limit):
@@ -138,7 +135,6 @@ class ComputedTorque:
 
         Time [s], position, shape (nq,), and velocity, shape (nv,), are those of the state. Raises
         TrajectoryError if the trajectory is over.
-
         """
         position = self._coordinates.by_freedom(position)
         self.controller.follow(Trajectory(

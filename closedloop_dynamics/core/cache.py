@@ -7,7 +7,6 @@ Generated code on disk, shared by all processes of a user.
 A file holds the machine code of one mechanism's routines with a checksum, in a directory for one
 state of the sources of the code generation. It saves a second or less at a start: what cannot be
 read is generated again, and where there is no place to write nothing is stored.
-
 """
 
 import contextlib

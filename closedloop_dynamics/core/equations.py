@@ -66,7 +66,6 @@ class Equations:
     """
 
     def __init__(self, model):
-        """Allocate a workspace."""
         self.model = with_all_equations(model)
         self.work, self._constants = allocate(self.model), self._present_constants()
         self._connected = joint_kernels.structure(self.model)

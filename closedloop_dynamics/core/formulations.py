@@ -6,7 +6,6 @@ The augmented and the system-level formulation, to compare the method against.
 
 Both work on dense matrices of the whole mechanism and cost O((n + m)^3) and
 O(n^3 + m^3); they see neither subsystems nor the cut-joint graph.
-
 """
 
 from typing import NamedTuple

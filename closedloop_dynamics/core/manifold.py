@@ -8,7 +8,6 @@ A quaternion x, y, z, w turns the joint's frame into the child's; its rates are 
 velocity about the child's axes, so that its derivative is half the quaternion times that. Changes
 of coordinates have the length of the rates; a rotation is composed with the exponential of its
 change. Where a mechanism has no such joint there is no table, and nothing of this is compiled.
-
 """
 
 from typing import NamedTuple

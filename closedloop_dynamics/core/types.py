@@ -14,7 +14,6 @@ user's order (columns ``DOF`` and ``CUT_ROW``).
 A planar vector is ordered (angular, x, y), in world axes, at the body's own
 origin (the place of its joint). What ``body``, ``cut_point`` and ``Workspace.body``
 hold of a mechanism in space: ``codegen.space``.
-
 """
 
 from typing import NamedTuple

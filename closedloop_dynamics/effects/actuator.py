@@ -12,7 +12,6 @@ A drive between the command and the joint: limits, lag, delay.
 Braking is not limited by the speed. The lag's state is integrated with the rest; a delayed command
 acts from the instant at which it is due, where a step ends. Work of the drive: the integral of
 tau qd. When: to model a motor with limits of torque and speed, lag and delay.
-
 """
 
 from dataclasses import dataclass

@@ -22,7 +22,6 @@ impact rate w, exactly for a free impact:
 In space friction acts against the sliding velocity, v being its size.
 
 When: cams with followers, Geneva drives, ratchets, rollers, grippers.
-
 """
 
 from dataclasses import dataclass

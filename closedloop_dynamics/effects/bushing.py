@@ -19,7 +19,6 @@ k phi for small turns, and k sin(phi) for one about an axis.
 
 When: rubber mounts, flexible couplings, a joint with play in stiffness,
 a weld that gives.
-
 """
 
 from dataclasses import dataclass

@@ -27,7 +27,6 @@ tension does not jump where the cable becomes taut.
 
 A pulley is wound by -90 to 270 degrees; one that the cable would leave is not left: it goes on
 along the tangents. When: hoists, tackles, cable drives, tendons.
-
 """
 
 from dataclasses import dataclass

@@ -18,7 +18,6 @@ force neither jumps at touch-down nor ever holds the point back. It stores
 k d^(n+1) / (n+1); the rest is dissipated. Below v_r the friction is nearly
 viscous: under a load of half its limit the point creeps at 0.58 v_r. When: a tool on its ground,
 a foot on the floor, a guide.
-
 """
 
 from dataclasses import dataclass

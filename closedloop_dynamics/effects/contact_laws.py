@@ -8,7 +8,6 @@ The same as those of the engine (``contact_laws.cpp``, ``body_contact_laws.cpp``
 contact acts the engine has decided before: it is a load. Where on a curve it acts the engine is
 asked. A law takes the forces (``core.codegen.live_scene.LiveForces``), the table of effects, its
 row there and the row's numbers.
-
 """
 
 from . import curve

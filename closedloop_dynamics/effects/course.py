@@ -8,7 +8,6 @@ Courses over time: a quantity as a chain of pieces, each a polynomial and a sine
 
 A state of the effect counts the pieces, so that within a step one formula holds; steps end where
 the next begins (``engine/time_events.hpp``). With a period the chain repeats for ever.
-
 """
 
 from bisect import bisect_right

@@ -6,7 +6,6 @@ Curves of bodies: the outline of a cam, the slots of a wheel; and how far from t
 
 A curve is a chain of pieces (x, y)(u), cubics in 0 <= u <= 1, whose free side is on the left. It
 is straight between its points, or a cubic spline.
-
 """
 
 

@@ -13,7 +13,6 @@ class DelayLine:
     """Joint torques of which some arrive late."""
 
     def __init__(self):
-        """Start with nothing on the way."""
         # What is on the way.
         self.pending = deque()
 

@@ -38,7 +38,6 @@ class Machine:
     decided = frozenset()
 
     def __init__(self, mechanism, placements, motions=None, cuts=()):
-        """Collect the names."""
         self.mechanism, self._placements = mechanism, placements
         self._motions, self.cuts = motions, tuple(cuts)
         self._joints = {joint.name: joint for joint in mechanism.joints}
@@ -132,7 +131,6 @@ class Effect:
 
     An effect acts by changing the model's constants, by a row of the table of forces, or on what
     is measured. Each answers what applies to it; here is the answer of all others.
-
     """
 
     # Field -> its check, of ``mechanism.checks``; None passes where it is the default.

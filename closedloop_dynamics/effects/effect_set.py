@@ -5,7 +5,6 @@
 The effects of one scene, put together: model constants, table of force elements, energies.
 
 Nothing here knows a type of effect: each is asked what an ``effect.Effect`` can be asked.
-
 """
 
 from dataclasses import replace
@@ -98,7 +97,6 @@ class EffectSet:
     """
 
     def __init__(self, effects, model, machine, cuts=None, switched_off=()):
-        """Keep the bare model, change it, collect the force elements."""
         self.records = dict(effects)
         self.enabled = {name: name not in switched_off for name in effects}
         self._model, self._machine, self._table, self._system = model, machine, None, None
@@ -477,7 +475,6 @@ class EffectSet:
         Return the readings of an effect at the latest evaluation.
 
         ``states``: shape (nz,); the effects' states.
-
         """
         with at('effects'):
             one_of(tuple(self.records), 'one of the effects listed in the scene')(name)

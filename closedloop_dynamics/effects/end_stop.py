@@ -11,7 +11,6 @@ The damping grows with the depth, so that the torque neither jumps at contact no
 (Hunt and Crossley 1975). It stores k d^2 / 2. A stop of restitution e at impact
 rate v has about c = 3 (1 - e) / (2 v), for e near 1. When: buffers, hard stops, the end of a
 cylinder's stroke.
-
 """
 
 from dataclasses import dataclass

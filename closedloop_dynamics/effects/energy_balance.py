@@ -67,7 +67,6 @@ class EnergyBalance:
     """
 
     def __init__(self, roles, freedoms):
-        """Start with nothing."""
         self.account = EnergyAccount(
             roles.astype(np.int64), np.zeros(freedoms), np.zeros(COLUMNS))
 

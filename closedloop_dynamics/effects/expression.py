@@ -6,7 +6,6 @@ Expressions in the time, as compiled code evaluates them: a list of operations o
 
 ``2*sin(3*t)`` becomes 2, 3, t, *, sin, *. Names, functions and what may be written are those of
 ``mechanism.expressions``, with ``t`` for the time; parameters of a file have no place here.
-
 """
 
 from functools import partial
@@ -37,23 +36,18 @@ class Term:
     __slots__ = ('code', 'operands')
 
     def __init__(self, code, *operands):
-        """Keep them."""
         self.code, self.operands = code, operands
 
     def __add__(self, other):
-        """Add; nothing where the other is zero."""
         return self if _is(other, 0.0) else Term(ADD, self, other)
 
     def __radd__(self, other):
-        """Add to a number."""
         return self if other == 0.0 else Term(ADD, other, self)
 
     def __sub__(self, other):
-        """Subtract; nothing where the other is zero."""
         return self if _is(other, 0.0) else Term(SUB, self, other)
 
     def __rsub__(self, other):
-        """Subtract from a number."""
         return -self if other == 0.0 else Term(SUB, other, self)
 
     def __mul__(self, other):
@@ -63,33 +57,26 @@ class Term:
         return Term(MUL, self, other)
 
     def __rmul__(self, other):
-        """Multiply a number."""
         return self * other if other in (0.0, 1.0) else Term(MUL, other, self)
 
     def __truediv__(self, other):
-        """Divide."""
         if _is(other, 0.0):
             raise ZeroDivisionError('division by zero')
         return Term(DIV, self, other)
 
     def __rtruediv__(self, other):
-        """Divide a number."""
         return 0.0 if other == 0.0 else Term(DIV, other, self)
 
     def __pow__(self, exponent):
-        """Raise to a power."""
         return self if _is(exponent, 1.0) else Term(POW, self, exponent)
 
     def __rpow__(self, base):
-        """Raise a number to a power."""
         return Term(POW, base, self)
 
     def __neg__(self):
-        """Negate; twice is nothing."""
         return self.operands[0] if self.code == NEG else Term(NEG, self)
 
     def __pos__(self):
-        """Leave it as it is."""
         return self
 
 

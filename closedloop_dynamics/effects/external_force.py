@@ -9,7 +9,6 @@ A force on a named point and a torque on its body, constant until they are chang
 Constant in world axes, or in those of the point's body, which turn with it. When: a load, a push,
 a thruster, what a force sensor elsewhere measures (change ``force`` while it runs, from Python or
 from a topic).
-
 """
 
 from dataclasses import dataclass

@@ -10,7 +10,6 @@ Drag of a fluid on a body, along the axes of the body and about them.
 F . v and M . w are dissipated; a fluid that flows at u does the work F . u. Of a box with the
 edges a, b, c in a fluid of the density rho d_1 is about rho b c / 2. When: bodies that swim or
 fly, wind, paddles and stirrers, oil baths.
-
 """
 
 from dataclasses import dataclass

@@ -11,7 +11,6 @@ y is linear between the rows or a cubic spline; beyond the ends it goes on strai
 that it has there. The energy stored is the integral of the table from its first stroke on; c l'^2
 is dissipated. When: gas springs (negative between points: they push), constant-force springs,
 bistable springs, rubber buffers, a measured characteristic.
-
 """
 
 from dataclasses import dataclass

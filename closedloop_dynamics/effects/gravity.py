@@ -7,7 +7,6 @@ Gravity: a uniform field acting at every centre of mass.
     F_i = m_i g        at the centre of mass of every body i
 
 It stores the potential energy ``-sum_i m_i g . p_i``.
-
 """
 
 from dataclasses import dataclass

@@ -8,7 +8,6 @@ Viscous damping in a joint.
 
 Dissipated power: c qd^2. When: bearings with grease or oil, drives with back-EMF, any loss that
 grows with the rate and vanishes at rest.
-
 """
 
 from dataclasses import dataclass

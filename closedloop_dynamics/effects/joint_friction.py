@@ -22,7 +22,6 @@ the friction: the loop is broken by a lag, T R' = |reaction| - R, a state that i
 with the rest. It costs one more recursion, only where mu > 0.
 
 When: bearings, seals and guides at low speed, whatever should stay where it stands.
-
 """
 
 from dataclasses import dataclass

@@ -14,7 +14,6 @@ where the child is turned by the angle phi, 0 to pi, about the axis a from the j
 stores k phi^2 / 2. The axis, and so the torque, jumps where phi is pi.
 When: torsion springs, flexure hinges, a counterbalance, and (with
 a large k) a joint that is meant to stand still.
-
 """
 
 from dataclasses import dataclass

@@ -11,7 +11,6 @@ the place of a point. z: states of its own, ``z' = g(x, v, z, t)``. What stands 
 alone (``mechanism.expressions``). It is compiled once; parameters may change at any time. Where
 neither energy nor dissipation is given, the law's power is work from outside; otherwise they are
 all of it, which the energy balance proves. When: any force that no other effect has.
-
 """
 
 from dataclasses import dataclass

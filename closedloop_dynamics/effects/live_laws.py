@@ -7,7 +7,6 @@ Laws of effects on symbols as the engine runs them, within the evaluation of the
 Those without jumps (``smooth_laws``), contacts (``contact_laws``), and here those of what follows
 the time, of dry friction, drives and cables. What is searched for (the piece of a course that is
 its turn, whether a contact is there) the engine has found before: it is a load.
-
 """
 
 import math
@@ -85,7 +84,6 @@ class LiveLaws:
     """
 
     def __init__(self, table, at_rest=False):
-        """Keep the table."""
         self._table, self.states, self.at_rest = table, len(table.states), at_rest
         self.columns = {calls.VALUES: VALUE_COLUMNS, calls.PRESENT: PRESENT_COLUMNS,
                         calls.GAPS: NODE_COLUMNS, calls.TRIALS: TRIAL_COLUMNS, calls.SIDES: 1,

@@ -8,7 +8,6 @@ A mass added rigidly to a body.
 
 Its weight and inertia then act like the body's own; nothing is computed in addition. In space
 m_p r^2 is the matrix m_p (r . r 1 - r r^T). When: a tool, a part in the gripper, a counterweight.
-
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,6 @@ Spring and damper between two named points, or a named point and a place in the 
 with l their distance. It stores k (l - l0)^2 / 2 and dissipates c l'^2. Where the points meet
 the line has no direction and there is no force. When: tension and gas springs, shock
 absorbers, a cord's elasticity.
-
 """
 
 from dataclasses import dataclass

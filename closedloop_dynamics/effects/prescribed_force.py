@@ -10,7 +10,6 @@ A torque or force in a joint, or a force at a point, whose course over time is g
 work done on the mechanism: the integral of tau qd, or of F . v. Courses y(t): ``course``. In a
 joint it acts beside what is commanded, behind the drive. When: a press or a cutter with a known
 force, a motor with a known torque, a shaker, a measured load.
-
 """
 
 from dataclasses import dataclass

@@ -11,7 +11,6 @@ One closure equation beside those of the loops, exact: its right-hand sides are 
 multiplier is the torque of the drive, or its force along e, found with the accelerations; work
 done on the mechanism: the integral of that times f'. f may bend but not jump, nor may f'. When:
 cranks at constant speed, cams and programs of axes, torques of an inverse-dynamics run.
-
 """
 
 from dataclasses import dataclass

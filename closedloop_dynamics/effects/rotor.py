@@ -24,7 +24,6 @@ the link; flywheels.
 At a joint that closes a loop its torque -I_r qdd depends on accelerations that follow from it: it
 is found with them, as friction at rest is (``engine/sticking.hpp``), by one evaluation more. In
 space only where the joint's carrier, body B, is the ground, or where its rotation is negligible.
-
 """
 
 from dataclasses import dataclass
@@ -86,7 +85,6 @@ class Rotor(Effect):
 
         Where the rotation of the carrier is negligible, of any freedom with a number in the tree,
         and of balls: about all three axes.
-
         """
         single = tuple(joint.name for joint in (*mechanism.cut_joints, *mechanism.joints)
                        if joint.type in COUPLED)

@@ -8,7 +8,6 @@ A scene with an effect that has no law on symbols (``live_laws``) is evaluated i
 effects by the engine's own laws, and so is any while one of them is switched off, several joints
 under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
-
 """
 
 import numpy as np

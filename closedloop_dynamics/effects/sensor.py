@@ -9,7 +9,6 @@ Joint sensors: noise, bias, resolution and delay of measured states.
 with n normally distributed, drawn once for each instant that is asked for, by the seed. Only what
 ``Simulation.measured`` returns and the node publishes is changed, never the true state. When: to
 see whether a controller or an estimator can live with its encoders.
-
 """
 
 from collections import deque
@@ -96,7 +95,6 @@ class Chain:
     """
 
     def __init__(self, records, sequence=()):
-        """Start with nothing measured."""
         self.instruments = [
             instrument for record in records
             if (instrument := record.instrument(sequence)) is not None]

@@ -12,7 +12,6 @@ the engine takes there.
 A law takes the forces (``core.codegen.scene_routines.Forces``), the first and the second index of
 its row of the table of effects, the row's numbers, and the numbers of its entries; of a force
 table in the place of these a function that returns force and energy at a stroke.
-
 """
 
 from .table import (

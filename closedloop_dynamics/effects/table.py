@@ -5,7 +5,6 @@
 The table of effects for the engine: flat arrays, one row for each listed effect.
 
 The kind of a row chooses its law in ``engine/dispatch.cpp``; which rows there are is data.
-
 """
 
 from typing import NamedTuple, Tuple

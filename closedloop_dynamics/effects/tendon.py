@@ -11,7 +11,6 @@ with s what l is above the upper or, less than zero, below the lower end of ``re
 between. It stores k_1 s^2 / 2 + k_2 s^3 / 3 + ... and dissipates (c_1 + c_2 |l'| + ...) l'^2.
 When: tendons and belts over several joints, springs and dampers of one joint that are not
 linear, play.
-
 """
 
 from dataclasses import dataclass

@@ -9,7 +9,6 @@ Dry friction along a weighted sum of joint coordinates, as of a tendon in its sh
 While l rests the force is what keeps it there, F at the most, as in ``joint_friction``: nothing
 creeps, and steps end where the tendon comes to rest or breaks away. When: tendons over several
 joints, belts that rub, friction between two links that a parallel mechanism joins.
-
 """
 
 from dataclasses import dataclass

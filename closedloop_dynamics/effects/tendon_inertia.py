@@ -10,7 +10,6 @@ The energy m l'^2 / 2 counts as kinetic, and the generalized inertia matrix has 
 own. It is found with the accelerations, by one evaluation more (``engine/sticking.hpp``). When:
 motors and weights that pull a tendon, a motor whose rotor turns with the sum or difference of two
 joints (as in a differential drive).
-
 """
 
 from dataclasses import dataclass

@@ -8,7 +8,6 @@ A law measures coordinates: of joints, distances between points, components of t
 points. What it pushes with along a coordinate x does the power ``F x'``. Its parameters are inputs
 of the code, so that a change of them compiles nothing. The engine calls the code from
 ``traced_laws.cpp``.
-
 """
 
 from dataclasses import fields
@@ -56,7 +55,6 @@ class Coordinate:
     """
 
     def __init__(self, value, rate):
-        """Begin without a force."""
         self.value, self.rate, self.force = value, rate, 0.0
 
     def push(self, force):
@@ -88,7 +86,6 @@ class Tracing:
     """
 
     def __init__(self, parameters):
-        """Begin with nothing."""
         self.graph, self._parameters = ExpressionGraph(), tuple(parameters)
         self.coordinates, self.entries, self.states = [], [], {}
         self.gap = None

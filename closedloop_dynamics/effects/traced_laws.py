@@ -7,7 +7,6 @@ The effects of a scene on symbols, for derivatives and C.
 Those whose laws have no jumps (``smooth_laws``), and laws of users without events and states of
 their own; forces over time, at an instant. The numbers of a row are loads; those of its entries
 are constants of the code.
-
 """
 
 from functools import partial

@@ -5,7 +5,6 @@
 Python files of a user, which define effects and register them.
 
 They run where the user has named them, and in processes to which an effect of theirs is sent.
-
 """
 
 from pathlib import Path

@@ -7,7 +7,6 @@ Compile the engine: the C++ sources of this folder into one extension module of 
 setup.py calls this for every kind of installation, ``scripts/build`` for a checkout. It needs none
 of Python's own flags and headers (python_api.hpp): all compilers get the same commands, and the
 result runs in every supported Python.
-
 """
 
 import argparse
@@ -129,7 +128,6 @@ def read_by(rule):
 
     Those of this folder have no directory there: a copy of the objects serves the same sources
     elsewhere, and no others.
-
     """
     if not rule.is_file():
         return []

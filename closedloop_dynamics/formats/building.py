@@ -6,7 +6,6 @@ From a described machine to a mechanism: fixed links joined, a tree, cuts.
 
 Joints that are driven stay in the tree; loops are cut, where there is a choice, at the joints
 with the most freedoms, which leave the fewest equations.
-
 """
 
 from dataclasses import dataclass, field, replace
@@ -180,7 +179,6 @@ class _Groups:
     """Links that are fixed together: one body of each group, the ground among them."""
 
     def __init__(self, model, joints):
-        """Follow the fixed joints from each group's first link."""
         self.of, self.links = {GROUND: (GROUND, IDENTITY)}, {GROUND: [GROUND]}
         neighbours = {}
         fixed = [joint for joint in joints if joint.type == FIXED and not joint.closes]
@@ -333,7 +331,6 @@ def _inertia_of(link, largest, mend, ignored):
 
     What is next to nothing beside the ``largest`` moment of all links, or beside what an offset
     by rounded digits makes of the mass, is mended in any case.
-
     """
     moments, axes = np.linalg.eigh(link.inertia)
     if possible(moments):
@@ -567,7 +564,6 @@ class _Names:
     """Valid names for those of a file: of joints, and of bodies and points."""
 
     def __init__(self, model):
-        """Name links and joints in the file's order, links before frames."""
         self._of = {'joint': {}, 'body': {GROUND: GROUND}, 'coupling': {}}
         # Couplings and joints share their names.
         joints = {GROUND}

@@ -21,7 +21,6 @@ def in_space(mechanism):
     Return a planar mechanism as one in space: in the plane z = 0, with flat bodies.
 
     One in space is returned as it is.
-
     """
     if not mechanism.planar:
         return mechanism

@@ -9,7 +9,6 @@ Loops of a model that its file does not have, from a section ``loops`` of a scen
 
 Two links or frames of the file are to coincide, or ``points`` on them, except for what a joint of
 the type leaves free. The axis is given in both frames.
-
 """
 
 import numpy as np
@@ -30,7 +29,6 @@ def add_loops(model, section):
     Add loops, keys of each by its name, to a model as its reader left it, in place.
 
     Raises FieldError.
-
     """
     for key, values in mapping(section).items():
         with at(key):

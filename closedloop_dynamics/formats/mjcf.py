@@ -8,7 +8,6 @@ MuJoCo itself opens no file: includes are read here, from the folder of the mode
 meshes only where a body's mass is to follow from one. Coordinates are MuJoCo's (``ref`` among
 them), except for free joints, which are counted from where they are drawn. Equalities, soft there,
 hold exactly here.
-
 """
 
 from collections import Counter
@@ -60,7 +59,6 @@ def read_mjcf(path, options=ReadOptions()):
     Return the Model in an MJCF file.
 
     Raises MechanismError with file, line and element, as far as MuJoCo tells them.
-
     """
     path = Path(path)
     root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], options)
@@ -205,7 +203,6 @@ def _stripped(root, folder, left_out, options, parts, assets):
 
     Models that are attached are put into ``parts``, without the same, meshes that masses need into
     ``assets``: by the name in the file, path and content.
-
     """
     compiler = {}
     for element in root.children:

@@ -6,7 +6,6 @@ Visuals of the bodies and the world of an MJCF file.
 
 MuJoCo reads the file a second time, with its defaults and materials, but without meshes, of which
 only the names of the files count, and without textures.
-
 """
 
 import numpy as np

@@ -242,7 +242,6 @@ def _moments(body):
 
     It refuses those of points and bars, and by rounding those of plates, whose largest moment is
     the sum of the others: the smaller ones grow by as little as it takes.
-
     """
     moments, axes = np.linalg.eigh(inertia_matrix(moments_of(body)))
     grown = np.maximum(moments, LEAST_MOMENT)

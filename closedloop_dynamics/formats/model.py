@@ -7,7 +7,6 @@ A machine as model formats describe it, before it becomes a mechanism.
 Links have frames of their own choice and joints join any two of them, in loops, too. Readers of
 formats fill these records; ``building.mechanism_of`` chooses a tree and writes a Mechanism, and
 the writers of formats start from them again.
-
 """
 
 from dataclasses import dataclass, field
@@ -384,7 +383,6 @@ class Model:
         Return the link and the pose on it of a frame, or of a link, by its name.
 
         Raises MechanismError where there is neither.
-
         """
         if name in self.frames:
             return self.frames[name]

@@ -7,7 +7,6 @@ The YAML file beside a URDF that describes its loops.
 ``closed_loop`` lists pairs of frames and ``type`` how each is held together, '6d' (nothing moves)
 or '3d' (a ball); ``name_mot`` names the joints that are driven; ``joint_name`` and ``joint_type``
 replace joints of the URDF: SPHERICAL, UJOINT_XY (a universal joint about x, then y), FIXED.
-
 """
 
 from os.path import commonprefix
@@ -34,7 +33,6 @@ def add_parallel_yaml(model):
     Add the loops of a YAML file beside a URDF file, if there is one of its name, to its model.
 
     Raises MechanismError with file, line and key.
-
     """
     path = model.path.with_suffix('.yaml')
     if not path.is_file():

@@ -6,7 +6,6 @@ SDF: one model with joints between any links, in loops as well.
 
 Poses are relative to the frames that they name, axes expressed in them. A part of the model that
 nothing joins to the world floats. ``<drake:ball_constraint>`` closes a loop, too.
-
 """
 
 import math
@@ -54,7 +53,6 @@ def read_sdf(path, options=ReadOptions()):
     Models that are static are ground; models in it, also of other files, are parts of it.
 
     Raises MechanismError with file, line and element.
-
     """
     path = Path(path)
     root = read_xml(path, ('sdf',))
@@ -167,7 +165,6 @@ class _Reader:
 
     Its frames are found beginning with poses of some in that of the model, those of links of a
     model in another format among them.
-
     """
 
     def __init__(self, element, model, version, found=(), around=()):

@@ -7,7 +7,6 @@ Models in models of SDF, written there or included from files, as one model.
 What is in a model ``arm`` is called ``arm::link`` in the one around it, as references from there
 call it, and the model's own frame ``arm``. Files are found in the folder of the one that includes
 them and below, beside that folder, and where the environment lists models.
-
 """
 
 import os

@@ -5,7 +5,6 @@
 Mechanisms as SDF: a world with one model, whose joints form loops.
 
 SDF draws a machine once, with its loops closed, and counts coordinates from there.
-
 """
 
 from xml.etree import ElementTree

@@ -7,7 +7,6 @@ URDF, with the tags in which loops are written.
 Read are ``<loop>`` and ``<coupling>`` (URDF+), ``<constraint>`` (proposed), ``<loop_joint>``
 (Isaac) and ``<drake:ball_constraint>``; a YAML file beside it with ``closed_loop`` and others
 (``parallel_yaml``). The root link stands on the ground.
-
 """
 
 from contextlib import contextmanager
@@ -58,7 +57,6 @@ def read_urdf(path, options=ReadOptions()):
     Return the Model in a URDF file; one that ends with .xacro goes through xacro first.
 
     Raises MechanismError with file, line and element.
-
     """
     path = Path(path)
     if options.arguments and path.suffix != '.xacro':

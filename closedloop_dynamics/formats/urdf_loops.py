@@ -7,7 +7,6 @@ Loops as elements of URDF, in the forms that other programs read.
 ``constraint`` is proposed for URDF, ``loop`` is that of URDF+, ``drake`` are Drake's ball
 constraints, ``gazebo`` are joints of SDF. Parsers of URDF pass over elements that they do not
 know.
-
 """
 
 from xml.etree import ElementTree

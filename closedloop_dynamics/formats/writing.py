@@ -7,7 +7,6 @@ Common parts of the writers of MJCF, URDF and SDF.
 A joint of several freedoms that a format does not have becomes several of one freedom, with links
 without mass between them; they are called ``JOINT_1``, ``JOINT_2``. What a format cannot say
 at all is refused.
-
 """
 
 from dataclasses import replace
@@ -108,7 +107,6 @@ class JointEffects:
     """
 
     def __init__(self, mechanism, effects, singles, limits=None):
-        """Sort effects by the joints they act in."""
         _refuse_cuts(mechanism, effects)
         self._limits = limits or {}
         self._at, self.left, self.freedoms = {}, {}, {}

@@ -7,7 +7,6 @@ XML from anywhere, read as plain elements that remember their lines.
 Nothing is fetched and no entity is expanded: a file with a document type definition is refused.
 Size, depth and number of elements are limited while it is read. What a reader of a format never
 asks for is reported as ignored.
-
 """
 
 import math
@@ -44,7 +43,6 @@ class Element:
     """
 
     def __init__(self, tag, attributes, source, line):
-        """Begin an element."""
         self.tag, self.attributes, self.source, self.line = tag, attributes, source, line
         self.children, self.text, self._asked = [], '', set()
 

@@ -18,7 +18,6 @@ def mechanism_text(mechanism, notes=()):
     Return a mechanism as a file of our own, with comments above it.
 
     What ``mechanism.reader`` makes of it is the mechanism again, to the last digit.
-
     """
     parts = [*(f'# {note}' for note in notes), f'name: {mechanism.name}']
     if mechanism.description:
@@ -42,7 +41,6 @@ def scene_text(imported, q, mechanism_path):
 
     ``q``, shape (nq,), are the coordinates at the start; ``mechanism_path`` is the mechanism's
     file as the scene names it.
-
     """
     mechanism = imported.mechanism
     position = mechanism.coordinates.by_name('position', q)

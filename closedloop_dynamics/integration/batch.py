@@ -9,7 +9,6 @@ once. A lane in which an effect begins or ceases within a step, or several joint
 friction are at rest, makes that step alone (``engine/lane_events.cpp``). What else a lane alone
 would do otherwise (the rank-revealing path, a failure) ends the run: its mechanisms are then run
 one by one.
-
 """
 
 from typing import NamedTuple, Optional

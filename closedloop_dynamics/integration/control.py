@@ -6,7 +6,6 @@ How an advance ended, and the columns of the records that the engine's steppers 
 
 The meanings are in ``engine/error_control.hpp`` and ``engine/switching.hpp``; a test compares
 the places.
-
 """
 
 # Status of an advance. SINGULAR: of a batch, which has no rank-revealing path.

@@ -8,7 +8,6 @@ Numbers from Hairer, Norsett and Wanner, Solving Ordinary Differential
 Equations I, 2nd ed. (1993), section II.10, and the authors' code dop853.f. The
 first 12 stages make the step, the 13th is its slope at the end, the last 3 serve dense
 output only.
-
 """
 
 import numpy as np

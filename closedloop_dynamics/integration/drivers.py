@@ -58,7 +58,6 @@ class FixedSteps:
     """
 
     def __init__(self, system, integrator, stabilisation):
-        """Allocate the scratch of the method."""
         self.tableau, self.stabilisation = integrator.tableau, stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
         self.rebind(system)
@@ -154,7 +153,6 @@ class ErrorControlled(_Adaptive):
     """
 
     def __init__(self, system, integrator, stabilisation, tolerance):
-        """Allocate the scratch of the method."""
         self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._scale = _error_scale(system, tolerance)
@@ -208,7 +206,6 @@ class Switching(_Adaptive):
     """
 
     def __init__(self, system, integrator, stabilisation, accuracy):
-        """Allocate the run and its reference run."""
         self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
         self._runs = _allocate_runs(
@@ -255,7 +252,6 @@ class Switching(_Adaptive):
         Change the accuracy from the next step on; the run goes on, and a new window begins.
 
         ``accuracy``: float; as of the class.
-
         """
         watch, tolerance = self.watch, max(columns.SHARE * accuracy, columns.FLOOR)
         # Steps of order eight that are as good as the present ones.
@@ -283,7 +279,6 @@ class Stiff:
     """Steps of RODAS4: of one size, or error-controlled up to the requested time."""
 
     def __init__(self, system, integrator, stabilisation, tolerance):
-        """Allocate the scratch of the method."""
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)

@@ -5,7 +5,6 @@
 A run that the engine makes and checks, call by call, until Python has to act.
 
 The meanings of columns are in ``engine/guarded_run.hpp``; a test compares the places.
-
 """
 
 from typing import NamedTuple

@@ -8,7 +8,6 @@ Which equations repeat others changes with the position: those that are kept may
 one another, and part from those that are left out. The engine looks at them after every accepted
 step (``engine/left_out.hpp``), so that a step at which they do not serve can be repeated with
 others.
-
 """
 
 from typing import NamedTuple

@@ -6,7 +6,6 @@ The integrators and stabilisations that a scene can name.
 
 A new explicit method is a tableau and one line here. Nothing is compiled for it: launch files
 read the names.
-
 """
 
 from typing import NamedTuple, Optional

@@ -19,7 +19,6 @@ class SciPySolver:
 
     It keeps its own state between outputs, on which nothing is projected; the
     stabilisation corrects what is handed out.
-
     """
 
     def __init__(self, system, name, stabilisation, tolerance):

@@ -6,7 +6,6 @@ Runge-Kutta methods as data: one kernel runs them all.
 
 Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, 2nd ed.
 (1993), sections II.1, II.5 and II.10.
-
 """
 
 from typing import NamedTuple

@@ -6,7 +6,6 @@ Joints between two bodies, of which the program chooses those that carry and tho
 
 A body's frame may lie anywhere in it; the records that come of it have it at the joint that
 carries the body, its axes as described.
-
 """
 
 from dataclasses import dataclass, field, replace

@@ -7,7 +7,6 @@ Find the mechanisms and scenes that come with the package.
 They lie in ``config/`` beside the package in a source checkout, and under
 ``share/closedloop_dynamics/config`` of the prefix it is installed in (colcon and
 pip alike).
-
 """
 
 from pathlib import Path

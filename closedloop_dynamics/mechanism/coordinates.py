@@ -11,7 +11,6 @@ tree, ``JOINT.x`` and ``JOINT.angle``. The orientation of a spherical or free
 joint is a unit quaternion x, y, z, w of the child's axes in the joint's frame; its rates are the
 angular velocity relative to the parent, about the child's axes. A free joint has its position x,
 y, z along the axes of the joint's frame before. So nq = nv + the number of quaternions.
-
 """
 
 import math
@@ -120,7 +119,6 @@ class Coordinates:
     """
 
     def __init__(self, joints):
-        """Give the joints' coordinates their places."""
         self._joints = {joint.name: joint for joint in joints}
         names, keys, actuated, lengths, place, balls = [], [], [], [], [], []
         self.rates, self.coordinates, self.nq = {}, {}, 0

@@ -7,7 +7,6 @@ Couplings in the coordinates of the spanning tree.
 In the plane angles add along a chain of bodies: the coordinate of a revolute cut joint, the angle
 of body A in body B less its ``angle``, is a sum of the tree's coordinates and of constant angles.
 The coordinates of other cut joints are not: of these a coupling may name one.
-
 """
 
 import numpy as np

@@ -8,7 +8,6 @@ Names, signs and zeros are those of the same joint in a tree with body A as the 
 the parent. Some axes are fixed in the child: the second one of a universal joint, those of the
 rates of a spherical one. Seen from there the parent moves the other way, so the freedom is one of
 body B in body A, about the opposite axis.
-
 """
 
 from typing import NamedTuple

@@ -8,7 +8,6 @@ Cut at its cut joints, a mechanism falls into trees that stand on the ground,
 one per joint to the ground: the subsystems. Two cut joints are neighbours in
 the cut-joint graph when they touch a common subsystem; eliminating a cut joint
 joins its remaining neighbours, which is the fill that a good order keeps low.
-
 """
 
 from dataclasses import dataclass

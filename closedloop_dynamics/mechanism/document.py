@@ -8,7 +8,6 @@ Scalars follow the YAML 1.2 core schema: ``1e-3`` is a number, ``yes``, ``on``
 and ``1:30`` are text. A key given twice is an error. Nothing but mappings,
 lists, text, numbers, truth values and null can come out: no tags, no objects.
 Size and nesting are limited while the file is read, not afterwards.
-
 """
 
 from collections.abc import Mapping
@@ -210,7 +209,6 @@ def plain(value):
 
     Mappings become dict, sequences and arrays lists, numbers of NumPy those of Python; anything
     else stays as it is.
-
     """
     if isinstance(value, Mapping):
         return {key: plain(one) for key, one in value.items()}

@@ -7,7 +7,6 @@ Parameters, and arithmetic in the place of numbers.
 ``center_of_mass: [l/2, 0]``: numbers, parameters, ``pi``, the operators + - * / ** and functions
 of one or two numbers. An expression is read by ``ast`` and computed here, node by node: nothing
 else can come of it.
-
 """
 
 import ast
@@ -52,7 +51,6 @@ class Parameters:
     """
 
     def __init__(self, values=()):
-        """Take numbers that were checked before."""
         self.values, self.used = dict(values), set()
 
     @classmethod

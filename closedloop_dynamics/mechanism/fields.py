@@ -9,7 +9,6 @@ A check is a function that takes a value and returns it normalised (``3`` to
 Checks know nothing of files or keys: whoever calls them adds the key path by
 :func:`at`, whoever read the file adds its name and line. So the same checks serve
 values read from YAML and records built in Python.
-
 """
 
 from collections.abc import Mapping
@@ -54,14 +53,12 @@ class at:  # noqa: N801
     __slots__ = ('_keys',)
 
     def __init__(self, *keys):
-        """Keep the keys."""
         self._keys = keys
 
     def __enter__(self):
         """Begin."""
 
     def __exit__(self, kind, error, trace):
-        """Pass errors on."""
         if isinstance(error, FieldError):
             error.path = self._keys + error.path
 

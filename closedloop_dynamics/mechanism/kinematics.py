@@ -6,7 +6,6 @@ Where bodies are and how they move, from the description alone.
 
 A pose in the plane is x, y and angle, which counts turns; in space x, y, z and a unit quaternion
 x, y, z, w.
-
 """
 
 import numpy as np
@@ -248,7 +247,6 @@ def named_point(mechanism, poses, name):
     Return the places of a named point, shape (..., 2), in space (..., 3).
 
     ``poses``: shape (..., nb, 3), in space (..., nb, 7); of the bodies.
-
     """
     point = mechanism.point(name)
     return world_points(pose_of(mechanism, poses, point.body), point.position)

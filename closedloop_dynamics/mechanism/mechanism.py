@@ -19,7 +19,6 @@ counter-clockwise. A joint at ``position`` in the parent's frame, turned by ``an
 In space (vectors of three numbers) the child's frame is, at q = 0, turned by ``orientation``
 against the parent's, with its origin at ``position``; from there it turns about ``axis``, slides
 along it, or both. An axis is given in the frame at q = 0.
-
 """
 
 from dataclasses import dataclass, field
@@ -335,7 +334,6 @@ class Mechanism:
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
     is what ``reader.with_parameters`` computes them with others from, ``tree`` states which joints
     the program chose to cut (``between.ChosenTree``); none of these makes two mechanisms differ.
-
     """
 
     name: str
@@ -383,7 +381,6 @@ class Mechanism:
         Names of the actuated joints' freedoms, in the order of qd: ``crank``, ``hip.1``.
 
         Behind them those of actuated cut joints.
-
         """
         return (*(self.coordinates.names[place] for place in self.coordinates.actuated),
                 *(self.cut_coordinates.names[place] for place in self.cut_coordinates.actuated))

@@ -7,7 +7,6 @@ YAML to Mechanism.
 Every error names file and line, key path, what was expected and what was got:
 ``arm.yaml:12: joints.elbow.parent: expected the name of a body or 'ground',
 got the text 'uper_arm' (did you mean 'upper_arm'?)``.
-
 """
 
 from collections.abc import Collection, Mapping, Sequence

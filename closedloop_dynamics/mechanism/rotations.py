@@ -81,7 +81,6 @@ def angles_of(matrix):
     Return roll, pitch and yaw of a rotation, shape (3, 3).
 
     They are turns about the fixed axes x, y and z, one after the other [rad].
-
     """
     (xx, xy, _), (yx, yy, _), (zx, zy, zz) = matrix.tolist()
     cosine = math.hypot(xx, yx)

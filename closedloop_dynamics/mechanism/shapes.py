@@ -5,7 +5,6 @@
 Shapes of bodies: centre of mass and inertia of one material, and visuals.
 
 A shape is one in space, also of a body in the plane, where its inertia is the moment about z.
-
 """
 
 from collections.abc import Mapping

@@ -8,7 +8,6 @@ The joints of a mechanism are the edges of a graph whose nodes are its bodies an
 spanning tree will do; they differ in the number of operations that an evaluation takes. What a
 tree takes is estimated from the graph, and trees are exchanged for better ones edge by edge. The
 search draws nothing by lot and looks at no clock: the same description gets the same tree.
-
 """
 
 from typing import NamedTuple, Optional

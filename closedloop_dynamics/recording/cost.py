@@ -193,7 +193,6 @@ def in_windows(duration):
     Return the time that ``integrator: auto`` estimates its error in, at one accuracy [s].
 
     ``duration``: float; of the run [s].
-
     """
     windows, begin, pause = 0.0, 0.0, WINDOW
     while begin < duration:

@@ -221,7 +221,6 @@ def _point_masses(body, size):
 
     Together they have the mass, the centre of mass and the inertia of the body: pairs at a
     distance on the principal axes, and one mass, which may be negative, at the centre.
-
     """
     center = np.array(body.center_of_mass)
     if len(center) == 2:

@@ -166,7 +166,6 @@ class ForceBag:
 
     A context; ``path`` is its directory, which must not exist. Topics are those of the simulator,
     and ``joint_forces/JOINT``: what the parent exerts on the child at the child's origin.
-
     """
 
     def __init__(self, path, simulation):

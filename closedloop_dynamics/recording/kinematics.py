@@ -87,7 +87,6 @@ class DrivenRun:
     """
 
     def __init__(self, scene, drives, count, speed, branch=None):
-        """Follow the branch."""
         moves = [abs(drive.end - drive.start) for drive in drives.values()
                  if drive.end != drive.start]
         if not moves:

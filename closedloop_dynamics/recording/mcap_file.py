@@ -7,7 +7,6 @@ MCAP files (mcap.dev, version 0): an end at any moment costs little, and so does
 ``mcap`` writes. Messages are collected in a chunk, which goes to the file when it is large or
 when ``flush()`` is called, whole and with its index, or not at all. Reading needs no index of the
 file: chunks are checked by their checksums, and behind a damaged one the next one is looked for.
-
 """
 
 from collections import Counter

@@ -9,7 +9,6 @@ are, on average, the change of rates over the time between, and belong to the st
 is that of a cubic polynomial through positions and rates. The efforts are averages over the same
 time: of the commands in ``replay_log`` where it is in the bag and no drive changes them, otherwise
 of the efforts at both ends. Noisy positions take splines as smooth as their deviation allows.
-
 """
 
 from pathlib import Path

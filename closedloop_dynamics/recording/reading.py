@@ -6,7 +6,6 @@ Read rosbag2 bags with nothing but their own type definitions: finished or not, 
 
 A recording that was killed has no ``metadata.yaml`` and no index in its last file; everything
 else in it is read. What is damaged is left out and told.
-
 """
 
 from collections import Counter
@@ -172,7 +171,6 @@ class Bag:
         Yield topic name, time of reception [ns] and message, decoded, where ``wanted(name)``.
 
         Raises BagReadError where the definition of a type cannot be read.
-
         """
         for message in self.serialised():
             if wanted is None or wanted(message.topic.name):
@@ -206,7 +204,6 @@ def define(store, topic):
 
     Raises exceptions of many kinds where the definition is damaged or of another type than its
     hash.
-
     """
     if topic.type not in store.fielddefs:
         types = get_types_from_msg(topic.definition, topic.type)

@@ -258,7 +258,6 @@ def _matched(stamps, others):
 
     Stamps may come back: in simulated time they stand still in a pause, and begin again after
     a reset. The first of the one belongs to the first of the other then.
-
     """
     rows_of = {}
     for row, stamp in enumerate(others):

@@ -19,7 +19,6 @@ def recover(path, output):
 
     Returns the numbers of messages copied, by topic, and the old Bag with its ``damages``. Raises
     OSError if there is no bag, or the new one cannot be written.
-
     """
     bag = Bag(path)
     store = get_typestore(Stores.EMPTY)

@@ -49,7 +49,6 @@ class Replay:
         Return recorded minus re-simulated values of a quantity.
 
         They are NaN where nothing was recorded, or too little is known to compare.
-
         """
         return getattr(self.recorded, quantity) - getattr(self.simulated, quantity)
 
@@ -72,7 +71,6 @@ def replay(recording, progress=lambda time: None):
     Simulate a recording again, twice: to compare, and to see how differences grow.
 
     ``progress`` is called with how many states are done. Raises SimulationError where that fails.
-
     """
     kind = _Stamped if recording.log is None else _Logged
     player = kind(recording)

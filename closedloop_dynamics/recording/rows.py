@@ -8,7 +8,6 @@ Read the CSV file of a run, with the scene beside it.
 ``RUN.csv.scene.json``. A file without it is read with a scene that the caller names; either way
 the rows have to be those of that machine: its columns, its points, its closure error. Pages of
 ``closedloop view`` write the same columns with units behind their names.
-
 """
 
 import csv

@@ -68,7 +68,6 @@ class ErrorEstimate:
     """
 
     def __init__(self, simulation):
-        """Set up the second run."""
         method = simulation.scene.method.without_budget
         if simulation.scene.method.by_budget:
             method = replace(method, accuracy=min(method.accuracy, FINEST))
@@ -117,7 +116,6 @@ def headings(simulation, all_forces=False, costs=False):
 
     That is found where the simulation is. Of a wrench its components are marked, in world axes;
     of couplings and prescribed motions all that belongs to them.
-
     """
     redundancy = simulation.redundancy()
     parts = dict(zip(wrench_names(simulation.mechanism), wrench_parts(simulation.mechanism)))
@@ -133,7 +131,6 @@ def row(simulation, seconds, all_forces=False):
     Return the present state as numbers; ``seconds`` is the time to write.
 
     ``all_forces``: those in the joints of the trees, too, beside those at the cut joints.
-
     """
     values = [seconds]
     for quantity in (simulation.position, simulation.velocity, simulation.acceleration,
@@ -174,7 +171,6 @@ def _force_parts(simulation, cut=None):
     Return the components of a wrench, moments last, with their places in it.
 
     Of a cut joint those that can differ from zero; of a joint of the tree all.
-
     """
     parts = list(enumerate(wrench_parts(simulation.mechanism)))
     moments = len(parts) // 2

@@ -7,7 +7,6 @@ A database file of rosbag2's sqlite3 storage (schema version 4).
 What was committed by ``flush()`` survives whatever ends the process: sqlite3 takes back the
 rest when the file is opened the next time. The storage has no checksums; ours are a column that
 other readers do not look at.
-
 """
 
 from collections import Counter

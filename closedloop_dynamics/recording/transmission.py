@@ -125,7 +125,6 @@ def _couplers(mechanism, joints, driven, grounded):
     Return where couplers begin and end, on the driven link and on an output link.
 
     Yields body and point of either end, and the name of the output link.
-
     """
     pin_types = (REVOLUTE,) if mechanism.planar else (SPHERICAL, UNIVERSAL)
     for joint in joints:

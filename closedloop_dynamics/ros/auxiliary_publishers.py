@@ -28,7 +28,6 @@ class Descriptions:
     Latched topics: ``robot_description`` once, ``scene`` whenever it changes.
 
     ``node`` publishes; a scene holds from an entry of ``log`` on.
-
     """
 
     def __init__(self, node, simulation, log):
@@ -66,7 +65,6 @@ class ReplayLog:
     Where the command, or the accuracy that a budget allows, changes between two published states,
     an entry without a stamp says up to when the old one acted. ``index`` counts the entries, so
     that a gap is seen; ``jumps`` counts the resets and the states that were set from outside.
-
     """
 
     def __init__(self, node, simulation):

@@ -8,7 +8,6 @@ A process that helps this one, and ends with it.
 
 uses up the spare time of a core, so that the core does not fall asleep: in a virtual machine it
 may take a millisecond until a sleeping core runs again. It runs when nothing else wants to.
-
 """
 
 import ctypes
@@ -27,7 +26,6 @@ def start_child(*command):
     Start a process whose last argument is the number of this one; it calls ``die_with`` first.
 
     Raises OSError if it cannot be started.
-
     """
     return subprocess.Popen(
         [*command, str(os.getpid())], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -61,7 +59,6 @@ class IdleStateInhibitor:
         Begin to or cease; nothing happens if that is so already.
 
         Raises OSError if this system does not allow it.
-
         """
         if awake and self.process is None:
             core = ctypes.CDLL(None).sched_getcpu()
@@ -81,7 +78,6 @@ def set_priority(priority):
     All of them, because the main thread waits for those of DDS. ``priority`` is that of the
     scheduling policy SCHED_FIFO, 1 to 99; 0: nothing is changed. Raises OSError if this user may
     not.
-
     """
     if priority:
         for thread in os.listdir('/proc/self/task'):

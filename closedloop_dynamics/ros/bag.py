@@ -81,7 +81,6 @@ class BagWriter:
         Add a topic by its full name; to be called once, before its first message.
 
         ``type_name`` is known to the typestore; ``profiles`` are those that the publishers offer.
-
         """
         definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
         self._queue.put(Topic(
@@ -187,7 +186,6 @@ class MessageTypes:
         Return the class of a type, ``package/msg/Type``, and make sure of its definition.
 
         Raises UnknownTypeError if the type, or one it is made of, is not installed here.
-
         """
         self._define(name)
         package, _, type_name = name.split('/')

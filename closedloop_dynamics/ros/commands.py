@@ -82,7 +82,6 @@ class TorqueCommand:
         Joints that are not actuated are ignored, and counted: those interfaces name all joints of
         their tag. Efforts are as many as names, or as there are actuated joints among them.
         Raises CommandError if the command is refused.
-
         """
         if not names:
             raise self._refusal('it names no joint')
@@ -109,7 +108,6 @@ class TorqueCommand:
         Set the torques to zero if no command came, or the last one acted, for too long.
 
         Returns True once, when they fall.
-
         """
         if self.timeout <= 0.0 or self._last_arrival is None:
             return False
@@ -167,7 +165,6 @@ def state_of(message, coordinates, position, measured=()):
     ``position``, shape (nq,) [rad or m], and follow those it names, which are held. None is held
     where all are named. The cut joints in ``measured`` may be named, too, as joint_states has
     them: they follow from the others. Raises CommandError if the message makes no sense.
-
     """
     joints = [coordinates.names[place] for place in coordinates.single]
     names = _known_joints(message.name, [*joints, *measured])
@@ -198,7 +195,6 @@ def poses_of(message, coordinates, position, measured=()):
     Return the positions, velocities and held joints of a MultiDOFJointState.
 
     Of spherical joints the translation must be zero; otherwise as ``state_of``.
-
     """
     names = _known_joints(message.joint_names, [*coordinates.with_orientation, *measured])
     _require_one_each(names, 'transform', message.transforms, 'twist', message.twist)
@@ -258,7 +254,6 @@ class SequenceGaps:
 
         Numbers are consecutive for each publisher; ``publishers()`` returns how many there are,
         and is asked where it matters.
-
         """
         latest = self._latest
         if number - 1 in latest:
@@ -281,7 +276,6 @@ def subscribe(node, kind, topic, callback, qos, on_lost):
 
     ``on_lost`` takes the number of messages that were lost before the present one, before
     ``callback`` takes that. It is never called where the middleware does not number messages.
-
     """
     gaps = SequenceGaps()
 

@@ -7,7 +7,6 @@ The demonstration: scenes simulated live, driven and recorded by real ROS 2 node
 For each scene a simulator, a torque source and a recorder run as processes of
 their own for some seconds. Then the bag is read back, and what happened is
 said and drawn.
-
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -113,7 +112,6 @@ def demonstrate(scene, duration, directory):
 
     Returns whether the machine did what was wanted of it. Raises ProgramError where a node failed,
     RecordingError or BagReadError where nothing was recorded.
-
     """
     directory.mkdir(parents=True)
     # A name in ROS is letters, digits and underscores, and begins with a letter.
@@ -147,7 +145,6 @@ def verdict(failures, reasons, wanted):
 
     ``failures`` are what was not as wanted, ``reasons`` why it is not representative; ``wanted``
     says whether more was wanted than that it moves.
-
     """
     lines = []
     if failures:

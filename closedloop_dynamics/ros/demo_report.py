@@ -59,7 +59,6 @@ def read_run(path, namespace):
     Read a bag of the demonstration, of a simulator in a namespace.
 
     Raises RecordingError where no states are in it, BagReadError where it cannot be read.
-
     """
     recording = read_recording(path, namespace=namespace)
     whole, stamps = recording.motion, recording.stamps
@@ -85,7 +84,6 @@ def wanted_motion(motion, aim):
     motion begins when that answer has arrived, which may be a period later. How much is found
     from the motion, as the shift that fits best. It is never negative, so that a joint that lags
     behind is not made to look better.
-
     """
     position, velocity = (np.full_like(motion.velocity, np.nan) for _ in range(2))
     if aim is None:
@@ -132,7 +130,6 @@ def compared(motion, aim):
     Compare a motion with the desired one.
 
     Returns what is to be said of each aim, and what was not as wanted or None.
-
     """
     lines = []
     if aim is not None:
@@ -230,7 +227,6 @@ def not_representative(run, duration):
     Return why a run of a duration [s] does not show how the same nodes run given time.
 
     Empty where it is representative.
-
     """
     time, reasons = run.motion.time, []
     if len(time) < 3 or not run.simulated > 0.5 * duration:

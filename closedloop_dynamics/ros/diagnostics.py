@@ -6,7 +6,6 @@ Diagnostics of a simulator: ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostic
 
 Every check takes plain records and returns a ``Finding``; the thresholds stand here, and in
 doc/interface.md.
-
 """
 
 from dataclasses import dataclass, field
@@ -45,7 +44,6 @@ class Finding:
     One status of the diagnostics.
 
     ``level`` is OK, WARN or ERROR; ``values`` are shown as text, numbers with 6 digits.
-
     """
 
     level: bytes
@@ -91,7 +89,6 @@ class Diagnostics:
 
         ``standing`` says why time does not run; ``counts`` and ``sources`` are as for
         ``commands_finding``, ``graph`` is a finding about the other nodes.
-
         """
         # Nodes discover each other one by one: a finding counts when seen twice in a row.
         if graph.level != OK and (graph.message, False) == self._graph:
@@ -209,7 +206,6 @@ def time_finding(now, standing, wanted_factor):
     ``now`` has, of the last period, the ``factor`` achieved, time ``dropped`` [s], ``ticks``,
     ``missed`` ones and ``left out`` ones; ``standing`` says why time does not run, empty where it
     does; ``wanted_factor`` is None where time may run as it likes.
-
     """
     if standing:
         return Finding(OK, standing)
@@ -309,7 +305,6 @@ def commands_finding(counts, before, sources, zero_after_timeout):
     ``counts`` and ``before`` are the counts of commands and states so far, now and a period ago;
     ``sources`` the nodes that publish commands, one entry for each publisher;
     ``zero_after_timeout`` whether torques are zero because commands stopped.
-
     """
     level, message = OK, f'from {", ".join(sources)}' if sources else 'nobody commands'
     refused, lost = (sum(counts.get(key, 0) - before.get(key, 0) for key in keys) for keys in (
@@ -332,7 +327,6 @@ def graph_finding(name, namesakes, clocks, waits_for_clock):
 
     ``namesakes`` is how many nodes have its full ``name``, itself included, ``clocks`` how many
     publish /clock; ``waits_for_clock`` whether it takes the time from there.
-
     """
     level, message = OK, 'alone of its name'
     if namesakes > 1:

@@ -28,7 +28,6 @@ class EffectParameters:
     impossible value is refused with the reason; what is set together is checked together.
     A force also follows ``geometry_msgs/Vector3`` on the topic ``effects/NAME/force`` [N].
     Raises StartError where a value given at the start is refused.
-
     """
 
     def __init__(self, node, simulation):

@@ -8,7 +8,6 @@ floating joints: the links that they carry always have a frame here.
 
 A wrench's moment refers to the origin of its ``frame_id``. So constraint forces carry a frame
 whose origin is the cut point of body A; its axes are those of the world.
-
 """
 
 from closedloop_dynamics.mechanism.coordinates import WITH_ORIENTATION

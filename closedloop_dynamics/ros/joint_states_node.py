@@ -6,7 +6,6 @@ The node ``closedloop_joint_states``: all joints of a mechanism from those that 
 
 A robot with loops measures its drives; RViz and planners want every joint. Positions and rates
 that close the loops are found for each message, and published with its stamp.
-
 """
 
 from closedloop_dynamics.control.controller import per_joint
@@ -208,7 +207,6 @@ def pose_finding(completion, tolerance, news, reason):
 
     ``news`` are the counts of the last period; ``reason`` says why the latest message that was
     not completed was not.
-
     """
     level, message = OK, 'closed'
     if news[NOT_CLOSED]:

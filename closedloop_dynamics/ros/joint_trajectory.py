@@ -16,7 +16,6 @@ def points_of(message, joints, held=True):
 
     Of what is ``held`` at the last point the velocity must be zero there. Raises TrajectoryError
     for what cannot be followed.
-
     """
     names = list(message.joint_names)
     if sorted(names) != sorted(joints):

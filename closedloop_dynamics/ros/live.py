@@ -72,7 +72,6 @@ class LiveSimulation:
 
         It was due ``late`` s ago, of the steady clock. Raises NumericalError instead of publishing
         a state that the energy guard refuses, or forces that are not finite.
-
         """
         self.simulation.energy_guard.pass_on(self.simulation)
         simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)

@@ -37,7 +37,6 @@ def load_simulation(values, logger, moved='', **method):
     joints, with commas between them, whose motion is commanded beside those of the scene;
     ``method`` is what differs from the scene's own; None: nothing. Raises StartError if the scene
     cannot be read or simulated.
-
     """
     scene = values['scene']
     allow_code(values[ALLOW_CODE.name])
@@ -61,7 +60,6 @@ def log_cost(simulation, pace, logger):
     Log the predicted cost of a simulation, from a short probe without torques.
 
     ``pace`` is in simulated seconds per second of the clock. Messages are not counted.
-
     """
     with leaving_at_once(), warnings.catch_warnings():
         warnings.simplefilter('ignore', InaccuracyWarning)

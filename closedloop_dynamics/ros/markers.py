@@ -5,7 +5,6 @@
 The topic ``visualization_marker_array``: links, cut joints, forces, path, contacts, accuracy.
 
 In the plane all but the links lies above them; in space where it is, and joints have their axes.
-
 """
 
 from collections import deque
@@ -68,7 +67,6 @@ class Markers:
 
     ``node`` publishes and is given ``MARKER_PARAMETERS``; ``summary()`` returns what is to be read
     below the machine. Raises StartError if there is no point of the name given.
-
     """
 
     def __init__(self, node, simulation, summary):
@@ -209,7 +207,6 @@ def styled(kind, namespace, number, color, scale, strength=1.0):
 
     ``kind`` is that of visualization_msgs/Marker; a viewer switches ``namespace`` off; ``scale``,
     one number or three, is the width of lines, or the size [m]; ``strength`` 1 is opaque.
-
     """
     red, green, blue = rgb(color)
     marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD,
@@ -249,7 +246,6 @@ def link_markers(mechanism, size):
     Return the markers of all bodies, and in space of the axes that they turn about.
 
     Each comes with its body's index, in the body's own frame.
-
     """
     colors, markers = body_colors(mechanism), []
     shapes = _flat_shapes if mechanism.planar else _solid_shapes

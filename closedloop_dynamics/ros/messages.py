@@ -8,7 +8,6 @@ Converting a message from Python takes longer than all the rest of publishing it
 serialised once, the places of their numbers among the bytes are looked up by values put there
 to be found, and the numbers are written directly from then on. Where that does not work
 (another middleware, another encoding), a message is converted as ever.
-
 """
 
 from array import array
@@ -49,7 +48,6 @@ class SerializedTemplate:
     A message with stamps, in one or several headers, and blocks of numbers of some sizes.
 
     ``build(stamp_sec, stamp_nanosec, *blocks)`` returns the message, blocks being arrays.
-
     """
 
     def __init__(self, build, sizes):
@@ -89,7 +87,6 @@ class Stamps:
     ``simulated`` says which of the two, ``publish_clock`` whether simulated time is published.
     It then begins at ``period`` [s], as nodes of rclcpp take a clock at zero for one that has not
     begun. ros2_control waits for the next period, too, before it sends the first command.
-
     """
 
     def __init__(self, node, simulation, simulated, publish_clock, period):
@@ -125,7 +122,6 @@ class Stamps:
         Return the stamp for a state that was due ``late`` s ago [ns].
 
         It does not precede ``last``, the stamp of the state before, unless the clock was set back.
-
         """
         now = self.now()
         # A clock that somebody else publishes runs as it likes.
@@ -293,7 +289,6 @@ class StatePublisher:
 
         Of one that does not answer for long, such as a process that was stopped, it is no longer
         expected.
-
         """
         now = time.monotonic()
         turned = () if self._turned is None else (self.orientation_publisher,)

@@ -179,7 +179,6 @@ class AsFastAsPossible(_Periodic):
     One period after the other, with messages attended to in between.
 
     It waits for reliable subscribers, so that none misses a state.
-
     """
 
     name = AS_FAST_AS_POSSIBLE
@@ -265,7 +264,6 @@ def period_steps(rate, step_size):
     Return the steps in a publishing period; raise ValueError where it is no whole number.
 
     ``rate`` is in periods per simulated second [Hz], ``step_size`` in s.
-
     """
     steps = round(1.0 / (rate * step_size))
     if steps < 1 or abs(steps * rate * step_size - 1.0) > 1e-9:

@@ -89,7 +89,6 @@ def declare(node, parameters):
 
     A node is given its values on the command line, or by a file. Raises StartError if one has the
     wrong type, is out of range or not a choice.
-
     """
     return {parameter.name: _declare(node, parameter) for parameter in parameters}
 
@@ -125,7 +124,6 @@ def watch_changes(node):
     Accept whole numbers for floating-point parameters, refuse undeclared names; once a node.
 
     rclpy itself takes an empty name for a declared one, and leaves out the name that it refuses.
-
     """
     def checked(parameters):
         unknown = [given.name for given in parameters if not node.has_parameter(given.name)]
@@ -163,7 +161,6 @@ def declare_fact(node, name, values, description):
 
     An empty list is declared as a parameter without a value: rclpy takes an
     empty Python list for an array of bytes.
-
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
     node.declare_parameter(

@@ -23,7 +23,6 @@ rebuilds its wait set for every message. Its ``spin()`` does not work in every b
 and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake
 up a thread of its own first, and that one the caller: what has to happen in time is slept for
 here.
-
 """
 
 from contextlib import contextmanager
@@ -88,7 +87,6 @@ def leaving_at_once():
     End the process at once on a signal while the body of a ``with`` runs.
 
     For work that cannot be interrupted, such as loading, while there is nothing to lose.
-
     """
     with _watch.reacting(_leave_at_once):
         if _stop:
@@ -119,7 +117,6 @@ def run(create_node, name, help_text, args=None, timed=False, loses_nothing=Fals
     a signal one that ``loses_nothing`` has ``STOP_PATIENCE`` to end in order.
 
     Returns the exit code: the node's own, 0 after a signal, 2 if it could not start.
-
     """
     import rclpy
     from rclpy.signals import SignalHandlerOptions
@@ -238,7 +235,6 @@ def spin(executor, over, beat=None):
     time: ``take_over()`` is called once where this is possible, ``due()`` gives when (of the
     steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long,
     callbacks run in another thread.
-
     """
     from rclpy.executors import SingleThreadedExecutor
     attendant = None

@@ -4,7 +4,6 @@
 The package's executables as child processes, with their output and exit codes.
 
 For the demonstration, the tests and the benchmarks. None outlives who started it.
-
 """
 
 import os
@@ -52,7 +51,6 @@ class Program:
     Its output goes into the file ``log``. ``environment`` has changes to this process's own;
     ``directory`` is where it works, here if not given; ``path`` is the installed executable: if
     not given, that of this package runs in this Python. ``popen`` is the process.
-
     """
 
     def __init__(self, executable, arguments, log, environment=None, directory=None, path=None):
@@ -144,7 +142,6 @@ class Programs:
 
     ``directory`` is where they work and their logs are; ``environment`` has changes to this
     process's own.
-
     """
 
     def __init__(self, directory, environment=None):
@@ -173,7 +170,6 @@ class Programs:
 
         ``arguments`` come before the other ROS arguments; ``remap`` are rules ``FROM:=TO``; the
         parameters have values as one writes them in YAML.
-
         """
         command = [*arguments, '--ros-args']
         rules = [*remap, *([f'__ns:={namespace}'] if namespace else [])]

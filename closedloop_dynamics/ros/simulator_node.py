@@ -7,7 +7,6 @@ The node ``closedloop_simulator``: a scene simulated live, driven by torque comm
 The node has the topics, services and timers. It checks what comes in, and lets a mode of
 ``pacing`` advance a ``live.LiveSimulation``, which publishes its states. None of these knows the
 node.
-
 """
 
 from collections import deque
@@ -291,7 +290,6 @@ class SimulatorNode(Node):
 
         What makes steps is done outside the executor, where the node may act there, and all else
         is while steps are made: the present thread may be another one then.
-
         """
         if self._beats and (self.mode.name != REALTIME or self._busy_since is not None):
             self._pending.append(action)
@@ -665,7 +663,6 @@ class SimulatorNode(Node):
 
         Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'``, ``'refused'`` and
         ``'busy'``.
-
         """
         throttle = self.throttles[kind]
         if throttle.ready():

@@ -99,7 +99,6 @@ def method_changes(values, own, used):
 
     The scene's ``own`` method holds where a value is left empty. Raises ValueError where there can
     be no such method, or a value means nothing to it.
-
     """
     wanted = {key: values[key] or getattr(own, key) for key in METHOD}
     # Refuses impossible values.

@@ -6,7 +6,6 @@ The services and the action of ``simulation_interfaces``, as other simulators ha
 
 Each body of the mechanism is an entity. The package of these messages is optional; this module is
 imported where it is installed.
-
 """
 
 import math

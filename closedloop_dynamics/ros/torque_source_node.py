@@ -55,7 +55,6 @@ class JointQuestion:
 
     ``simulator`` is its name, relative to the namespace of ``node``, which asks. ``answer`` is a
     tuple of names, None as long as there is none.
-
     """
 
     def __init__(self, node, simulator):
@@ -93,7 +92,6 @@ class Orientations:
     The part of a state that comes in a message of its own: joints with an orientation.
 
     Both parts have the same stamp, and may come in any order.
-
     """
 
     def __init__(self, mechanism):

@@ -95,7 +95,6 @@ class RemoteSimulator(Shown):
     ``topics`` are its topics by their last names: ``scene``, ``joint_states``,
     ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``WRENCHES`` is the one on which it
     takes wrenches, whatever it is called. ``feed`` is None until the scene is known.
-
     """
 
     def __init__(self, node, name, topics):
@@ -542,7 +541,6 @@ class ViewerNode(Node):
 
         It is the topics that are asked for their nodes: a node that has gone may go on being
         listed, and would then be taken for the one of the same name that runs.
-
         """
         offers = defaultdict(dict)
         for topic, kinds in self.get_topic_names_and_types():

@@ -181,7 +181,6 @@ class _Distinct:
     """Positions of which no two have all their points at the same places."""
 
     def __init__(self, mechanism, size):
-        """Begin with none."""
         self._mechanism, self._size = mechanism, size
         self._geometry, self._places = Geometry(mechanism), []
         self.positions = []

@@ -7,7 +7,6 @@ Positions and velocities that close the loops, found from approximate ones.
 Set-up work: dense linear algebra. The engine closes loops where this is plain; here is what is
 done at and near singular positions. Coordinates that are held stay as given; where none are held,
 or velocities are free, the change is the least one in the mass metric.
-
 """
 
 from contextlib import suppress
@@ -68,7 +67,6 @@ class Assembler:
     """
 
     def __init__(self, mechanism, equations, kept=None):
-        """Allocate the arrays shared by all assemblies."""
         self._equations = equations
         self.rebind(mechanism)
         self.extent = extent(mechanism)
@@ -162,7 +160,6 @@ class Assembler:
         Equations that depend on one another where the loops are closed, and only there, lead
         Newton's method astray. The damping goes as the square of the error, which keeps the
         convergence quadratic there.
-
         """
         psi, damping = self.closure(q), 1.0
         for _ in range(MOST_ITERATIONS):
@@ -652,7 +649,6 @@ def angle_notes(mechanism, position):
     Return a note of angles beyond a whole turn, which may be degrees.
 
     ``position``: sequence, shape (nq,); joint coordinates.
-
     """
     names = mechanism.coordinates
     large = [f'{name} = {position[place]:g}' for name, place, length in zip(
@@ -671,7 +667,6 @@ def _least_change(jac, error, metric, damping=0.0):
 
     Which equations depend on others is decided on levers alone: in the mass metric those that
     move a light body all look alike. What they leave open is decided by the masses.
-
     """
     if damping > 0.0:
         root = metric()

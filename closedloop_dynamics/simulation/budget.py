@@ -52,7 +52,6 @@ class Budget:
     """
 
     def __init__(self, share, wanted):
-        """Nothing is measured so far."""
         self.share, self.wanted = share, wanted
         self.used = self.elapsed = math.nan
         self._period = max(PERIOD, share)

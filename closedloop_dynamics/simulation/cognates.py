@@ -8,7 +8,6 @@ The theorem of Roberts and Chebyshev, in complex numbers. Input link A0 A, coupl
 B0 B, and P = A + k (B - A) on the coupler; the third pivot is C0 = A0 + k (B0 - A0). One cognate
 has the links k (B - A) from A0, k (A - A0), and k (B - B0) from C0; the other one (1 - k) (A - A0)
 from C0, (1 - k) (B0 - B), and P - B from B0.
-
 """
 
 import cmath

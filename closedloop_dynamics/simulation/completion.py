@@ -10,7 +10,6 @@ as many measured joints as there are degrees of freedom are met, more of them ar
 
 Several positions may do, on branches that meet in singular positions only. So the way there is
 followed from the last one, in pieces in which no joint moves far.
-
 """
 
 import math
@@ -86,7 +85,6 @@ class Completion:
     """
 
     def __init__(self, mechanism, measured, position, weights=None):
-        """Prepare the matrices of the first position."""
         coordinates = mechanism.coordinates
         self.measured, self._coordinates = tuple(measured), coordinates
         names = [coordinates.names[place] for place in coordinates.single]
@@ -227,7 +225,6 @@ class Completion:
         Return the nearest position to measured values that closes the loops, and how far it is.
 
         Both are None where there is none.
-
         """
         last, whole = math.inf, np.zeros(len(self._unit))
         for _ in range(MOST_CORRECTIONS):
@@ -279,7 +276,6 @@ class Completion:
 
         With J = U S V^T its corrections are V S^-1 U^T of the closure errors, and motions in the
         null space of J that bring the measured joints nearest to their values.
-
         """
         jac = self._equations.move(q).jacobian() * self._unit
         left, singular, right = np.linalg.svd(jac)

@@ -149,7 +149,6 @@ class CutJoints:
     """
 
     def __init__(self, mechanism, model, placements, acted):
-        """Resolve the names of bodies."""
         self._coordinates = mechanism.cut_coordinates
         self.names = self._coordinates.names
         self.acted = np.array([self.names.index(name) for name in acted], dtype=int)

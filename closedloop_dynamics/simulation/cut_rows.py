@@ -6,7 +6,6 @@ Cut joints, couplings and prescribed motions, as rows of the model's arrays.
 
 Which of these a closure is, the bodies that its forces pass and the factors of what it couples are
 found alike in the plane and in space; what its row says of places and axes is not.
-
 """
 
 import math
@@ -50,7 +49,6 @@ class CutRows:
     """
 
     def __init__(self, mechanism, decomposition, tree):
-        """Fill in the rows."""
         self._mechanism, self._tree = mechanism, tree
         self._numbers = _PlanarNumbers if mechanism.planar else _SpatialNumbers
         self.cut = np.zeros((len(mechanism.closures), t.CUT_COLUMNS), dtype=np.int64)
@@ -107,7 +105,6 @@ class CutRows:
         Store a prescribed or coupled freedom of a cut joint; return its numbers.
 
         ``place``: the type of a freedom that slides, before that of one that turns.
-
         """
         one[t.CUT_TYPE] = place if freedom.slides else place + 1
         return self._numbers.of_freedom(freedom, *self._placed(one, *freedom.bodies))
@@ -208,7 +205,6 @@ class _SpatialNumbers:
         Return those of a freedom of a cut joint that is prescribed or coupled.
 
         The frame on body B has the axis as its Z; of what turns, both frames agree at zero.
-
         """
         point_a, point_b = freedom.points
         if freedom.slides:

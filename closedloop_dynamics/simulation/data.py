@@ -6,7 +6,6 @@ A state of a mechanism, and all that evaluates it: the arrays that change.
 
 What a scene says stays as it is (``model.Model``); here are the coordinates and rates, the
 torques, the effects with their own states, and the engine's system with its scratch.
-
 """
 
 from functools import partial
@@ -67,7 +66,6 @@ class Data(Names):
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Build the arrays and assemble the initial state."""
         super().__init__(scene)
         self.decomposition = decompose(self.mechanism)
         self._time = 0.0
@@ -236,7 +234,6 @@ class Data(Names):
         Return whether equations that repeat others may be left out.
 
         In the plane not where loops drift apart, as these equations drift, too.
-
         """
         return not self.mechanism.planar or method.stabilisation in CLOSING
 
@@ -266,7 +263,6 @@ class Data(Names):
 
         nq is nv, the number of joint rates, and one more for each spherical and each free joint:
         orientations are unit quaternions x, y, z, w. ``coordinates.columns`` names them.
-
         """
         return self._q.copy()
 
@@ -276,7 +272,6 @@ class Data(Names):
         Joint rates, shape (nv,) [rad/s or m/s].
 
         Of an orientation the angular velocity relative to the parent, about the child's axes.
-
         """
         return self._qd.copy()
 
@@ -291,7 +286,6 @@ class Data(Names):
         Joint coordinates, rates and the effects' own states, shape (ns,): not a copy.
 
         Who writes it calls ``touch`` then.
-
         """
         return self._state
 

@@ -44,7 +44,6 @@ class DerivativeCode:
     """
 
     def __init__(self, simulation, qdd, lam, states=0, scene=None):
-        """Compile, unless an earlier process has."""
         self._scene, model = scene or TracedScene(simulation), simulation.system.model
         effects = simulation.system.effects
         nv, nc = len(qdd), len(lam)

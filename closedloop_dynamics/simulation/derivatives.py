@@ -114,7 +114,6 @@ class Differentiator:
     """
 
     def __init__(self, simulation, parameters=()):
-        """Compile, unless an earlier process has."""
         require_derivatives(simulation, instant=True)
         for key in parameters:
             if re.fullmatch(r'effects\..*\.period', key):

@@ -8,7 +8,6 @@ The values of joints, and of points along directions, are given (driving equatio
 closure equations); positions, rates and accelerations of all joints follow. From value to value
 the branch is followed, and never left: engine/driven.cpp. Where it ends, a singular position is
 the reason, and it is said which one.
-
 """
 
 from dataclasses import replace

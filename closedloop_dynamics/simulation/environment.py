@@ -100,7 +100,6 @@ class MechanismVectorEnv(VectorEnv):
 
     def __init__(self, model, num_envs, *, torque_limits, reward, terminated=None, start=None,
                  steps=10, horizon=None, observed=None, quantities=(), method=None, threads=None):
-        """Build the simulations that make the runs."""
         super().__init__()
         self.num_envs = _count('num_envs', num_envs)
         self._model, self._simulation = model, Simulation(model, None, method)
@@ -302,7 +301,6 @@ class MechanismEnv(Env):
     metadata = {'render_modes': []}
 
     def __init__(self, model, **settings):
-        """Build the simulation that makes the runs."""
         self._one = MechanismVectorEnv(model, 1, **settings)
         self.action_space = self._one.single_action_space
         self.observation_space = self._one.single_observation_space

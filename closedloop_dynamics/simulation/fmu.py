@@ -7,7 +7,6 @@ A scene as a functional mock-up unit (FMI 2.0, 3.0): its C, a description, and a
 The unit is the C of ``c_source`` within the interface of ``fmu_template``. In model exchange its
 states are as many joint coordinates as there are degrees of freedom, and their rates; the other
 joints follow from the loops. Which ones they are changes, as an event, where others decide better.
-
 """
 
 import hashlib
@@ -465,7 +464,6 @@ def _parameters(simulation):
     Each is varied alone, and the arrays of the model are looked at: numbers that are exactly 0,
     and in space moments that are equal, have to stay so. What depends otherwise, such as the
     inertia on the centre of mass, is no parameter.
-
     """
     before, found, planar = _arrays(simulation), [], simulation.mechanism.planar
     for key, value in numbers(simulation.scene).items():

@@ -7,7 +7,6 @@ The C of a functional mock-up unit: the interface of FMI 2.0 or 3.0 around the C
 ``fmu`` fills in the words. ``COMMON`` is what a unit is; then come the types and functions of a
 version, and functions that both have, under the names of either. The types are those of the
 standard's headers, which are not needed.
-
 """
 
 # What the versions call otherwise.

@@ -33,7 +33,6 @@ class Geometry(LoopModel):
     """
 
     def __init__(self, mechanism, decomposition=None):
-        """Resolve the frames of bodies and points."""
         super().__init__(mechanism, decomposition)
         self._size = 2 if mechanism.planar else 3
         #: Rows and places in them of the named points.

@@ -11,7 +11,6 @@ are sines of angles. Where that ends at a place that is not closed, loops that s
 searched together, apart from others: the gaps are closed little by little (a homotopy), and then
 other starts around the first are tried. What is found is exact to some 1e-9 only, for Newton's
 method (``assembly``) to end with.
-
 """
 
 from dataclasses import replace

@@ -12,7 +12,6 @@ Jacobian J, is estimated by a power iteration on differences of the derivative, 
 (f(y + e v) - f(y)) / e. It is taken in pairs, J J v, as oscillations have conjugate pairs
 of eigenvalues. States of effects take part where the motion depends on them: the lag of a drive
 is a rate of its own.
-
 """
 
 import math
@@ -140,7 +139,6 @@ class EnergyGuard:
 
     def __init__(self, method, rate, numbers, counts, limit=math.inf, among_laws=False,
                  every_call=False):
-        """Begin without checks."""
         self._method, self._rate, self._limit = method, rate, limit
         self._numbers, self._counts = numbers, counts
         self.among_laws = among_laws
@@ -316,7 +314,6 @@ class StiffnessGuard:
     """
 
     def __init__(self, system, method, own=()):
-        """Decide whether stiffness is checked."""
         integrator = INTEGRATORS[method.integrator]
         self._system, self._name, self._own = system, method.integrator, own
         self._fixed = integrator.kind == FIXED

@@ -6,7 +6,6 @@ Changes of coordinates that keep the loops closed, by those of independent ones.
 
 Of the closure equations C(q, p) = 0 and J qd = 0 with parameters p, the dependent coordinates r
 follow the independent ones: J_r dr = -(J_own d own + C_p dp), and their rates likewise.
-
 """
 
 import numpy as np

@@ -18,7 +18,6 @@ class InverseDynamics:
     """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
 
     def __init__(self, mechanism, system, effects, table, equations, cuts, actuated):
-        """Find the freedoms that are actuated, cut joints' behind those of the tree."""
         self._mechanism, self._system, self._equations = mechanism, system, equations
         self._effects, self._table = effects, table
         self._cuts, nv = cuts, mechanism.coordinates.nv

@@ -6,7 +6,6 @@ Kinematic inversions: the same machine with another link held.
 
 The spanning tree is hung on the new ground: joints between it and the old one change parent and
 child. The old ground becomes a link without mass, which the loops have to move.
-
 """
 
 from dataclasses import replace

@@ -7,7 +7,6 @@ The numbers of a scene by their key paths: ``mechanism.bodies.crank.mass``.
 A key path is written as the keys stand in the files, with the places in lists as numbers:
 ``mechanism.joints.elbow.position.0``, ``initial.velocity.theta_1``,
 ``effects.gravity.acceleration.1``, ``method.step_size``, ``parameters.l``.
-
 """
 
 from dataclasses import fields, replace

@@ -160,7 +160,6 @@ class Linearisation:
     """
 
     def __init__(self, simulation, independent=None):
-        """Compile the derivatives."""
         self._simulation, self._names = simulation, simulation.joint_names
         self._asked = places_of(self._names, independent)
         self._differentiate = Differentiator(simulation)

@@ -67,7 +67,6 @@ class LoopModel:
     """
 
     def __init__(self, mechanism, decomposition=None):
-        """Build the model of all equations."""
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._first, self._known, self.model = None, {}, None

@@ -8,7 +8,6 @@ All frames are mirrored with their bodies: a place r of a body becomes S r, a ro
 S R S. Angles about a direction a in space stay as they are about -S a. In the plane every body is
 mirrored at its x axis, so that slides keep their directions and angles change sign; the ground is
 turned besides by half a turn where its x axis is to be reversed.
-
 """
 
 from dataclasses import replace

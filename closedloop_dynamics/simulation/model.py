@@ -81,7 +81,6 @@ class Model(Names):
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Build the arrays and close the loops at the scene's start."""
         if not isinstance(scene, Scene):
             raise TypeError(
                 f'Model: expected a Scene, as load_scene returns it, got {scene!r}')

@@ -6,7 +6,6 @@ Scenes of models in other formats: under gravity, at rest, with the loops closed
 
 What a model says of damping, springs and the like becomes effects. Omissions are reported by a
 warning, and so is how far the joints moved to close the loops.
-
 """
 
 from dataclasses import replace

@@ -149,7 +149,6 @@ class Monitor:
     """
 
     def __init__(self, driver, system, method, numbers, counts):
-        """Count from zero."""
         self.driver, self._sampling = driver, True
         self._numbers, self._counts = numbers, counts
         self._system, self._method = system, method
@@ -177,7 +176,6 @@ class Monitor:
 
         Simulated time, CPU time of the thread, with a budget alone, and time of the clock [s];
         ``work``.
-
         """
         numbers = self._numbers
         return np.array([

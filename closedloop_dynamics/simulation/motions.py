@@ -28,7 +28,6 @@ def with_motions(scene):
     Return the mechanism of a scene with the equations of the motions that it prescribes.
 
     Its joints that are moved take no command.
-
     """
     motions = tuple(filter(None, (
         record.motion(key) for key, record in scene.effects.items())))
@@ -128,7 +127,6 @@ class DrivingConstraints:
     """
 
     def __init__(self, scene, mechanism, model, place, cut_place):
-        """Find the rows of the equations."""
         self.mechanism, self.records = mechanism, scene.effects
         self._initial, self._coordinates = scene.initial, mechanism.coordinates
         self._names = [motion.name for motion in mechanism.motions]
@@ -147,7 +145,6 @@ class DrivingConstraints:
             self.rows[key] = row, int(model.cut[row, t.CUT_ROW]), column, self.rows[key][-1]
 
     def __bool__(self):
-        """Return whether there are any."""
         return bool(self._names)
 
     def _start(self, motion):

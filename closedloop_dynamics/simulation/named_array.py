@@ -53,7 +53,6 @@ class NamedArray(Mapping[str, np.ndarray]):
 
     def __init__(self, what: str, places: Dict[str, Place], array: np.ndarray,
                  axis: int) -> None:
-        """Name the rows."""
         self.what, self.array, self._places, self._axis = what, sealed(array), places, axis
 
     @property
@@ -76,11 +75,9 @@ class NamedArray(Mapping[str, np.ndarray]):
             self.what, self._places, np.array([each.array for each in arrays]), self._axis)
 
     def __iter__(self) -> Iterator[str]:
-        """Go through the names."""
         return iter(self._places)
 
     def __len__(self) -> int:
-        """Return how many names there are."""
         return len(self._places)
 
     def __array__(self, dtype: Any = None, copy: Optional[bool] = None) -> np.ndarray:

@@ -29,7 +29,6 @@ class Names:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Collect the names of a scene."""
         self.scene = scene
         self.mechanism: Mechanism = with_motions(scene)
         self.coordinates: Coordinates = self.mechanism.coordinates
@@ -41,7 +40,6 @@ class Names:
         Names of the joints, in the order of velocities and torques.
 
         A joint of several degrees of freedom has a name for each: ``hip.1``, ``ball.rx``.
-
         """
         return self.coordinates.names
 
@@ -61,7 +59,6 @@ class Names:
         Names of the freedoms of cut joints, as in the tree: ``guide.1``, ``ball.rx``.
 
         In the order of their velocities and efforts; ``Mechanism.cut_coordinates`` has them.
-
         """
         return self.mechanism.cut_coordinates.names
 
@@ -72,7 +69,6 @@ class Names:
 
         Those of ``joint_names``, then the freedoms of cut joints that a drive or an effect acts
         along.
-
         """
         return (*self.joint_names, *self.acted)
 

@@ -110,7 +110,6 @@ class Pacer:
         ``take(n)`` takes n steps, or where these take long a part of one: then it returns how
         many it took, and no more are begun, as after ``budget`` [s of the clock]. Steps are due up
         to ``until`` [s of the clock], or now.
-
         """
         begin = now = self.clock()
         self._accrue(now if until is None else until)

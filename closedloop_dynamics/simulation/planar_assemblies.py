@@ -11,7 +11,6 @@ conj(z) = Y y, and |z| = 1 is bilinear in x and y: in P^l x P^l there are binomi
 solutions, 2 of a dyad, 6 of three legs. They are found all at once, as eigenvalues of a matrix
 from the null space of Macaulay's, whose dimension says that none is missing. Groups that do not
 depend on one another are solved one after the other.
-
 """
 
 from itertools import combinations_with_replacement
@@ -61,7 +60,6 @@ class PlanarEquations:
     """
 
     def __init__(self, mechanism, values):
-        """Collect unknowns and equations."""
         if mechanism.couplings:
             raise NotProved('couplings of joints are no polynomial equations of rotations')
         self._mechanism = mechanism

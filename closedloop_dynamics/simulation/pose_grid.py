@@ -7,7 +7,6 @@ Poses of a platform on a grid, reached from one another without leaving a branch
 The platform's point is driven along the axes of the world, and its orientation, where the
 mechanism has as many degrees of freedom, by coordinates of further points of the same body, which
 lie along the axes in the orientation that is held: engine/driven.cpp goes from node to node.
-
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -97,7 +96,6 @@ class Platform:
     """
 
     def __init__(self, scene, point):
-        """Assemble, and find the degrees of freedom of the body."""
         mechanism = scene.mechanism
         names = [one.name for one in mechanism.points if one.body != GROUND]
         if point not in names:
@@ -173,7 +171,6 @@ class Platform:
         Return driven rates by velocity and, behind it, spin in the world, shape (m, m).
 
         Spins are multiplied by the arm: all of it is without unit.
-
         """
         if not self.turned:
             return np.eye(self.axes)
@@ -217,7 +214,6 @@ class PoseGrid:
     """
 
     def __init__(self, platform, axes, orientation=None, workers=None):
-        """Reach no node yet."""
         self.platform, self.axes = platform, tuple(axes)
         self.orientation = platform.orientation if orientation is None else orientation
         self.shape = tuple(len(axis.values) for axis in self.axes)

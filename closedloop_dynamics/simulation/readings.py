@@ -35,7 +35,6 @@ class Readings(Data):
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Build the arrays and assemble the initial state."""
         super().__init__(scene)
         self._coupling_scales = coupling_scales(self.mechanism)
         self._coupled = coupling_moments(self.mechanism)
@@ -88,7 +87,6 @@ class Readings(Data):
         from point B along the axis. In space an angle is followed where a drive or an effect acts
         along it; others are between -pi and pi. Of a spherical joint a unit quaternion x, y, z, w,
         w not negative.
-
         """
         return self.cut_state[0]
 
@@ -172,7 +170,6 @@ class Readings(Data):
 
         Of all equations that do not always hold. Where some repeat others, those of the forces
         that are least in all joints together (engine/least_forces.hpp).
-
         """
         return self._all_multipliers().copy()
 
@@ -184,7 +181,6 @@ class Readings(Data):
         What body B exerts on body A, in world axes, at body A's cut point [N m, N]: the reaction,
         and what the joint's drive, springs, dampers and friction hand over. In space of shape
         (number of cuts, 6): moment x, y, z, force x, y, z.
-
         """
         self._all_multipliers()
         self._find_cut_wrenches()
@@ -224,7 +220,6 @@ class Readings(Data):
         Generalized forces of the couplings, shape (number of couplings,).
 
         Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
-
         """
         lam = self._all_multipliers()
         first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
@@ -237,7 +232,6 @@ class Readings(Data):
 
         In a joint what its drive exerts [N m; N], at a point the force along the direction [N];
         ``effect_readings`` tells their power and work, too.
-
         """
         self._evaluate()
         count = len(self.mechanism.motions)
@@ -251,7 +245,6 @@ class Readings(Data):
 
         The torque of the coupling in its first joint over the radius of the wheel there, with the
         torque's sign.
-
         """
         ratios = [np.nan if coupling.radius is None else
                   next(iter(coupling.joints.values())) / coupling.radius
@@ -290,7 +283,6 @@ class Readings(Data):
         What the parent exerts on the child, in world axes, at the child's origin [N m, N]: the
         reaction, and what the joint's drive, springs, dampers and friction hand over. In space of
         shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
-
         """
         self._all_multipliers()
         self._fresh = self._find_joint_forces()
@@ -324,7 +316,6 @@ class Readings(Data):
         Rows of each cut joint in the model, followed by those of couplings of its freedoms.
 
         None where forces are not unique or couplings pass some on.
-
         """
         if self.leaves_out or self._couples:
             return ()
@@ -397,7 +388,6 @@ class Readings(Data):
         Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order.
 
         In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
-
         """
         self._evaluate()
         return self._geometry.poses_among(self.system.work.body)

@@ -141,7 +141,6 @@ class _Twins:
     """Simulations like one, for rollouts of it that change no parameter."""
 
     def __init__(self, simulation):
-        """Begin without any."""
         self._like = self._traits(simulation)
         # Pairs of a simulation and its batch runner.
         self.spare = []
@@ -181,11 +180,9 @@ class _BatchRunner:
         self._spare, self._varying = twins.spare, twins.varying
 
     def __enter__(self):
-        """Begin."""
         return self
 
     def __exit__(self, *_):
-        """Keep the simulations for another rollout."""
         self._spare.extend(self._lent)
         self._varying.extend(self._lent_varying)
 
@@ -375,7 +372,6 @@ class RolloutArguments:
     """
 
     def __init__(self, simulation, torques, position, velocity, parameters):
-        """Check shapes and names."""
         names, na = simulation.coordinates, len(simulation.actuated_joints)
         torques = np.zeros((1, na)) if torques is None else _numbers('torques', torques)
         if torques.ndim == 1:

@@ -8,7 +8,6 @@ The engine makes runs as a whole, several in one call that leaves Python's lock 
 them by the rules of the guards. What needs more between the steps (delays, sensors that remember,
 other closure equations), and what a guard might end, is made step by step. Both give the same
 numbers, bit for bit.
-
 """
 
 from dataclasses import dataclass
@@ -390,7 +389,6 @@ class SimdRuns:
     """
 
     def __init__(self, schedule=None, quantities=()):
-        """Begin without a pack."""
         self.schedule, self.quantities = schedule, quantities
         self._systems, self._pack = [], None
 

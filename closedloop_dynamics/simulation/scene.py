@@ -7,7 +7,6 @@ Scenes: a mechanism with its start, effects and method.
 ``load_scene('three_rrr')`` reads a shipped scene, ``load_scene('my/scene.yaml')``
 a file. Every error names file and line, key path, what was expected and what was
 got.
-
 """
 
 from collections.abc import Mapping
@@ -302,7 +301,6 @@ def _mechanism(value: Any, directory: Path, kept: Set[str], rather: Set[str],
     Return the mechanism that ``value`` is, names or is the path of, some joints not cut.
 
     Those that effects name are cut where a loop leaves no other.
-
     """
     try:
         if isinstance(value, Mechanism):
@@ -383,7 +381,6 @@ def _effect(
     Return the record of one effect, and whether it acts from the start.
 
     Files that it names stand beside the scene.
-
     """
     with at(key):
         name(key)

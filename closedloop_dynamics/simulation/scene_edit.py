@@ -7,7 +7,6 @@ The files of a scene with other numbers in their places, and all else as it was 
 Comments and order of the author stay. It works where each number has a place in the file: not
 left out, nor what follows from others. What is written is read again and compared; where it
 differs, and where numbers have no place, ``write_scene`` writes the whole scene.
-
 """
 
 from pathlib import Path

@@ -7,7 +7,6 @@ A scene as one YAML text in the words of its author, with other numbers and with
 The mechanism stands in the text, too, so that one file has all. Comments and order stay; what
 is made is read again and compared, and where a scene has no text of its own, or its text no place
 for a number, all of it is rewritten.
-
 """
 
 from pathlib import Path

@@ -7,7 +7,6 @@ A scene with its mechanism as plain data: for a file, or to travel in a bag as o
 What the readers of scenes and mechanisms make of the data is the scene again, to the last digit:
 it went through the same checks as any other file. Expressions stand there as their values, and
 joints between bodies as those of the tree and cut joints.
-
 """
 
 from dataclasses import fields, MISSING, replace

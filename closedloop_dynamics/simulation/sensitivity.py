@@ -142,7 +142,6 @@ class Sensitivity:
                  method: Union[None, str, Mapping[str, Any], Method] = None,
                  parameters: Sequence[str] = (),
                  independent: Optional[Sequence[str]] = None) -> None:
-        """Check the method, and differentiate the arrays by the parameters."""
         if not isinstance(model, Model):
             raise TypeError(f'Sensitivity: expected a Model, as scene.model() returns it, got '
                             f'{model!r}')

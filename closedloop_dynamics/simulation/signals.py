@@ -6,7 +6,6 @@ Handling of termination signals, for all programs of the package.
 
 This module is light on purpose: a program begins to watch for signals before it imports rclpy
 and LLVM, which take a while.
-
 """
 
 from contextlib import contextmanager
@@ -49,7 +48,6 @@ class SignalWatch:
         React in a thread of its own from now on.
 
         So a signal is noticed at once, even while the main thread waits in DDS or compiles.
-
         """
         reader, writer = os.pipe()
         os.set_blocking(writer, False)

@@ -103,7 +103,6 @@ class Simulation(Readings):
 
     def __init__(self, model: Union[Model, Scene], state: Optional[State] = None,
                  method: Union[None, str, Mapping[str, Any], Method] = None) -> None:
-        """Assemble the initial state, ready to move."""
         self._numbers = np.zeros(guarded_run.NUMBERS)
         self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
         self._set_time(0.0, 0)
@@ -233,7 +232,6 @@ class Simulation(Readings):
 
         A run that is started from it by ``restore`` goes on in the same way to the last bit, with
         error control from where a command changes.
-
         """
         return np.concatenate((self._state, *self._driver.memory))
 
@@ -395,7 +393,6 @@ class Simulation(Readings):
         Choose the accuracy that the method's budget allows from now on, by measurements.
 
         ``advance`` and ``step`` do so before they make steps; without a budget nothing is done.
-
         """
         if self._budget is None:
             return
@@ -1233,7 +1230,6 @@ class Simulation(Readings):
         Names that ``command_motion`` takes: of joints, and of effects that move points.
 
         Of prescribed motions of the shape ``commanded``, in the scene's order.
-
         """
         return tuple(self._motions.commanded)
 

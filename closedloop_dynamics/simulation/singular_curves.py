@@ -13,7 +13,6 @@ Every point of it is singular to rounding. After C. Gosselin and J. Angeles, "Si
 of closed-loop kinematic chains", IEEE Trans. Robotics and Automation 6 (1990) 281-290; A. Griewank
 and G. W. Reddien, "Characterization and computation of generalized turning points", SIAM J.
 Numerical Analysis 21 (1984) 176-184.
-
 """
 
 from typing import NamedTuple
@@ -80,7 +79,6 @@ class SingularCurves:
     """
 
     def __init__(self, kinematics, moved, held, kind, actuated, coordinates, box, step):
-        """Prepare the equations."""
         self._kinematics, self._coordinates, self.kind = kinematics, coordinates, kind
         self._actuated, self._box, self._step = actuated, box, step
         self._held, self._inverse = held, np.linalg.pinv(moved)
@@ -123,7 +121,6 @@ class SingularCurves:
         Return on which side of type-1 singular positions one is, by a sign.
 
         Beyond them a curve of type 2 belongs to another branch.
-
         """
         if self.kind == TYPE_1:
             return 1.0
@@ -153,7 +150,6 @@ class SingularCurves:
         Return the singular position next to one, None where there is none.
 
         With a tangent, that in the plane across it.
-
         """
         for count in range(CORRECTIONS):
             if count % 4 == 0:

@@ -115,7 +115,6 @@ class State:
         return list(self) if self.is_batch else [self]
 
     def __len__(self) -> int:
-        """Return how many states a batch has."""
         if not self.is_batch:
             raise TypeError(f'state: expected a batch, got a single state of q {self.q.shape}')
         return len(self.q)
@@ -131,7 +130,6 @@ class State:
                      self.coordinates)
 
     def __iter__(self) -> 'Iterator[State]':
-        """Go through the states of a batch."""
         return (self[k] for k in range(len(self)))
 
     def __reduce__(self) -> Tuple[Any, ...]:

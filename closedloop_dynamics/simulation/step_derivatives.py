@@ -39,7 +39,6 @@ class StepDerivatives:
     """
 
     def __init__(self, simulation, parameters, scene=None):
-        """Allocate the arrays of the routines."""
         self.parameters, self._system = parameters, simulation.system
         nv, nc = len(self._system.qdd), len(self._system.lam)
         self._scene = scene or TracedScene(simulation)

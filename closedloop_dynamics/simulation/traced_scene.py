@@ -76,7 +76,6 @@ class TracedScene:
     """
 
     def __init__(self, simulation, instant=False):
-        """Collect the effects that are traced."""
         self._model, self._effects = simulation.system.model, simulation.system.effects
         self._laws, effects = simulation.effect_set.laws, self._effects
         self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values

@@ -9,7 +9,6 @@ have them; those of the rows lie so that what turns does so about Z, that succes
 share it, and that as many constants as can be are exactly 0: each of these saves operations. A
 joint of several freedoms is several rows there, and bodies that are fixed to one another share
 one.
-
 """
 
 from functools import lru_cache
@@ -115,7 +114,6 @@ class TreeRows:
     COLUMNS = t.BODY_COLUMNS
 
     def __init__(self, mechanism, decomposition):
-        """Fill in the rows."""
         joints = mechanism.joints
         self._bodies = {body.name: body for body in mechanism.bodies}
         self._joints = joints

@@ -56,7 +56,6 @@ def default_lines():
 
     That is every integrator with full projection, and RK4 with every stabilisation and
     formulation.
-
     """
     lines = [Line(integrator) for integrator in INTEGRATORS]
     lines += [Line(DEFAULT_INTEGRATOR, stabilisation=name) for name in STABILISATIONS]
@@ -90,7 +89,6 @@ def settings(line, interval, quick=False):
     Return the settings of a line, from coarse to fine, with ``quick`` fewer of them.
 
     ``interval`` is the time between two outputs [s].
-
     """
     if line.adaptive:
         return [Setting(line, tolerance, 1, 1)

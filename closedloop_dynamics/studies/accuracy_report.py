@@ -40,7 +40,6 @@ def table(study, rows=None, markdown=False):
     Return the rows of a study as a table.
 
     ``rows``: list of Row, optional; some of its rows; all of them when not given.
-
     """
     make = markdown_table if markdown else text_table
     return make(HEADER, [_cells(row) for row in (study.rows if rows is None else rows)])

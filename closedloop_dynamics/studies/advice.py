@@ -26,7 +26,6 @@ def for_target(study, target):
     will miss it on the next scene.
 
     ``target``: float [rad or m].
-
     """
     wanted = f'An error of positions of at most {target:g} rad or m over {study.duration:g} s'
     known = study.reference.error.position

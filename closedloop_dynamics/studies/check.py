@@ -31,7 +31,6 @@ def describe(scene_or_mechanism, simulation=None):
     Describe a Scene or a Mechanism in paragraphs, as ``closedloop check`` prints them.
 
     With a simulation of the scene, at its start, that is shown beside what the scene says.
-
     """
     if isinstance(scene_or_mechanism, Mechanism):
         return '\n\n'.join(_mechanism(scene_or_mechanism))

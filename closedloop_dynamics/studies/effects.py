@@ -10,7 +10,6 @@ evaluation of the accelerations, in the same states with and without the effects
 that is the evaluations that a simulated second takes. Times are measured in turn, so that
 disturbances of the machine affect all of them, and each is compared with the one of the same
 round. The bare scene is measured twice: that shows how far such ratios can be trusted.
-
 """
 
 from dataclasses import dataclass, replace
@@ -49,7 +48,6 @@ class RateControl:
     """
 
     def __init__(self, scene, rates):
-        """Build the model."""
         effects = {name: effect for name, effect in scene.effects.items()
                    if effect.drive() is None}
         self._model = Simulation(scene_with(scene, effects))

@@ -31,7 +31,6 @@ def table(study, style=text_table):
     Return the findings as a table.
 
     ``style``: callable; ``tables.text_table`` or ``tables.markdown_table``.
-
     """
     header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]
     lines = [style(header, [

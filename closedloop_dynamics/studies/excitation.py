@@ -12,7 +12,6 @@ scene's start, q0:
 Of the series with a given amplitude the one is sought whose regressor, its columns scaled by
 parameters of usual sizes, has the least condition number (Swevers et al. 1997): the best of some
 at random, then improved by Powell's method, which needs no derivatives.
-
 """
 
 import math

@@ -7,7 +7,6 @@ Accelerations and multipliers to more digits than the kernels have.
 A third way to the same numbers: every body has three coordinates of its own, every
 joint two forces; the sparse equations are set up in extended precision and solved by
 iterative refinement. Nothing is shared with the kernels.
-
 """
 
 import numpy as np
@@ -68,7 +67,6 @@ def refined(row, column, value, right):
 
     ``row`` and ``column`` are the places of the entries ``value``, longdouble; ``right``,
     longdouble, has shape (n,), as the solution that is returned.
-
     """
     row, column = np.array(row), np.array(column)
     size = len(right)
@@ -116,7 +114,6 @@ class _Equations:
     [M, G^T; G, 0] [a; -f] = [moments; right] by entries, joints before cut joints.
 
     Angles and rates are those of the bodies by name.
-
     """
 
     def __init__(self, mechanism, bodies, angle, rate):

@@ -99,7 +99,6 @@ def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, to
 
     ``largest`` limits ladders and chains; ``quick`` takes fewer and smaller ones; ``progress`` is
     called with the numbers of parts done and of all parts.
-
     """
     cases = [lambda name=name: scene_case(name) for name in SCENES]
     cases += [

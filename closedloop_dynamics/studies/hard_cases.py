@@ -100,7 +100,6 @@ def trials(method, count):
 
     Step sizes of 2 to 12 ms for steps of fixed size, a tenth of that for a method of order 1,
     whose error would hide the singularity's; other starts for error control.
-
     """
     drawn = np.random.default_rng(0).uniform(2e-3, 12e-3, count)
     if method.integrator == 'semi_implicit_euler':
@@ -347,7 +346,6 @@ def _light_cart(method, quick):
     Drop a pendulum from a light cart: nothing holds it aside, and it bounces as from a wall.
 
     The turn at the bottom takes 1e-7 s, at thousands of radians a second.
-
     """
     simulation = Simulation(scene(*light_cart(), replace(
         method, step_size=1e-3, tolerance=1e-9), gravity(0.0)))
@@ -466,7 +464,6 @@ def _bounded(method, quick):
     Swing a bar on springs with steps of 0.1 to 100 radians: no energy may appear.
 
     Refused where any of them is: the worst of the others must be no more than stable then.
-
     """
     worst, refusal = 0.0, None
     for radians in (0.1, 1.0, 10.0, 100.0):
@@ -598,7 +595,6 @@ def tight(method, step_size, tolerance=TIGHT):
     Return a method with a step and a tolerance.
 
     A tenth of that step for a method of order 1, as at singular configurations.
-
     """
     coarse = method.integrator == 'semi_implicit_euler'
     return replace(method, step_size=0.1 * step_size if coarse else step_size,
@@ -611,7 +607,6 @@ def looped_pendulum():
 
     Half of the mass sits on the rod, the other half on two slides; a cut joint holds them
     together, so that there is a gap to watch.
-
     """
     bodies = (Body('rod', 0.5, (1.0, 0.0), 0.0), Body('slider', 0.0, (0.0, 0.0), 0.0, True),
               Body('half', 0.5, (0.0, 0.0), 0.0))

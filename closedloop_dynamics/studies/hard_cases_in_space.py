@@ -52,7 +52,6 @@ def _turned_hexapod(method, quick):
     Turn a Stewart platform through 90 degrees, where locked legs would leave it loose.
 
     Unequal forces in its legs turn it, and it stays level.
-
     """
     simulation = started('stewart_platform', method, step_size=1e-3, tolerance=1e-8)
     forces = [28.5 * (1.0 + share) for share in 3 * (-0.3, 0.3)]

@@ -169,7 +169,6 @@ def pantograph_motion(arm, forearm, arm_rate, forearm_rate, times, strength=G):
 
     On its parallelogram branch it is a double pendulum of links 4 and 6: two equations without
     constraints, regular where it folds, solved here to rounding.
-
     """
     from scipy.integrate import solve_ivp
     inertia, weight = np.zeros((2, 2)), np.zeros(2)

@@ -18,7 +18,6 @@ of effects) are varied around that: variable projection, whose gradient is that 
 problem (Golub and Pereyra 1973, Kaufman 1975). Derivatives by these numbers are central
 differences of fourth order: exact to rounding where the torques are polynomials in a number (a
 centre of mass, coefficients of most effects), and to some 1e-11 in lengths.
-
 """
 
 from dataclasses import dataclass, replace
@@ -276,7 +275,6 @@ class Identifier:
     """
 
     def __init__(self, scene, keys, motion, others=None):
-        """Complete the motion, and find the regressor of the linear parameters along it."""
         self._scene, self.driven = _without_motions(scene)
         self._keys = _expanded(self._scene, keys)
         joints, motion = _arrays(motion, 3, 'motion')
@@ -331,7 +329,6 @@ class Identifier:
         Torques of a unit of each linear parameter, shape (n, independent, parameters).
 
         Of the samples in which no joint with dry friction rests.
-
         """
         return self._along.regressor[self._samples]
 

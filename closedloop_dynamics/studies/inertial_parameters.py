@@ -11,7 +11,6 @@ inertia about it. Which of these are unknown follows from the keys that vary:
 * where all of the inertia varies, m, h and J as far as mass and centre do;
 * where the centre of mass is known, m (which carries h and a part of J with it) and elements of I;
 * otherwise the centre of mass enters by its square, too, and is no linear parameter.
-
 """
 
 from typing import NamedTuple
@@ -74,7 +73,6 @@ class BodyParameters:
     """
 
     def __init__(self, body, keys):
-        """Find the linear parameters."""
         self.name = body.name
         self._body, self._planar = body, len(body.center_of_mass) == 2
         self._center = np.append(body.center_of_mass, 0.0) if self._planar else np.array(

@@ -11,7 +11,6 @@ of the driven machine (``quantities``) and numbers of its scene as names.
 Where the largest value over the motion is minimised, or bounded, it is so at every pose: these
 values are smooth, the largest of them is not. And where the root of a mean square is minimised,
 its parts are known to least squares.
-
 """
 
 import ast
@@ -63,7 +62,6 @@ class Expression:
     """
 
     def __init__(self, text, scene, drives, paths=()):
-        """Read it."""
         self.text, paths = text, dict(paths)
         self._paths, self._names = {}, {}
 
@@ -204,7 +202,6 @@ class Requirement:
     """
 
     def __init__(self, text, scene, drives, paths=()):
-        """Read it."""
         self.text = text
         parts = re.split(r'(>=|<=)', text)
         if len(parts) != 3:
@@ -250,7 +247,6 @@ class Bound:
     """
 
     def __init__(self, expression, most):
-        """Keep both."""
         self._expression, self._most = expression, most
         self.text = f'{expression.text} <= {most:.6g}'
 

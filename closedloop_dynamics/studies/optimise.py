@@ -11,7 +11,6 @@ Pareto front is found by bounds of the second one (epsilon constraints).
 A machine that cannot be assembled, or not be driven all the way, is no point at all: a step there
 is taken back by the optimiser, and a start there is drawn again. What is reported is the best
 machine among those that were looked at and meet all requirements.
-
 """
 
 from collections import Counter

@@ -9,7 +9,6 @@ change of all joints (``recording.design.sensitivity``). Velocities, torques and
 differences of the sixth order, as the engine has no derivatives by lengths and masses: in masses,
 moments of inertia and single coordinates of centres of mass, of which torques and forces are
 polynomials, these are exact but for rounding.
-
 """
 
 from dataclasses import dataclass, replace
@@ -67,7 +66,6 @@ class Driven:
 
         With other lengths, loops need not close where other joints are held; they close in the
         nearest position then.
-
         """
         if set(scene.initial.hold) <= set(self.drives):
             return scene
@@ -172,7 +170,6 @@ class Quantities:
     """
 
     def __init__(self, scene, driven, variables=(), run=None):
-        """Drive the machine."""
         self._scene, self._driven, self._variables = scene, driven, tuple(variables)
         self.run = driven.run(scene) if run is None else run
         self._known, self._others = {}, {}

@@ -8,7 +8,6 @@ The motions that prove the reference share as little as possible with it: anothe
 another formulation, which beside singular configurations looks at other places of the branch; and
 independent coordinates, where they get through. What a small difference at the start becomes tells
 how many digits there are to know.
-
 """
 
 from dataclasses import dataclass, replace
@@ -50,7 +49,6 @@ class Trajectory:
                        force=self.force[part])
 
     def __len__(self):
-        """Return the number of outputs."""
         return len(self.position)
 
 

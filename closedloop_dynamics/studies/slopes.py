@@ -6,7 +6,6 @@ Numbers with derivatives by the variables, and the functions of expressions on t
 
 Forward mode: every operation carries the derivatives of its operands along, by the chain rule.
 With no derivatives (k = 0) the same operations return the values alone.
-
 """
 
 import operator
@@ -49,7 +48,6 @@ class Slope:
     __slots__ = ('value', 'slope')
 
     def __init__(self, value, slope):
-        """Keep both."""
         self.value, self.slope = np.asarray(value, dtype=float), slope
 
     def part(self, places):
@@ -60,39 +58,28 @@ class Slope:
         return Slope(value, np.asarray(derivative)[..., np.newaxis] * self.slope)
 
     def __add__(self, other):
-        """Add."""
         return _of_two(operator.add, lambda x, y: (np.ones_like(x), np.ones_like(y)), self, other)
 
-    def __radd__(self, other):
-        """Add to a number."""
-        return self + other
+    __radd__ = __add__
 
     def __sub__(self, other):
-        """Subtract."""
         return self + -other
 
     def __rsub__(self, other):
-        """Subtract from a number."""
         return -self + other
 
     def __mul__(self, other):
-        """Multiply."""
         return _of_two(operator.mul, lambda x, y: (y, x), self, other)
 
-    def __rmul__(self, other):
-        """Multiply a number."""
-        return self * other
+    __rmul__ = __mul__
 
     def __truediv__(self, other):
-        """Divide."""
         return _of_two(operator.truediv, lambda x, y: (1.0 / y, -x / (y * y)), self, other)
 
     def __rtruediv__(self, other):
-        """Divide a number."""
         return _of_two(operator.truediv, lambda x, y: (1.0 / y, -x / (y * y)), other, self)
 
     def __pow__(self, exponent):
-        """Raise to a power."""
         if isinstance(exponent, Slope):
             return ON_SLOPES['exp'](ON_SLOPES['log'](self) * exponent)
         value = self.value ** exponent
@@ -100,16 +87,13 @@ class Slope:
             np.zeros_like(self.value)))
 
     def __rpow__(self, base):
-        """Raise a number to a power."""
         value = base ** self.value
         return self._with(value, value * np.log(base))
 
     def __neg__(self):
-        """Negate."""
         return Slope(-self.value, -self.slope)
 
     def __pos__(self):
-        """Leave it as it is."""
         return self
 
 
@@ -154,7 +138,6 @@ class Path:
     __slots__ = ('places',)
 
     def __init__(self, places):
-        """Keep them."""
         self.places = places
 
 
@@ -260,7 +243,6 @@ def deviation(path):
 
     The line goes through the mean of all places along the eigenvector of their covariance with
     the largest eigenvalue; how that turns is known from all eigenvectors and eigenvalues.
-
     """
     places = _path(path, 'deviation')
     from_mean = places.value - places.value.mean(axis=0)

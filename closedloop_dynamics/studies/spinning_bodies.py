@@ -30,7 +30,6 @@ def one_body(kind, center, inertia, method, velocity, position=None):
     ``kind`` is that of its joint, called ``joint``; ``center`` is the centre of mass [m], and
     ``inertia`` are the principal moments about it [kg m^2], three floats each. Velocity and
     position are mappings as scenes have them.
-
     """
     mechanism = Mechanism('one_body', (Body('body', TOP_MASS, center, inertia),), (
         Joint('joint', kind, 'ground', 'body', (0.0, 0.0, 0.0)),))
@@ -54,7 +53,6 @@ def free_body(share=0.9999):
 
     It is the closed form of Landau and Lifshitz, section 37; ``share`` is the parameter of the
     elliptic functions, of which 1 would never flip.
-
     """
     from scipy.special import ellipj
     one, two, three = MOMENTS

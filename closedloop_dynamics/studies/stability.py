@@ -38,7 +38,6 @@ def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda d
     The outcomes are by the names of case and method. ``quick``: fewer trials and shorter runs for
     the default method, too; the others always have those. ``progress`` is called with the
     numbers of cells done and of all.
-
     """
     atlas, total = {}, len(cases) * len(methods)
     for case in cases:

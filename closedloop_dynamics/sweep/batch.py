@@ -125,7 +125,6 @@ def summary(job, values):
     Return the variables of a sample, arrays by name: quantities kept, end state, peaks.
 
     ``values``: arrays of shape (instants, ...) by name; all that is summarised.
-
     """
     wrenches = values['constraint_forces']
     moments = wrenches.shape[-1] // 2

@@ -7,7 +7,6 @@ Where batches are computed, and how none is lost when workers are.
 An engine is this process, worker processes of this machine, a Dask cluster or an executor of
 ``concurrent.futures``. It offers ``submit``, which returns a future, ``limit()`` (how many of
 these shall be on their way), ``renew()`` after its workers were lost, and ``close()``.
-
 """
 
 from collections import deque

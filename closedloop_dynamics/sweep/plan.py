@@ -7,7 +7,6 @@ A sweep as data: every sample's numbers follow from its place in it.
 What is varied is written ``KEY=1:5:9``, ``KEY=1,2,5`` or ``KEY=normal:4:0.2``. Evenly spaced and
 listed values span a grid; distributions are drawn from, with a generator of its own for each key,
 so that one more key changes the draws of none.
-
 """
 
 from dataclasses import dataclass, replace
@@ -273,7 +272,6 @@ def combined(torque, torques, scene):
     Return constant torques by actuated joint, or sequences of them, as an array; None: neither.
 
     Raises FieldError for both, and for joints that are not actuated.
-
     """
     if torques is not None:
         if torque:

@@ -156,7 +156,6 @@ def batch_size(layout):
     Return how many samples are computed and written at once.
 
     It is the same for the same sweep, wherever it runs.
-
     """
     most = MOST_BATCH_BYTES // layout.bytes_per_sample()
     return int(max(1, min(layout.samples // BATCHES, LARGEST_BATCH, most)))

@@ -6,7 +6,6 @@ Where results go: a NetCDF file or a Zarr directory of the same variables.
 
 A batch is written whole, and marked as done last: whatever ends the program, what is marked is
 there, and can be read.
-
 """
 
 from contextlib import contextmanager
@@ -94,7 +93,6 @@ class Layout:
     """
 
     def __init__(self, plan: Plan, batch):
-        """Collect names and sizes."""
         mechanism = plan.scene.mechanism
         self.plan, self.batch, self.identity = plan, batch, plan.identity()
         self.samples = plan.samples
@@ -167,13 +165,11 @@ class NetCDF:
 
     It is of the classic model with 64-bit data (CDF-5): its header stands from the beginning and
     a sample is a record, so that a program that is killed leaves a valid file.
-
     """
 
     library = 'netCDF4'
 
     def __init__(self, path, layout):
-        """Create the file with its header and coordinates, or open one that is there."""
         self._netcdf = import_module(self.library)
         if path.exists():
             self._file = self._netcdf.Dataset(path, 'a')
@@ -234,13 +230,11 @@ class Zarr:
     A Zarr directory (format 2), for xarray, Dask and object stores.
 
     Every batch is a chunk of its own in every array, and every write is complete.
-
     """
 
     library = 'zarr'
 
     def __init__(self, path, layout):
-        """Create a directory with all arrays, nothing but coordinates in them, or open one."""
         zarr = import_module(self.library)
         if path.exists():
             self._arrays = dict(zarr.open_group(path, mode='r+').arrays())
@@ -294,7 +288,6 @@ class Storage:
     """The results of one sweep on disk, in one of the kinds of file."""
 
     def __init__(self, path, layout):
-        """Create the file, or open that of an interrupted sweep."""
         self._layout = layout
         try:
             self._file = KINDS[path.suffix](path, layout)
@@ -327,7 +320,6 @@ def checked_path(path):
     Return a path of results.
 
     Raises FieldError for an unknown ending, StorageError where its library is not installed.
-
     """
     path = Path(path)
     if path.suffix not in KINDS:

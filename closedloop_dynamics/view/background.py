@@ -22,7 +22,6 @@ class Background:
     """
 
     def __init__(self):
-        """Compute nothing yet."""
         self._pool = ThreadPoolExecutor(1)
         self._future = self._take = None
 

@@ -26,7 +26,6 @@ class BodyFrames:
     """
 
     def __init__(self, mechanism, position):
-        """Find the bodies."""
         poses = poses_in_space(body_poses(mechanism, np.array(position)))
         self._poses = {GROUND: (np.zeros(3), np.eye(3))}
         self._size = 2 if mechanism.planar else 3

@@ -5,7 +5,6 @@
 Rows of numbers for a page: poses, arrows and plotted quantities, of one instant each.
 
 A row of a running simulation, of a recording and of a saved file is the same.
-
 """
 
 from dataclasses import dataclass, field
@@ -160,7 +159,6 @@ def motion_thinning_values(columns, motion, rows):
     Return the values for ``thinning.Thinning`` in the rows of a motion.
 
     Shape (n, 3 points + plots): places of the named points [m], what is plotted.
-
     """
     places = named_paths(motion.mechanism, motion.position).values()
     starts = columns.starts
@@ -196,7 +194,6 @@ class SimulationRows:
     """
 
     def __init__(self, simulation, hidden=(), points=0):
-        """Decide on the columns."""
         self._simulation, self._points = simulation, points
         mechanism = simulation.mechanism
         shown = {name: record for name, record in simulation.effects.items()
@@ -253,7 +250,6 @@ class SimulationRows:
         Update the costly values: errors, cost, motions freed by a singularity.
 
         Returns the simulation's ``RunReport``.
-
         """
         simulation = self._simulation
         report = simulation.report()

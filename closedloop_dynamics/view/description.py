@@ -6,7 +6,6 @@ Description of a mechanism for a page: shapes, joints, colours, names, columns o
 
 All places are in space: a planar mechanism lies in the plane z = 0 of the world, its links in
 layers above it.
-
 """
 
 from pathlib import Path
@@ -128,7 +127,6 @@ def described_drive(mechanism, name, position, torque, modes):
 
     ``position``, shape (nq,) [rad or m], is the middle of a position's slider, ``torque`` [N m or
     N] the end of a torque's, ``modes`` are those that can be chosen.
-
     """
     names = mechanism.coordinates
     place = names.index[name]
@@ -152,7 +150,6 @@ def grabs(mechanism, body):
     Return the places by which a Body can be taken hold of, shape (n, 3), in its frame [m].
 
     They are its joints, cut joints and named points, and its centre of mass.
-
     """
     places = np.vstack([marked_points(mechanism, body.name), body.center_of_mass])
     places = np.unique(places, axis=0)

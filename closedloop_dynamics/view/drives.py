@@ -39,7 +39,6 @@ class Drive:
     """
 
     def __init__(self, joint, inertia, slides):
-        """Begin without a torque."""
         self.joint, self.inertia, self._slides = joint, inertia, slides
         self.set(TORQUE, 0.0, 0.0, 0.0)
 

@@ -45,7 +45,6 @@ class Driving:
     """
 
     def __init__(self, own):
-        """Drive nothing yet."""
         self.own, self.drives = own, {}
         # Where each driven freedom is among those of the simulation.
         self._places = {}

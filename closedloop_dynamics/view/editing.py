@@ -7,7 +7,6 @@ A scene that is edited by hand: numbers, places of pins and points, parts added 
 A pin is moved in the position that the machine stands in: all other pins, and how bodies are
 turned, stay as they are there, so that the loops remain closed. In the frame of a body whose own
 joint moves, all else moves the other way.
-
 """
 
 from dataclasses import replace
@@ -57,7 +56,6 @@ class Editor:
     """
 
     def __init__(self, scene):
-        """Begin with nothing changed."""
         self.scene, self.words_kept = scene, True
         # What was read last, its text, which is made when needed.
         self._base, self._text = scene, None
@@ -112,7 +110,6 @@ class Editor:
 
         They are parameters; of up to MOST_BODIES bodies lengths between the joints of each, and
         masses, too.
-
         """
         mechanism, found = self.scene.mechanism, []
         known = numbers(self.scene)
@@ -215,7 +212,6 @@ class Editor:
         Return the movable handles, as JSON: kind, name, body and place in its frame.
 
         The body is by its number, -1 the ground.
-
         """
         mechanism = self.scene.mechanism
         rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}

@@ -129,7 +129,6 @@ def rings_of(contact):
 
     They are arrays of shape (n, 3). How large a plane is, and how long a cylinder, is not told:
     they are drawn short.
-
     """
     if contact.shape == 'sphere':
         return _ball(contact.other_radius)
@@ -153,7 +152,6 @@ def normal_of(contact, place, outline=None):
 
     ``place``, shape (2,) or (3,), is the roller's centre from the other point on [m], along the
     other body's axes; ``outline``, of a curve, is by ``outline_of``.
-
     """
     if contact.shape == 'plane':
         return np.array(contact.normal)

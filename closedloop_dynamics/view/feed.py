@@ -55,7 +55,6 @@ class Feed:
     """
 
     def __init__(self, description):
-        """Begin without a frame."""
         self.description, self.described = '', 0
         self._describe(description)
         # The frame: its number among the samples, its time and its bytes.
@@ -182,7 +181,6 @@ class Feed:
         Check the message of a page, named by its identity, and hand it over.
 
         Returns the number of the frame that it has got to, where that is what it says, or None.
-
         """
         try:
             if isinstance(text, bytes):

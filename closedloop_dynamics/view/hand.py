@@ -42,7 +42,6 @@ class Hand:
     """
 
     def __init__(self, scene, size):
-        """Set the initial values."""
         mechanism = scene.mechanism
         taken = {point.name for point in mechanism.points}
         self._points, added = {}, []

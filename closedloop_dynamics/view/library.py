@@ -42,7 +42,6 @@ class Library:
     """
 
     def __init__(self, folder=None):
-        """Store the folder; nothing is read yet."""
         self._folder = None if folder is None else Path(folder).resolve()
         self._pictures, self._saved = {}, set()
         # Descriptions by path and time of the last change.

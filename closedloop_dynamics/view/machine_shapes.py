@@ -6,7 +6,6 @@ Characteristic shapes of machines: gears, racks, pulleys, cams, and guides of sl
 
 Places are as a page has them, in the frames of bodies; a profile is an outline that is as deep as
 it says, about its origin along ``z``, and where it has a ``hole`` of as many places, a band.
-
 """
 
 import math
@@ -55,7 +54,6 @@ class MachineShapes:
     """
 
     def __init__(self, mechanism, effects):
-        """Find them."""
         self._mechanism = mechanism
         self.wheels, self.racks, self.belts = transmissions(mechanism)
         self._points = {point.name: point for point in mechanism.points}
@@ -146,7 +144,6 @@ class MachineShapes:
 
         Each has a body, a place and an axis in it, the mover and its place on it, and ``sides``:
         how far to the left of the line its two edges are [m].
-
         """
         found = []
         for kind, body, place, axis, mover, at in _slides(self._mechanism):

@@ -153,7 +153,6 @@ def read(text):
     Return the request of a page: JSON with the action under ``do``, and its keys.
 
     Raises FieldError where it makes no sense.
-
     """
     try:
         message = json.loads(text)

@@ -36,7 +36,6 @@ class OwnMotion:
     """
 
     def __init__(self, controller=None, drives=None):
-        """Assign the given drives to their joints."""
         self.controller = controller
         own = {} if controller is None else dict.fromkeys(
             controller.joints, (OWN, controller.name))
@@ -88,7 +87,6 @@ def own_motion(scene, model=None):
     Return the drives of a scene: a shipped controller, shipped drives, or its effects.
 
     ``model`` is what a controller knows of it, by default the scene.
-
     """
     controller = shipped_controller(scene, model)
     if controller is not None or scene.path != shipped_path('scenes', scene.name):

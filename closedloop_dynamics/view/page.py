@@ -20,7 +20,6 @@ def live_page(title, others=()):
     Return a page, HTML, that shows the messages of its server.
 
     ``others``: titles of all pages of the server, this one among them, where there are several.
-
     """
     return _page(title, {'pages': list(others)})
 
@@ -31,7 +30,6 @@ def recorded_page(title, description, times, rows):
 
     ``description`` is by ``description.describe``; ``times``, shape (n,) [s], do not fall;
     ``rows``, float32, shape (n, width), are as the description says.
-
     """
     return _page(title, {
         'scene': description, 'count': len(times),

@@ -23,7 +23,6 @@ def felt_inertia(simulation):
     Return the inertia that a drive of each freedom feels in the present position, shape (nv,).
 
     It is in kg m^2 or kg; infinite where the loops prevent the motion.
-
     """
     free = _free(simulation)
     if not free.shape[1]:
@@ -40,7 +39,6 @@ def felt_mass(simulation, name):
 
     It is a symmetric matrix of shape (2, 2), in space (3, 3) [kg]; zero where the loops hold the
     point in all directions.
-
     """
     free = _free(simulation)
     moves = _moves(simulation, name, free)
@@ -73,7 +71,6 @@ def point_to(simulation, name, place):
 
     ``place`` is in the world, three numbers [m]; in the plane the third one does not count. Raises
     AssemblyError where the loops cannot be closed there; the last state that could be is kept.
-
     """
     def goal(free):
         start = simulation.point(name)
@@ -90,7 +87,6 @@ def joint_to(simulation, name, value):
     value, it is as near as small moves lead.
 
     Raises AssemblyError as ``point_to`` does.
-
     """
     names = simulation.coordinates
     joint = names.index[name]

@@ -40,7 +40,6 @@ class Rebuilding:
     """
 
     def __init__(self, method, adopt, refuse):
-        """Edit nothing yet."""
         self._method, self._adopt, self._refuse = method, adopt, refuse
         self.lock, self._machines = Lock(), Background()
 
@@ -98,7 +97,6 @@ class Rebuilding:
 
         ``good`` is the editor's state to go back to where there is no such machine. What is edited
         meanwhile follows next.
-
         """
         scene, state = self.editor.scene, self.editor.state
 
@@ -134,7 +132,6 @@ def carry_over(old, new, gravity, moving):
     Give a simulation what pages have changed in the one before it, and, if moving, its state.
 
     ``gravity`` is the name of one that no scene has, so that it is not edited, or None.
-
     """
     if new.scene.method != old.scene.method:
         # It has been changed meanwhile.

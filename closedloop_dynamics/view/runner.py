@@ -67,7 +67,6 @@ class Runner(Shown):
 
     def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion(),
                  library=None):
-        """Build the simulation, standing still at its start."""
         super().__init__()
         self._clock, self._editing = clock, False
         self._stepper = Stepper(clock, 1.0 / RATE, self._thin)

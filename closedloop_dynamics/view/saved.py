@@ -24,7 +24,6 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
     ``duration`` is in s, ``rate`` in Hz: there is a row at every multiple of its inverse, whose
     time ``progress`` is called with, and where straight lines between these would miss a state.
     Returns Columns, times [s] and rows, both lists. Raises SimulationError.
-
     """
     points = len(simulation.mechanism.points)
     shown = SimulationRows(simulation, points=points)
@@ -59,7 +58,6 @@ def recorded(motion, most):
     Return times [s] and rows of a ``Trajectory``: all, or about ``most`` of more than these.
 
     Of more, those are left out that straight lines between the others do not miss.
-
     """
     if len(motion.time) <= most:
         return motion.time, motion_rows(motion)

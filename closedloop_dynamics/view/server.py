@@ -6,7 +6,6 @@ Serves pages over HTTP and their data over websockets, in a thread of its own.
 
 A page gets frames as fast as it says that it has shown them, always the newest. It may be slow,
 go away, or send nonsense: what computes does not wait for it.
-
 """
 
 import asyncio
@@ -71,7 +70,6 @@ class Server:
     """
 
     def __init__(self, pages, feeds, host=LOCAL, port=0, resource=lambda path: None):
-        """Listen, in a thread."""
         self._pages, self._feeds = [page.encode() for page in pages], feeds
         self._host, self._resource = host, resource
         self.token = None if is_local(host) else secrets.token_urlsafe(16)

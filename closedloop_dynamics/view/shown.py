@@ -30,7 +30,6 @@ class Shown:
     """
 
     def __init__(self):
-        """Begin without pages."""
         self.feed, self.holder, self.drives = None, None, {}
         # What is held: numbers of a body and of a place of it.
         self._grabbed, self._kinematic, self._hand = None, False, None

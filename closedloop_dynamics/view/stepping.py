@@ -50,7 +50,6 @@ class Stepper:
     """
 
     def __init__(self, clock, frame, look):
-        """Make no steps yet."""
         self._clock, self._frame, self._look = clock, frame, look
         self.playing, self.speed, self.watchdog = False, 1.0, None
 
@@ -168,7 +167,6 @@ class Stepper:
         Advance by steps, or a part of one; find which part can be made in a short time.
 
         Returns the steps that were made, None for all.
-
         """
         begin = self._clock()
         if self.watchdog is None:

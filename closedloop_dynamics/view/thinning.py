@@ -6,7 +6,6 @@ Which states of a motion have to be kept so that straight lines between them sho
 
 Paths and plots of the kept ones are those of all states: curves bend as they do, and a force that
 is large in one state only is there.
-
 """
 
 import numpy as np
@@ -42,7 +41,6 @@ class Thinning:
     """
 
     def __init__(self, plots, points, size, coarse=1.0):
-        """Begin with nothing kept."""
         numbers = {}
         self._group = np.array([numbers.setdefault((plot.group, plot.unit), len(numbers))
                                 for plot in plots], dtype=int)
@@ -70,7 +68,6 @@ class Thinning:
 
         ``values``, shape (3 points + plots,): places, and what is plotted. Where the time [s] does
         not rise, the lines begin again.
-
         """
         self._look(values)
         if self._kept is None or time <= self._last[0]:

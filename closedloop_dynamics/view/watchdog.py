@@ -28,7 +28,6 @@ class Watchdog:
     """
 
     def __init__(self, limit, wanted, waiting):
-        """Monitor nothing yet."""
         self.limit, self._wanted, self._waiting = limit, wanted, waiting
         self._patient = False
         self._lock, self._over = threading.Lock(), threading.Event()
@@ -36,12 +35,10 @@ class Watchdog:
         self._thread = threading.Thread(target=self._look, name='watchdog', daemon=True)
 
     def __enter__(self):
-        """Start to watch."""
         self._thread.start()
         return self
 
     def __exit__(self, *error):
-        """End the monitoring."""
         self._over.set()
         self._thread.join()
 
@@ -50,7 +47,6 @@ class Watchdog:
         Do something that may be stopped, its steps then as not made; return whether it was done.
 
         ``patient``: it may take as long as nobody wants something else.
-
         """
         self._patient, self._begun = patient, time.monotonic()
         try:

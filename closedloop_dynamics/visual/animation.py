@@ -71,7 +71,6 @@ class _Trail(Artist):
 
     Every piece of it is drawn once, into a picture of its own that is laid over the frames: a
     frame costs the same however long the path is.
-
     """
 
     def __init__(self, line, path, reached, places):
@@ -80,7 +79,6 @@ class _Trail(Artist):
 
         ``path``: shape (m, 2), in the coordinates of the line; of each frame ``reached``, the
         number of the last point of the path, and ``places``, shape (n, 2), where the point is.
-
         """
         super().__init__()
         self._line, self._path, self._reached, self._places = line, path, reached, places
@@ -179,7 +177,6 @@ class Animation:
         self._add(cursor, cursor.set_xdata, np.column_stack([times, times]))
 
     def __len__(self):
-        """Return the number of frames."""
         return len(self._frame_times)
 
     def frame(self, index):
@@ -262,7 +259,6 @@ def write(animation, path, rate, progress=lambda done: None):
 
     What ends the writing before leaves nothing. ``rate`` is in frames per second [Hz];
     ``progress`` is called with the number of frames done. Raises OSError where writing fails.
-
     """
     require_writable(path)
     with _replaced(path) as unfinished:

@@ -7,7 +7,6 @@ Appearance of a mechanism: outlines and colours that pictures, URDF and markers 
 A body is drawn through the points the description gives it: its own joint, the
 joints and cut joints it carries, its named points. Colours tell subsystems
 apart; all of them can be distinguished by colour-blind readers, too.
-
 """
 
 import numpy as np
@@ -29,7 +28,6 @@ def marked_points(mechanism, body):
 
     They are its own joint, the joints and cut joints it carries, its named points, each once,
     sorted; in the body's frame [m].
-
     """
     points = [np.zeros(len(mechanism.joints[0].position))]
     points += [joint.position for joint in mechanism.joints if joint.parent == body]
@@ -45,7 +43,6 @@ def outline(mechanism, body):
 
     They are one point, the two ends of a bar, or the corners of the convex hull of its marked
     points, counter-clockwise.
-
     """
     return convex_hull(marked_points(mechanism, body))
 
@@ -117,7 +114,6 @@ def joint_axes(mechanism):
 
     They are tuples of a body, and in its frame a place on the axis [m] and its direction, of
     length 1.
-
     """
     found = [(joint.child, np.zeros(3), joint.axis) for joint in mechanism.joints
              if joint.type in (REVOLUTE, CYLINDRICAL, HELICAL)]

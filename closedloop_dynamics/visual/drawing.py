@@ -5,7 +5,6 @@
 Draw any mechanism from its description; shapes are in ``appearance``.
 
 A mechanism in space is drawn as it is seen in a view: lines and outlines of projected points.
-
 """
 
 from dataclasses import dataclass
@@ -97,7 +96,6 @@ class MechanismArtist:
     """
 
     def __init__(self, axes, mechanism, poses, view=PLANE):
-        """Find outlines and extent; draw nothing yet."""
         self.axes = axes
         self.mechanism = mechanism
         self.poses = poses
@@ -145,7 +143,6 @@ class MechanismArtist:
         Draw all bodies with their joints in one pose.
 
         ``strength``: float; 1: full colours; less: paler, for positions in the background.
-
         """
         layer = 10.0 + 15.0 * strength
         gray = {'facecolor': '0.85', 'edgecolor': '0.55'}
@@ -213,7 +210,6 @@ class MechanismArtist:
         ``index`` is that of the pose; ``forces`` has shape (number of cut joints, 3), in space
         (number of cut joints, 6), moment [N m] and force [N]; ``largest`` is the force that gets
         the longest arrow.
-
         """
         for start, end in self.arrow_ends(index, forces, largest):
             self.axes.annotate('', end, start, zorder=ARROW['zorder'], arrowprops=ARROW)
@@ -233,7 +229,6 @@ class MechanismArtist:
 
         In the plane beside them, where the force arrows do not go; in space, where there is no
         room between the bodies, in a column at the right, with lines to the joints.
-
         """
         cuts = self.mechanism.cut_joints
         places = [self._cut_place(cut, self.poses[index]) for cut in cuts]
@@ -368,7 +363,6 @@ def all_places(mechanism, poses):
     Return all places that points of bodies come to, shape (m, 2), in space (m, 3) [m].
 
     ``poses``: shape (n, nb, 3), in space (n, nb, 7); of the bodies.
-
     """
     of_body = outline if mechanism.planar else marked_points
     places = [world_points(pose_of(mechanism, poses, body.name), of_body(mechanism, body.name))
@@ -390,7 +384,6 @@ def draw_ground(axes, mechanism, poses, extent):
 
     ``poses``, shape (n, nb, 3), are all that are drawn: a rail is as long as its slider needs it.
     ``extent`` is that of the picture [m].
-
     """
     for kind, angle, place, body, point in _on_ground(mechanism):
         if kind in (PRISMATIC, POINT_ON_LINE):
@@ -407,7 +400,6 @@ def draw_spatial_ground(artist):
     Draw the ground in space: pivots, and a floor for scale.
 
     ``artist`` is the MechanismArtist that draws the rest.
-
     """
     axes, view, mechanism = artist.axes, artist.view, artist.mechanism
     if view.distance is not None:

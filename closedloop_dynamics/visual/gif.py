@@ -5,7 +5,6 @@
 A GIF written frame by frame, each as the change since the one before.
 
 Pillow's own writer of several frames keeps all of them in memory until the last one is known.
-
 """
 
 import io
@@ -36,7 +35,6 @@ class Gif:
     """
 
     def __init__(self, file, sample, rate):
-        """Choose the colours; write nothing yet."""
         self._file = file
         sample = Image.fromarray(sample).convert('RGB')
         self._palette = sample.quantize(COLORS, Image.Quantize.MAXCOVERAGE)

@@ -7,7 +7,6 @@ Line drawings for CAD, to scale in millimetres: a mechanism in one position, and
 Layers: one of each body, ``joints`` (circles; points in space) and
 ``path.NAME`` of each named point. What is in space keeps its three coordinates in a DXF file; an
 SVG file shows it from the front.
-
 """
 
 from importlib import import_module

@@ -35,7 +35,6 @@ def joint_motion(motion, title, wanted=None):
 
     Orientations are drawn as the components of their quaternions. ``wanted``: positions and
     velocities that the joints were to have, shape (n, nv), NaN where nothing was wanted; or None.
-
     """
     groups = motion.mechanism.coordinates.groups
     wanted_position, wanted_velocity = wanted or (None, None)
@@ -352,7 +351,6 @@ def spread_positions(poses, count):
     Choose positions that differ most from each other; the last one is always among them.
 
     ``poses``: shape (n, nb, 3), in space (n, nb, 7); of the bodies.
-
     """
     candidates = np.unique(np.linspace(0, len(poses) - 1, POSE_CANDIDATES).astype(int))
     if poses.shape[-1] == 3:

@@ -7,7 +7,6 @@ How a body moves, and states in which it has a given pose or velocity.
 Of the joint coordinates that close the loops and put a body where it is wanted, those are found
 that follow from the present ones by least changes (Newton's method with the pseudo-inverse of
 closure and body Jacobian).
-
 """
 
 import numpy as np
@@ -55,7 +54,6 @@ class Placement:
 
         In world axes, from joint coordinates, rates and accelerations, shapes (nq,), (nv,), (nv,);
         by differences, to about 1e-6 of their size.
-
         """
         fastest = max(np.abs(rates).max(initial=0.0),
                       np.sqrt(np.abs(accelerations).max(initial=0.0)))
@@ -76,7 +74,6 @@ class Placement:
 
         ``pose`` is its origin [m] and unit quaternion x, y, z, w, shape (7,); ``position`` are the
         coordinates to begin with. Raises PlacementError where there are none nearby.
-
         """
         moved, found = self._mechanism.coordinates.moved, np.array(position, dtype=float)
         pose = np.asarray(pose, dtype=float)
@@ -100,7 +97,6 @@ class Placement:
 
         Those next to ``rates``; ``velocity`` as ``velocity`` returns it. Raises PlacementError
         where there are none.
-
         """
         jac = self._jacobian(position, body)
         wanted = np.concatenate([np.zeros(len(jac) - 6), velocity])

@@ -19,7 +19,6 @@ def progress_bar(total, unit, description):
     Return a bar on stderr, a context manager whose method ``update`` takes the progress.
 
     It appears after a second, only on a terminal, and is gone at the end.
-
     """
     return tqdm(total=total, unit=unit, desc=description, file=sys.stderr, disable=None,
                 delay=SHOW_AFTER, leave=False, bar_format=BAR)

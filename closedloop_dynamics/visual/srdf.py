@@ -8,7 +8,6 @@ MoveIt plans on the tree. A group of the driven joints alone is what may be plan
 are as many as the degrees of freedom; all others are passive: MoveIt commands none of them, takes
 their positions from ``joint_states`` (of floating ones from ``/tf``), and never moves them while
 it plans.
-
 """
 
 from xml.etree import ElementTree

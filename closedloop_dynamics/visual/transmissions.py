@@ -10,7 +10,6 @@ coupling says a_1 psi_1 + a_2 psi_2 = constant. Where they roll on one another, 
 against one another, |r_1 - r_2| for one in a ring. Axes that meet have bevel gears. A coupling
 whose ``radius`` is too small for its wheels to touch is a belt. Whether teeth fit into gaps does
 not change while wheels roll: it is decided once, from ``offset``.
-
 """
 
 from itertools import chain
@@ -101,7 +100,6 @@ class _Seat(NamedTuple):
 
     ``terms``: by joint its factor in the angle psi; place and axis in the carrier, axes of the
     body at psi = 0, and the same place in the body.
-
     """
 
     body: str
@@ -118,7 +116,6 @@ class _Mesh(NamedTuple):
 
     ``ahead``: angles at one instant from the contact to the directions that ``start`` is counted
     from; ``sense`` 1 where the axes lie so that both turn the same way.
-
     """
 
     first: int

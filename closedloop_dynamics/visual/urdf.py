@@ -13,7 +13,6 @@ URDF has no screws: a helical joint becomes one that turns, under its own name, 
 with it (``mimic``). Universal, cylindrical and planar joints are chains of joints of one freedom,
 called as their coordinates are; spherical and free ones are ``floating``: their links are on
 ``/tf``.
-
 """
 
 import math

@@ -66,7 +66,6 @@ def perspective(places):
     Return the view of places from in front, from the right and from above.
 
     ``places``: shape (n, 3) [m]; all that will be shown.
-
     """
     low, high = places.min(axis=0), places.max(axis=0)
     sine, cosine = math.sin(AZIMUTH), math.cos(AZIMUTH)

@@ -5,7 +5,6 @@
 Wheels, racks and belts, and their outlines.
 
 Which of them a mechanism has: ``transmissions``.
-
 """
 
 from typing import NamedTuple
@@ -104,7 +103,6 @@ def profile(wheel):
     Return the outline of a wheel, shape (n, 2), and of its hole, along start and side [m].
 
     The hole of a ring has as many places as its outline; others have None.
-
     """
     if not wheel.teeth:
         outer = wheel.radius * _circle(ROUND)

@@ -11,7 +11,6 @@ sub-environment of its own, and steps along the differences of their returns.
     python doc/examples/learn_to_reach.py [ITERATIONS]
 
 100 iterations take about a minute on two cores. Needs the extra gymnasium.
-
 """
 
 import sys

@@ -9,7 +9,6 @@ that bring the driven joints to their goal, at rest. Derivatives of where these 
 the steps, by the adjoint: one pass back over the trajectory for each number of the goal.
 
     python doc/examples/optimise_trajectory.py
-
 """
 
 import closedloop_dynamics as cld

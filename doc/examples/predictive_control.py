@@ -10,7 +10,6 @@ shooting, in all seven joint coordinates: they close the loops as the state that
 does. The first torques act on a run of the package. Needs the package casadi and a C compiler, cc.
 
     python doc/examples/predictive_control.py [CONTROL_STEPS]
-
 """
 
 from pathlib import Path

@@ -8,7 +8,6 @@ Every case runs the reader, ``closedloop recover`` and the reader of ``closedloo
 this process. *Silent* is a case where messages are lost or altered and nothing says so. Of a
 recording that was killed, a shorter one is as one that was killed earlier; that it
 was cut short is said in both cases.
-
 """
 
 from collections import Counter

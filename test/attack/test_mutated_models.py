@@ -5,7 +5,6 @@
 Damaged models in other formats: refused in words, or right; never a traceback.
 
 Seeded; a few hundred of each, thousands with ``--all``. Counts are printed (``-s`` shows them).
-
 """
 
 from collections import Counter

@@ -7,7 +7,6 @@ Models in wheels of others: refused in words, or accelerated as MuJoCo and Pinoc
 So are they when they have been exported, by the simulator of the format and when read again.
 Of the wheels dm_control, mujoco and example-robot-data, those that are installed (``pip install
 --no-deps``). Counts are printed (``-s`` shows them).
-
 """
 
 from collections import Counter

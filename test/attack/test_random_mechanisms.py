@@ -6,7 +6,6 @@ Attack: random mechanisms with absurd masses, under held and changing torques, b
 
 The energy balance is drawn up here, from positions, velocities and torques alone; a run that
 misses more than a thousandth of what moved, and says nothing, is a silent one.
-
 """
 
 from dataclasses import replace

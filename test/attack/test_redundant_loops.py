@@ -7,7 +7,6 @@ Attack: random mechanisms in space of redundant loops, with masses over six deca
 Nothing drives them: kinetic and stored energy stay. A run that loses more than a thousandth of
 what moved, or comes to another place than one of a much smaller accuracy, and says nothing, is a
 silent one.
-
 """
 
 from collections import Counter

@@ -6,7 +6,6 @@ Attack: shots at solids of all shapes, from a millimetre to a metre, at 0.1 to 1
 
 A run that ends elsewhere than the reference, by more than the start's own uncertainty explains,
 and says nothing, is a silent one.
-
 """
 
 import collections

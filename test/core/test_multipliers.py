@@ -7,7 +7,6 @@ Sign and frame of the multipliers: Newton-Euler of single links, written out her
 The multiplier of a cut joint is the force that body B exerts on body A, in
 world axes; its opposite acts on body B. Only accelerations are taken from the
 kernels, and nothing from the twins but the closing of states.
-
 """
 
 from dataclasses import replace

@@ -51,7 +51,6 @@ def slider_crank():
     Return the slider-crank of the benchmark in ``reference.exact``.
 
     Its massless slider takes half the rod's mass, which sits at the same pin.
-
     """
     return Mechanism(
         'benchmark',

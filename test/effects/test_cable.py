@@ -30,7 +30,6 @@ def hoist():
 
     The rope goes from the ceiling down around the load's pulley, up over a pulley at the ceiling,
     and down to the counterweight: 'load' and 'weight' [m], both upwards.
-
     """
     return Mechanism(
         'hoist', (Body('load', 6.0, (0, 0), 0.1), Body('weight', 2.0, (0, 0), 0.1)),

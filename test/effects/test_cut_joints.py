@@ -231,7 +231,6 @@ def geared(directory, pins, joint, cut, spatial, motion=None):
     Return a simulation with a wheel that a joint turns, whichever joint is cut.
 
     The wheel is on the coupler; the joint moves as prescribed, or not.
-
     """
     mechanism(directory, pins, cut, 'crank_joint', spatial)
     path = directory / f'{cut}_{spatial}.yaml'

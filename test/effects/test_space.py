@@ -297,7 +297,6 @@ def carried(seed, joint, axis):
     Return a chain of three bodies, and the same with the rotor of a joint as one more body.
 
     The rotor stands on the parent of a joint, its centre of mass on the joint.
-
     """
     rng = np.random.default_rng(seed)
     kinds = ('revolute', 'helical', 'prismatic')

@@ -7,7 +7,6 @@ Arrays that do not fit together are refused, so that none is read beyond its end
 The arguments are those that simulations hand over, each damaged in turn. ``scripts/sanitize`` runs
 this with each access to memory checked: there an array that is accepted and read too far ends the
 run.
-
 """
 
 import random

@@ -6,7 +6,6 @@ The mechanism behind the hardware interface of ros2_control, driven by a small l
 
 The loop is a program of C++ (closedloop_hardware/test/loop.cpp) that takes orders; what it answers
 is compared with a run of the package.
-
 """
 
 from dataclasses import replace

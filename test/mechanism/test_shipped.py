@@ -8,7 +8,6 @@ The forward kinematics here is plain numpy on the description and shares nothing
 the package; the cut equations of the scraper, the leg and the 3-RRR are written out by
 hand (psi = p_A - p_B, with the absolute angles alpha_i) and compared with it at random
 coordinates.
-
 """
 
 from closedloop_dynamics.simulation.scene import load_scene

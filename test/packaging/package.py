@@ -31,7 +31,6 @@ def copy_package(destination):
 
     But for the objects of the engine, which takes a minute to compile: where the command and all
     that was read are the same, they are linked again.
-
     """
     destination.mkdir(parents=True)
     for part in PARTS:

@@ -17,7 +17,6 @@ def counted(monkeypatch, rate, limit, finer=1.0):
     Let simulations cost ``rate(t)`` of CPU time per simulated time; probes end at a limit.
 
     With a finer accuracy than usual they cost ``finer`` times as much.
-
     """
     def run(simulation, duration, rows, torque, *, report, on_row, keep_going, estimate):
         report.time = report.cpu_time = 0.0

@@ -10,5 +10,4 @@ Slow, obvious NumPy twins of the compiled kernels; the package never imports the
 * ``machines``: the mechanisms of the paper, built by hand.
 * ``linkages``: random and special linkages with states that close.
 * ``exact``: solutions known to (nearly) all digits.
-
 """

@@ -11,7 +11,6 @@ Every function returns {(cut joint, subsystem): block}, both counted from 1.
 With ``printed`` it returns what the page says; without, the misprints are
 corrected and every row has the sign of psi = p_a - p_b, body A being the one on
 the left of the closure equation.
-
 """
 
 import numpy as np

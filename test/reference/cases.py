@@ -6,7 +6,6 @@ The cases that every test of the dynamics goes through, each with a random close
 
 The shipped mechanisms by their names, linkages of a regular shape by theirs,
 random linkages by number.
-
 """
 
 import copy

@@ -7,7 +7,6 @@ Reduced-coordinate twin: body Jacobians by tree paths, Lagrange's equations, den
 Derivatives are complex steps, exact to rounding. The order of rows and columns
 is the package's: joints in the order of ``mechanism.joints``, equations in the
 order of ``mechanism.closures``.
-
 """
 
 from closedloop_dynamics.mechanism.mechanism import (

@@ -18,7 +18,6 @@ def four_bar(folder, crank, coupler, rocker, base, *, angle=1.0, elbow=1.0, mass
 
     ``centers``: of masses, in the bars' frames; in their middle when not given. ``point``: of
     the coupler.
-
     """
     centers = centers or [(0.5 * length, 0.0) for length in (crank, coupler, rocker)]
     bars = [BAR.format(mass=mass, center=list(center), inertia=0.1 * mass)
@@ -65,7 +64,6 @@ def three_rpr(folder, base, sides, legs):
 
     ``sides``: of the platform, P1 P2, P2 P3 and P3 P1; the driven joints are ``leg_1`` to
     ``leg_3``.
-
     """
     one, two, three = sides
     x = (one ** 2 + three ** 2 - two ** 2) / (2.0 * one)

@@ -7,7 +7,6 @@ Motions known to nearly all digits, from equations with one coordinate each.
 Benchmarks of the Library of Computational Benchmark Problems (lim.ii.udc.es):
 A02, N four-bar loops; A01, simple pendulum; and the slider-crank with spring of
 SUNDIALS' idasSlCrank_dns.c, whose published figures hold five digits only.
-
 """
 
 import numpy as np

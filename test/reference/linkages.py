@@ -7,7 +7,6 @@ Random planar linkages, each with an assembled state.
 Trees are drawn first, then coordinates, and only then the cut joints, whose
 points and angles are placed where the bodies happen to be: the loops close to
 rounding without any assembly.
-
 """
 
 from dataclasses import replace

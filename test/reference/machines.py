@@ -6,7 +6,6 @@ The mechanisms of the paper, built by hand, independent of the YAML files.
 
 Each builder returns a Mechanism; its ``*_START`` are coordinates near which it
 assembles.
-
 """
 
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism

@@ -8,7 +8,6 @@ Newton's and Euler's equations of the single bodies, M a = f + Phi_q^T lam with
 Phi_q a = gamma, written out by hand and solved densely: no tree recursion, no
 Lagrange, no numerical derivatives. Each constraint's lam acts on body A of its
 joint, so that those of the cut joints are the package's multipliers.
-
 """
 
 from typing import NamedTuple

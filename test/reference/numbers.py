@@ -6,7 +6,6 @@ A mechanism in space on numbers, without any generated code.
 
 Places, Jacobians, energies and forces, by the same recursions that code is generated from, and
 motion and least forces from equations that may depend on one another.
-
 """
 
 from closedloop_dynamics.core.codegen import space

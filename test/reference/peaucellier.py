@@ -8,7 +8,6 @@ Where the crank's pin A meets the tracing pin C, the four short links fold: a si
 configuration, from which another branch leads away. Along the branch on which C keeps to its
 straight line all places are known in closed form, and so are kinetic and potential energy as
 functions of the crank's angle: one equation of motion, which notices no singularity.
-
 """
 
 from closedloop_dynamics.effects.gravity import Gravity
@@ -101,7 +100,6 @@ def travel_time(start, rate, first, last):
 
     It starts as ``scene`` says and does not turn back on the way. By energy alone: neither an
     integration of the motion nor the loops are in it.
-
     """
     energy = 0.5 * inertia(start) * rate ** 2 + height(start)
     return quad(lambda angle: np.sqrt(inertia(angle) / (2.0 * (energy - height(angle)))),

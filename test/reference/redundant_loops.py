@@ -121,7 +121,6 @@ def random_loops(rng, most=10):
     Return a mechanism of two to four loops, most of them redundant, with masses over six decades.
 
     ``most``: bodies at most.
-
     """
     while True:
         builder, left = _Builder(rng), int(rng.integers(2, 5))

@@ -8,7 +8,6 @@ A ball of no size or of some flies straight at a solid, is pushed out by k times
 it, and flies on. Distances come from polygons of up to 16,000 corners, whatever the package makes
 of splines; free flight is marched by distance, so that nothing is missed, and what is in the
 solid is integrated by RK4 with a hundredth of the contact's own time.
-
 """
 
 from dataclasses import dataclass

@@ -118,7 +118,6 @@ def random_mechanism(rng, without=(FIXED,)):
 
     Its cut joints' equations are independent; its tree has no joints of the types left out, but
     for its tips.
-
     """
     while True:
         bodies, joints = [], []

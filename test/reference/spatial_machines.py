@@ -42,7 +42,6 @@ def stewart_platform():
     Return a 6-UPS platform and its leg forces, by joint.
 
     All frames are parallel to the world's at the start; the platform hangs on the first leg.
-
     """
     base = ring(0.5, [-10.0, 10.0, 110.0, 130.0, 230.0, 250.0], 0.0)
     top = ring(0.3, [-50.0, 50.0, 70.0, 170.0, 190.0, 290.0], 0.6)
@@ -73,7 +72,6 @@ def delta_robot():
     Return a Delta robot with rods between universal and spherical joints, and its arm torques.
 
     All frames are parallel to the world's at the start; the platform hangs on the first rod.
-
     """
     down, half = np.radians(20.0), 0.05
     bodies, joints, cuts, torques = [], [], [], {}
@@ -116,7 +114,6 @@ def rssr_four_bar():
     Return a crank, a rocker across it and a rod between spherical joints; the crank's torque.
 
     All frames are parallel to the world's at the start.
-
     """
     return read_mechanism(shipped_path('mechanisms', 'rssr_four_bar')), {'crank': 0.02}
 
@@ -126,7 +123,6 @@ def bricard():
     Return six revolute joints in a ring of rods (IFToMM A04), the last one cut; no forces.
 
     All frames are parallel to the world's at the start. One of the equations repeats the others.
-
     """
     shipped = read_mechanism(shipped_path('mechanisms', 'bricard'))
     return with_cuts(shipped, ('joint_6',)), {}
@@ -138,7 +134,6 @@ def with_single_freedoms(mechanism):
 
     A spherical joint becomes revolute ones about z, y and x; all frames must be parallel at the
     start. The name of the first of the joints is that of the joint they stand for.
-
     """
     bodies, joints = list(mechanism.bodies), []
     for joint in mechanism.joints:

@@ -7,7 +7,6 @@ Maximal-coordinate twin in space: six coordinates for every body, every joint a 
 Newton's and Euler's equations of the single bodies about their centres of mass, with the joints'
 constraints differentiated twice by hand, solved densely. Orientations are quaternions, frames
 the user's own: no tree recursion on inertias, no joint frames, no code generation.
-
 """
 
 from typing import NamedTuple
@@ -79,7 +78,6 @@ def relative(joint, q, qd):
 
     That is rotation, displacement, and the columns of turn and of slide for unit rates, all in
     that frame, and the bias of the turning for these rates.
-
     """
     turn, slide, bias = np.zeros((3, len(qd))), np.zeros((3, len(qd))), np.zeros(3)
     rotation, place = np.eye(3), np.zeros(3)
@@ -279,7 +277,6 @@ def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81), wrenches=
     Return the Result for coordinates (nq,), rates and joint forces (nv,).
 
     ``wrenches``: what else acts on bodies, (6,) by name, moment first, at their frames' origins.
-
     """
     motions, rates, bases = forward(mechanism, q, qd, np.zeros(len(qd)))
     tree, cuts = Equations(mechanism), Equations(mechanism)

@@ -6,7 +6,6 @@ Plane geometry of a tree, written down directly, for real and for complex coordi
 
 Derivatives are complex steps, exact to rounding: every function of ``q`` also
 takes complex coordinates. Planar vectors are ordered (angular, x, y).
-
 """
 
 from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE

@@ -10,7 +10,6 @@ Build a package of messages, services and actions against the wheels of ROS 2.
 generators of rosidl, but no ament_cmake to call them; where ROS 2 is installed, ``colcon build``
 does all this. What is built is the type support for C, which rclpy uses. Prints the environment
 that nodes need to find the package.
-
 """
 
 from concurrent.futures import ThreadPoolExecutor

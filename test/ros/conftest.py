@@ -37,7 +37,6 @@ def make_node(context):
 
     Its keyword arguments are parameters, so that ``make_node(SimulatorNode,
     scene='four_bar')`` needs no command line.
-
     """
     nodes = []
 

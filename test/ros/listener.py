@@ -70,7 +70,6 @@ class Listener:
 
         A publisher knows of a subscriber before that knows of the publisher; what is sent in
         between is lost.
-
         """
         deadline, count = time.monotonic() + PATIENCE, 0
         while not holds(condition):
@@ -92,7 +91,6 @@ class Listener:
 
         The first one is sent again where its answer is lost (see ``send``). Once it is there,
         both sides know each other, and the others are sent at once.
-
         """
         for _ in range(round(PATIENCE / REPEAT_CALL)):
             client = self.node.create_client(service_class, name, qos_profile=SERVICE_QOS)

@@ -11,7 +11,6 @@ process receives everything reliably, comes and goes with further subscriptions,
 and sets parameters. At the end it prints what was received and lost, by the publisher's own
 numbering, and how the memory of the simulator has grown since it had settled. Exit code 0: no
 loss, no growth.
-
 """
 
 import argparse

@@ -111,7 +111,6 @@ def test_controller_manager_that_waits_for_the_clock_gets_it(processes, listener
 
     It waits for a clock above zero, then for a period; no command goes out before the hardware
     is active; then one a period, of nothing until a controller writes.
-
     """
     simulator = processes.start(SIMULATOR, scene='three_rrr', publish_clock='true', **waits)
     simulator.wait_until_ready()

@@ -6,7 +6,6 @@ Tests of the launch files: what they start, for which arguments.
 
 PyPI has no ``launch`` for Jazzy. So stand-ins of its classes, which only keep what they are
 given, print what would be started; where the real one is installed, it starts the nodes, too.
-
 """
 
 import importlib.util

@@ -5,7 +5,6 @@
 The services and the action of simulation_interfaces, asked from another process over DDS.
 
 Where that package is not installed, ``python test/ros/build_interfaces.py`` builds it.
-
 """
 
 from types import SimpleNamespace

@@ -54,7 +54,6 @@ def drive(processes, listener, simulated, duration, time=None, **parameters):
     Return the states of a scene under a torque source, after both have stopped.
 
     ``time`` are parameters of the simulator.
-
     """
     states = listener.listen('joint_states', JointState)
     commands = listener.listen('torque_command', Float64MultiArray)

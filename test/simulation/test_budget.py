@@ -26,7 +26,6 @@ def follow(budget, cost, intervals, accuracy=1e-6, waiting=lambda time: 1.0):
     Return the accuracies of a machine whose computing takes ``cost(accuracy, time)`` of a core.
 
     By the clock it takes ``waiting(time)`` times that.
-
     """
     found = []
     for number in range(intervals):

@@ -22,7 +22,6 @@ def bouncing(**method):
 
     A wall is touched for pi ms, three steps of RK4, which are stable for its 1000 1/s but meet
     where it begins and ends by chance: more than a tenth of the energy goes astray within 0.1 s.
-
     """
     walls = {'stiffness': 1e6}
     return simulated(block(), {

@@ -243,7 +243,6 @@ def guided_parallelogram():
 
     The slide's pin lies in a slot along the coupler: always, while the coupler does not turn. On
     the other branch the slide stays where the coupler's pin is.
-
     """
     bodies = (*(machines.bar(f'crank_{k}', 1.0, 0.4) for k in range(2)),
               machines.bar('coupler', 1.0, 1.0), Body('table', 1.0, (0.0, 0.1), 0.1),

@@ -9,7 +9,6 @@ The recursions over the bodies are written once, in space (``spatial``), and run
 arithmetic that is left is compiled (``emit``) to routines that the engine calls by their address
 (``function_table``): a whole evaluation of a mechanism of a few bodies (``routines``), or its
 kernels for each kind of body, which the engine's loops over bodies call (``joint_kernels``).
-
 """
 
 import numpy as np

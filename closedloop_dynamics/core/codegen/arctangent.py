@@ -8,7 +8,6 @@ A call of the C library saves all that is in registers, and of a vector makes on
 The angle to the nearest axis is t + t^3 p(t^2) of the quotient t of the lesser coordinate by the
 larger one; p is the minimax polynomial (Remez) of (atan(t) / t - 1) / t^2 on 0 to 1, whose error
 is 3e-17 of the angle. It is summed up in pairs (Estrin's scheme), which waits least.
-
 """
 
 import math

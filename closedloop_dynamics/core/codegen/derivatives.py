@@ -13,7 +13,6 @@ evaluation has, too: of the residuals
 the derivatives by any x are those of ``K (qdd, lambda) = -(dR/dx, dC/dx)`` with K = (M, -J^T; J,
 0). Coordinates are those of the spanning tree, each changed alone, with the loops open: what
 changes along the loops is what a closing change of all of them adds up to.
-
 """
 
 from . import elimination, forward_dynamics

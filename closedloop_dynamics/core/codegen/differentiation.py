@@ -100,7 +100,6 @@ def _of_one(graph, place, changes):
     Return the change of the result of an operation by those of its operands.
 
     The same number, of one change alone, is what that operand gets of a weight of the result.
-
     """
     kind, *operands = graph.operations[place]
 

@@ -8,7 +8,6 @@ The constraint matrix Ibar = J I^-1 J^T is symmetric and, while the closure
 equations are independent, positive definite: eliminated in any order without
 pivoting it stays stable, so the order is chosen once, for low fill. Each cut
 joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
-
 """
 
 from .expression_graph import chosen, larger

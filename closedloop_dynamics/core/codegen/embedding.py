@@ -11,7 +11,6 @@ Loops that share a joint are eliminated together; those that close on the ground
 end.
 
 The methods take the places of those of ``forward_dynamics``.
-
 """
 
 from . import elimination
@@ -94,7 +93,6 @@ class _Loops:
     """
 
     def __init__(self, recursion, model, work, closing, rows):
-        """Store the arguments."""
         self.recursion, self.model, self.work = recursion, model, work
         self.closing, self.rows = closing, rows
         self.smallest = 1.0

@@ -33,7 +33,6 @@ class Writer:
     ARGUMENTS, ROOT = (WORDS, DOUBLES, DOUBLES), 'llvm.sqrt.f64'
 
     def __init__(self, routine, declared):
-        """Begin the function."""
         self.routine = routine
         self.function = Function(routine.name, self.ARGUMENTS, declared)
         self.values, self.pointers, self.engine_results = {}, {}, {}

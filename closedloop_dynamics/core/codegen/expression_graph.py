@@ -7,7 +7,6 @@ Trace an evaluation for one topology: run it on symbols and record the arithmeti
 Recursions and loops over a mechanism, run with symbols in the place of numbers, leave behind the
 list of additions and multiplications that this one mechanism needs: no loop, no index, no zero
 added.
-
 """
 
 import math
@@ -39,7 +38,6 @@ class ExpressionGraph:
     """
 
     def __init__(self):
-        """Begin an empty graph."""
         self.operations, self.guard, self._known = [], None, {}
 
     def put(self, *operation):
@@ -73,7 +71,6 @@ class Routine:
     """
 
     def __init__(self, name, graph, outputs):
-        """Select the operations that the outputs need."""
         self.name, self.graph, self.outputs = name, graph, outputs
 
     def needed(self):
@@ -142,14 +139,12 @@ class Symbol:
     __slots__ = ('place', 'graph')
 
     def __init__(self, graph, place):
-        """Name the result of an operation."""
         self.graph, self.place = graph, place
 
     def _put(self, operation, *operands):
         return self.graph.put(operation, *map(_operand, operands))
 
     def __add__(self, other):
-        """Add; nothing where the other is zero."""
         if _is(other, 0.0):
             return self
         if isinstance(other, Symbol) and other._operation() == NEGATE:
@@ -157,11 +152,9 @@ class Symbol:
         return self._put(ADD, self, other)
 
     def __radd__(self, other):
-        """Add to a number."""
         return self + other
 
     def __sub__(self, other):
-        """Subtract; nothing where the other is zero."""
         if _is(other, 0.0):
             return self
         if isinstance(other, Symbol) and other._operation() == NEGATE:
@@ -169,7 +162,6 @@ class Symbol:
         return self._put(SUBTRACT, self, other)
 
     def __rsub__(self, other):
-        """Subtract from a number."""
         return -self if _is(other, 0.0) else self._put(SUBTRACT, other, self)
 
     def __mul__(self, other):
@@ -190,27 +182,21 @@ class Symbol:
         return self.graph.put(MULTIPLY, first, second)
 
     def __rmul__(self, other):
-        """Multiply a number."""
         return self * other
 
     def __truediv__(self, other):
-        """Divide."""
         return self._put(DIVIDE, self, other)
 
     def __rtruediv__(self, other):
-        """Divide a number."""
         return self._put(DIVIDE, other, self)
 
     def __neg__(self):
-        """Negate; twice is nothing."""
         return self._negated() if self._operation() == NEGATE else self._put(NEGATE, self)
 
     def __pos__(self):
-        """Leave it as it is."""
         return self
 
     def __abs__(self):
-        """Return the size."""
         return chosen(self < 0.0, -self, self)
 
     def __pow__(self, exponent):
@@ -224,15 +210,12 @@ class Symbol:
         return product if exponent >= 0.0 else 1.0 / product
 
     def __rpow__(self, base):
-        """Raise a number to a power."""
         return self._put(POWER, base, self)
 
     def __lt__(self, other):
-        """Compare."""
         return self._put(LESS, self, other)
 
     def __gt__(self, other):
-        """Compare."""
         return self._put(LESS, other, self)
 
     def __ge__(self, other):
@@ -240,7 +223,6 @@ class Symbol:
         return self._put(GREATER_EQUAL, self, other)
 
     def __le__(self, other):
-        """Compare."""
         return self._put(GREATER_EQUAL, other, self)
 
     def __bool__(self):

@@ -9,7 +9,6 @@ not there, then those of the arrays that they work on. A routine is called with 
 state, and returns whether its results are good; the places of the routines are those of
 ``engine/columns.hpp``. Where effects are listed, the evaluation is that of the scene, with their
 laws (``live_scene``), or there is none.
-
 """
 
 import numpy as np

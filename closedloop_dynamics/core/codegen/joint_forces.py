@@ -8,7 +8,6 @@ Where closure equations repeat others, forces are not unique: those are chosen t
 all joints together, as ``engine/least_forces.hpp`` says. There equations are separated by
 pivoting; here those that the elimination works on are taken in their order, and the results count
 where none of them depends on those before it.
-
 """
 
 import numpy as np

@@ -7,7 +7,6 @@ Kernels for one body, or one cut joint, of each kind, called by the loops over a
 A kernel is one pass of the recursions (``spatial``) for one body, of which rows of
 ``Workspace.body`` give the kinematics. Bodies of one kind (joint type, structure of the constants,
 whether the parent is the ground) share it, whatever their number, their masses and their lengths.
-
 """
 
 import numpy as np
@@ -262,7 +261,6 @@ class _Body:
         Compute the composite body's wrench for a unit acceleration, and its share in the joint.
 
         The wrench, like the inertia, goes to the parent.
-
         """
         body, inertia = recursion.bodies[_BODY], recursion.inertia[_BODY]
         share, wrench = recursion.transmit_wrench(
@@ -296,7 +294,6 @@ class _Body:
         Compute accelerations of given qdd, and the force that they take beside the bias force.
 
         Rows of wrenches, then accelerations, in the place of those of the workspace.
-
         """
         size, motion = len(self.arrays.FORCES), recursion.motion[_BODY]
         other, first = tracer.row(OTHER, 2 * size), tracer.row(FIRST, 2 * size)

@@ -19,7 +19,6 @@ class LaneWriter(Writer):
     Writes one routine for several states at once.
 
     It returns 0 where the results of any lane are not to be used.
-
     """
 
     ROOT = f'llvm.sqrt.v{LANES}f64'

@@ -7,7 +7,6 @@ Traced routines for several states at once, in the lanes of vector registers.
 One evaluation spends most of its time waiting: each operation for the ones before. The same
 arithmetic on vectors, with a state in every lane, takes hardly longer. What differs between the
 lanes is stored lane by lane: number k of lane n at place ``LANES * k + n``.
-
 """
 
 import numpy as np

@@ -8,7 +8,6 @@ Laws are traced into the one routine between the motion of the bodies and their 
 Their numbers, states and what was decided about them are loads, so that a change of these compiles
 nothing. What the laws say of themselves beside the rates of their states, such as what they store,
 is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
-
 """
 
 import math
@@ -75,7 +74,6 @@ class LiveTrace(MechanismTrace):
     """
 
     def __init__(self, model, laws):
-        """Make the symbols of all inputs."""
         self.laws, self.first = laws, len(model.tree) - 1
         super().__init__(model)
 
@@ -164,7 +162,6 @@ class LiveForces(Forces):
     """
 
     def __init__(self, trace):
-        """Begin without forces."""
         trace.values = None
         super().__init__(trace)
         self.trace, self.nv = trace, trace.nv
@@ -260,7 +257,6 @@ class CutFreedom:
     """
 
     def __init__(self, forces, k):
-        """Store the cut joint and its row."""
         self._forces, self._one, self._number = forces, forces.trace.laws.cuts[k], k
 
     def _vector(self, first):

@@ -7,7 +7,6 @@ LLVM's intermediate representation as text, instruction by instruction.
 A mechanism in space is some ten thousand instructions: objects of llvmlite for them take half as
 long as LLVM takes to compile them. A value is here a pair of its type and its name, both as LLVM
 writes them.
-
 """
 
 import struct
@@ -65,7 +64,6 @@ class Function:
     """
 
     def __init__(self, name, arguments, declared):
-        """Begin the first block."""
         self.arguments = [(kind, f'%a{n}') for n, kind in enumerate(arguments)]
         listed = ', '.join(' '.join(one) for one in self.arguments)
         self._head = f'define {WORD} @{name}({listed}) {{'

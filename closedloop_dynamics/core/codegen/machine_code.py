@@ -5,7 +5,6 @@
 Machine code of routines, by LLVM, or as an earlier process left it on disk.
 
 LLVM is loaded when it is needed, not with the package: that takes longer than the rest.
-
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -7,7 +7,6 @@ Which operations are the same in several branches of a mechanism.
 The legs of a Stewart platform take the same operations on other numbers. These go into the lanes
 of a vector, one leg in each, which makes the code half as long. What is rounded, and where, stays
 as it is without: a product and its only sum are one instruction in both, or in neither.
-
 """
 
 from collections import defaultdict
@@ -110,7 +109,6 @@ class Packing:
     """
 
     def __init__(self, routine, angles):
-        """Find the bundles."""
         self.operations = routine.graph.operations
         self.use = sorted(routine.needed())
         stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}

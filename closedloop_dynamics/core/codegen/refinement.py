@@ -13,7 +13,6 @@ same factors.
 
 A joint without any inertia gets a small one as a stand-in, whose effect the same
 refinement removes.
-
 """
 
 from . import elimination
@@ -43,7 +42,6 @@ def _geometry(recursion, model, work):
 
     Angles are scaled by the longest lever of any in the same loops, so that they compare with
     slides. Keeps J, by path entries, in ``lever``. Returns the smallest relative pivot.
-
     """
     tree, cut, path_body = model.tree, model.cut, model.path_body
     response, scaled, lever, joint = (
@@ -84,7 +82,6 @@ def _stand_in(model, work):
     Give joints without inertia a small one.
 
     Returns whether cut forces act on all of these: nothing else can hold them.
-
     """
     body, joint, path_body = work.body, work.joint, model.path_body
     most, held = 0.0, 1.0
@@ -139,7 +136,6 @@ def _unclosed(model, work, lam, right):
     Add J qdd to ``right``.
 
     Returns the squares of all terms of J qdd and Jdot qd, and of all forces on joints.
-
     """
     cut, path_body = model.cut, model.path_body
     lever, response, joint = work.lever, work.response, work.joint
@@ -163,7 +159,6 @@ def _hand_over(model, work):
     Add the latest change to the accelerations, and leave the residual for refinement.
 
     That is the forces on the stand-ins; the sum of their squares is returned.
-
     """
     tree, body, joint = model.tree, work.body, work.joint
     total = 0.0

@@ -161,7 +161,6 @@ class MechanismTrace:
     """
 
     def __init__(self, model, joints=None):
-        """Make the symbols of all inputs."""
         self.graph, self.joints = ExpressionGraph(), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model

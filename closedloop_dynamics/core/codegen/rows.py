@@ -6,7 +6,6 @@ Kinematics, inertia and force of a body in its row of ``Workspace.body``.
 
 Columns that ``plane`` and ``space`` fill; components that a planar row does
 not have are zero.
-
 """
 
 

@@ -6,7 +6,6 @@ Routines of a mechanism with its effects, for programs without effects of their 
 
 Laws of force are traced into the evaluation: beside gravity and torques it knows springs, dampers
 and constant forces. Their numbers are inputs, like masses and lengths.
-
 """
 
 from . import forward_dynamics
@@ -45,7 +44,6 @@ class SceneTrace(MechanismTrace):
     """
 
     def __init__(self, model, act, values):
-        """Make the symbols of all inputs."""
         super().__init__(model)
         self.values, self.decided = self.symbols(VALUES, values), False
         self._act = act
@@ -131,7 +129,6 @@ class Forces:
     """
 
     def __init__(self, unrolling):
-        """Begin without forces."""
         self._one, self._values = unrolling.recursion, unrolling.values
         self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
         self._row = {row[DOF]: row for row in tree[1:]}

@@ -12,7 +12,6 @@ with K of the factors that an evaluation has. Forward, in a direction, dx = -K^-
 reverse, the gradient of w^T x is -y^T F_u with K^T y = w: one solution, and one pass through the
 residuals for any number of inputs (the adjoint of an implicit function; Griewank and Walther,
 Evaluating Derivatives, 2nd ed. (2008), section 15).
-
 """
 
 from .derivatives import DerivativeTrace

@@ -8,7 +8,6 @@ One call of the C library costs as much as thirty additions; a mechanism needs t
 cosine of every body's angle, which are known before all else. Cody and Waite's reduction
 by multiples of pi/2 and the minimax polynomials of FreeBSD's msun library (k_sin.c, k_cos.c),
 good to one unit in the last place.
-
 """
 
 from .llvm_text import CONTRACT, DOUBLE, integer, numbers, repeated, vector_of, WORD

@@ -7,7 +7,6 @@ The arrays of a mechanism in space.
 Frames are chosen so that what turns does so about its Z axis. Numbers that are exactly 0, and of
 rotations 0, 1 and -1, belong to the structure that code is generated for, like the topology: with
 them go the terms that they multiply.
-
 """
 
 import numpy as np

@@ -13,7 +13,6 @@ A row of the tree is a body with a joint of one degree of freedom. The methods o
 are the recursions of ``forward_dynamics``; for mechanisms too large to be unrolled the engine
 loops over kernels of single bodies instead (``joint_kernels``, ``engine/recursion.cpp``,
 ``loop_closure.cpp``).
-
 """
 
 from typing import NamedTuple
@@ -264,7 +263,6 @@ class Recursion:
     """
 
     def __init__(self, bodies, cuts, gravity, hinges=()):
-        """Store the description."""
         self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
         self.ground = BodyKinematics(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
@@ -782,7 +780,6 @@ def _beyond(wrench, axis, moment):
 
     The angles of parallel axes are counted from the first one's frame: no angle turns the bodies
     beyond the next one.
-
     """
     alone = _aligned(axis)
     if alone is None:
@@ -856,7 +853,6 @@ def _distance(cut, first, second, at_a, at_b):
     Return the equation that keeps two points at a distance l: (d . d / l - l) / 2.
 
     Without a root; its multiplier is the force that pushes the points apart.
-
     """
     apart, rate, bias = _gap(first, second, at_a, at_b)
     inverse = 1.0 / cut.length
@@ -873,7 +869,6 @@ def _turn(cut, first, second):
 
     Its value is the sine of what the angle is off, so that it does not matter how often the joint
     has turned round.
-
     """
     angle, rate, acceleration = cut.motion
     side = transpose(_joint_frame(first, cut.turned_a, 0.0))[X]
@@ -920,7 +915,6 @@ def _screw(cut, first, second, at_a, at_b):
     Return the equation of a thread: X of body A lies across Y of body B, turned by slide / lead.
 
     That holds however many turns there are. Times the lead: an error in metres.
-
     """
     x, y, z = transpose(_joint_frame(second, cut.turned_b, cut.angle))
     own = transpose(_joint_frame(first, cut.turned_a, 0.0))[X]

@@ -7,7 +7,6 @@ Vectors and matrices of three numbers, each a float or a symbol.
 Plain functions on tuples: numbers that are exactly 0 or 1 vanish from the expression graph, so
 that what is written for space costs nothing in the plane. A wrench or a motion is a tuple of six
 numbers, the angular part first.
-
 """
 
 ZERO = (0.0, 0.0, 0.0)
