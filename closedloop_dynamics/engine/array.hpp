@@ -98,7 +98,8 @@ struct Given
 };
 
 /// Copy the entries of `from`, as many as `to` has.
-inline void copy(Vector<double> from, Vector<double> to)
+template<class Number>
+void copy(Vector<Number> from, Vector<Number> to)
 {
   assert(from.size >= to.size);
   std::copy_n(from.data, to.size, to.data);

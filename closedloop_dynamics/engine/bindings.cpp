@@ -340,7 +340,8 @@ const Entry entries[] = {
     "call_for_columns(table, q, qd, columns, results): whether the results are good"),
   entry<numbers_of_coordinates>("fill_numbers", "fill_numbers(manifold, q)"),
   entry<find_torques>(
-    "find_torques", "find_torques(system, actuated, loops, out, q, qd, qdd): whether it was done"),
+    "find_torques",
+    "find_torques(system, actuated, passive, loops, own, out, q, qd, qdd): whether it was done"),
   entry<find_all_multipliers, Length::Q, Length::QD>(
     "find_all_multipliers",
     "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),

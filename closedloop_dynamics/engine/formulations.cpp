@@ -148,7 +148,6 @@ bool accelerate_dense(
   Values tau, double baumgarte, Values qdd, Values lam)
 {
   constraint_jacobian(model, work, dense.jac);
-  update(model, work, Responses::NONE);
   work.right.fill(0.0);
   constraint_right_side(work, baumgarte, work.right);
   to_user_order(model, work.right, dense.right);

@@ -99,9 +99,8 @@ bool close(
   double before = std::numeric_limits<double>::infinity();
   for (int iteration = 0; iteration < MOST_ITERATIONS; ++iteration) {
     outward(model, q, qd, work);
-    update(model, work, Responses::NONE);
-    to_user_order(model, work.closure, right);
     constraint_jacobian(model, work, partition.jac);
+    to_user_order(model, work.closure, right);
     if (partition.record[CHOSEN_RATIO] == 0.0) {
       choose(partition);
     }

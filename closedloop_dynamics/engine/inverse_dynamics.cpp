@@ -7,7 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
+#include <memory>
 
 #include "arms.hpp"
 #include "dispatch.hpp"
@@ -21,6 +21,7 @@
 #include "projection.hpp"
 #include "recursion.hpp"
 #include "requests.hpp"
+#include "scratch.hpp"
 #include "stick_slip.hpp"
 
 // tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not actuated.
@@ -44,42 +45,57 @@ constexpr double SOUND = 1e-5;
 constexpr double SETTLED = 1e-12;
 constexpr int MOST_ROUNDS = 1000;
 
-/// All equations at a state whose bodies were moved.
-struct Loops
-{
-  DenseMatrix jac;
-  DenseVector bias;
-};
+/// Memory of one solution, on the stack for most mechanisms.
+using Room = Scratch<double, 3 * FEW * FEW + 10 * FEW>;
 
-bool opens(const System & system, const Loops & all, Index loops, const DenseVector & qdd)
+Index room_for(const System & system, Index nc, Index passive)
+{
+  return system.nq() + 4 * system.nv() + system.tau.size + nc * (system.nv() + passive + 1) +
+         passive;
+}
+
+/// Whether accelerations open the first `loops` equations at a state whose bodies were moved, or
+/// the derivatives of any equation are not finite.
+bool opens(const System & system, Table jac, Values bias, Index loops, Values qdd)
 {
   const bool planar = system.work.planar();
   const Index first = planar ?
     static_cast<Index>(plane::AX) : static_cast<Index>(space::ACCELERATION);
-  double largest_acceleration = 0.0, most = 0.0, part = 0.0;
+  double part = 0.0, all = 0.0;
+  for (Index i = 0; i < jac.rows; ++i) {
+    double sum = bias[i];
+    const double * row = jac.row(i);
+    for (Index j = 0; j < jac.columns; ++j) {
+      sum += row[j] * qdd[j];
+    }
+    part = i < loops ? std::max(part, std::abs(sum)) : part;
+    all += sum;
+  }
+  if (!std::isfinite(all)) {
+    return true;
+  }
+  double acceleration = 0.0;
   for (Index i = 0; i < system.work.body.rows; ++i) {
-    for (Index n = first; n < first + (planar ? 2 : 3); ++n) {
-      largest_acceleration = std::max(largest_acceleration, std::abs(system.work.body(i, n)));
+    acceleration = std::max(
+      acceleration, largest({&system.work.body(i, first), planar ? 2 : 3}));
+  }
+  if (part <= NOISE * acceleration) {
+    return false;
+  }
+  double most = largest(bias.part(0, loops));
+  for (Index i = 0; i < jac.rows; ++i) {
+    for (Index j = 0; j < jac.columns; ++j) {
+      most = std::max(most, std::abs(jac(i, j) * qdd[j]));
     }
   }
-  for (Index i = 0; i < all.jac.rows(); ++i) {
-    double sum = i < loops ? all.bias[i] : 0.0;
-    most = std::max(most, std::abs(sum));
-    for (Index j = 0; j < all.jac.cols(); ++j) {
-      const double product = all.jac(i, j) * qdd[j];
-      most = std::max(most, std::abs(product));
-      sum += product;
-    }
-    if (i < loops) {
-      part = std::max(part, std::abs(sum));
-    }
-  }
-  return !(part <= NOISE * largest_acceleration + OPENS * most);
+  return !(part <= NOISE * acceleration + OPENS * most);
 }
 
 /// Required sum of torques and constraint forces at the joints; `moved`: the bodies have been moved
-/// there, and no effect has acted yet.
-void find_need(const System & system, Values q, Values qd, Values qdd, bool moved, Values need)
+/// there, and no effect has acted yet. `no_torques`: zeros.
+void find_need(
+  const System & system, Values q, Values qd, Values qdd, bool moved, Values no_torques,
+  Values need)
 {
   const EffectTable & table = system.effects;
   if (!moved) {
@@ -88,7 +104,8 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
   if (system.has_effects()) {
     // Friction is that of a steady motion; the drives are the unknowns.
     begin_friction(table, qd, table.states);
-    std::vector<Index> enabled(table.enabled.begin(), table.enabled.end());
+    Scratch<Index, FEW> room(table.count());
+    const Indices enabled = room.copy_of(table.enabled);
     for (Index row = 0; row < table.count(); ++row) {
       if (table.kind[row] == effect::ACTUATOR) {
         table.enabled[row] = 0;
@@ -101,9 +118,8 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
       fill_numbers(system.manifold, q);
       positions = system.manifold.number;
     }
-    DenseVector none = DenseVector::Zero(system.tau.size);
-    apply_effects(table, system.work.body, positions, qd, view(none));
-    std::copy(enabled.begin(), enabled.end(), table.enabled.begin());
+    apply_effects(table, system.work.body, positions, qd, no_torques);
+    copy(enabled, table.enabled);
     table.sticking.hold.fill(0.0);
     bias_forces(system.work, table.reaction);
   }
@@ -115,130 +131,117 @@ void find_need(const System & system, Values q, Values qd, Values qdd, bool move
   }
 }
 
-/// Least torques and multipliers of a mechanism in one position.
-class Balance
+/// The least torques, and of equal ones the least multipliers, where many have the required sum.
+class LeastTorques
 {
 public:
-  Balance(const DenseMatrix & jac, Indices actuated)
-  : jac_(jac), actuated_(actuated)
+  LeastTorques(Table jac, Indices actuated)
+  : count_(actuated.size)
   {
-    const Index nv = jac.cols();
-    passive_.reserve(nv);
-    for (Index i = 0; i < nv; ++i) {
-      if (std::find(actuated.begin(), actuated.end(), i) == actuated.end()) {
-        passive_.push_back(i);
-      }
+    Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(jac.columns, count_ + jac.rows);
+    for (Index n = 0; n < count_; ++n) {
+      unknowns(actuated[n], n) = 1.0;
     }
-    const Index count = static_cast<Index>(passive_.size());
-    DenseMatrix levers(count, jac.rows());
-    for (Index i = 0; i < count; ++i) {
-      levers.row(i) = jac.col(passive_[i]).transpose();
+    unknowns.rightCols(jac.rows) = dense(jac).transpose();
+    all_.compute(unknowns, REPEATS);
+    // Null space: torques and multipliers whose sum is zero.
+    if (unknowns.cols() > all_.rank() && count_ > 0) {
+      nothing_ = all_.null_space();
+      of_nothing_.compute(nothing_.topRows(count_), Eigen::ComputeThinU | Eigen::ComputeThinV);
     }
-    if (levers.size() > 0 && count == jac.rows()) {
-      // Most mechanisms: as many drives as degrees of freedom.
-      square_ = levers;
-      pivots_.resize(count);
-      unique_ = factorize(view(square_), {pivots_.data(), count}) > SOUND;
-      if (unique_) {
-        return;
-      }
-      pivots_.clear();
-    }
-    is_small_ = std::max(levers.rows(), levers.cols()) <= FEW;
-    if (levers.size() > 0 && count < jac.rows()) {
-      // Fewer than the equations: some multipliers are not unique.
-      repeats_ = is_small_ && has_unique_torques(levers);
-      if (repeats_) {
-        return;
-      }
-    } else if (levers.size() > 0) {
-      if (is_small_) {
-        of_few_.setThreshold(CLEAR);
-        of_few_.compute(levers);
-      } else {
-        of_passive_.compute(levers, CLEAR);
-      }
-    }
-    unique_ = jac.rows() == 0 || (levers.size() > 0 && count >= jac.rows() && jac.rows() == (
-        is_small_ ? of_few_.rank() : of_passive_.rank()));
-    if (!unique_) {
-      Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(nv, actuated.size + jac.rows());
-      for (Index n = 0; n < actuated.size; ++n) {
-        unknowns(actuated[n], n) = 1.0;
-      }
-      unknowns.rightCols(jac.rows()) = jac.transpose();
-      of_all_.compute(unknowns, REPEATS);
-      // Null space: torques and multipliers whose sum is zero.
-      const Index left = unknowns.cols() - of_all_.rank();
-      if (left > 0 && actuated.size > 0) {
-        nothing_ = of_all_.null_space();
-        of_nothing_.compute(
-          nothing_.topRows(actuated.size), Eigen::ComputeThinU | Eigen::ComputeThinV);
+  }
+
+  void solve(Values need, Values out) const
+  {
+    Eigen::Map<DenseVector> solution = dense(out);
+    solution = all_.solve(dense(need));
+    for (Index n = 0; n < std::min(count_, nothing_.cols()); ++n) {
+      const double part = of_nothing_.singularValues()[n];
+      if (part > CLEAR) {
+        const double share = of_nothing_.matrixU().col(n).dot(solution.head(count_)) / part;
+        solution -= nothing_ * (share * of_nothing_.matrixV().col(n));
       }
     }
   }
 
-  /// Whether torques and multipliers, written to `out`, have the required sum.
-  bool solve(const DenseVector & need, Values out)
+private:
+  Index count_;
+  LeastSquares all_;
+  Eigen::MatrixXd nothing_;
+  LargeSingular of_nothing_;
+};
+
+/// Torques and multipliers of a mechanism in one position.
+class Balance
+{
+public:
+  Balance(Table jac, Indices actuated, Indices passive, Room & room)
+  : jac_(jac), actuated_(actuated), passive_(passive), left_(room.take(jac.columns)),
+    levers_(room.take(passive.size, jac.rows)), right_(room.take(passive.size)),
+    of_pivots_(jac.rows), pivots_(of_pivots_.take(jac.rows))
   {
-    const Index count = actuated_.size;
-    Eigen::Map<DenseVector> solution = dense(out), lam = dense(out.from(count));
-    if (unique_ || repeats_) {
-      if (lam.size() > 0) {
-        DenseVector at_passive(passive_.size());
-        for (std::size_t i = 0; i < passive_.size(); ++i) {
-          at_passive[i] = need[passive_[i]];
-        }
-        if (repeats_) {
-          lam = least_multipliers(at_passive);
-        } else if (pivots_.empty() && is_small_) {
-          lam = of_few_.solve(at_passive);
-        } else if (pivots_.empty()) {
-          lam = of_passive_.solve(at_passive);
-        } else {
-          lam = at_passive;
-          closedloop::solve(view(square_), {pivots_.data(), lam.size()}, out.from(count));
-        }
-      }
-    } else {
-      solution = of_all_.solve(need);
-      // The least torques; of equal ones the least multipliers.
-      for (Index n = 0; n < std::min(count, nothing_.cols()); ++n) {
-        const double part = of_nothing_.singularValues()[n];
-        if (part > CLEAR) {
-          const double share = of_nothing_.matrixU().col(n).dot(solution.head(count)) / part;
-          solution -= nothing_ * (share * of_nothing_.matrixV().col(n));
-        }
+    for (Index i = 0; i < passive.size; ++i) {
+      for (Index k = 0; k < jac.rows; ++k) {
+        levers_(i, k) = jac(k, passive[i]);
       }
     }
-    const DenseVector left = need - jac_.transpose() * lam;
+    if (jac.rows <= passive.size) {
+      // Most mechanisms: no more drives than degrees of freedom.
+      unique_ = factorize(levers_, pivots_) > SOUND;
+    } else if (passive.size > 0 && jac.rows <= FEW) {
+      // Some multipliers are not unique.
+      repeats_ = has_unique_torques();
+    }
+    if (!unique_ && !repeats_) {
+      least_ = std::make_unique<LeastTorques>(jac, actuated);
+    }
+  }
+
+  /// Whether torques and multipliers, written to `out`, have the required sum.
+  bool solve(Values need, Values out)
+  {
+    const Values lam = out.from(actuated_.size);
+    if (least_ != nullptr) {
+      least_->solve(need, out);
+    } else {
+      for (Index i = 0; i < passive_.size; ++i) {
+        right_[i] = need[passive_[i]];
+      }
+      if (repeats_) {
+        dense(lam) = least_multipliers();
+      } else {
+        closedloop::solve(levers_, pivots_, right_);
+        copy(right_, lam);
+      }
+    }
+    dense(left_).noalias() = dense(need) - dense(jac_).transpose() * dense(lam);
     double missing = 0.0;
     for (Index i : passive_) {
-      if (!(std::abs(left[i]) <= missing)) {
-        missing = std::abs(left[i]);
+      if (!(std::abs(left_[i]) <= missing)) {
+        missing = std::abs(left_[i]);
       }
     }
-    if (unique_ || repeats_) {
-      for (Index n = 0; n < count; ++n) {
-        out[n] = left[actuated_[n]];
+    if (least_ == nullptr) {
+      for (Index n = 0; n < actuated_.size; ++n) {
+        out[n] = left_[actuated_[n]];
       }
     }
-    return missing <= MISSING * std::max(need.cwiseAbs().maxCoeff(), 1e-30);
+    return missing <= MISSING * std::max(largest(need), 1e-30);
   }
 
 private:
   /// Factor the passive joints' levers by rows; return whether multipliers without force at these
   /// joints have none at the actuated joints, either.
-  bool has_unique_torques(const DenseMatrix & levers)
+  bool has_unique_torques()
   {
-    const Index count = levers.rows(), idle = levers.cols() - count;
+    const Index count = passive_.size, idle = jac_.rows - count;
     of_few_.setThreshold(CLEAR);
-    of_few_.compute(levers.transpose());
+    of_few_.compute(dense(levers_).transpose());
     if (of_few_.rank() < count) {
       return false;
     }
     for (Index joint : actuated_) {
-      const Sized<FEW>::Vector lever = of_few_.householderQ().adjoint() * jac_.col(joint);
+      const Sized<FEW>::Vector lever = of_few_.householderQ().adjoint() * dense(jac_).col(joint);
       if (!(lever.tail(idle).norm() <= REPEATS * lever.norm())) {
         return false;
       }
@@ -247,33 +250,31 @@ private:
   }
 
   /// The least multipliers that give the required forces at the passive joints.
-  Sized<FEW>::Vector least_multipliers(const DenseVector & at_passive) const
+  Sized<FEW>::Vector least_multipliers() const
   {
-    const Index count = at_passive.size();
-    Sized<FEW>::Vector found = Sized<FEW>::Vector::Zero(jac_.rows());
-    found.head(count) = of_few_.colsPermutation().transpose() * at_passive;
+    const Index count = passive_.size;
+    Sized<FEW>::Vector found = Sized<FEW>::Vector::Zero(jac_.rows);
+    found.head(count) = of_few_.colsPermutation().transpose() * dense(right_);
     of_few_.matrixQR().topLeftCorner(count, count).triangularView<Eigen::Upper>()
     .transpose().solveInPlace(found.head(count));
     found.applyOnTheLeft(of_few_.householderQ());
     return found;
   }
 
-  const DenseMatrix & jac_;
-  Indices actuated_;
-  std::vector<Index> passive_;
+  Table jac_;
+  Indices actuated_, passive_;
+  /// Forces that torques have to give.
+  Values left_;
+  /// Of the passive joints; where multipliers are unique their LU factors, with the pivots.
+  Table levers_;
+  Values right_;
+  Scratch<Index, FEW> of_pivots_;
+  Indices pivots_;
   bool unique_ = false;
-  // Whether torques are unique, and multipliers are not.
+  // Whether torques are unique, and multipliers are not: factors of the levers, transposed.
   bool repeats_ = false;
-  // LU factors of the passive joints' levers, with their pivots; empty if not square.
-  DenseMatrix square_;
-  std::vector<Index> pivots_;
-  // Of the passive joints' levers otherwise, transposed where these are fewer than the equations;
-  // on the stack where they are few; of all unknowns.
-  bool is_small_ = false;
   Eigen::ColPivHouseholderQR<Sized<FEW>::ByColumn> of_few_;
-  LeastSquares of_passive_, of_all_;
-  Eigen::MatrixXd nothing_;
-  LargeSingular of_nothing_;
+  std::unique_ptr<LeastTorques> least_;
 };
 
 /// Update the joint loads of friction; return whether they are as before.
@@ -294,35 +295,40 @@ bool settle(const EffectTable & table)
 }  // namespace
 
 bool find_torques(
-  const System & system, Indices actuated, Index loops, Values out, const Given & given_q,
-  const Given & given_qd, const Given & given_qdd)
+  const System & system, Indices actuated, Indices passive, Index loops, Values own, Values out,
+  const Given & given_q, const Given & given_qd, const Given & given_qdd)
 {
   const Model & model = system.whole.empty() ? system.model : system.whole.model;
   const Workspace & work = system.whole.empty() ? system.work : system.whole.work;
   const Index nv = system.nv(), nc = model.equations();
-  if (system.has_cut_coordinates() || nv == 0 || out.size != actuated.size + nc) {
+  if (system.has_cut_coordinates() || nv == 0) {
     return false;
   }
-  DenseVector q(system.nq()), qd(nv), qdd(nv), need(nv);
-  if (!(take(given_q, view(q)) && take(given_qd, view(qd)) && take(given_qdd, view(qdd)) &&
-    is_position(system.manifold, view(q)) && qd.allFinite() && qdd.allFinite()))
+  Room room(room_for(system, nc, passive.size));
+  const Values q = room.take(system.nq()), qd = room.take(nv), qdd = room.take(nv);
+  const Values need = room.take(nv), no_torques = room.take(system.tau.size);
+  if (!(take(given_q, q) && take(given_qd, qd) && take(given_qdd, qdd) &&
+    is_position(system.manifold, q) && all_finite(qd) && all_finite(qdd)))
   {
     return false;
   }
-  outward(model, view(q), view(qd), work);
-  update(model, work, Responses::NONE);
-  Loops all{DenseMatrix(nc, nv), DenseVector(nc)};
-  to_user_order(model, work.bias, view(all.bias));
-  constraint_jacobian(model, work, view(all.jac));
-  if (!all.jac.allFinite() || opens(system, all, loops, qdd)) {
+  if (system.has_effects()) {
+    copy(own, system.effects.states);
+  }
+  no_torques.fill(0.0);
+  const Table jac = room.take(nc, nv);
+  const Values bias = room.take(nc);
+  outward(model, q, qd, work);
+  constraint_jacobian(model, work, jac);
+  to_user_order(model, work.bias, bias);
+  if (opens(system, jac, bias, loops, qdd)) {
     return false;
   }
-  Balance balance(all.jac, actuated);
+  Balance balance(jac, actuated, passive, room);
   // Where more are needed, Python continues, which can be interrupted.
   for (int round = 0; round < MOST_ROUNDS; ++round) {
-    const bool moved = round == 0 && system.whole.empty();
-    need.setZero();
-    find_need(system, view(q), view(qd), view(qdd), moved, view(need));
+    need.fill(0.0);
+    find_need(system, q, qd, qdd, round == 0, no_torques, need);
     if (!balance.solve(need, out)) {
       return false;
     }
@@ -331,7 +337,7 @@ bool find_torques(
     }
     // Friction driven by reactions depends on the result: a fixed point, fast because friction is
     // the smaller part.
-    load_joints(system, model, work, view(qd), view(qdd), out.from(actuated.size));
+    load_joints(system, model, work, qd, qdd, out.from(actuated.size));
     if (settle(system.effects)) {
       return true;
     }

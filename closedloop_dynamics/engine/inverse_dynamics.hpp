@@ -9,13 +9,14 @@
 namespace closedloop
 {
 
-/// Inverse dynamics: torques of the actuated joints, given by their places among the rates, then
-/// the multipliers of all equations; the first `loops` equations are loop closures. False, with
-/// results undefined, where arguments are no arrays of finite numbers of the right lengths, the
-/// motion opens the loops or cannot be produced, or effects act in cut joints.
+/// Inverse dynamics: torques of the actuated joints, then the multipliers of all equations, of
+/// which the first `loops` are loop closures. Joints are given by their places among the rates;
+/// `own`: the effects' own states. False, with results undefined, where arguments are no arrays of
+/// finite numbers of the right lengths, the motion opens the loops or cannot be produced, or
+/// effects act in cut joints.
 bool find_torques(
-  const System &, Indices actuated, Index loops, Values out, const Given & q, const Given & qd,
-  const Given & qdd);
+  const System &, Indices actuated, Indices passive, Index loops, Values own, Values out,
+  const Given & q, const Given & qd, const Given & qdd);
 
 }  // namespace closedloop
 

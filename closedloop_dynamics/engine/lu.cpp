@@ -11,12 +11,16 @@ namespace closedloop
 
 double factorize(Table matrix, Indices pivots)
 {
-  const Index n = matrix.rows;
+  const Index rows = matrix.rows, n = matrix.columns;
   double smallest = 0.0, most = 0.0;
   for (Index k = 0; k < n; ++k) {
     Index pivot = k;
-    for (Index i = k + 1; i < n; ++i) {
-      if (std::abs(matrix(i, k)) > std::abs(matrix(pivot, k))) {
+    double size = std::abs(matrix(k, k));
+    const double * entry = &matrix(k, k);
+    for (Index i = k + 1; i < rows; ++i) {
+      entry += n;
+      if (std::abs(*entry) > size) {
+        size = std::abs(*entry);
         pivot = i;
       }
     }
@@ -24,18 +28,19 @@ double factorize(Table matrix, Indices pivots)
     if (pivot != k) {
       std::swap_ranges(matrix.row(k), matrix.row(k) + n, matrix.row(pivot));
     }
-    const double size = std::abs(matrix(k, k));
     if (k == 0 || !(size >= smallest)) {
       smallest = size;
     }
     most = std::max(most, size);
     const double inverse = 1.0 / matrix(k, k);
-    for (Index i = k + 1; i < n; ++i) {
-      const double scale = matrix(i, k) * inverse;
-      matrix(i, k) = scale;
+    const double * from = matrix.row(k);
+    for (Index i = k + 1; i < rows; ++i) {
+      double * to = matrix.row(i);
+      const double scale = to[k] * inverse;
+      to[k] = scale;
       if (scale != 0.0) {
         for (Index j = k + 1; j < n; ++j) {
-          matrix(i, j) -= scale * matrix(k, j);
+          to[j] -= scale * from[j];
         }
       }
     }
@@ -45,7 +50,7 @@ double factorize(Table matrix, Indices pivots)
 
 void solve(Table matrix, Indices pivots, Values right)
 {
-  const Index n = matrix.rows;
+  const Index n = matrix.columns;
   for (Index k = 0; k < n; ++k) {
     std::swap(right[pivots[k]], right[k]);
   }

@@ -12,10 +12,11 @@
 namespace closedloop
 {
 
-/// Factor a matrix in place; return the smallest pivot relative to the largest.
+/// Factor a matrix of at least as many rows as columns in place, with a pivot for each column;
+/// return the smallest pivot relative to the largest.
 double factorize(Table matrix, Indices pivots);
 
-/// Solve in place with the factors.
+/// Solve in place with the factors: the rows of the pivots, for as many unknowns as columns.
 void solve(Table matrix, Indices pivots, Values right);
 
 }  // namespace closedloop

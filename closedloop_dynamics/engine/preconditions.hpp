@@ -509,8 +509,14 @@ inline constexpr auto precondition<call_for_columns> =
 
 template<>
 inline constexpr auto precondition<find_torques> =
-  [](const System & system, Indices actuated, Index loops) {
-    return expected::unless(loops >= 0 && expected::within(actuated, 0, system.nv()));
+  [](const System & system, Indices actuated, Indices passive, Index loops, Values own,
+    Values out) {
+    const Index nc = (system.whole.empty() ? system.model : system.whole.model).equations();
+    return expected::unless(
+      loops >= 0 && loops <= nc && actuated.size + passive.size == system.nv() &&
+      expected::within(actuated, 0, system.nv()) &&
+      expected::within(passive, 0, system.nv()) && own.size == system.effects.states.size &&
+      out.size == actuated.size + nc);
   };
 
 template<>

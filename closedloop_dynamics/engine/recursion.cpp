@@ -25,21 +25,31 @@ void outward(const Model & model, Values q, Values qd, const Workspace & work)
   }
 }
 
-void turn_spherical(Indexes tree, Table body, double * values, bool outward, Index stride)
+/// Turn the entries of spherical joints in so many rows of numbers, one every `next` numbers, in
+/// which the entries are `stride` apart.
+static void turn_spherical(
+  Indexes tree, Table body, double * values, bool outward, Index rows, Index next, Index stride)
 {
   const Index z = 2;
   for (Index i = 1; i < tree.rows; ++i) {
     if (tree(i, tree::TYPE) == tree::BALL && tree(i, tree::AXIS) == z) {
       double * entry = values + stride * (tree(i, tree::DOF) - 2);
-      const double x[3] = {entry[0], entry[stride], entry[2 * stride]};
-      for (Index n = 0; n < 3; ++n) {
-        const Index row = outward ? space::FRAME + 3 * n : space::FRAME + n;
-        const Index step = outward ? 1 : 3;
-        entry[n * stride] =
-          body(i, row) * x[0] + body(i, row + step) * x[1] + body(i, row + 2 * step) * x[2];
+      for (Index k = 0; k < rows; ++k, entry += next) {
+        const double x[3] = {entry[0], entry[stride], entry[2 * stride]};
+        for (Index n = 0; n < 3; ++n) {
+          const Index row = outward ? space::FRAME + 3 * n : space::FRAME + n;
+          const Index step = outward ? 1 : 3;
+          entry[n * stride] =
+            body(i, row) * x[0] + body(i, row + step) * x[1] + body(i, row + 2 * step) * x[2];
+        }
       }
     }
   }
+}
+
+void turn_spherical(Indexes tree, Table body, double * values, bool outward)
+{
+  turn_spherical(tree, body, values, outward, 1, 0, 1);
 }
 
 void inward(const Model & model, Values tau, const Workspace & work, bool massless)
@@ -213,9 +223,9 @@ void constraint_jacobian(const Model & model, const Workspace & work, Table jac)
       for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
         row[model.tree(model.path_body[entry], tree::DOF)] = work.response(entry, k);
       }
-      turn_spherical(model.tree, work.body, row, false);
     }
   }
+  turn_spherical(model.tree, work.body, jac.data, false, jac.rows, jac.columns, 1);
 }
 
 void generalized_inertia_matrix(const Model & model, const Workspace & work, Table gim)
@@ -238,12 +248,8 @@ void generalized_inertia_matrix(const Model & model, const Workspace & work, Tab
       gim(row, tree(k, tree::DOF)) = gim(tree(k, tree::DOF), row) = work.share[0];
     }
   }
-  for (Index i = 0; i < gim.rows; ++i) {
-    turn_spherical(tree, body, gim.row(i), false);
-  }
-  for (Index i = 0; i < gim.columns; ++i) {
-    turn_spherical(tree, body, gim.data + i, false, gim.columns);
-  }
+  turn_spherical(tree, body, gim.data, false, gim.rows, gim.columns, 1);
+  turn_spherical(tree, body, gim.data, false, gim.columns, 1, gim.columns);
 }
 
 }  // namespace closedloop

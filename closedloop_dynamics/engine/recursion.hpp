@@ -21,8 +21,7 @@ void inward(const Model &, Values tau, const Workspace &, bool massless);
 void outward_acceleration(const Model &, const Workspace &, Values qdd);
 
 /// Turn the entries of spherical joints from the body's frame into the world's, or back.
-void turn_spherical(
-  Indexes tree, Table body, double * values, bool outward, Index stride = 1);
+void turn_spherical(Indexes tree, Table body, double * values, bool outward);
 
 /// Kinetic energy and potential energy in gravity [J], of a state whose motion is in `work`.
 void energies(const Model &, const Workspace &, Values qd, Values out);
@@ -53,7 +52,7 @@ void cut_wrenches(
 /// Joint torques of the tree alone for given accelerations, shape (nv,).
 void tree_torque(const Model &, const Workspace &, Values qdd, Values out);
 
-/// Constraint Jacobian in the user's order, shape (nc, nv), after `update`.
+/// Constraint Jacobian in the user's order, shape (nc, nv), and what `update` finds.
 void constraint_jacobian(const Model &, const Workspace &, Table jac);
 
 /// Generalized inertia matrix of the tree, shape (nv, nv); uses up the bodies' inertias.

@@ -100,7 +100,6 @@ struct WholeEquations
   : jac(all.model.equations(), all.model.joints()), bias(all.model.equations())
   {
     outward(all.model, q, qd, all.own);
-    update(all.model, all.own, Responses::NONE);
     constraint_jacobian(all.model, all.own, view(jac));
     to_user_order(all.model, all.own.bias, view(bias));
   }

@@ -211,7 +211,7 @@ class Data(Names):
     def _inverse_dynamics(self) -> InverseDynamics:
         """Return the inverse dynamics of the present equations."""
         return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
-                               self._equations, self._cuts, self._actuated)
+                               self._equations, self._cuts, self._actuated, self._own)
 
     def _set_probes(self) -> None:
         """Evaluate the present state, and any other, of the present system."""
@@ -666,20 +666,19 @@ class Data(Names):
         -----
         Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not
         actuated. The torques are those at the joints, after limits and lags of the drives; dry
-        friction is that of a steady motion, none where a joint rests.
+        friction is that of a steady motion, none where a joint rests. Time and the other states of
+        effects are those of the present state, as for ``forward_dynamics``.
 
         """
         self._fresh = False
-        if self._effects.follows_time:
-            self._effects.begin_at_time(self._table.states, self.time)
-        found = self.inverse.solve_given(position, velocity, acceleration)
-        if found is not None:
-            return found
+        inverse = self.inverse
+        if inverse.find(position, velocity, acceleration):
+            return inverse.torque.copy(), inverse.lam.copy()
         nv = len(self.joint_names)
         q = self._taken(position)
         qd, qdd = (vector(name, values, nv) for name, values in (
             ('velocity', velocity), ('acceleration', acceleration)))
-        return self.inverse.solve(q, qd, qdd)
+        return inverse.solve(q, qd, qdd)
 
     def tree_torque(self, position: np.ndarray, velocity: np.ndarray,
                     acceleration: np.ndarray) -> np.ndarray:
@@ -698,12 +697,11 @@ class Data(Names):
         ndarray, shape (nv,)
             I qdd + c - tau_effects [N m or N]: torques of drives and J^T lambda add up to it.
             Effects are those of a steady motion, as for ``inverse_dynamics``; friction that
-            depends on forces in joints is that of the forces felt last.
+            depends on forces in joints is that of the forces felt in the present state.
 
         """
         self._fresh = False
-        if self._effects.follows_time:
-            self._effects.begin_at_time(self._table.states, self.time)
+        self._table.states[:] = self._own
         return self.inverse.needed(position, velocity, acceleration)
 
 

@@ -15,40 +15,33 @@ REPEATS, CLEAR = 1e-12, 1e-9
 
 
 class InverseDynamics:
-    """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
+    """
+    Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive.
 
-    def __init__(self, mechanism, system, effects, table, equations, cuts, actuated):
+    Attributes
+    ----------
+    find : callable
+        Of coordinates, rates and accelerations, as for ``solve`` but not checked yet: solves at
+        once, where arrays are given and nothing is refused, and returns whether it did.
+    torque, lam : ndarray
+        What ``find`` has found, until it is called again.
+
+    """
+
+    def __init__(self, mechanism, system, effects, table, equations, cuts, actuated, own):
         self._mechanism, self._system, self._equations = mechanism, system, equations
-        self._effects, self._table = effects, table
+        self._effects, self._table, self._own = effects, table, own
         self._cuts, nv = cuts, mechanism.coordinates.nv
         self._actuated = actuated[actuated < nv]
         known = mechanism.cut_coordinates
         self._driven = [known.names[place] for place in known.actuated]
         self._passive = np.setdiff1d(np.arange(nv), self._actuated)
-        found = np.zeros(len(actuated) + equations.nc)
-        self._torque, self._lam = found[:len(actuated)], found[len(actuated):]
-        self._find = native.bind(
-            'find_torques', system.native, self._actuated.astype(np.int64),
-            equations.nc - len(mechanism.motions), found)
-
-    def solve_given(self, q, qd, qdd):
-        """
-        Return the result of ``solve`` at once, where arrays are given and nothing is refused.
-
-        Parameters
-        ----------
-        q, qd, qdd
-            As for ``solve``, but not checked yet.
-
-        Returns
-        -------
-        torque, lam : ndarray
-            None for both, as one, where ``solve`` is to be asked.
-
-        """
-        if self._find(q, qd, qdd):
-            return self._torque.copy(), self._lam.copy()
-        return None
+        count = len(self._actuated)
+        found = np.zeros(count + equations.nc)
+        self.torque, self.lam = found[:count], found[count:]
+        self.find = native.bind(
+            'find_torques', system.native, self._actuated.astype(np.int64), self._passive,
+            equations.nc - len(mechanism.motions), own, found)
 
     def solve(self, q, qd, qdd):
         """
@@ -73,6 +66,7 @@ class InverseDynamics:
         """
         jac = self._jacobian(q, qd, qdd)
         table = self._table
+        table.states[:] = self._own
         while True:
             torque, lam = self._least_torques(self.needed(q, qd, qdd), jac)
             if table.loaded[0] == 0:

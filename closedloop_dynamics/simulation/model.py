@@ -532,8 +532,6 @@ class _Workspace(Readings):
     def needed(self, state: State, acceleration: np.ndarray) -> InverseDynamicsResult:
         """Return the torques and multipliers that a motion needs."""
         self.at(state)
-        # The effects' own states, too, are those of this state.
-        self._evaluate()
         return InverseDynamicsResult(*map(frozen, self.inverse_dynamics(
             state.q, state.qd, acceleration)))
 

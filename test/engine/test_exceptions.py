@@ -26,7 +26,8 @@ mechanism, position = ladder(1000)
 system = build_system(build_model(validate_mechanism(mechanism)))
 nv, nc = len(system.qdd), len(system.lam)
 assert 8 * nv * nc >= 3e7
-find = native.bind('find_torques', system.native, np.zeros(1, dtype=np.int64), nc,
+joints = np.arange(nv)
+find = native.bind('find_torques', system.native, joints[:1], joints[1:], nc, np.zeros(0),
                    np.zeros(1 + nc))
 given = np.array(position, dtype=float), np.zeros(nv), np.full(nv, np.inf)
 assert not find(*given)

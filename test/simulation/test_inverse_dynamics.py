@@ -8,6 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
@@ -23,6 +24,12 @@ def built(mechanism, q, qd, **effects):
     return Simulation(Scene(
         'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
         {'gravity': Gravity(dense.EARTH), **effects}, Method())).inverse
+
+
+def at_once(inverse, q, qd, qdd):
+    """Return torques and multipliers by the engine alone."""
+    assert inverse.find(q, qd, qdd)
+    return inverse.torque, inverse.lam
 
 
 def closed_motion(rng, mechanism, q, qd):
@@ -52,7 +59,7 @@ def test_torques_of_more_drives_than_freedoms_are_the_least(case):
     np.testing.assert_allclose(lam, expected, atol=1e-9 * np.abs(need).max())
     np.testing.assert_allclose(
         torque, need - jac.T @ expected, atol=1e-9 * np.abs(need).max())
-    given = built(mechanism, q, qd).solve_given(q, qd, qdd)
+    given = at_once(built(mechanism, q, qd), q, qd, qdd)
     np.testing.assert_allclose(given[0], torque, atol=1e-9 * np.abs(need).max())
     np.testing.assert_allclose(given[1], lam, atol=1e-9 * np.abs(need).max())
 
@@ -64,7 +71,7 @@ def test_redundant_equations_take_the_least_multipliers(drives):
         replace(joint, actuated=n < drives) for n, joint in enumerate(scene.mechanism.joints)))))
     q, qd = one.position, one.velocity
     qdd, _ = one.forward_dynamics(q, qd, np.ones(drives))
-    torque, lam = one.inverse.solve_given(q, qd, qdd)
+    torque, lam = at_once(one.inverse, q, qd, qdd)
     jac, need = one.constraint_jacobian, one.tree_torque(q, qd, qdd)
     # One drive is all that moves the linkage; of two, what they do against each other is least.
     unknowns = np.concatenate((np.eye(len(q))[:, :drives], jac.T), axis=1)
@@ -81,8 +88,8 @@ def test_a_stretched_leg_that_hangs_at_rest_needs_no_torque():
     # The drives hold a stretched leg against each other: any multiple of that adds up to nothing.
     simulation = Simulation.from_scene('three_rrr_vertical')
     rest = Linearisation(simulation).equilibrium().position
-    for one in (simulation.inverse.solve, simulation.inverse.solve_given):
-        torque, _ = one(rest, np.zeros(7), np.zeros(7))
+    motion = rest, np.zeros(7), np.zeros(7)
+    for torque, _ in (simulation.inverse.solve(*motion), at_once(simulation.inverse, *motion)):
         assert np.abs(torque).max() < 1e-6
 
 
@@ -95,6 +102,22 @@ def test_a_spring_takes_its_part_of_the_torque_over():
     place = mechanism.joint_names.index(mechanism.actuated_joints[0])
     assert helped[0] - alone[0] == pytest.approx(7.0 * (q[place] - 0.2), rel=1e-9)
     np.testing.assert_allclose(same, held, atol=1e-9 * np.abs(held).max())
+
+
+@pytest.mark.parametrize('form', [np.array, list])
+def test_effects_are_in_the_states_that_the_run_is_in(form):
+    # A memory of the place, which steps evaluate between their ends, too.
+    law = Law({'x': '-k*z'}, parameters={'k': 3.0}, states={'z': '5*(x - z)'},
+              joints={'x': 'theta_1'})
+    one = Simulation(replace(load_scene('three_rrr'), effects={'memory': law}))
+    one.step([1.0, 0.5, -0.5], 0.1)
+    memory = one.integrated[-2]
+    q, qd = one.position, one.velocity
+    qdd, _ = one.forward_dynamics(q, qd, [0.2, -0.1, 0.3])
+    one.advance(one.joint_torques([1.0, 0.5, -0.5]), 2)
+    torque, _ = one.inverse_dynamics(form(q), form(qd), form(qdd))
+    expected = 0.2 + 3.0 * (one.integrated[-2] - memory)
+    assert torque == pytest.approx([expected, -0.1, 0.3], abs=1e-12)
 
 
 def test_what_the_drives_cannot_do_and_what_opens_the_loops_is_told_with_its_size():
