@@ -367,18 +367,38 @@ class Runner(Shown):
 
     def _adopt(self, hand, new):
         """Go on with another machine, near the present state if the one before runs."""
-        old = self.simulation
+        old, place = self.simulation, self.simulation.effects[self._hand.spring].anchor
         carry_over(old, new, None if hand.gravity in self.editor.scene.effects else hand.gravity,
                    moving=not self._editing)
         chosen = self._driving.chosen
         self._failure = self.start_pose = None
         self._put(hand, new)
         self._driving.restore(chosen)
+        self._grab_again(old, place)
         same = old.coordinates.names == new.coordinates.names
         # What has other coordinates cannot wait.
         self._own_waits = same and self.playing
         self._own_due = self._clock() + SETTLED * same
         self._describe()
+
+    def _grab_again(self, old, place):
+        """Pull at what was held in the machine before; where it has gone, let go of it."""
+        if self._grabbed is None:
+            return
+        body, number = self._grabbed
+        name = old.mechanism.bodies[body].name
+        bodies = [one.name for one in self.simulation.mechanism.bodies]
+        try:
+            if name not in bodies:
+                raise FieldError('a body of the machine', shown(name))
+            self._grabbed = [bodies.index(name), number]
+            point = self._hand.point(*self._grabbed)
+        except FieldError:
+            self.holder = self._grabbed = None
+            self.feed.log('What was held is no part of the machine any more.')
+            return
+        if not self._kinematic:
+            self._begin_grab(point, place)
 
     def _renew_controller(self):
         """Rebuild a controller for the machine as it is now."""

@@ -56,6 +56,8 @@ class Stepper:
     def begin(self, simulation, driving, rows):
         """Go on with another simulation, under the torques of ``driving``, seen by ``rows``."""
         self._simulation, self._driving, self._rows = simulation, driving, rows
+        # By which a budget compares computing time with the clock.
+        simulation.pace = self.speed
         # Share of a step that is made at once, and steps that were requested one by one.
         self._part, self._single = 1.0, 0.0
         self._paced = 0.0, 0.0

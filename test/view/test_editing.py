@@ -211,6 +211,34 @@ def test_a_machine_moves_on_while_it_is_built_with_another_number(monkeypatch):
     assert now.closure < 1e-9
 
 
+def test_what_is_held_and_how_fast_it_runs_stay_while_it_is_edited():
+    edited = Edited()
+    runner = edited.runner
+    edited.ask('speed', factor=0.5)
+    edited.ask('play', frames=30)
+    edited.ask('grab', body=1, place=0, at=[0.1, 0.3, 0.0])
+    before = runner.simulation
+    edited.ask('set', key='length.rocker.cut_1', value=0.27)
+    edited.settle()
+    now = runner.simulation
+    assert now is not before and now.pace == 0.5
+    assert 'hand' in now.enabled_effects and now.effects['hand'] == before.effects['hand']
+    assert json.loads(runner.feed.controls)['grabbed'] == [1, 0]
+    # The budget of time is that of the speed in a machine that is opened, too.
+    edited.ask('open', name='slider_crank', kind='shipped')
+    assert runner.simulation.pace == 0.5 and 'hand' not in runner.simulation.enabled_effects
+    # A body that goes is let go of, and the page is told.
+    edited.ask('edit', on=True)
+    edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
+    edited.ask('play', frames=1)
+    names = [body.name for body in runner.simulation.mechanism.bodies]
+    edited.ask('grab', body=names.index('link_1'), place=0, at=[1.1, 0.2, 0.0])
+    edited.ask('undo')
+    edited.settle()
+    controls = json.loads(runner.feed.controls)
+    assert controls['grabbed'] is None and 'held' in controls['notes'][-1]['text']
+
+
 def test_a_machine_that_cannot_be_built_while_it_moves_goes_back():
     edited = Edited()
     edited.ask('play', frames=30)
