@@ -100,7 +100,7 @@ class Evaluator:
                                  f'got {name!r}')
         one, whole_model = deepcopy((system, model))
         whole = one
-        if one.leaves_out:
+        if one.has_redundant_constraints:
             # Asked rarely: no routines are generated for it.
             whole = with_equations(one._replace(corrections=np.zeros((2, 0))), whole_model)
         asked = request(one, own.copy(), actuated, 'multipliers' in quantities)
@@ -109,7 +109,7 @@ class Evaluator:
         self._refused, self._names = refused, tuple(quantities)
         self._evaluate = native.bind('evaluate_request', one.native, whole.native, asked)
         results = {'acceleration': one.qdd,
-                   'multipliers': asked.lam if one.leaves_out else one.lam}
+                   'multipliers': asked.lam if one.has_redundant_constraints else one.lam}
         for name in quantities:
             view = results[name].view()
             view.flags.writeable = False

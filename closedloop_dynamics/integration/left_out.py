@@ -68,5 +68,5 @@ def all_equations(model, work, before=None):
 
 def forget(system):
     """Forget the motion of a system so far."""
-    if system.leaves_out:
+    if system.has_redundant_constraints:
         system.whole.numbers[:] = 0.0

@@ -182,7 +182,7 @@ class System(NamedTuple):
         return self.partition.order.size > 0
 
     @property
-    def leaves_out(self):
+    def has_redundant_constraints(self):
         """Whether equations that repeat others are left out."""
         return self.whole is not None
 

@@ -5,7 +5,7 @@
 Read rosbag2 bags with nothing but their own type definitions: finished or not, sound or not.
 
 A recording that was killed has no ``metadata.yaml`` and no index in its last file; everything
-else in it is read. What is damaged is left out and told.
+else in it is read. What is damaged is left out and reported.
 """
 
 from collections import Counter

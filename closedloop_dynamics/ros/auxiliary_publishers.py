@@ -31,7 +31,7 @@ class Descriptions:
     """
 
     def __init__(self, node, simulation, log):
-        self._simulation, self._log, self._told = simulation, log, None
+        self._simulation, self._log, self._published = simulation, log, None
         self._robot = node.create_publisher(String, 'robot_description', LATCHED_QOS)
         self._scene = node.create_publisher(String, 'scene', LATCHED_QOS)
         try:
@@ -45,11 +45,11 @@ class Descriptions:
     def on_state(self, stamp=None):
         """Publish the scene if it has changed since the state before."""
         simulation = self._simulation
-        told = simulation.scene, simulation.effects, simulation.enabled_effects
+        present = simulation.scene, simulation.effects, simulation.enabled_effects
         # Records that were not replaced are found equal without being compared. What changed did
         # so after the last state that was published.
-        if told != self._told:
-            scene, effects, enabled = self._told = told
+        if present != self._published:
+            scene, effects, enabled = self._published = present
             off = [name for name in effects if name not in enabled]
             self._scene.publish(String(data=scene_text(
                 scene, effects, off, after=self._log.index)))

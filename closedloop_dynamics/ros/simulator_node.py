@@ -107,7 +107,7 @@ class SimulatorNode(Node):
             self.get_logger())
         self.throttles = {key: Throttle() for key in (
             'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
-        self._told_not_actuated, self._method_prepared = False, None
+        self._warned_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self._expected = values['wait_for_subscribers']
         self.counts = {'states set': 0, 'states refused': 0}
@@ -270,8 +270,8 @@ class SimulatorNode(Node):
         self.do(partial(
             self._accept, 'joint_command', self.command.accept_named, message.name, message.effort,
             time.monotonic()))
-        if self.command.counts[NOT_ACTUATED] and not self._told_not_actuated:
-            self._told_not_actuated = True
+        if self.command.counts[NOT_ACTUATED] and not self._warned_not_actuated:
+            self._warned_not_actuated = True
             self.get_logger().info(
                 'joint_command names joints that are not actuated; their efforts are ignored')
 

@@ -37,7 +37,7 @@ from closedloop_dynamics.view.driving import round_up
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.hand import Hand
 from closedloop_dynamics.view.messages import (
-    drive_of, drives_told, effects_told, FREE, HELD, POSITION, require_one_number, TORQUE)
+    drive_of, describe_drives, describe_effects, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
 from closedloop_dynamics.view.server import Server
@@ -104,8 +104,8 @@ class RemoteSimulator(Shown):
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
         self._time, self._fresh, self._start = 0.0, False, None
-        # When a state between frames was looked at, and how long that took [s].
-        self._looked_at, self._look_time = -math.inf, 0.0
+        # When a state between frames was sampled, and how long that took [s].
+        self._sampled_at, self._sample_time = -math.inf, 0.0
         self._playing, self._speed = True, 1.0
         self._busy = None
         # Target of the held point.
@@ -165,7 +165,7 @@ class RemoteSimulator(Shown):
         gravity = next((name for name, record in scene.effects.items()
                         if isinstance(record, Gravity)), None)
         self._columns = motion_columns(mechanism)
-        self._begin_looking(self._columns.plots, len(mechanism.points), extent(mechanism))
+        self._begin_thinning(self._columns.plots, len(mechanism.points), extent(mechanism))
         described = describe(
             mechanism, self._columns, scene.effects, mode='node', title=self.name,
             drives=[self._drive_of(scene, name) for name in self.drives],
@@ -248,10 +248,10 @@ class RemoteSimulator(Shown):
     def _sample_between(self):
         """Sample a state between frames, within a fixed share of the time."""
         begin = time.monotonic()
-        if not self.feed.pages or begin - self._looked_at < self._look_time / SAMPLING_SHARE:
+        if not self.feed.pages or begin - self._sampled_at < self._sample_time / SAMPLING_SHARE:
             return
         self._thin(self._time, *self._row())
-        self._looked_at, self._look_time = begin, time.monotonic() - begin
+        self._sampled_at, self._sample_time = begin, time.monotonic() - begin
 
     def _send_controls(self):
         silent = time.monotonic() - self._heard > SILENCE
@@ -259,9 +259,10 @@ class RemoteSimulator(Shown):
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
-            motion=None, drives=drives_told(self.drives), unused=list(self._scene.method.unused),
+            motion=None, drives=describe_drives(self.drives),
+            unused=list(self._scene.method.unused),
             method={key: getattr(self._scene.method, key) for key in METHOD},
-            effects=effects_told(
+            effects=describe_effects(
                 self._scene.effects, lambda name: name not in self._scene.switched_off))
 
     def _do_play(self, page):

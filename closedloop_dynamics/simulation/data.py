@@ -222,7 +222,7 @@ class Data(Names):
         self._evaluate_given = native.bind('evaluate_given', system.native, asked)
         # Of all equations, in the present state and in that one.
         self._lam, self._lam_given = system.lam, system.lam
-        if system.leaves_out:
+        if system.has_redundant_constraints:
             self._lam, self._lam_given = np.zeros(len(asked.lam)), asked.lam
             self._find_all_multipliers = native.bind(
                 'find_all_multipliers', system.native, self._q, self._qd, self._lam)
@@ -346,9 +346,9 @@ class Data(Names):
         return self._points[name]
 
     @property
-    def leaves_out(self) -> bool:
+    def has_redundant_constraints(self) -> bool:
         """Whether equations that repeat others are left out, and watched."""
-        return self._geometry.leaves_out
+        return self._geometry.has_redundant_constraints
 
     @property
     def carried(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -368,7 +368,7 @@ class Data(Names):
     @property
     def takes_closed_states(self) -> bool:
         """Whether any state with closed loops may be a start."""
-        return not (self._motions or self.leaves_out or self.system.is_independent
+        return not (self._motions or self.has_redundant_constraints or self.system.is_independent
                     or self._assembler.is_light or self._table.loaded[0])
 
     @property
@@ -500,7 +500,7 @@ class Data(Names):
         far that equations which were left out are taken instead of others. Results are the same.
         """
         for kept in self._geometry.choices(self._initial[0]) if self._code.routines else ():
-            with_equations(self.system, self._geometry.of(kept)[0], self._code)
+            with_equations(self.system, self._geometry.model_of(kept)[0], self._code)
 
     def _rebind(self, system: System) -> None:
         """Evaluate by a system that works on the equations that are kept."""
@@ -582,7 +582,7 @@ class Data(Names):
         probe.own[:] = self._table.states
         probe.evaluate()
         lam = system.lam
-        if self.leaves_out:
+        if self.has_redundant_constraints:
             lam = self._multipliers_elsewhere(probe)
         system.tau[:] = applied
         self._fresh = False
@@ -616,9 +616,10 @@ class Data(Names):
         >>> evaluate.acceleration
 
         """
+        model = (self._geometry.model_of(None)[0] if self.has_redundant_constraints
+                 else self.system.model)
         made = Evaluator(
-            self.system, self._geometry.of(None)[0] if self.leaves_out else self.system.model,
-            self._own, self._allowed, quantities or QUANTITIES, self._refuse)
+            self.system, model, self._own, self._allowed, quantities or QUANTITIES, self._refuse)
         made.q[:], made.qd[:] = self._q, self._qd
         return made
 
@@ -634,7 +635,7 @@ class Data(Names):
         lam = np.zeros(len(everything.lam))
         if native.find_all_multipliers(self.system.native, probe.q, probe.qd, lam):
             return lam
-        whole = with_equations(self.system, self._geometry.of(None)[0])
+        whole = with_equations(self.system, self._geometry.model_of(None)[0])
         other = Probe(whole)
         other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own
         other.evaluate()

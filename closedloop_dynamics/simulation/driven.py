@@ -349,10 +349,10 @@ class DrivenKinematics:
             # Equations that vanish as a whole are scaled out of sight.
             left, motion = self._lost(jac)
         values = self.values.copy()
-        told = ', '.join(
+        place = ', '.join(
             f'{name} = {self._shown(motion, value)}' for name, motion, value in zip(
                 self.names, self._mechanism.motions, values))
-        where = f'{where}, at {told},' if where else f'The branch ends at {told}: this'
+        where = f'{where}, at {place},' if where else f'The branch ends at {place}: this'
         if motion is None:
             return BranchEnd(values, self.position.copy(), UNCLEAR, (
                 f'{where} is no singular position, but no position that closes the loops was '

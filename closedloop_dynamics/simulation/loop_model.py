@@ -56,7 +56,7 @@ class LoopModel:
         Where the bodies' frames are in those of their rows.
     rows : dict of str to int
         Row of each body in the model's arrays.
-    leaves_out : bool
+    has_redundant_constraints : bool
         Whether the elimination leaves out equations that repeat others.
     by_masses : bool
         Whether masses had a part in the choice of equations at the start.
@@ -74,9 +74,9 @@ class LoopModel:
         self._place, self._tried = b'', set()
         self._choices = None
         self.opening, self.by_masses = AS_GOOD_AS_CLOSED, False
-        self.keep(None)
+        self.select(None)
 
-    def of(self, kept):
+    def model_of(self, kept):
         """
         Return the model of some equations, and these.
 
@@ -130,10 +130,10 @@ class LoopModel:
         placement = self.placements[body]
         return placement.row, placement.place(position)
 
-    def keep(self, kept):
+    def select(self, kept):
         """Retain some equations in the elimination, as ``of``; return the model."""
-        self.model, self.equations = self.of(kept)
-        self.leaves_out = not self.equations.kept.all()
+        self.model, self.equations = self.model_of(kept)
+        self.has_redundant_constraints = not self.equations.kept.all()
         return self.model
 
     def leave_out_repeated(self, q, hold=()):
@@ -192,8 +192,8 @@ class LoopModel:
             opening = max(AS_GOOD_AS_CLOSED, min(FARTHER * apart, MOST_OPEN))
             if Assembler(self.mechanism, self.equations, kept).implies_all(q, opening):
                 self.opening = max(self.opening, opening)
-                return self.keep(kept)
-        return self.keep(None)
+                return self.select(kept)
+        return self.select(None)
 
     def choices(self, q):
         """
@@ -233,7 +233,7 @@ class LoopModel:
 
     def has_code(self, model, q):
         """Return whether a model that was made here is of one of ``choices``."""
-        return any(model is self.of(kept)[0] for kept in self.choices(q))
+        return any(model is self.model_of(kept)[0] for kept in self.choices(q))
 
     def _jacobian(self, q):
         """Return the Jacobian of all equations at a position, or near it where it is singular."""
@@ -243,10 +243,10 @@ class LoopModel:
         return assembler.jacobian_of_largest_rank(q) if singular else jac
 
     def _kept(self):
-        """Return the argument of ``keep``."""
+        """Return the argument of ``select``."""
         return None if self.equations.kept.all() else self.equations.kept
 
-    def serves(self, q):
+    def is_valid(self, q):
         """
         Return whether the equations that are left out repeat others at or near a position.
 
@@ -265,7 +265,7 @@ class LoopModel:
 
     def as_at_first(self):
         """Go back to the equations that were chosen first; return the model."""
-        return self.keep(self._first)
+        return self.select(self._first)
 
     def reselected(self, q, better, nearby):
         """
@@ -299,7 +299,7 @@ class LoopModel:
                 distinctness(jac, self.equations.groups, kept)
                 > better * distinctness(jac, self.equations.groups, present)):
             return None
-        return self.keep(kept)
+        return self.select(kept)
 
     @property
     def may_leave_out(self):

@@ -495,7 +495,7 @@ class _Workspace(Readings):
 
     def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:
         """Move to a state, with closure equations that serve there."""
-        if self.leaves_out and not self._geometry.serves(q):
+        if self.has_redundant_constraints and not self._geometry.is_valid(q):
             self.exchange(self._geometry.choose(q))
         self._time = float(time)
         self._q[:], self._qd[:], self._own[:] = q, qd, own

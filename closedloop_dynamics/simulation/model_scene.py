@@ -24,7 +24,7 @@ from ..mechanism.mechanism import FIXED, MechanismError, REVOLUTE, SPHERICAL
 from ..mechanism.rotations import quaternion_of
 
 # So many of the joints that moved the furthest are reported.
-MOST_TOLD = 3
+MOST_NAMED = 3
 HELD = 'the drives held'
 # Loops that are open by less than this in sizes of the mechanism are so by digits of the file.
 DIGITS = 1e-6
@@ -146,7 +146,7 @@ def assembled(imported):
     if imported.limits:
         attempts.append(((), {}, '', STARTS_EACH))
     tried = []
-    for hold, limits, told, starts in attempts:
+    for hold, limits, condition, starts in attempts:
         found = find_closed(mechanism, size, start, hold, limits, starts)
         if found.closed:
             break
@@ -155,7 +155,7 @@ def assembled(imported):
             again = find_closed(mended, size, found.q, (), limits, 0)
             if again.closed:
                 imported = replace(imported, mechanism=mended)
-                notes = _moves(mended, start, again._replace(how=found.how), told,
+                notes = _moves(mended, start, again._replace(how=found.how), condition,
                                bool(imported.limits and not limits))
                 return imported, again, [*notes, *anchors]
         tried.append(found)
@@ -171,7 +171,7 @@ def assembled(imported):
                 + '. Check the types of its joints, lengths and frames.' if never else
                 'Give it a start nearer to a closed one, or check lengths and frames.')]
     return imported, found, _moves(
-        mechanism, start, found, told, bool(imported.limits and not limits))
+        mechanism, start, found, condition, bool(imported.limits and not limits))
 
 
 def _with_anchors_moved(mechanism, q, closure_errors, size):
@@ -217,16 +217,16 @@ def _with_anchors_moved(mechanism, q, closure_errors, size):
     return replace(mechanism, cut_joints=tuple(cuts)), notes
 
 
-def _moves(mechanism, start, found, told, beyond):
+def _moves(mechanism, start, found, condition, beyond):
     """Return notes on the way to a closed position."""
     coordinates = mechanism.coordinates
     moves = sorted(zip(np.abs(coordinates.apart(found.q, start)).tolist(), coordinates.names),
                    reverse=True)
     notes = []
     if moves[0][0] > FAR:
-        most = ', '.join(f'{name} by {far:.3g}' for far, name in moves[:MOST_TOLD] if far > FAR)
+        most = ', '.join(f'{name} by {far:.3g}' for far, name in moves[:MOST_NAMED] if far > FAR)
         notes.append(f'the loops are drawn open and were closed {found.how}'
-                     f'{", " + told if told else ""}; furthest moved: {most} (rad or m)')
+                     f'{", " + condition if condition else ""}; furthest moved: {most} (rad or m)')
     if beyond:
         notes.append('no position was found that closes the loops within the limits of the joints')
     return notes

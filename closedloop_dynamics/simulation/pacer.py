@@ -51,7 +51,7 @@ class Pacer:
         self.simulated = 0.0
         self.elapsed = 0.0
         self.dropped = 0.0
-        self._told = 0.0, 0.0
+        self._reported = 0.0, 0.0
 
     @property
     def real_time_factor(self):
@@ -86,9 +86,9 @@ class Pacer:
 
     def overload(self):
         """Return a message where steps are too slow, with the factor since the last time."""
-        simulated, elapsed = self._told
+        simulated, elapsed = self._reported
         achieved = (self.simulated - simulated) / (self.elapsed - elapsed)
-        self._told = self.simulated, self.elapsed
+        self._reported = self.simulated, self.elapsed
         return (
             f'this machine cannot keep up: {achieved:.3g} x real time instead of '
             f'{self.real_time_factor:g}; {self.dropped:.3f} s of simulated time dropped so far '

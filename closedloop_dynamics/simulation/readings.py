@@ -304,7 +304,7 @@ class Readings(Data):
 
         """
         row, point, axes = self.carried
-        if self.leaves_out or self._couples:
+        if self.has_redundant_constraints or self._couples:
             row = np.zeros_like(row)
         moving = row > 0
         return ([joint.name for joint, moves in zip(self.mechanism.joints, moving) if moves],
@@ -317,7 +317,7 @@ class Readings(Data):
 
         None where forces are not unique or couplings pass some on.
         """
-        if self.leaves_out or self._couples:
+        if self.has_redundant_constraints or self._couples:
             return ()
         rows = {number: row for row, number in enumerate(
             self.system.model.cut[:, CUT_NUMBER].tolist())}
@@ -350,7 +350,7 @@ class Readings(Data):
     @property
     def closure(self) -> float:
         """Largest closure error of positions [m or rad]."""
-        if self.leaves_out:
+        if self.has_redundant_constraints:
             return self._closure_of_all()
         self._evaluate()
         return native.largest(self.system.work.closure)

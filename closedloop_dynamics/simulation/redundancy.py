@@ -70,7 +70,7 @@ def find_redundancy(mechanism, q):
     """
     geometry = Geometry(mechanism)
     geometry.choose(q)
-    if not geometry.leaves_out:
+    if not geometry.has_redundant_constraints:
         return Redundancy((), (), {})
     kept, groups = geometry.equations.kept, geometry.equations.groups
     assembler = Assembler(mechanism, geometry.equations)

@@ -118,7 +118,8 @@ def is_plain(simulation):
 
     """
     effects = simulation.effect_set
-    return (isinstance(simulation.monitor.driver, FixedSteps) and not simulation.leaves_out
+    return (isinstance(simulation.monitor.driver, FixedSteps)
+            and not simulation.has_redundant_constraints
             and not simulation.system.is_independent and not any(effects.drives.values())
             and not effects.remembers)
 
@@ -139,7 +140,7 @@ def runs_whole(simulation):
     return not (
         isinstance(simulation.monitor.driver, SciPySolver) or effects.remembers
         or any(effects.drives.values()) or effects.cuts is not None or simulation.exchanges
-        or watched != simulation.leaves_out
+        or watched != simulation.has_redundant_constraints
         or watched and simulation.scene.method.stabilisation not in CLOSING)
 
 
@@ -281,7 +282,8 @@ def buffer_for(simulation, schedule, quantities):
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return the results of a run by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
-    if simulation.acts_in_cuts or simulation.leaves_out or not simulation.mechanism.planar:
+    if (simulation.acts_in_cuts or simulation.has_redundant_constraints
+            or not simulation.mechanism.planar):
         return _values_asked_for(simulation, buffer, tau, schedule, quantities)
     take = {
         'position': lambda: buffer.state[:, :nq].copy(),

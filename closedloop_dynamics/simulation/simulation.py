@@ -618,7 +618,7 @@ class Simulation(Readings):
             it failed for another reason.
 
         """
-        if (not self.leaves_out or self.scene.method.stabilisation not in CLOSING
+        if (not self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING
                 or status == CONTACT_PASSED):
             return False
         whole: Any = self.system.whole
@@ -627,11 +627,11 @@ class Simulation(Readings):
         model = self._geometry.reselected(self._q, BETTER, opened)
         if model is None:
             if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
-                    opened and not self._geometry.serves(self._q)):
+                    opened and not self._geometry.is_valid(self._q)):
                 numbers[LENIENT] = 1.0
                 return True
             # An equation left out may be the one that closes the loop.
-            model = self._geometry.keep(None)
+            model = self._geometry.select(None)
         self.exchange(model)
         return True
 
@@ -645,10 +645,10 @@ class Simulation(Readings):
             Whether some are left out from now on that were not.
 
         """
-        if self.leaves_out or self.scene.method.stabilisation not in CLOSING:
+        if self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING:
             return False
         model = self._geometry.choose(self._q)
-        if not self.leaves_out:
+        if not self.has_redundant_constraints:
             return False
         self.exchange(model)
         return True
@@ -805,7 +805,7 @@ class Simulation(Readings):
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
             self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
-                          else self._geometry.keep(None))
+                          else self._geometry.select(None))
         self.exchanges = 0
         self._set_time(0.0, 0)
         if self._motions:
@@ -849,7 +849,7 @@ class Simulation(Readings):
             Where it leaves the loops open.
 
         """
-        if self.leaves_out and not self._geometry.serves(state.q):
+        if self.has_redundant_constraints and not self._geometry.is_valid(state.q):
             self.exchange(self._geometry.choose(state.q))
         whole = self._state.copy()
         for part, values in zip(self._parts, (state.q, state.qd, state.own)):
@@ -911,8 +911,9 @@ class Simulation(Readings):
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
-        before, needs_all = self.system, self.leaves_out and not self._may_leave_out(method)
-        system = with_equations(before, self._geometry.of(None)[0]) if needs_all else before
+        before = self.system
+        needs_all = self.has_redundant_constraints and not self._may_leave_out(method)
+        system = with_equations(before, self._geometry.model_of(None)[0]) if needs_all else before
         system = with_partition(system, method.stabilisation == 'independent')
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
@@ -927,7 +928,7 @@ class Simulation(Readings):
                 self.prepare_method(**changes)()
                 return
             if needs_all:
-                self._geometry.keep(None)
+                self._geometry.select(None)
                 self._rebind(system)
                 self.exchanges += 1
             self.system = system
@@ -992,7 +993,7 @@ class Simulation(Readings):
 
         """
         state = self._near(position, velocity, hold)
-        if self.leaves_out and not self._geometry.serves(state[0]):
+        if self.has_redundant_constraints and not self._geometry.is_valid(state[0]):
             self.exchange(self._geometry.choose(state[0]))
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(state[0])
@@ -1213,8 +1214,8 @@ class Simulation(Readings):
             self._derivatives.enable_for(self)
         self._set_run()
         self._effects.begin_at_time(self._own, self.time)
-        if self.leaves_out and not self._may_leave_out(self.scene.method):
-            self.exchange(self._geometry.keep(None))
+        if self.has_redundant_constraints and not self._may_leave_out(self.scene.method):
+            self.exchange(self._geometry.select(None))
         self._driver.restart()
         self._jump()
         if len(restarted):

@@ -141,13 +141,13 @@ class State:
         if self.is_batch:
             return (f'<{len(self)} States: q {self.q.shape}, qd {self.qd.shape}, '
                     f'own {self.own.shape}>')
-        told = [f'{name} = {_shown(value)}' for name, value in self.position.items()]
-        if len(told) > MOST_NAMES:
-            told[MOST_NAMES:] = [f'and {len(told) - MOST_NAMES} more']
+        numbers = [f'{name} = {_shown(value)}' for name, value in self.position.items()]
+        if len(numbers) > MOST_NAMES:
+            numbers[MOST_NAMES:] = [f'and {len(numbers) - MOST_NAMES} more']
         own = f'; {len(self.own)} own states of effects' if len(self.own) else ''
         fastest = np.abs(self.qd).max(initial=0.0)
         moving = f'fastest rate {fastest:.6g}' if fastest else 'at rest'
-        return f'<State at t = {self.time:.9g} s: {", ".join(told)}; {moving}{own}>'
+        return f'<State at t = {self.time:.9g} s: {", ".join(numbers)}; {moving}{own}>'
 
 
 def _numbers(name: str, values: ArrayLike, least: int = 1) -> np.ndarray:

@@ -262,7 +262,7 @@ class Cluster(ExternalExecutor):
             raise EngineError(f'No scheduler answers at {address}: {error}. Start one with: dask '
                               'scheduler') from None
         super().__init__(self._client.get_executor(pure=False))
-        self._looked, self._limit, self._seen = -COUNT_WORKERS_EVERY, 2, time.monotonic()
+        self._counted, self._limit, self._seen = -COUNT_WORKERS_EVERY, 2, time.monotonic()
 
     def limit(self):
         """Return how many batches keep the workers busy that are there now."""
@@ -271,8 +271,8 @@ class Cluster(ExternalExecutor):
             self._seen = now
         elif now - self._seen > SCHEDULER_PATIENCE:
             self.renew()
-        if now - self._looked > COUNT_WORKERS_EVERY and self._seen == now:
-            self._looked = now
+        if now - self._counted > COUNT_WORKERS_EVERY and self._seen == now:
+            self._counted = now
             try:
                 self._limit = 2 * sum(self._client.nthreads().values()) + 2
             except OSError:

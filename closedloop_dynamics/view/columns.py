@@ -237,7 +237,7 @@ class SimulationRows:
                         for kind in _kinds(record)], True, plots)
         starts = self.columns.starts
         self._plotted = slice(starts['plots'], starts['others'])
-        self._looked = np.zeros(3 * points + len(plots))
+        self._for_thinning = np.zeros(3 * points + len(plots))
         self._has_drives = any(plot.name == 'held drives' for plot in plots)
         self._costly = np.full(6, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
@@ -320,7 +320,7 @@ class SimulationRows:
     def thinning_values(self, row):
         """Return the values for ``thinning.Thinning`` of the present state, whose row is given."""
         places = self._simulation.points[:self._points]
-        values = self._looked.copy()
+        values = self._for_thinning.copy()
         values[:3 * self._points].reshape(-1, 3)[:, :places.shape[1]] = places
         values[3 * self._points:] = row[self._plotted]
         return values

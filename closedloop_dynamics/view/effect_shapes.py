@@ -127,7 +127,7 @@ def rings_of(contact):
     """
     Return lines of the plane, sphere or cylinder of a body contact about its point [m].
 
-    They are arrays of shape (n, 3). How large a plane is, and how long a cylinder, is not told:
+    They are arrays of shape (n, 3). How large a plane is, and how long a cylinder, is not given:
     they are drawn short.
     """
     if contact.shape == 'sphere':

@@ -62,7 +62,7 @@ class Feed:
         # Number of each sample since the last reset, its time and its bytes.
         self._samples, self._sampled = deque(maxlen=MOST_SAMPLES), 0
         self.number = self.version = self.pages = self.refused = 0
-        self._told, self._notes, self._note = {}, deque(maxlen=MOST_NOTES), 0
+        self._sent, self._notes, self._note = {}, deque(maxlen=MOST_NOTES), 0
         self._inbox, self._lock = Queue(MOST_WAITING), threading.Lock()
         self.on_change = []
 
@@ -106,9 +106,9 @@ class Feed:
     def send_controls(self, **controls):
         """Send the state of the controls to the pages, if it has changed."""
         with self._lock:
-            if {**self._told, **controls} == self._told and self.version:
+            if {**self._sent, **controls} == self._sent and self.version:
                 return
-            self._told.update(controls)
+            self._sent.update(controls)
             self._write()
         self._changed()
 
@@ -140,7 +140,7 @@ class Feed:
     def _write(self):
         self.version += 1
         self.controls = json.dumps({
-            'type': 'controls', **self._told, 'notes': list(self._notes),
+            'type': 'controls', **self._sent, 'notes': list(self._notes),
             'refused': self.refused})
 
     def _changed(self):

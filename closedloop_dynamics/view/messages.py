@@ -115,7 +115,7 @@ ASKED = {
 OPTIONAL = {'effect': ('enabled', 'values'), 'add': ('joint', 'body_a', 'a', 'body_b', 'b')}
 
 
-def effects_told(effects, enabled):
+def describe_effects(effects, enabled):
     """Return the description of effects for pages, by name; ``enabled`` states which names act."""
     return {name: {
         'type': effect_type(record), 'enabled': enabled(name),
@@ -123,7 +123,7 @@ def effects_told(effects, enabled):
         for name, record in effects.items()}
 
 
-def drives_told(drives):
+def describe_drives(drives):
     """Return mode and value of drives, by joint, as JSON can; ``drives`` begin with the two."""
     return {name: {'mode': mode, 'value': value} for name, (mode, value, *_) in drives.items()}
 

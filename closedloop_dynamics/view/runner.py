@@ -17,7 +17,7 @@ from .description import CHOICES, describe, described_drive
 from .driving import Driving
 from .feed import Feed
 from .library import Library
-from .messages import drive_of, drives_told, effects_told, METHOD_KEYS
+from .messages import drive_of, describe_drives, describe_effects, METHOD_KEYS
 from .own_motion import own_motion, OwnMotion
 from .rebuilding import built, carry_over, Rebuilding
 from .removing import removable
@@ -92,7 +92,7 @@ class Runner(Shown):
         self._stepper.restart()
         self._driving.start()
         self._describe()
-        self._looked = self._clock()
+        self._refreshed = self._clock()
         self._send_controls()
 
     def _put(self, hand, simulation):
@@ -103,7 +103,7 @@ class Runner(Shown):
         self.drives = self._driving.drives
         points = len(self.editor.scene.mechanism.points)
         self.rows = SimulationRows(simulation, [hand.spring], points)
-        self._begin_looking(self.rows.columns.plots, points, hand.size)
+        self._begin_thinning(self.rows.columns.plots, points, hand.size)
         self._stepper.begin(simulation, self._driving, self.rows)
 
     def _describe(self):
@@ -172,8 +172,8 @@ class Runner(Shown):
 
     def _show(self):
         now = self._clock()
-        if now - self._looked > POLL_PERIOD or not self.playing:
-            self._looked = now
+        if now - self._refreshed > POLL_PERIOD or not self.playing:
+            self._refreshed = now
             self._findings = self.rows.refresh().findings
             self._achieved = self._stepper.achieved()
         row = self._stepper.row()
@@ -211,10 +211,10 @@ class Runner(Shown):
             grabbed=self._grabbed, position=(
                 simulation.coordinates.by_name('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
-            motion=self._driving.motion, drives=drives_told(self._driving.chosen),
+            motion=self._driving.motion, drives=describe_drives(self._driving.chosen),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
-            effects=effects_told(
+            effects=describe_effects(
                 {name: record for name, record in simulation.effects.items()
                  if name != self._hand.spring}, simulation.enabled_effects.__contains__))
 

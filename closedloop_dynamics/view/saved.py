@@ -29,7 +29,7 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
     shown = SimulationRows(simulation, points=points)
     thinning = Thinning(shown.columns.plots, points, extent(simulation.mechanism))
     times, rows, before = [], [], []
-    looks = max(1, math.floor(0.25 * rate))
+    every = max(1, math.floor(0.25 * rate))
     count = 0
 
     def on_step():
@@ -41,7 +41,7 @@ def simulated(simulation, duration, rate, torque, progress=lambda time: None):
 
     def on_row(values):
         nonlocal count
-        if count % looks == 0:
+        if count % every == 0:
             shown.refresh()
         count += 1
         times.append(values[0])

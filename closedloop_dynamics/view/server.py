@@ -217,9 +217,9 @@ class _Page:
                     self._sent.clear()
                     await self._connection.send(self._feed.description)
                 # What belongs to a description that the page does not have yet comes after that.
-                told, controls = self._feed.version, self._feed.controls
-                if told != version and self._feed.described == described:
-                    version = told
+                newest, controls = self._feed.version, self._feed.controls
+                if newest != version and self._feed.described == described:
+                    version = newest
                     await self._connection.send(controls)
                 if self._feed.number != number and len(self._sent) < WINDOW:
                     frame = self._feed.frame(sampled)

@@ -60,7 +60,7 @@ class Shown:
 
     # What pages see.
 
-    def _begin_looking(self, plots, points, size):
+    def _begin_thinning(self, plots, points, size):
         """Start to select states between frames; see ``thinning.Thinning``."""
         self._thinning, self._newest = Thinning(plots, points, size), None
 

@@ -35,7 +35,7 @@ class Stepper:
         Returns seconds; steady.
     frame : float
         Time between frames [s].
-    look : callable
+    sample : callable
         Is called with time, row and thinning values of states between frames.
 
     Attributes
@@ -49,8 +49,8 @@ class Stepper:
 
     """
 
-    def __init__(self, clock, frame, look):
-        self._clock, self._frame, self._look = clock, frame, look
+    def __init__(self, clock, frame, sample):
+        self._clock, self._frame, self._sample = clock, frame, sample
         self.playing, self.speed, self.watchdog = False, 1.0, None
 
     def begin(self, simulation, driving, rows):
@@ -62,7 +62,7 @@ class Stepper:
         self._part, self._single = 1.0, 0.0
         self._paced = 0.0, 0.0
         # Steps since the last sample between frames, and the time of a sample [s].
-        self._unseen, self._look_time = 0, 0.0
+        self._unseen, self._sample_time = 0, 0.0
         self._keep_before()
 
     def restart(self):
@@ -127,7 +127,7 @@ class Stepper:
     def _advance(self, steps):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation, torques = self._simulation, self._driving.torques
-        every = most = max(1, math.ceil(self.speed * self._look_time / (
+        every = most = max(1, math.ceil(self.speed * self._sample_time / (
             SAMPLING_SHARE * simulation.step_size)))
         if math.isfinite(self._driving.period):
             most = min(most, max(1, round(self._driving.period / simulation.step_size)))
@@ -197,9 +197,9 @@ class Stepper:
     def _sample_between(self):
         """Sample the present state and measure the time this takes; return its row."""
         begin, row = self._clock(), self._rows.row()
-        self._look(self._simulation.time, row, self._rows.thinning_values(row))
+        self._sample(self._simulation.time, row, self._rows.thinning_values(row))
         self._unseen = 0
-        self._look_time += FOLLOWED * (self._clock() - begin - self._look_time)
+        self._sample_time += FOLLOWED * (self._clock() - begin - self._sample_time)
         return row
 
     def row(self):

@@ -69,7 +69,7 @@ class Thinning:
         ``values``, shape (3 points + plots,): places, and what is plotted. Where the time [s] does
         not rise, the lines begin again.
         """
-        self._look(values)
+        self._update_ranges(values)
         if self._kept is None or time <= self._last[0]:
             self.keep(time, values)
             return False
@@ -89,7 +89,7 @@ class Thinning:
         passed = time - self._kept[0]
         return (values - self._kept[1]) / passed, passed
 
-    def _look(self, values):
+    def _update_ranges(self, values):
         np.fmin(self._low, values, out=self._low)
         np.fmax(self._high, values, out=self._high)
         if self._seen % CHECK_EVERY == 0:

@@ -32,7 +32,7 @@ class Watchdog:
         self._patient = False
         self._lock, self._over = threading.Lock(), threading.Event()
         self._begun, self._stopped = None, False
-        self._thread = threading.Thread(target=self._look, name='watchdog', daemon=True)
+        self._thread = threading.Thread(target=self._watch, name='watchdog', daemon=True)
 
     def __enter__(self):
         self._thread.start()
@@ -63,7 +63,7 @@ class Watchdog:
                 self._stopped = False
         return True
 
-    def _look(self):
+    def _watch(self):
         while not self._over.wait(PERIOD):
             with self._lock:
                 begun = self._begun

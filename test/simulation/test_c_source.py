@@ -284,7 +284,7 @@ def test_forces_in_joints_are_those_of_the_package(scene, tmp_path):
 @compiled
 def test_forces_that_are_not_unique_are_left_out(tmp_path):
     simulation = simulation_of('bricard')
-    assert simulation.leaves_out
+    assert simulation.has_redundant_constraints
     library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
     assert not hasattr(library, 'model_joint_forces')
     assert table(library, 'model_velocity_names') == [

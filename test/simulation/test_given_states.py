@@ -119,7 +119,7 @@ def test_evaluator_is_independent_of_its_simulation():
 @pytest.mark.parametrize('name', ['bennett', 'bricard'])
 def test_accelerations_alone_fulfil_the_equations_left_out(name):
     routines, loops = Simulation.from_scene(name), Simulation.from_scene(name)
-    assert routines.leaves_out and routines.system.table[LEFT_OUT]
+    assert routines.has_redundant_constraints and routines.system.table[LEFT_OUT]
     loops.system.table[LEFT_OUT] = 0
     start = routines.position
     for step in (0.0, 0.02):

@@ -72,7 +72,7 @@ def by_all_equations(simulation):
     """Return another one in the same state that leaves nothing out: that of singular values."""
     scene = simulation.scene
     other = Simulation(replace(scene, method=replace(scene.method, stabilisation='none')))
-    assert not other.leaves_out
+    assert not other.has_redundant_constraints
     other.restore(np.concatenate([simulation.integrated]), 0.0)
     return other
 
@@ -118,7 +118,7 @@ def test_a_force_on_a_body_is_felt_in_all_joints():
     mechanism = replace(mechanism, points=(Point('end', 'rod_0', (0.3, 0.1)),))
     one = simulate((mechanism, q, qd), {'pull': ExternalForce('end', (400.0, -700.0), 30.0)},
                    **STEPS)
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     assert_same_evaluation(one, by_all_equations(one))
 
 
@@ -126,7 +126,7 @@ def test_a_force_on_a_body_is_felt_in_all_joints():
 def test_dense_formulations_leave_out_the_same(formulation):
     one, other = (simulate(locomotive(2, 2), **STEPS, **choice)
                   for choice in ({}, {'formulation': formulation}))
-    assert other.leaves_out
+    assert other.has_redundant_constraints
     assert_agree(other.acceleration, one.acceleration, 1e-10)
     assert_agree(other.multipliers, one.multipliers, 1e-9)
 
@@ -137,12 +137,12 @@ def test_singular_positions_leave_nothing_out(loops):
         mechanism, q, _ = machines.ladder(loops, tilt)
         geometry = Geometry(mechanism)
         geometry.leave_out_repeated(q)
-        assert not geometry.leaves_out
+        assert not geometry.has_redundant_constraints
 
 
 def test_independent_loops_leave_nothing_out():
     for name in ('three_rrr', 'carpet_scraper', 'scissor_lift', 'geared_five_bar'):
-        assert not Simulation(load_scene(name)).leaves_out
+        assert not Simulation(load_scene(name)).has_redundant_constraints
 
 
 def swing(wheels, rods, duration):
@@ -189,7 +189,7 @@ def test_three_wheels_go_through_positions_where_all_pins_are_in_line(integrator
         one.step(duration=0.1)
         assert_agree(one.position[:3], exact(one.time)[0] * np.ones(3), 1e-6)
         assert one.closure < 1e-11
-    assert one.position[0] > math.pi and one.leaves_out
+    assert one.position[0] > math.pi and one.has_redundant_constraints
 
 
 def geared_parallelogram(angle):
@@ -204,7 +204,7 @@ def test_a_gear_leads_through_where_the_rod_is_in_line(angle):
     one, other = (simulate(geared_parallelogram(angle), **STEPS) for _ in range(2))
     for simulation in (one, other):
         simulation.step({'axle_0': 60.0}, 0.2)
-    assert one.leaves_out and one.position[0] != angle
+    assert one.has_redundant_constraints and one.position[0] != angle
     assert_agree(one.position, one.position[0] * np.array([1.0, 1.0, -1.0]), 1e-11, smallest=1.0)
     expected = (60.0 + moment_of(2, 1, one.position[0])) / inertia_of(2, 1)
     assert_agree(one.acceleration[0], expected, 1e-9)
@@ -226,7 +226,7 @@ def test_runs_side_by_side_are_those_alone():
 def test_a_prescribed_motion_takes_what_all_wheels_take():
     turn = PrescribedMotion('expression', joint='axle_0', expression='0.7 + 10*t + 2*sin(3*t)')
     one = simulate(locomotive(2, 2), {'turn': turn}, **STEPS)
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     for _ in range(6):
         one.step(duration=0.05)
         angle, rate = 0.7 + 10.0 * one.time + 2.0 * math.sin(3.0 * one.time), (
@@ -271,7 +271,7 @@ def crossed():
 
 def test_a_state_in_which_nothing_repeats_is_evaluated_with_all_equations():
     one, other = simulate(guided_parallelogram(), **STEPS), crossed()
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     expected, forces = other.acceleration, other.multipliers
     acceleration, multipliers = one.forward_dynamics(other.position, other.velocity)
     assert_agree(acceleration, expected, 1e-9, smallest=1.0)
@@ -279,20 +279,20 @@ def test_a_state_in_which_nothing_repeats_is_evaluated_with_all_equations():
     torque, _ = one.inverse_dynamics(other.position, other.velocity, acceleration)
     assert_agree(torque, np.zeros(1), 1e-8, smallest=1.0)
     one.set_state(other.position, other.velocity)
-    assert not one.leaves_out
+    assert not one.has_redundant_constraints
     assert_same_evaluation(one, other)
     one.reset()
-    assert one.leaves_out and one.exchanges == 0
+    assert one.has_redundant_constraints and one.exchanges == 0
 
 
 def test_a_run_goes_on_with_all_equations_where_those_left_out_no_longer_repeat_others():
     one, other = simulate(guided_parallelogram(), **STEPS), crossed()
     # Taken over, not assembled: the equations are those of the first branch.
     one.restore(other.state, 0.0)
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     one.step(duration=0.1)
     other.step(duration=0.1)
-    assert not one.leaves_out and one.exchanges == 1 and one.closure < 1e-11
+    assert not one.has_redundant_constraints and one.exchanges == 1 and one.closure < 1e-11
     assert_agree(one.time, 0.1, 1e-12)
     assert_agree(one.position, other.position, 1e-8, smallest=1.0)
 
@@ -300,12 +300,12 @@ def test_a_run_goes_on_with_all_equations_where_those_left_out_no_longer_repeat_
 def test_methods_that_let_loops_drift_leave_nothing_out():
     one = simulate(locomotive(2, 2), **STEPS)
     one.prepare_method(stabilisation='none')()
-    assert not one.leaves_out
+    assert not one.has_redundant_constraints
     one.step(duration=0.02)
     assert_same_evaluation(one, by_all_equations(one))
     one.prepare_method(stabilisation='projection')()
     one.reset()
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     # One that was prepared before equations were exchanged takes effect all the same.
     take_effect = one.prepare_method(integrator='heun')
     one.step(duration=0.3)
@@ -318,7 +318,7 @@ def test_methods_that_let_loops_drift_leave_nothing_out():
 def test_friction_that_follows_reactions_knows_those_of_all_joints():
     dry = {'dry': JointFriction('axle_1', friction_coefficient=0.2, radius=0.05)}
     one = simulate(locomotive(2, 2), dry, **STEPS)
-    assert one.leaves_out
+    assert one.has_redundant_constraints
     one.step(duration=0.01)
     other = by_all_equations(one)
     force = np.linalg.norm(other.force('axle_1')[1:])

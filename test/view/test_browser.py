@@ -18,7 +18,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(
     program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
-READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.told)'
+READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.controls)'
 POSITION = 'page.position("theta_1")'
 
 
@@ -66,7 +66,7 @@ def test_a_slider_moves_the_mechanism(open_page, live):
     tab.mouse('mousePressed', x, y, 1)
     tab.mouse('mouseMoved', x + 20, y, 1)
     tab.mouse('mouseReleased', x + 20, y)
-    tab.wait('page.told.drives.theta_1.value > 0')
+    tab.wait('page.controls.drives.theta_1.value > 0')
     live.end = 1.0
     tab.wait(f'Math.abs({POSITION} - {start}) > 0.2')
     pause(tab, live, lambda: tab.click('#play'))
@@ -96,7 +96,7 @@ def test_a_drive_follows_an_expression_that_is_typed(open_page, live):
         const {{input}} = page.drives.rows.theta_1;
         input.value = "{start} + 0.3*sin(2*t)";
         input.onchange(); }})()""")
-    tab.wait('page.told.drives.theta_1.value.includes("sin")')
+    tab.wait('page.controls.drives.theta_1.value.includes("sin")')
     live.end = 0.6
     tab.click('#play')
     tab.wait('page.now > 0.5')
@@ -118,10 +118,10 @@ def test_a_point_is_dragged_by_the_mouse(open_page, live):
     tab.mouse('mouseMoved', x, y)
     tab.mouse('mousePressed', x, y, 1)
     tab.mouse('mouseMoved', x + 60, y, 1)
-    tab.wait('page.told.grabbed !== null')
+    tab.wait('page.controls.grabbed !== null')
     tab.wait(f'{place}[0] > {before[0] + 0.01}')
     tab.mouse('mouseReleased', x + 60, y)
-    tab.wait('page.told.grabbed === null')
+    tab.wait('page.controls.grabbed === null')
     assert not tab.errors
     tab.close()
 
@@ -157,11 +157,11 @@ def test_keys_belong_to_the_page_and_change_no_list(open_page, live):
     assert tab.ask(f'document.querySelector("{integrator}").value') == before
     # What the mouse has clicked on gives the keys back.
     tab.click('#effects-panel .gravity .switch')
-    tab.wait('!page.told.effects.gravity.enabled')
+    tab.wait('!page.controls.effects.gravity.enabled')
     tab.press(' ')
     tab.wait('page.playing && page.now > 0')
     pause(tab, live, lambda: tab.press(' '))
-    assert not tab.ask('page.told.effects.gravity.enabled')
+    assert not tab.ask('page.controls.effects.gravity.enabled')
     # In a field they are text.
     tab.ask('document.querySelector("#drives input[type=text]").select()')
     now = tab.ask('page.now')
@@ -231,7 +231,7 @@ def test_distances_and_angles_are_measured_and_a_body_is_followed(open_page, liv
     np.testing.assert_allclose(
         tab.ask('page.picture.measurements().map((one) => one.value)'),
         [*lengths, np.degrees(np.arccos(sides[0] @ sides[1] / lengths.prod()))], rtol=1e-5)
-    assert tab.ask('page.told.grabbed') is None
+    assert tab.ask('page.controls.grabbed') is None
     tab.wait('!page.picture.lines.hidden')
     assert (np.abs(stage(tab) - before).max(axis=2) > 30).sum() > 300
     tab.click('#measure')

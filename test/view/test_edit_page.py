@@ -19,7 +19,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(
     program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
-READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.told)'
+READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.controls)'
 
 
 @contextmanager
@@ -145,7 +145,7 @@ def test_a_length_is_changed_while_it_moves(tmp_path):
         tab.wait('Math.abs(page.scene.cuts[0].point_b[0] - 0.27) < 1e-9')
         now = tab.ask('page.now')
         tab.wait(f'page.now > {now} + 0.5 && page.playing')
-        assert tab.ask('page.told.failure') is None
+        assert tab.ask('page.controls.failure') is None
         cut, = runner.editor.scene.mechanism.cut_joints
         assert np.hypot(*cut.point_b) == pytest.approx(0.27)
         assert runner.simulation.closure < 1e-9

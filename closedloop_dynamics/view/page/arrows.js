@@ -80,7 +80,7 @@ class Arrows {
     }
   }
 
-  // How long an arrow is for a round force, and the grid's step, are told beside the picture.
+  // How long an arrow is for a round force, and the grid's step, are written beside the picture.
   tell() {
     const {scene} = this;
     const [a, b] = [scene.target, add(scene.target, times(ARROW * scene.size, scene.seen.right))]
@@ -88,14 +88,14 @@ class Arrows {
     let force = roundDown(0.75 * this.forceScale);
     const length = () => (b - a) * force / this.forceScale;
     while (length() > 150) force = roundDown(0.6 * force);
-    const told = scene.shown.forces && this.forceScale > 0
+    const scale = scene.shown.forces && this.forceScale > 0
       ? `${short(force)} N` : '', wide = `${Math.round(length())}px`;
-    const grid = `grid ${short(scene.gridStep)} m`, key = [told, wide, grid].join();
-    if (key === this.told) return;
-    this.told = key;
-    byId('unit').hidden = !told;
+    const grid = `grid ${short(scene.gridStep)} m`, key = [scale, wide, grid].join();
+    if (key === this.written) return;
+    this.written = key;
+    byId('unit').hidden = !scale;
     byId('unit').firstElementChild.style.width = wide;
-    byId('unit').lastElementChild.textContent = told;
+    byId('unit').lastElementChild.textContent = scale;
     byId('grid').textContent = grid;
   }
 }

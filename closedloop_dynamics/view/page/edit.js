@@ -299,7 +299,7 @@ class Editing {
     this.held = null;
   }
 
-  // A frame of the screen: what was dragged is told, handles and curves are drawn.
+  // A frame of the screen: what was dragged is sent, handles and curves are drawn.
 
   tick() {
     if (!this.held || !this.wanted) return;

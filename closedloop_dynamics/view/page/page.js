@@ -1,4 +1,4 @@
-// The page: what it is told and shows, live from a server or out of itself, and what it asks for.
+// The page: what it receives and shows, live from a server or out of itself, and what it asks for.
 
 const byId = (id) => document.getElementById(id);
 const COLORS = {
@@ -265,19 +265,19 @@ class Page {
 
   hear(data) {
     if (typeof data === 'string') {
-      const told = JSON.parse(data);
-      if (told.type === 'scene') {
+      const message = JSON.parse(data);
+      if (message.type === 'scene') {
         this.lost = false;
         byId('message').hidden = true;
         // The same again after a break: nothing is built again.
         if (this.known && this.known !== data) {
-          this.renew(told);
+          this.renew(message);
           this.known = data;
         } else if (!this.known) {
           this.known = data;
-          this.begin(told);
+          this.begin(message);
         }
-      } else this.follow(told);
+      } else this.follow(message);
       return;
     }
     const view = new DataView(data), numbers = new Float32Array(data, 16);
@@ -294,55 +294,55 @@ class Page {
   }
 
   // A machine, from its next frame on.
-  begin(told) {
+  begin(scene) {
     [this.fresh, this.arrived, this.shownRow] = [false, [], null];
-    this.history = new History(told);
-    this.describe(told);
+    this.history = new History(scene);
+    this.describe(scene);
     this.timeline.past = null;
     this.panels();
   }
 
   // Other numbers of the same machine, or one with other parts, or another one. Plots that were
   // closed stay so, and the camera stays where it is unless the machine is another.
-  renew(told) {
+  renew(scene) {
     const {title} = this.scene;
-    if (structure(told) !== structure(this.scene)) {
+    if (structure(scene) !== structure(this.scene)) {
       const open = new Map(this.plots.groups.map((plot) => [plot.group, plot.open]));
-      this.begin(told);
+      this.begin(scene);
       this.plots.groups.forEach(({group}, k) => {
         const box = byId('choices').querySelectorAll('input')[k];
         if (open.has(group) && open.get(group) !== box.checked) box.click();
       });
-      if (told.title !== title) {
+      if (scene.title !== title) {
         this.picture.first();
         this.comparison.take(null);
       }
       return;
     }
-    this.scene = told;
-    this.picture.reshape(told);
-    this.drives.describe(told);
-    if (this.told) this.drives.follow(this.told, (joint) => this.position(joint));
-    this.edit?.describe(told);
+    this.scene = scene;
+    this.picture.reshape(scene);
+    this.drives.describe(scene);
+    if (this.controls) this.drives.follow(this.controls, (joint) => this.position(joint));
+    this.edit?.describe(scene);
   }
 
   panels() {
-    const told = this.scene, ask = (what, more) => this.ask(what, more);
+    const scene = this.scene, ask = (what, more) => this.ask(what, more);
     for (const panel of document.querySelectorAll('.live')) panel.hidden = false;
     for (const id of ['drives', 'gravity', 'effects', 'method']) byId(id).replaceChildren();
-    this.drives = new Drives(told, byId('drives'), ask);
-    byId('drives-panel').hidden = !told.drives.length;
-    this.gravity = told.gravity ? new Gravity(told, byId('gravity'), ask) : null;
-    this.effects = new Effects(told, byId('effects'), ask);
-    if (told.integrators) this.method = new Method(told, byId('method'), ask);
+    this.drives = new Drives(scene, byId('drives'), ask);
+    byId('drives-panel').hidden = !scene.drives.length;
+    this.gravity = scene.gravity ? new Gravity(scene, byId('gravity'), ask) : null;
+    this.effects = new Effects(scene, byId('effects'), ask);
+    if (scene.integrators) this.method = new Method(scene, byId('method'), ask);
     else byId('method-panel').hidden = true;
-    byId('handle').hidden = !told.poses;
-    if (told.handles && !this.edit) this.edit = this.picture.above = new Editing(this);
-    else this.edit?.describe(told);
-    byId('edit-panel').hidden = byId('editing').hidden = !told.handles;
+    byId('handle').hidden = !scene.poses;
+    if (scene.handles && !this.edit) this.edit = this.picture.above = new Editing(this);
+    else this.edit?.describe(scene);
+    byId('edit-panel').hidden = byId('editing').hidden = !scene.handles;
     byId('dynamic').onclick = () => {
       this.ask('kinematic', {on: false});
-      if (this.told?.editing) this.ask('edit', {on: false});
+      if (this.controls?.editing) this.ask('edit', {on: false});
     };
     byId('kinematic').onclick = () => this.ask('kinematic', {on: true});
   }
@@ -353,32 +353,32 @@ class Page {
     return this.frame ? this.frame.row[this.scene.columns.plots + at] : 0;
   }
 
-  follow(told) {
-    this.told = told;
-    if (told.playing && !this.playing) this.shownAt = performance.now();
-    this.playing = told.playing;
-    this.speedSlider.follow(told.speed);
-    this.drives.follow(told, (joint) => this.position(joint));
-    this.gravity?.follow(told);
-    if (told.effects) {
-      this.effects.follow(told);
-      this.picture.effects = told.effects;
+  follow(controls) {
+    this.controls = controls;
+    if (controls.playing && !this.playing) this.shownAt = performance.now();
+    this.playing = controls.playing;
+    this.speedSlider.follow(controls.speed);
+    this.drives.follow(controls, (joint) => this.position(joint));
+    this.gravity?.follow(controls);
+    if (controls.effects) {
+      this.effects.follow(controls);
+      this.picture.effects = controls.effects;
     }
-    if (this.method) this.method.follow(told);
-    this.edit?.follow(told);
-    if (told.kinematic || told.editing) this.timeline.present();
-    byId('dynamic').setAttribute('aria-pressed', !told.kinematic && !told.editing);
-    byId('kinematic').setAttribute('aria-pressed', told.kinematic);
-    byId('hint').textContent = told.kinematic
+    if (this.method) this.method.follow(controls);
+    this.edit?.follow(controls);
+    if (controls.kinematic || controls.editing) this.timeline.present();
+    byId('dynamic').setAttribute('aria-pressed', !controls.kinematic && !controls.editing);
+    byId('kinematic').setAttribute('aria-pressed', controls.kinematic);
+    byId('hint').textContent = controls.kinematic
       ? `Drag points, or the sliders of the drives: the loops stay closed. ${
         this.scene.mode === 'node' ? 'The simulator takes this state over.' : 'This becomes the start.'}`
-      : told.editing ? 'Drag pins and points to other places.'
+      : controls.editing ? 'Drag pins and points to other places.'
       : this.scene.hand ? 'Drag a point: a spring pulls it to the pointer.' : '';
-    byId('worth').textContent = (told.findings ?? []).join(' ');
-    if (told.busy) this.complain(`${told.busy} …`, true);
-    else if (told.failure) this.complain(`${told.failure} Reset returns to the start.`);
+    byId('worth').textContent = (controls.findings ?? []).join(' ');
+    if (controls.busy) this.complain(`${controls.busy} …`, true);
+    else if (controls.failure) this.complain(`${controls.failure} Reset returns to the start.`);
     else if (!this.lost) byId('message').hidden = true;
-    const notes = told.notes ?? [];
+    const notes = controls.notes ?? [];
     // Those from before this page was opened were for others.
     if (this.lastNote >= 0) {
       for (const note of notes) if (note.number > this.lastNote) this.tell(note.text);
@@ -424,7 +424,7 @@ class Page {
       const box = solid.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
     };
-    const may = () => this.live && this.timeline.past === null && !this.edit?.on && (this.scene.hand || this.told?.kinematic);
+    const may = () => this.live && this.timeline.past === null && !this.edit?.on && (this.scene.hand || this.controls?.kinematic);
     solid.onpointerdown = (event) => {
       solid.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, local(event));
@@ -568,7 +568,7 @@ class Page {
     }
     this.count = (this.count ?? 0) + 1;
     this.ask('seen', {frame: number});
-    if (this.told?.kinematic) this.drives.follow(this.told, (joint) => this.position(joint));
+    if (this.controls?.kinematic) this.drives.follow(this.controls, (joint) => this.position(joint));
   }
 
   play() {
@@ -592,21 +592,21 @@ class Page {
     if (loose) loose.hidden = !Number.isFinite(this.shownRow[columns.direction]);
     const now = performance.now();
     if (now - (this.counted ?? 0) < 500) return;
-    const parts = [], told = this.told;
+    const parts = [], controls = this.controls;
     if (this.live) {
       const plot = (group) => columns.plots + this.scene.plots.findIndex(
         (one) => one.group === group);
       const rate = 1000 * (this.count ?? 0) / (now - (this.counted ?? now - 500));
       const cost = this.shownRow[plot('cost')];
       parts.push(`<span class="${this.lost ? 'bad' : ''}">${
-        this.lost ? 'no connection' : this.playing ? 'running' : told?.kinematic ? 'posing' : 'paused'}</span>`);
+        this.lost ? 'no connection' : this.playing ? 'running' : controls?.kinematic ? 'posing' : 'paused'}</span>`);
       if (this.timeline.past !== null) {
         parts.push(`<span class="wide">shown: <b>${short(this.history.end - this.now, 3)} s</b> ago</span>`);
       }
-      const slow = this.playing && told?.achieved !== null && told?.achieved < LAGS * told?.speed;
+      const slow = this.playing && controls?.achieved !== null && controls?.achieved < LAGS * controls?.speed;
       if (slow) {
         parts.push(`<span class="bad">${Number.isFinite(this.shownRow[columns.direction])
-          ? 'near singular, ' : 'slow, '}${short(told.achieved, 2)} × real time</span>`);
+          ? 'near singular, ' : 'slow, '}${short(controls.achieved, 2)} × real time</span>`);
       }
       if (this.playing) parts.push(`<span class="wide"><b>${Math.round(rate)}</b> Hz</span>`);
       if (this.scene.mode === 'live' && Number.isFinite(cost)) {

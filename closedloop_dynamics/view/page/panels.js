@@ -34,10 +34,10 @@ class Slider {
     return this.log ? Math.exp(value) : value;
   }
 
-  set(value, told) {
+  set(value, notify) {
     this.value = value;
     this.show(value);
-    if (told) this.onchange(value);
+    if (notify) this.onchange(value);
   }
 
   show(value) {
@@ -298,7 +298,6 @@ class Effects {
           const values = Array.isArray(value) ? numbers
             : text.trim() === '' ? null : typeof value === 'boolean' ? text === 'true' : numbers[0];
           this.ask('effect', {name, values: {[key]: values}});
-          this.told = null;
         };
         input.onkeydown = (event) => { if (event.key === 'Enter') input.blur(); };
         entries[key] = input;

@@ -130,7 +130,7 @@ class Plot {
 
   // Values at the cursor, or of now.
   tell(view) {
-    this.at.textContent = view.pointed ? view.told : '';
+    this.at.textContent = view.pointed ? view.label : '';
     for (const one of this.series) {
       const [value, other] = view.runs.map((run) => {
         const column = run.columns[one.column];

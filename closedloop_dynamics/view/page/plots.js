@@ -89,7 +89,7 @@ class Plots {
       marked: this.cursor !== null || history.fixed || over >= 0 || now < history.end,
       unit: over < 0 ? 's' : drawn.unit, name: over < 0 ? 'time' : drawn.name,
       limits: this.zoom ?? (over < 0 ? [from, to] : this.range(parts)),
-      told: `t = ${short(at, 5)} s${over < 0 ? '' : `, ${short(x(at))} ${drawn.unit}`}`};
+      label: `t = ${short(at, 5)} s${over < 0 ? '' : `, ${short(x(at))} ${drawn.unit}`}`};
   }
 
   // Times that are drawn: of a live run the last ones, or those about the past that is shown.

@@ -66,7 +66,7 @@ class Scene extends Camera {
       // Ends of bars are small.
       knob: ballMesh(16), box: boxMesh(), spring: springMesh(), pulley: pulleyMesh(),
       spokes: spokesMesh(), made: new Made()};
-    // Of the effects, as they are told: which are off, and where their anchors are.
+    // Of the effects, as they were received: which are off, and where their anchors are.
     this.effects = {};
     [this.described, this.size] = [described, described.size];
     this.parts = new Parts(described, this.meshes);

@@ -98,7 +98,7 @@ class SvgPen {
   }
 }
 
-// The picture of a machine: what WebGL is told to draw, as areas, the farthest first.
+// The picture of a machine: what WebGL draws, as areas, the farthest first.
 class VectorPicture {
   constructor(picture, theme) {
     [this.picture, this.theme, this.faces] = [picture, theme, []];
