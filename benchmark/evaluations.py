@@ -1,10 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Evaluations of one state again and again, inside compiled code."""
+"""
+Evaluations of one state again and again, inside compiled code.
 
+As a command, it prints what an evaluation costs beside and exactly at a singular position, over a
+regular one of the same machine: the distances are angles from flat [rad].
+
+"""
+
+import argparse
+import math
 from pathlib import Path
 import sys
+import time
 
 import numpy as np
 
@@ -12,6 +21,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from closedloop_dynamics.engine import native  # noqa: E402,I100
 from closedloop_dynamics.integration.system import number_of_states  # noqa: E402
+from closedloop_dynamics.simulation.scene_records import Method  # noqa: E402
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.studies import hard_machines as machines  # noqa: E402
+
+# Of a regular position, then of those beside a singular one [rad].
+REGULAR, DISTANCES = 0.6, (0.0099, 3e-3, 1e-3, 1e-4, 1e-6, 0.0)
+# An evaluation is timed for so long in each round [s].
+PORTION, ROUNDS = 5e-3, 15
 
 
 def evaluate_again(system, q, qd, count):
@@ -31,3 +48,106 @@ def evaluate_again(system, q, qd, count):
     state = np.zeros(number_of_states(system))
     state[:len(q) + len(qd)] = np.concatenate((q, qd))
     native.evaluate_again(system.native, state, count)
+
+
+def ladder(loops, massless=(), lift=lambda mechanism: mechanism):
+    """Return a function of the distance: parallelograms in a row, some bodies without mass."""
+    def machine(distance):
+        mechanism, q, qd = machines.ladder(loops, 0.5 * math.pi - distance)
+        return lift(machines.with_masses(mechanism, dict.fromkeys(massless, 0.0))), q, qd
+    return machine
+
+
+def pantograph(distance):
+    """Return a pantograph of two freedoms."""
+    return machines.pantograph(-1.9, -1.9 + distance, 1.0, -3.0)
+
+
+def four_bar(distance):
+    """Return the four-bar that has a change point, its crank so far from there."""
+    mechanism, _, _ = machines.change_point_linkage()
+    crank, coupler, rocker, ground = 1.0, 3.0, 2.0, 4.0
+    angle = math.pi - distance
+    span = ground - crank * np.exp(1j * angle)
+    along = (coupler ** 2 - rocker ** 2 + abs(span) ** 2) / (2.0 * abs(span))
+    up = math.sqrt(max(0.0, coupler ** 2 - along ** 2))
+    unit = span / abs(span)
+    bar = np.angle(unit * (along + 1j * up))
+    arm = np.angle(unit * (along - abs(span) + 1j * up))
+    if distance == 0.0:
+        # The closure equation's second derivative decides.
+        bar_rate = 0.2 - math.sqrt(8.0 / 75.0)
+        arm_rate = (crank - coupler * bar_rate) / rocker
+    else:
+        bar_rate = crank / coupler * math.sin(arm - angle) / math.sin(bar - arm)
+        arm_rate = crank / rocker * math.sin(bar - angle) / math.sin(bar - arm)
+    return mechanism, np.array([angle, bar - angle, arm]), np.array(
+        [1.0, bar_rate - 1.0, arm_rate])
+
+
+MACHINES = {
+    'parallelogram': ladder(1),
+    'three parallelograms': ladder(3),
+    'pantograph': pantograph,
+    'four-bar': four_bar,
+    'parallelogram in space': ladder(1, lift=machines.in_space),
+    'three in space': ladder(3, lift=machines.in_space),
+    'massless legs': ladder(1, ('leg_0', 'leg_1')),
+    'massless legs of three': ladder(3, ('leg_1', 'leg_2')),
+    'massless legs in space': ladder(1, ('leg_0', 'leg_1'), machines.in_space),
+}
+
+
+def timed(task, count):
+    """Return the CPU time of one evaluation [s]."""
+    begin = time.thread_time()
+    evaluate_again(*task, count)
+    return (time.thread_time() - begin) / count
+
+
+def ratios(machine, rounds):
+    """
+    Measure a machine.
+
+    Parameters
+    ----------
+    machine : callable
+        From the distance to mechanism, coordinates and rates.
+    rounds : int
+        Of regular evaluations and those at all distances, in turn.
+
+    Returns
+    -------
+    float
+        Least time of a regular evaluation [s].
+    list of float
+        At each of DISTANCES the least time over that.
+
+    """
+    mechanism, q, qd = machine(REGULAR)
+    effects = machines.gravity() if len(mechanism.bodies[0].center_of_mass) == 2 else (
+        machines.gravity_in_space())
+    system = Simulation(machines.scene(mechanism, q, qd, Method(), effects)).system
+    tasks = [(system, *machine(distance)[1:]) for distance in (REGULAR, *DISTANCES)]
+    counts = [max(1, int(PORTION / timed(task, 100))) for task in tasks]
+    regular, *others = np.min([
+        [timed(task, count) for task, count in zip(tasks, counts)] for _ in range(rounds)], axis=0)
+    return regular, [other / regular for other in others]
+
+
+def main(arguments=None):
+    """Print the ratios of all machines."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--machine', action='append', choices=MACHINES,
+                        help='this one alone; may be repeated')
+    parser.add_argument('--quick', action='store_true', help='few rounds')
+    options = parser.parse_args(arguments)
+    print(f'{"machine":24}{"regular":>12}', *(f'{distance:>8g}' for distance in DISTANCES))
+    for name in options.machine or MACHINES:
+        regular, found = ratios(MACHINES[name], 3 if options.quick else ROUNDS)
+        print(f'{name:24}{1e9 * regular:9.0f} ns', *(f'{ratio:8.1f}' for ratio in found),
+              flush=True)
+
+
+if __name__ == '__main__':
+    main()
