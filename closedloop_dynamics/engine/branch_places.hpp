@@ -4,18 +4,19 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__BRANCH_PLACES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__BRANCH_PLACES_HPP_
 
-#include "system.hpp"
+#include "branch_equations.hpp"
 
-// Accelerations at a singular position, as their limit along the branch of the motion.
+// The branch at a singular position, as the limit along the motion.
 
 namespace closedloop
 {
 
-/// Accelerations and multipliers of a state whose motion, after `outward`, is in the workspace, from
-/// places ahead and behind, where the closure equations are independent; `added` are the forces of
-/// effects on the bodies, shape (bodies, components) or empty. False where no branch through the
-/// state is found, or where it bends too much between the places.
-bool accelerate_by_places(const System &, Values q, Values qd, Table added);
+/// Position, rates, accelerations and tangents of a component at a state, from places ahead and
+/// behind, where its closure equations are independent. `point` is at the state, but for these, and
+/// its tangents are zero. False where no branch through the state is found, or where it bends too
+/// much between the places.
+bool interpolate(
+  BranchEquations &, Component &, Values q, Values qd, const BranchPoint & point);
 
 }  // namespace closedloop
 

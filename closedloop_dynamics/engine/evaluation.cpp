@@ -20,6 +20,7 @@
 #include "refinement.hpp"
 #include "routines.hpp"
 #include "scene_code.hpp"
+#include "scratch.hpp"
 #include "sticking.hpp"
 
 namespace closedloop
@@ -27,18 +28,22 @@ namespace closedloop
 
 namespace
 {
+// Numbers of a Jacobian that fit on the stack.
+constexpr Index ROOM = 1024;
+
 /// Kinematics and applied forces, which an elimination overwrites.
 void move_bodies(const System & system, Values q, Values qd)
 {
-  outward(system.model, q, qd, system.work);
+  place_bodies(system, q, qd);
   apply_listed(system, q, qd);
   if (system.has_effects() && system.effects.loaded[0] > 0) {
     bias_forces(system.work, system.effects.reaction);
   }
 }
 
-/// Replace the multipliers by those of the least joint forces, with the same motion.
-void minimise_multipliers(const System & system, Values q, Values qd)
+/// Replace the multipliers by those of the least joint forces, with the same motion; poses and
+/// forces on the bodies are those of the state.
+void minimise_multipliers(const System & system)
 {
   const Model & model = system.model;
   const Workspace & work = system.work;
@@ -46,12 +51,11 @@ void minimise_multipliers(const System & system, Values q, Values qd)
   if (!system.whole.empty() || independent == model.equations() || system.joints.body.rows == 0) {
     return;
   }
-  outward(model, q, qd, work);
-  apply_listed(system, q, qd);
   bias_forces(work, work.force);
   joint_wrenches(model, work, system.qdd, system.lam, work.force);
-  DenseMatrix jac(model.equations(), model.joints());
-  constraint_jacobian(model, work, view(jac));
+  Scratch<double, ROOM> scratch(model.equations() * model.joints());
+  const Table jac = scratch.take(model.equations(), model.joints());
+  constraint_jacobian(model, work, jac);
   minimise_joint_wrenches(system, model, work, jac, work.force, system.lam, independent);
 }
 
@@ -73,14 +77,14 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
     multipliers_of_kept(view(jac), all.lam, all.kept, system.lam);
     return;
   }
-  minimise_multipliers(system, q, qd);
+  minimise_multipliers(system);
 }
 
 /// Accelerations next to a singular position, or with equations that depend on others.
 void accelerate_near_singular(const System & system, Values q, Values qd)
 {
   if (accelerate_on_branch(system, q, qd)) {
-    minimise_multipliers(system, q, qd);
+    minimise_multipliers(system);
   } else {
     accelerate_with_all_equations(system, q, qd);
   }
@@ -236,6 +240,21 @@ void load_effect_states(const System & system, Values state)
   }
 }
 
+void place_bodies(const System & system, Values q, Values qd)
+{
+  const Workspace & work = system.work;
+  if (!(system.is_unrolled() && work.planar())) {
+    outward(system.model, q, qd, work);
+    return;
+  }
+  // The routine stores all that the loop does, but for what couplings read.
+  call(system.table, routine::OUTWARD, q, qd);
+  for (Index i = 1; work.body.columns > plane::RATE && i < work.body.rows; ++i) {
+    work.body(i, plane::POSITION) = q[system.model.tree(i, tree::COORDINATE)];
+    work.body(i, plane::RATE) = qd[system.model.tree(i, tree::DOF)];
+  }
+}
+
 void apply_listed_to(const System & system, Table body, Values q, Values qd)
 {
   if (!system.has_effects()) {
@@ -320,7 +339,9 @@ void evaluate_state(const System & system, Values state)
   } else if (!system.is_unrolled()) {
     accelerate_by_loops(system, q, qd);
   } else if (!call(system.table, routine::EVALUATION, q, qd)) {
-    call(system.table, routine::OUTWARD, q, qd);
+    if (system.table[routine::REFINED_ACCELERATION] != 0) {
+      call(system.table, routine::OUTWARD, q, qd);
+    }
     accelerate_beyond_elimination(system, q, qd);
   }
 }

@@ -42,6 +42,9 @@ void derivative(const System &, Values state, Values out);
 /// Copy the effects' own states from a state vector to EffectTable.states.
 void load_effect_states(const System &, Values state);
 
+/// Poses, velocities and inertial forces of all bodies, as `outward` of a model finds them.
+void place_bodies(const System &, Values q, Values qd);
+
 /// Forces of the listed effects on the bodies, and joint torques, after `outward`.
 void apply_listed(const System &, Values q, Values qd);
 

@@ -9,6 +9,7 @@
 #include "cut_coordinates.hpp"
 #include "forces.hpp"
 #include "least_forces.hpp"
+#include "null_space.hpp"
 #include "recursion.hpp"
 #include "routines.hpp"
 
@@ -100,7 +101,7 @@ void load_joints(
   if (!system.whole.empty()) {
     DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));
-    minimise_joint_wrenches(system, model, work, jac, wrench, lam, system.lam.size);
+    minimise_joint_wrenches(system, model, work, view(jac), wrench, lam, system.lam.size);
   }
   update_joint_loads(model, work, system.effects, qd, lam);
 }

@@ -3,14 +3,13 @@
 
 #include "least_forces.hpp"
 
-#include <Eigen/Dense>
-
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include "forces.hpp"
 #include "recursion.hpp"
+#include "scratch.hpp"
+#include "small_factors.hpp"
 
 namespace closedloop
 {
@@ -19,6 +18,8 @@ namespace
 {
 // Pivots below this times the largest belong to redundant equations.
 constexpr double REPEATED = 1e-9;
+// Numbers, and joints with their equations, that fit on the stack.
+constexpr Index NUMBERS = 1024, COUNTS = 64;
 
 /// From the reference point of a wrench to the joint's points on its two bodies [m].
 struct Arms
@@ -39,9 +40,8 @@ Vector3 joint_point(const JointPlaces & joints, const Workspace & work, Index k,
 }
 
 /// Those of all joints: wrenches in the tree refer to origins, those of cut joints to A's point.
-std::vector<Arms> arms_of_joints(const JointPlaces & joints, const Workspace & work)
+void find_arms(const JointPlaces & joints, const Workspace & work, Vector<Arms> out)
 {
-  std::vector<Arms> found;
   for (Index k = 0; k < joints.body.rows; ++k) {
     const Vector3 a = joint_point(joints, work, k, 0), b = joint_point(joints, work, k, 1);
     Vector3 reference = a;
@@ -51,9 +51,8 @@ std::vector<Arms> arms_of_joints(const JointPlaces & joints, const Workspace & w
     } else if (k < joints.row.size) {
       reference = origin_in_space(work.body, joints.row[k]);
     }
-    found.push_back({reference - a, reference - b});
+    out[k] = {reference - a, reference - b};
   }
-  return found;
 }
 
 /// Write the terms of a wrench: the force and both moments; return the place of the next ones.
@@ -78,17 +77,22 @@ double * terms_of_wrench(
   return out;
 }
 
+/// Number of terms of the norm.
+Index number_of_terms(bool planar, Index joints, Index equations)
+{
+  return (planar ? 4 : 9) * joints + equations;
+}
+
 /// Terms of the norm: of tree joints, cut joints and other equations.
-Eigen::VectorXd terms(
-  const System & system, const Model & model, const Workspace & work,
-  const std::vector<Arms> & arms, Table wrench, Values lam)
+void fill_terms(
+  const System & system, const Model & model, const Workspace & work, Vector<Arms> arms,
+  Table wrench, Values lam, Values out)
 {
   const Indices & row = system.joints.row;
-  const Index count = static_cast<Index>(arms.size());
+  const Index count = arms.size;
   const double size = system.settings[setting::SIZE], unit = std::sqrt(0.5) / size;
   const bool planar = work.planar();
-  Eigen::VectorXd found = Eigen::VectorXd::Zero((planar ? 4 : 9) * count + lam.size);
-  double * next = found.data();
+  double * next = out.data;
   for (Index k = 0; k < row.size; ++k) {
     next = terms_of_wrench(wrench.row(row[k]), planar, arms[k], unit, next);
   }
@@ -103,7 +107,25 @@ Eigen::VectorXd terms(
       }
     }
   }
-  return found;
+  std::fill(next, out.end(), 0.0);
+}
+
+/// Write multipliers without joint forces, a row each, from the factors of J, of which so many rows
+/// are independent.
+void fill_unfelt(Table factor, Indices order, Index rank, Table out)
+{
+  out.fill(0.0);
+  for (Index n = 0; n < out.rows; ++n) {
+    const Values lam = out[n];
+    lam[order[rank + n]] = 1.0;
+    for (Index k = rank - 1; k >= 0; --k) {
+      double total = factor(rank + n, k);
+      for (Index i = k + 1; i < rank; ++i) {
+        total += factor(i, k) * lam[order[i]];
+      }
+      lam[order[k]] = -total;
+    }
+  }
 }
 }  // namespace
 
@@ -116,41 +138,65 @@ void spread_multipliers(const System & system, Values lam)
 }
 
 void minimise_joint_wrenches(
-  const System & system, const Model & model, const Workspace & work, const DenseMatrix & jac,
-  Table wrench, Values lam, Index independent)
+  const System & system, const Model & model, const Workspace & work, Table jac, Table wrench,
+  Values lam, Index independent)
 {
-  const Index nc = jac.rows();
-  if (!(jac.allFinite() && dense(lam).allFinite())) {
+  const auto finite = [](double value) {return std::isfinite(value);};
+  if (!(std::all_of(jac.all().begin(), jac.all().end(), finite) &&
+    std::all_of(lam.begin(), lam.end(), finite)))
+  {
     return;
   }
-  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> columns;
-  columns.setThreshold(REPEATED);
-  columns.compute(jac);
-  const Index idle = nc - std::min(independent, static_cast<Index>(columns.rank()));
+  const Index nc = jac.rows, joints = system.joints.body.rows;
+  Scratch<Index, COUNTS> counts(nc + jac.columns);
+  const Indices order = counts.take(nc);
+  Scratch<double, NUMBERS> factors(nc * jac.columns);
+  const Table factor = factors.take(nc, jac.columns);
+  copy(jac.all(), factor.all());
+  const Index rank = std::min(
+    independent, factorize_fully(factor, order, counts.take(jac.columns), REPEATED));
+  const Index idle = nc - rank, count = number_of_terms(work.planar(), joints, nc);
   if (idle == 0) {
     return;
   }
-  Eigen::MatrixXd unfelt = Eigen::MatrixXd::Zero(nc, idle);
-  unfelt.bottomRows(idle).setIdentity();
-  unfelt.applyOnTheLeft(columns.householderQ());
-  const std::vector<Arms> arms = arms_of_joints(system.joints, work);
-  const Eigen::VectorXd now = terms(system, model, work, arms, wrench, lam);
-  Eigen::MatrixXd response(now.size(), idle);
-  DenseMatrix scratch(work.force.rows, work.force.columns);
-  DenseVector change(nc);
+  Scratch<double, NUMBERS> scratch(
+    idle * (nc + count + idle + 1) + count + nc + work.force.rows * work.force.columns);
+  const Table unfelt = scratch.take(idle, nc), response = scratch.take(idle, count);
+  const Table normal = scratch.take(idle, idle);
+  const Values share = scratch.take(idle), now = scratch.take(count), change = scratch.take(nc);
+  const Table felt = scratch.take(work.force.rows, work.force.columns);
+  Scratch<Arms, COUNTS> places(joints);
+  const Vector<Arms> arms = places.take(joints);
+  find_arms(system.joints, work, arms);
+  fill_terms(system, model, work, arms, wrench, lam, now);
+  fill_unfelt(factor, order, rank, unfelt);
   for (Index k = 0; k < idle; ++k) {
-    change = unfelt.col(k);
-    wrenches_of_multipliers(model, work, view(change), view(scratch));
-    response.col(k) = terms(system, model, work, arms, view(scratch), view(change));
+    wrenches_of_multipliers(model, work, unfelt[k], felt);
+    fill_terms(system, model, work, arms, felt, unfelt[k], response[k]);
+    share[k] = 0.0;
+    for (Index n = 0; n < count; ++n) {
+      share[k] -= response(k, n) * now[n];
+    }
   }
-  // The columns are of one size and far from dependent: normal equations do, and cost less.
-  const Eigen::MatrixXd normal = response.transpose().lazyProduct(response);
-  change = -unfelt * normal.ldlt().solve(response.transpose() * now);
-  dense(lam) += change;
-  wrenches_of_multipliers(model, work, view(change), view(scratch));
+  // The rows are of one size and far from dependent: normal equations do, and cost less.
+  fill_products(normal, response, count);
+  if (!factorize_positive(normal)) {
+    return;
+  }
+  solve_positive(normal, share);
+  change.fill(0.0);
+  for (Index k = 0; k < idle; ++k) {
+    for (Index i = 0; i < nc; ++i) {
+      change[i] += share[k] * unfelt(k, i);
+    }
+  }
+  for (Index i = 0; i < nc; ++i) {
+    lam[i] += change[i];
+  }
+  wrenches_of_multipliers(model, work, change, felt);
   for (Index i = 0; i < wrench.rows; ++i) {
     for (Index n = 0; n < work.size(); ++n) {
-      wrench(i, n) += scratch(i, n);
+      wrench(i, n) += felt(i, n);
     }
   }
 }

@@ -4,7 +4,6 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 
-#include "null_space.hpp"
 #include "system.hpp"
 
 // Forces in the joints where closure equations are redundant. These forces are not unique: the
@@ -24,8 +23,8 @@ namespace closedloop
 /// joints of the tree that go with the multipliers, before and afterwards. At most `independent`
 /// equations repeat no others: where loops are open by rounding more of them seem to.
 void minimise_joint_wrenches(
-  const System &, const Model &, const Workspace & work, const DenseMatrix & jac, Table wrench,
-  Values lam, Index independent);
+  const System &, const Model &, const Workspace & work, Table jac, Table wrench, Values lam,
+  Index independent);
 
 /// Multipliers of all equations, zero for those that the elimination omits.
 void spread_multipliers(const System &, Values lam);

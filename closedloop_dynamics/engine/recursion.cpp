@@ -107,6 +107,15 @@ void bias_forces(const Workspace & work, Table out)
   }
 }
 
+void add_forces(const Workspace & work, Table forces)
+{
+  for (Index i = 0; i < forces.rows; ++i) {
+    for (Index n = 0; n < forces.columns; ++n) {
+      work.body(i, work.first_force() + n) += forces(i, n);
+    }
+  }
+}
+
 void newton(const Model & model, const Workspace & work, Values qdd, Table wrench)
 {
   const Indexes & tree = model.tree;

@@ -29,6 +29,9 @@ void energies(const Model &, const Workspace &, Values qd, Values out);
 /// Copy the bodies' bias forces into the first columns of `out`, shape (nb + 1, 3 or more).
 void bias_forces(const Workspace &, Table out);
 
+/// Add forces on the bodies, shape (bodies, components), to theirs; none where there are no rows.
+void add_forces(const Workspace &, Table forces);
+
 /// Add inertial forces to the wrenches: Newton's and Euler's equations, outward.
 void newton(const Model &, const Workspace &, Values qdd, Table wrench);
 

@@ -233,7 +233,7 @@ bool find_all_multipliers(const System & system, Values q, Values qd, Values lam
   }
   bias_forces(work, work.force);
   joint_wrenches(model, work, system.qdd, lam, work.force);
-  minimise_joint_wrenches(system, model, work, whole.jac, work.force, lam, system.lam.size);
+  minimise_joint_wrenches(system, model, work, view(whole.jac), work.force, lam, system.lam.size);
   return fulfil(view(whole.jac), view(whole.bias), system.qdd);
 }
 
