@@ -17,11 +17,6 @@ def with_all_equations(model):
     """
     Return a model with the equations, too, that the elimination leaves out.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
     Returns
     -------
     Model

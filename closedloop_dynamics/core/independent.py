@@ -52,10 +52,6 @@ def allocate_partition(model, used=True):
     used : bool
         Where not, arrays have no length.
 
-    Returns
-    -------
-    Partition
-
     """
     nv, nc = (len(model.tree) - 1, len(model.column) - 1) if used else (0, 0)
     return Partition(

@@ -46,11 +46,6 @@ def manifold_of(model):
     """
     Return the table of a model's quaternions.
 
-    Parameters
-    ----------
-    model : core.types.Model
-        Constant arrays of a mechanism.
-
     Returns
     -------
     Manifold or None

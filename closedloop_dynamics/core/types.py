@@ -244,11 +244,6 @@ def number_of_coordinates(model):
     """
     Return nq: the length of q; nv, and one more for each spherical joint.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
     Returns
     -------
     int

@@ -386,10 +386,6 @@ def with_equations(system, model, code=LOOPS):
     code : Code
         Selection of code for these equations; by default none, so that nothing is compiled.
 
-    Returns
-    -------
-    System
-
     """
     work = unconnected(model)
     work.health[:] = system.work.health
@@ -411,10 +407,6 @@ def with_partition(system, used):
     used : bool
         Whether independent coordinates are used.
 
-    Returns
-    -------
-    System
-
     """
     return _bound(system._replace(partition=allocate_partition(system.model, used)))
 
@@ -429,10 +421,6 @@ def with_derivatives(system, derivatives):
         As it was; all else is shared.
     derivatives : AccelerationDerivatives
         For this system's mechanism and effects.
-
-    Returns
-    -------
-    System
 
     """
     return _bound(system._replace(derivatives=derivatives))

@@ -81,11 +81,6 @@ def coupling_scales(mechanism):
     Those of a cut joint whose coordinate is no sum of those of the tree are written for that
     coordinate, without its factor.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-
     Returns
     -------
     ndarray, shape (number of couplings,)

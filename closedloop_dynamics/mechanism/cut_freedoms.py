@@ -69,11 +69,6 @@ def cut_freedoms(mechanism):
     """
     Return the freedoms of all cut joints that have coordinates.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-
     Returns
     -------
     dict of str to CutFreedom

@@ -65,10 +65,6 @@ class Parameters:
         given : mapping of str to float
             Numbers in the place of those of the section; others are left alone.
 
-        Returns
-        -------
-        expressions.Parameters
-
         Raises
         ------
         FieldError

@@ -266,10 +266,6 @@ def is_spatial(mechanism):
     mechanism : Mechanism
         Not yet checked.
 
-    Returns
-    -------
-    bool
-
     """
     try:
         return len(mechanism.joints[0].position) == 3

@@ -166,10 +166,6 @@ def compute(scene, request: Request, workers: Optional[int] = None,
     keep_going : callable
         Called between parts; False ends the map, which is written and returned as it is.
 
-    Returns
-    -------
-    Workspace
-
     Raises
     ------
     AssemblyError, simulation.driven.BranchEndError

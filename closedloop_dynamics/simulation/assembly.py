@@ -320,10 +320,6 @@ class Assembler:
         opening : float
             What counts as closed, in sizes of the mechanism.
 
-        Returns
-        -------
-        bool
-
         """
         return any(np.abs(self._equations.move(near).closures()[0]).max() <= (
             opening * self.extent) for near in self._neighbours(q))

@@ -98,11 +98,6 @@ def coupling_moments(mechanism):
     Their equations are in the coordinates of the tree, where their torques act in each joint on
     the way to the ground; they are handed over at the cut joint.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-
     Returns
     -------
     at_cuts : ndarray, shape (number of cut joints, number of couplings)

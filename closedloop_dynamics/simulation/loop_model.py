@@ -255,10 +255,6 @@ class LoopModel:
         q : ndarray, shape (nq,)
             Closing the loops.
 
-        Returns
-        -------
-        bool
-
         """
         jac = scaled(self._jacobian(q), self.equations.groups)
         return rank_of(jac) == rank_of(jac[self.equations.kept])

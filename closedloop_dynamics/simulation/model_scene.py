@@ -49,10 +49,6 @@ def scene_of_model(path, imported):
     imported : formats.building.Imported
         What was read.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
     MechanismError
@@ -84,11 +80,6 @@ def closed_start(imported):
     """
     Search where a model starts with its loops closed: as it is drawn, or near.
 
-    Parameters
-    ----------
-    imported : formats.building.Imported
-        What was read.
-
     Returns
     -------
     imported : formats.building.Imported
@@ -117,11 +108,6 @@ def _at_rest(mechanism, q):
 def assembled(imported):
     """
     Close the loops of a model with drives held and limits kept, or as well as it goes.
-
-    Parameters
-    ----------
-    imported : formats.building.Imported
-        What was read.
 
     Returns
     -------

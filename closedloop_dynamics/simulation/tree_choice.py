@@ -44,11 +44,6 @@ def cheapest(mechanism):
     """
     Exchange joints that are cut for others, one by one, as long as that saves operations.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        As it was read.
-
     Returns
     -------
     Mechanism

@@ -144,10 +144,6 @@ def good(model, smallest, limit):
     limit : float
         ``SMALL_PIVOT`` or ``POOR_PIVOT``.
 
-    Returns
-    -------
-    bool
-
     """
     return smallest >= limit * min(1.0, MANY_JOINTS / model.tree.shape[0])
 

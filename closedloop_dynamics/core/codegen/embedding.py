@@ -26,13 +26,6 @@ def closing_bodies(recursion, model):
     """
     Return where the loops are eliminated.
 
-    Parameters
-    ----------
-    recursion : spatial.Recursion
-        Of the bodies.
-    model : Model
-        Constant topology.
-
     Returns
     -------
     list of int

@@ -100,11 +100,6 @@ def unrolled_size(model):
     """
     Return about how many operations an evaluation of a mechanism in space is, by a rule of thumb.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
     Returns
     -------
     int
@@ -125,11 +120,6 @@ def form_for(model, form=SCALAR):
 def operations(model):
     """
     Count the operations of an evaluation, before anything is compiled.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
 
     Returns
     -------

@@ -200,19 +200,7 @@ def group_of(kind, number):
 
 
 def is_spatial(model):
-    """
-    Return whether a model is one in space.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of a mechanism.
-
-    Returns
-    -------
-    bool
-
-    """
+    """Return whether a model is one in space."""
     return len(model.gravity) == 3
 
 

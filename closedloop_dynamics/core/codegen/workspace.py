@@ -12,38 +12,14 @@ from ..types import (
 
 
 def allocate(model):
-    """
-    Allocate the workspace of one model.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
-    Returns
-    -------
-    Workspace
-
-    """
+    """Allocate the workspace of one model."""
     work = unconnected(model)
     joint_kernels.connect(model, work.kernel, work.cut_kernel)
     return work
 
 
 def unconnected(model):
-    """
-    Allocate a workspace that the loops cannot be run on.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
-    Returns
-    -------
-    Workspace
-
-    """
+    """Allocate a workspace that the loops cannot be run on."""
     entries, bodies, rows = len(model.path_body), len(model.tree), len(model.column) - 1
     most = max(3, model.cut[:, ROWS].max(initial=0))
     # The code for a cut joint computes all equations that it may have.
