@@ -136,11 +136,7 @@ def reading(arguments, path):
     """
     Return the options for the reader of a model, by its parameters' names.
 
-    Raises
-    ------
-    UsageError
-        Where some are given, and the path is not that of a model in another format.
-
+    UsageError where some are given, and the path is not that of a model in another format.
     """
     found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
              'arguments': mapping(arguments.argument, '--argument'),
@@ -180,14 +176,7 @@ def add_set(parser):
 
 
 def with_numbers(scene, arguments):
-    """
-    Return a scene with the numbers that the command line sets.
-
-    Raises
-    ------
-    UsageError
-
-    """
+    """Return a scene with the numbers that the command line sets; raise UsageError."""
     try:
         return changed(scene, {resolve(scene, key): value for key, value in mapping(
             arguments.set, '--set').items()})
@@ -196,14 +185,7 @@ def with_numbers(scene, arguments):
 
 
 def read_scene(name, arguments):
-    """
-    Return a scene by its name, with the options of a command line; print a long read.
-
-    Raises
-    ------
-    SceneError
-
-    """
+    """Return a scene by its name, with the options of a command line; print a long read."""
     with announced(READING):
         return load_scene(name, **reading(arguments, name))
 
@@ -234,18 +216,8 @@ def write_variants(arguments, make):
     """
     Write scenes that were made of another one; return the exit code.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With ``output`` and ``overwrite``.
-    make : callable
-        Returns a ``simulation.variant.Variant`` by the file to write; raises ValueError for what
-        cannot be made.
-
-    Raises
-    ------
-    UsageError
-
+    ``make`` returns a ``simulation.variant.Variant`` by the file to write, or raises ValueError
+    for what cannot be made, which becomes a UsageError.
     """
     try:
         found = make()
@@ -264,14 +236,7 @@ def write_variants(arguments, make):
 
 
 def scene_of(arguments):
-    """
-    Return the scene of a command line, read, with the numbers set and the motions it prescribes.
-
-    Raises
-    ------
-    SceneError, UsageError
-
-    """
+    """Return the scene of a command line with the numbers set and the motions it prescribes."""
     return with_motion(scene_to_change(arguments), arguments)
 
 
@@ -311,22 +276,11 @@ def add_recording(parser, name='recording', metavar='BAG_OR_CSV', nargs=None, wh
 
 def recording_of(arguments, path, other_machine=False):
     """
-    Return the recording in a bag or a CSV file.
+    Return the recording in a bag or a CSV file, by the arguments of ``add_recording``.
 
-    Parameters
-    ----------
-    arguments : argparse.Namespace
-        With those of ``add_recording``. Numbers that are set are those of ``--scene``.
-    path : path-like
-        Of the bag or file.
-    other_machine : bool
-        Whether ``--scene`` may have another mechanism than the bag.
-
-    Raises
-    ------
-    UsageError
-        Where it cannot be read, lacks something, or is of another mechanism.
-
+    Numbers that are set are those of ``--scene``, which may have another mechanism than the bag if
+    ``other_machine``. UsageError where it cannot be read, lacks something, or is of another
+    mechanism.
     """
     # Only here, as other commands need none of its libraries.
     from ..recording.errors import RecordingError
@@ -349,12 +303,8 @@ def require_free(arguments, path, option='--output', endings=()):
     """
     Refuse, before anything is computed, a file that cannot be written.
 
-    Raises
-    ------
-    UsageError
-        Where its name does not end with one of ``endings``, if any are given; where it exists and
-        ``--overwrite`` is not given, is a directory, or its directory does not exist.
-
+    UsageError where its name does not end with one of ``endings``, if any are given; where it
+    exists and ``--overwrite`` is not given, is a directory, or its directory does not exist.
     """
     if path.is_dir():
         raise UsageError(f'{option}: expected a file, got the directory {path}')
@@ -376,11 +326,8 @@ def free_paths(arguments, *names):
     """
     Return the paths of files in the directory ``--output``; none where it is not given.
 
-    Raises
-    ------
-    UsageError
-        Where one of them exists and ``--overwrite`` is not given, or they cannot be written.
-
+    UsageError where one of them exists and ``--overwrite`` is not given, or they cannot be
+    written.
     """
     if arguments.output is None:
         return []
@@ -435,24 +382,10 @@ def write_drawing(arguments, motion, title):
 
 def checked_torques(name, scene, torque, build=Simulation):
     """
-    Build a simulation, after a check of the torques' names.
+    Build a simulation of a scene, after a check of the torques' names.
 
-    Parameters
-    ----------
-    name : str
-        Of the scene, for messages.
-    scene : Scene
-        To simulate.
-    torque : mapping of str to float
-        By joint.
-    build : callable
-        Takes the scene, returns the simulation.
-
-    Raises
-    ------
-    UsageError
-        Where a joint takes no torque, or the scene cannot be assembled.
-
+    ``name`` of the scene is for messages; ``build`` takes the scene. UsageError where a joint
+    takes no torque, or the scene cannot be assembled.
     """
     try:
         require_actuated(with_motions(scene), torque)

@@ -59,15 +59,7 @@ def parser(names=tuple(COMMANDS)):
 
 
 def run(argv):
-    """
-    Run ``closedloop``.
-
-    Parameters
-    ----------
-    argv : list of str or None
-        Arguments without the program's name; None: those of this process.
-
-    """
+    """Run ``closedloop`` with arguments without the program's name, None: of this process."""
     for stream in (sys.stdout, sys.stderr):
         # The terminal need not be able to show names of files and texts of scenes.
         stream.reconfigure(errors='backslashreplace')

@@ -51,14 +51,7 @@ def add_drive(parser, default=''):
 
 
 def driven_run(arguments, scene):
-    """
-    Return the driven run of a command line.
-
-    Raises
-    ------
-    UsageError
-
-    """
+    """Return the driven run of a command line; raise UsageError."""
     try:
         drives, count, speed = paced(arguments, scene)
         return DrivenRun(scene, drives, count, speed, arguments.branch)
@@ -82,12 +75,7 @@ def paced(arguments, scene, poses=POSES):
     """
     Return drives by name, the number of poses and the speed of a command line.
 
-    Raises
-    ------
-    UsageError
-    ValueError
-        For a scene without a cycle, where no drives are given.
-
+    UsageError; ValueError for a scene without a cycle, where no drives are given.
     """
     drives, count = drives_of(arguments, scene) if arguments.drive else (cycle(scene), poses)
     speed = arguments.speed

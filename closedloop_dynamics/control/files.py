@@ -72,19 +72,9 @@ class Controller:
 
     def torques(self, time, position, velocity):
         """
-        Return the torques, by joint [N m or N].
+        Return the torques by joint [N m or N], at a time [s].
 
-        Parameters
-        ----------
-        time : float
-            [s].
-        position, velocity : ndarray, shapes (nq,) and (nv,)
-            Of all joints [rad or m, rad/s or m/s].
-
-        Returns
-        -------
-        dict of str to float
-
+        ``position``, ``velocity``: of all joints, shapes (nq,) and (nv,) [rad or m, rad/s or m/s].
         """
         if self._singles:
             found = self._law(time)
@@ -105,11 +95,7 @@ def read_controller(path):
     """
     Return the settings in a file of parameters, those not given at their defaults.
 
-    Raises
-    ------
-    StartError
-        Where the file is none of a controller.
-
+    StartError where the file is none of a controller.
     """
     document = Document(path, StartError)
     with document.errors():

@@ -94,27 +94,12 @@ class _Tree(NamedTuple):
 
 def mechanism_of(model, end_stops=None, mend_inertias=False):
     """
-    Return the mechanism that a model describes.
+    Return the mechanism, as ``Imported``, that a model describes as a reader of a format left it.
 
-    Parameters
-    ----------
-    model : Model
-        As a reader of a format left it.
-    end_stops : float, optional
-        Stiffness that limits of joints become end stops with [N m/rad or N/m].
-    mend_inertias : bool
-        Whether moments of inertia of which one is larger than the sum of the other two are changed
-        by as little as makes them possible, not refused.
-
-    Returns
-    -------
-    Imported
-
-    Raises
-    ------
-    MechanismError
-        Where it is no mechanism, with the element of the file.
-
+    Limits of joints become end stops of the stiffness ``end_stops`` [N m/rad or N/m], if given.
+    Where ``mend_inertias``, moments of inertia of which one is larger than the sum of the other
+    two are changed by as little as makes them possible, not refused. MechanismError where it is no
+    mechanism, with the element of the file.
     """
     ignored, omitted = dict(model.ignored), list(model.omitted)
     model.check()
@@ -620,17 +605,7 @@ def lines(imported, lever):
     """
     Return omissions, a line for each reason: those that move bodies first, by size.
 
-    Parameters
-    ----------
-    imported : Imported
-        The model that was read.
-    lever : float
-        The machine's size, at which turning and sliding are compared [m].
-
-    Returns
-    -------
-    list of str
-
+    ``lever`` is the machine's size, at which turning and sliding are compared [m].
     """
     groups = {}
     for one in sorted(imported.omitted, key=lambda one: -one.force(lever)):

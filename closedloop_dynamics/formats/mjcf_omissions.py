@@ -42,15 +42,7 @@ def disabled(mujoco, compiled, what):
     """
     Return whether the flags of a file disable something.
 
-    Parameters
-    ----------
-    mujoco : module
-        As it was imported.
-    compiled : mujoco.MjModel
-        What it made of the file.
-    what : str
-        As ``mujoco.mjtDisableBit`` has it behind ``mjDSBL_``.
-
+    ``what``: as ``mujoco.mjtDisableBit`` has it behind ``mjDSBL_``.
     """
     known = mujoco.mjtDisableBit
     if what in ('SPRING', 'DAMPER') and not hasattr(known, f'mjDSBL_{what}'):
@@ -61,21 +53,10 @@ def disabled(mujoco, compiled, what):
 
 def omissions(mujoco, compiled, name, carried, no_drag):
     """
-    Return the omissions from a compiled model, a list of Omission.
+    Return the omissions from a compiled model of a name, a list of Omission.
 
-    Parameters
-    ----------
-    mujoco : module
-        As it was imported.
-    compiled : mujoco.MjModel
-        What it made of the file.
-    name : str
-        Of the model.
-    carried : set of tuples (str, int)
-        Fields and rows of them that are read.
-    no_drag : bool
-        Whether nothing of the drag of a fluid is left out.
-
+    ``carried``: fields and rows of them that are read; ``no_drag``: whether nothing of the drag of
+    a fluid is left out.
     """
     found = {}
     for field, (quantity, kind, reason, units, flag) in FIELDS.items():

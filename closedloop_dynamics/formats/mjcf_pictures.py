@@ -23,26 +23,11 @@ UNTOLD = (0.5, 0.5, 0.5)
 
 def read_pictures(mujoco, text, folder, model, links):
     """
-    Give the links of a model, and its ground, their visuals.
+    Give the links of a model, and its ground, their visuals; return how many shapes may touch.
 
-    Parameters
-    ----------
-    mujoco : module
-        As it was imported.
-    text : str
-        MJCF that opens no other file as it is read.
-    folder : pathlib.Path
-        Of the file.
-    model : model.Model
-        Shapes that cannot be drawn are noted under its ``ignored``.
-    links : dict of str to model.Link
-        Of the model, by the names of MuJoCo's bodies.
-
-    Returns
-    -------
-    int
-        How many shapes may touch others; 0 where MuJoCo does not read them.
-
+    ``text`` is MJCF that opens no other file of its ``folder`` as it is read; shapes that cannot
+    be drawn are noted under ``model.ignored``; ``links`` are by the names of MuJoCo's bodies. 0
+    where MuJoCo does not read them.
     """
     try:
         spec = mujoco.MjSpec.from_string(text)
@@ -93,13 +78,8 @@ def _without_files(mujoco, spec, folder):
     """
     Remove elements that need other files.
 
-    Returns
-    -------
-    dict of str to tuple (pathlib.Path, tuple of 3 floats)
-        Path and scale of the meshes, by name.
-    int
-        How many fields of heights and of distances there were.
-
+    Returns path and scale of the meshes by name, and how many fields of heights and of distances
+    there were.
     """
     meshes = {mesh.name: ((folder / spec.meshdir / mesh.file), tuple(map(float, mesh.scale)))
               for mesh in spec.meshes if mesh.file and not np.any(mesh.refpos)

@@ -51,22 +51,7 @@ def pose_from(numbers):
 
 
 def poses_at(mechanism, position):
-    """
-    Return where bodies are in the world.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose bodies these are.
-    position : ndarray, shape (nq,)
-        Joint coordinates [rad or m].
-
-    Returns
-    -------
-    dict of str to Pose
-        By name, the ground among them.
-
-    """
+    """Return where bodies, the ground among them, are at a position, shape (nq,), by name."""
     names = [GROUND, *(body.name for body in mechanism.bodies)]
     return {name: pose_from(numbers) for name, numbers in zip(
         names, poses_in_space(body_poses(mechanism, position, names)))}

@@ -26,15 +26,7 @@ def _function(place):
 
 
 def writer(suffix):
-    """
-    Return the function that writes a format.
-
-    Parameters
-    ----------
-    suffix : str
-        How the name of the file ends, one of WRITERS.
-
-    """
+    """Return the function that writes a format, by the ending of the file's name, in WRITERS."""
     return _function(WRITERS[suffix])
 
 

@@ -144,15 +144,7 @@ def add_joints(element, model, poses):
     """
     Add the SDF joints in an element to a model in another format; each closes a loop.
 
-    Parameters
-    ----------
-    element : xml_file.Element
-        Their parent element.
-    model : Model
-        With its links.
-    poses : dict of str to Pose
-        Of its links in the frame of the model, as they are drawn.
-
+    ``poses`` are those of its links in the frame of the model, as they are drawn.
     """
     for joint in _Reader(element, model, JOINTS_ALONE, poses).joints_alone():
         joint.closes = True

@@ -29,24 +29,10 @@ _ATTRIBUTES = ('attached_to', 'relative_to', 'frame', 'expressed_in', 'joint')
 
 def flattened(model, version, options, opened=()):
     """
-    Put the parts of the models in a model into it, in place.
+    Put the parts of the models in an element model into it, in place.
 
-    Parameters
-    ----------
-    model : xml_file.Element
-        An element model.
-    version : tuple of 2 ints
-        Of the file that it is in.
-    options : model.ReadOptions
-        Whether files are read from anywhere.
-    opened : tuple of pathlib.Path
-        Files that it is included from.
-
-    Raises
-    ------
-    MechanismError
-        With file, line and element.
-
+    ``version`` is that of the file that it is in, ``opened`` are the files that it is included
+    from. MechanismError with file, line and element.
     """
     kept = []
     for child in model.children:
@@ -74,20 +60,9 @@ def included(element, options, opened=()):
     """
     Read the model that an element include names.
 
-    Returns
-    -------
-    model : xml_file.Element
-        With the name and the pose that the element gives it.
-    version : tuple of 2 ints
-        Of its file.
-    opened : tuple of pathlib.Path
-        With this file.
-
-    Raises
-    ------
-    MechanismError
-        Where there is no such file, or it has no model.
-
+    Returns the model, with the name and the pose that the element gives it, the version of its
+    file, and ``opened`` with this file. MechanismError where there is no such file, or it has no
+    model.
     """
     uri = element.required('uri')
     path = _found(uri, options)

@@ -251,17 +251,8 @@ def add_loop_joint(model, cut, links, poses):
     """
     Add a joint of SDF that closes a loop, where its second body has it.
 
-    Parameters
-    ----------
-    model : ElementTree.Element
-        To which it is added.
-    cut : CutJoint
-        In space, its type one of LOOP_JOINTS.
-    links : dict of str to str
-        Names of the links of bodies and ground.
-    poses : dict of str to Pose
-        Of bodies and ground, as they are drawn: with the loop closed.
-
+    ``cut`` is in space, its type one of LOOP_JOINTS; ``links``: names of the links of bodies and
+    ground; ``poses`` of these, as they are drawn: with the loop closed.
     """
     # SDF has joints in the world only as parents.
     a, b = (cut.body_a, cut.point_a, cut.axis_a), (cut.body_b, cut.point_b, cut.axis_b)
@@ -285,16 +276,8 @@ def balls(cut):
     """
     Return the ball joints that close a loop as a joint does: a hinge is two on its axis.
 
-    Parameters
-    ----------
-    cut : CutJoint
-        In space, its type one of BALLS.
-
-    Returns
-    -------
-    list of tuples
-        (body A, place on it [m]), (body B, place on it [m]) of each.
-
+    Of each (body A, place on it [m]), (body B, place on it [m]); the joint is in space, of a type
+    in BALLS.
     """
     return [tuple((body, np.array(place) + (along * np.array(axis) if along else 0.0))
                   for body, place, axis in ((cut.body_a, cut.point_a, cut.axis_a),

@@ -29,25 +29,11 @@ FORMS = {CONSTRAINT: (*_PAIRS, UNIVERSAL), LOOP: _PAIRS, DRAKES: BALLS, GAZEBO: 
 
 def add_loops(robot, cuts, form, poses=None):
     """
-    Add the elements that close loops to an element robot.
+    Add the elements that close loops to an element robot, in a form of FORMS.
 
-    Parameters
-    ----------
-    robot : ElementTree.Element
-        To which they are added.
-    cuts : sequence of CutJoint
-        In space; their bodies, and the ground, are links of the same names.
-    form : str
-        One of FORMS.
-    poses : dict of str to Pose
-        Of bodies and ground, each joint at zero, where the loops are closed; for ``gazebo`` only,
-        whose joints are drawn once.
-
-    Raises
-    ------
-    MechanismError
-        Where the form has no word for a cut joint.
-
+    ``cuts`` are in space; their bodies, and the ground, are links of the same names. ``poses`` of
+    these, each joint at zero, where the loops are closed, are for ``gazebo`` only, whose joints
+    are drawn once. MechanismError where the form has no word for a cut joint.
     """
     if form == DRAKES and cuts:
         robot.set('xmlns:drake', DRAKE)

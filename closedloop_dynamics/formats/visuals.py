@@ -18,28 +18,12 @@ SEARCHED = ('AMENT_PREFIX_PATH', 'ROS_PACKAGE_PATH', 'GZ_SIM_RESOURCE_PATH')
 
 def visuals(link, folder, pose_of, values_of, color_of, ignored):
     """
-    Read the visuals of a link; those that cannot be drawn are left out.
+    Read the visuals of a link, a list of Visual; those that cannot be drawn are left out.
 
-    Parameters
-    ----------
-    link : xml_file.Element
-        With elements ``visual``.
-    folder : pathlib.Path
-        Of the file, which paths of meshes begin from.
-    pose_of : callable
-        Returns the pose of an element ``visual`` in the link's frame.
-    values_of : callable
-        Returns numbers of an element by key and count, ``None`` where there are none; with the
-        count None text.
-    color_of : callable
-        Returns the colour of an element ``visual``, as ``Visual`` has it.
-    ignored : dict of str to str
-        Omissions are noted here, with the reason; nothing that is drawn moves a body.
-
-    Returns
-    -------
-    list of Visual
-
+    Of an element ``visual``, ``pose_of`` returns the pose in the link's frame, ``color_of`` the
+    colour as ``Visual`` has it, and ``values_of`` numbers of an element by key and count, or text
+    where the count is None; None where there are none. Paths of meshes begin from the folder.
+    Omissions are noted in ``ignored``, with the reason; nothing that is drawn moves a body.
     """
     found = []
     for visual in link.all('visual'):

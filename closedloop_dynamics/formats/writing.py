@@ -137,15 +137,9 @@ class JointEffects:
 
     def drive(self, single, speeds):
         """
-        Return the largest torque and speed of the drive of a single joint, None for none.
+        Return the largest torque and speed of the drive of a single joint by name, None for none.
 
-        Parameters
-        ----------
-        single : str
-            Its name.
-        speeds : bool
-            Whether the format has largest speeds.
-
+        ``speeds``: whether the format has largest speeds.
         """
         pair = self._at.get(single, {}).get('actuator', [None])[0]
         if pair is None:
@@ -228,15 +222,7 @@ def drawn(single, joint, q):
     """
     Return where a single joint's frame is in the one before it, and its child in that.
 
-    Parameters
-    ----------
-    single : Single
-        One of the joints that stand for a joint.
-    joint : Joint
-        The joint.
-    q : sequence
-        Coordinates of the single joint [rad or m].
-
+    ``q``: coordinates of the single joint, which stands for a part of ``joint`` [rad or m].
     """
     frame, child, after = np.eye(3), np.eye(3), np.zeros(3)
     if single.type == SPHERICAL:

@@ -131,15 +131,8 @@ class Element:
         """
         Yield the parts that were not read.
 
-        Yields
-        ------
-        str
-            A tag, or a tag and an attribute as ``tag@attribute``.
-        str or Element
-            The attribute's value, or the element.
-        tuple of Element
-            Its ancestors, the outermost first.
-
+        A tag, or a tag and an attribute as ``tag@attribute``; the attribute's value, or the
+        element; and its ancestors, the outermost first.
         """
         above = (*above, self)
         for key, value in self.attributes.items():
@@ -154,27 +147,10 @@ class Element:
 
 def read_xml(path, root, text=None):
     """
-    Read an XML file.
+    Read an XML file, whose outermost element is one of ``root``; return that element.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of the file.
-    root : sequence of str
-        Allowed outermost elements.
-    text : bytes, optional
-        The text of the file, where it was read before.
-
-    Returns
-    -------
-    Element
-        The outermost one.
-
-    Raises
-    ------
-    MechanismError
-        Where it cannot be read, is no XML or larger than a model should be.
-
+    ``text``: that of the file, where it was read before. MechanismError where it cannot be read,
+    is no XML or larger than a model should be.
     """
     content = read_bytes(path) if text is None else text
     if len(content) > MOST_BYTES:
@@ -188,14 +164,7 @@ def read_xml(path, root, text=None):
 
 
 def read_bytes(path):
-    """
-    Return the contents of a file, up to one byte beyond its limit.
-
-    Raises
-    ------
-    MechanismError
-
-    """
+    """Return the contents of a file, up to one byte beyond its limit; raise MechanismError."""
     try:
         return read_file(path, MOST_BYTES)
     except (OSError, ValueError) as error:

@@ -33,17 +33,10 @@ OWNERS = ('link', 'joint', 'gazebo', 'model')
 
 def leave_out(model, root, reasons):
     """
-    Report the parts of a file that were not read as left out.
+    Report the parts of a file that were not read as left out of a model.
 
-    Parameters
-    ----------
-    model : Model
-        To be filled.
-    root : Element
-        The outermost one, after all has been read.
-    reasons : dict of str to str
-        By tag, the reason for omitting an element without influence on the motion.
-
+    ``root``: the outermost element, after all has been read; ``reasons``: by tag, the reason for
+    omitting an element without influence on the motion.
     """
     counts = Counter()
     for label, value, above in root.unasked():

@@ -57,26 +57,14 @@ def fits(system, stabilisation):
     """
     Return whether a system may take a lane.
 
-    Returns
-    -------
-    bool
-        False where nothing is unrolled, or effects have no code for it.
-
+    Not where nothing is unrolled, or effects have no code for it.
     """
     return system.is_unrolled and stabilisation != INDEPENDENT and (
         system.effects is None or scene_code.fit_lanes(system.effects))
 
 
 def build_batch(systems):
-    """
-    Allocate a batch.
-
-    Returns
-    -------
-    Batch or None
-        None where the systems cannot go together.
-
-    """
+    """Allocate a batch; None where the systems cannot go together."""
     systems = filled(systems)
     first = systems[0]
     settings = np.array([system.settings for system in systems])

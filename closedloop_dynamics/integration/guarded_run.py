@@ -64,17 +64,7 @@ class GuardedRun(NamedTuple):
 
 
 def guarded_run(stepper, watch, account, state, memory, numbers, counts):
-    """
-    Allocate a run.
-
-    Parameters
-    ----------
-    stepper, watch, account, state, numbers, counts
-        As of ``GuardedRun``; taken as they are.
-    memory : int
-        Length of what outlasts a restart of the method.
-
-    """
+    """Allocate a run; ``memory``: length of what outlasts a restart of the method."""
     count = len(watch.windings)
     return GuardedRun(
         stepper, watch, account, state, np.zeros_like(state), np.zeros(len(state) + memory),

@@ -39,20 +39,9 @@ class AllEquations(NamedTuple):
 
 def all_equations(model, work, before=None):
     """
-    Allocate all equations of a system that works on some.
+    Allocate all equations of a system that works on some; None where it works on all.
 
-    Parameters
-    ----------
-    model, work : Model, Workspace
-        Of the system.
-    before : AllEquations, optional
-        Whose numbers are taken over.
-
-    Returns
-    -------
-    AllEquations or None
-        None where the system works on all equations.
-
+    ``model`` and ``work`` are the system's; the numbers of ``before`` are taken over.
     """
     whole = with_all_equations(model)
     if whole is model:

@@ -36,27 +36,14 @@ def run_samples(make, start, torque, schedule):
     """
     Make whole runs, one after the other, all from the start of one.
 
-    Parameters
-    ----------
-    make : callable
-        ``native.run_samples`` of a system and a run, which is left as it is.
-    start : ndarray, shape (n, ns)
-        State of each, or one for all.
-    torque : ndarray, shape (n or 1, rows, nv)
-        Joint torques [N m or N].
-    schedule : tuple of 3 int
-        Steps that a row acts for, from one instant to the next, and in all.
+    ``make`` is ``native.run_samples`` of a system and a run, which is left as it is; ``start``,
+    shape (n, ns): the state of each, or one for all; ``torque``, shape (n or 1, rows, nv) [N m or
+    N]; ``schedule``: steps that a row acts for, from one instant to the next, and in all.
 
-    Returns
-    -------
-    states : ndarray, shape (n, instants, ns)
-        Of the instants that were reached.
-    status : ndarray of int, shape (n,)
-        Of ``integration.control``.
-    found : ndarray, shape (n, 4)
-        Largest error of the energy balance relative to the energy that had moved by then, that
-        error and that energy [J], when it was found [s].
-
+    Returns states, shape (n, instants, ns), of the instants that were reached; statuses of
+    ``integration.control``, shape (n,); and, shape (n, 4), the largest error of the energy balance
+    relative to the energy that had moved by then, that error and that energy [J], when it was
+    found [s].
     """
     count = max(len(start), len(torque))
     states = np.empty((count, schedule[2] // schedule[1] + 1, start.shape[1]))
@@ -67,21 +54,10 @@ def run_samples(make, start, torque, schedule):
 
 def allocate_buffer(system, instants, evaluated, body, point):
     """
-    Allocate the buffer of a run.
+    Allocate the buffer of a run of so many instants.
 
-    Parameters
-    ----------
-    system : System
-        Model and workspace of the mechanism.
-    instants : int
-        How many there will be.
-    evaluated : bool
-        Whether more than the state is wanted; of planar mechanisms.
-    body : ndarray of int, shape (n,)
-        Of the named points.
-    point : ndarray, shape (n, 2)
-        In that body's frame [m].
-
+    ``evaluated``: whether more than the state is wanted, of planar mechanisms; ``body``,
+    ``point``: of the named points and in its frame [m], shapes (n,) and (n, 2).
     """
     count = instants if evaluated else 0
     effects = 0 if system.effects is None else len(system.effects.kind)
@@ -97,24 +73,10 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     """
     Compute the wrenches in the joints of the trees at instants of a given motion.
 
-    Parameters
-    ----------
-    system : System
-        Model and workspace of the mechanism; the workspace is overwritten.
-    torque, zero_order_hold, decimation
-        As for ``run``.
-    state : ndarray, shape (instants, ns)
-        Coordinates, rates, and states of effects.
-    qdd : ndarray, shape (instants, nv)
-        Joint accelerations.
-    lam : ndarray, shape (instants, nc)
-        Multipliers.
-
-    Returns
-    -------
-    ndarray, shape (instants, nv, 3 or 6)
-        Moment and force that the parent exerts on the child [N m, N].
-
+    Moment and force that the parent exerts on the child [N m, N], shape (instants, nv, 3 or 6).
+    ``torque``, ``zero_order_hold``, ``decimation`` are as for ``run``; ``state``, shape (instants,
+    ns), has coordinates, rates and states of effects; accelerations and multipliers have the
+    shapes (instants, nv) and (instants, nc). The system's workspace is overwritten.
     """
     out = np.empty((*qdd.shape, system.work.wrench.shape[1]))
     native.fill_joint_forces(

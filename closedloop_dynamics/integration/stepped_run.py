@@ -60,24 +60,7 @@ def stages_of(tableau):
 
 
 def allocate_tape(system, tableau, steps):
-    """
-    Allocate the record of a run.
-
-    Parameters
-    ----------
-    system : System
-        Model and workspace of the mechanism.
-    tableau : Tableau
-        Of the method.
-    steps : int
-        How many there will be.
-
-    Returns
-    -------
-    Tape
-        To be filled in, from the first state on.
-
-    """
+    """Allocate the record of a run of so many steps, to be filled in, from the first state on."""
     ns = number_of_states(system)
     return Tape(
         np.zeros((steps + 1, ns)),

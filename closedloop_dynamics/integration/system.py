@@ -327,15 +327,8 @@ def refine(system, state):
     Give a system routines for links much lighter than others, if a state needs them.
 
     They are taken away where it does not. Without these routines loops over the bodies serve such
-    links, in two to three times the time.
-
-    Parameters
-    ----------
-    system : System
-        Of a mechanism; its table is written.
-    state : ndarray, shape (ns,)
-        Closing the loops.
-
+    links, in two to three times the time. ``state``, shape (ns,), closes the loops; the system's
+    table is written.
     """
     if not system.is_unrolled or len(system.qdd) > MOST_IN_VARIANTS:
         return
@@ -350,22 +343,7 @@ def refine(system, state):
 
 
 def parts_of_state(system):
-    """
-    Return where the parts of a state vector are.
-
-    Parameters
-    ----------
-    system : System
-        Of a mechanism.
-
-    Returns
-    -------
-    q, qd, own : slice
-        Coordinates, rates, the effects' own states.
-    ns : int
-        Length of the state vector.
-
-    """
+    """Return the places of q, qd and the effects' own states in a state vector, and its length."""
     nv = len(system.qdd)
     nq = nv if system.manifold is None else nv + len(system.manifold.balls)
     end = nq + nv + (0 if system.effects is None else len(system.effects.states))
@@ -375,17 +353,10 @@ def parts_of_state(system):
 
 def with_equations(system, model, code=LOOPS):
     """
-    Return a system that works on other closure equations.
+    Return a system that works on other closure equations; it shares state, torques and effects.
 
-    Parameters
-    ----------
-    system : System
-        As it was; its state, torques and effects are shared.
-    model : Model
-        Of the same mechanism with other equations kept; it shares all other arrays.
-    code : Code
-        Selection of code for these equations; by default none, so that nothing is compiled.
-
+    ``model`` is of the same mechanism with other equations kept; ``code`` selects code for these:
+    by default none, so that nothing is compiled.
     """
     work = unconnected(model)
     work.health[:] = system.work.health
@@ -413,15 +384,9 @@ def with_partition(system, used):
 
 def with_derivatives(system, derivatives):
     """
-    Return a system whose stiff method takes its Jacobian from generated code.
+    Return a system, all else shared, whose stiff method takes its Jacobian from generated code.
 
-    Parameters
-    ----------
-    system : System
-        As it was; all else is shared.
-    derivatives : AccelerationDerivatives
-        For this system's mechanism and effects.
-
+    ``derivatives`` are for this system's mechanism and effects.
     """
     return _bound(system._replace(derivatives=derivatives))
 

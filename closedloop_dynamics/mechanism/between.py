@@ -54,31 +54,10 @@ class ChosenTree:
 
 def link(name, values, bodies, spatial):
     """
-    Read a joint between two bodies.
+    Read a joint between two bodies from its keys, expressions computed.
 
-    Parameters
-    ----------
-    name : str
-        Of the joint.
-    values : mapping
-        Its keys, expressions computed.
-    bodies : sequence of str
-        Names of all bodies.
-    spatial : bool
-        Whether it is a joint in space.
-
-    Returns
-    -------
-    joint : Joint
-        As if the first body carried the second one.
-    point : tuple of floats
-        Its place in the second body's frame [m].
-    cut : bool or None
-
-    Raises
-    ------
-    FieldError
-
+    Returns the joint, as if the first body carried the second one, its place in the second body's
+    frame [m], and whether it is to be cut, or None. ``bodies`` are the names of all; FieldError.
     """
     optional = ('angle', 'actuated', 'orientation', 'axis', 'second_axis', 'lead', 'cut')
     values = dict(mapping(values, ('type', BETWEEN, 'points'), optional))
@@ -112,26 +91,11 @@ def link(name, values, bodies, spatial):
 
 def with_tree(mechanism, links, orders=None):
     """
-    Choose a tree.
+    Choose a tree; return the mechanism with joints and cut joints, and ``tree``.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Its joints have parents and children; those between bodies are not among them.
-    links : dict of str to (Joint, tuple, bool)
-        Joints between bodies as ``link`` returns them, and other joints as Joint, in order.
-    orders : dict of str to bool, optional
-        Which of them to cut and which not, beside what they say.
-
-    Returns
-    -------
-    Mechanism
-        With joints and cut joints, and ``tree``.
-
-    Raises
-    ------
-    FieldError
-
+    Joints of ``mechanism`` have parents and children; those between bodies are not among them.
+    ``links``: these, as ``link`` returns them, and other joints as Joint, in order; ``orders``:
+    which of them to cut and which not, beside what they say. FieldError.
     """
     spatial = len(mechanism.bodies[0].center_of_mass) == 3
     kept = {joint for coupling in mechanism.couplings for joint in coupling.joints}

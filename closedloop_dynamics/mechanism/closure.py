@@ -16,16 +16,10 @@ from .rotations import composed, CONJUGATE, direction, rotated
 
 def closure_errors(mechanism, poses):
     """
-    Return the errors of all closure equations, from the description alone.
+    Return the errors of all closure equations, from the description alone, shape (...) each.
 
-    ``poses``: shape (..., nb, 3), in space (..., nb, 7); as ``body_poses`` returns them.
-
-    Returns
-    -------
-    list of ndarray, shape (...)
-        One for each equation [m or rad]; in space three for a direction that is kept, [m] or
-        sines of angles.
-
+    [m or rad]; in space three for a direction that is kept, [m] or sines of angles. ``poses``:
+    shape (..., nb, 3), in space (..., nb, 7); as ``body_poses`` returns them.
     """
     errors = []
     of_cut = _planar_errors if mechanism.planar else _spatial_errors

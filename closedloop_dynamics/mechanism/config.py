@@ -16,11 +16,7 @@ def config_directory():
     """
     Return the directory that holds ``mechanisms/`` and ``scenes/``.
 
-    Raises
-    ------
-    FileNotFoundError
-        Where the package was installed without its data files.
-
+    FileNotFoundError where the package was installed without its data files.
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [package.parent / 'config']

@@ -180,18 +180,9 @@ class Coordinates:
 
     def columns(self, quantity):
         """
-        Return the columns' names of a quantity in a table.
+        Return the columns' names of a quantity in a table, as ``orientation.ball.x``.
 
-        Parameters
-        ----------
-        quantity : str
-            ``'position'``, ``'velocity'``, ``'acceleration'`` or ``'effort'``.
-
-        Returns
-        -------
-        list of str
-            ``position.crank``, ``orientation.ball.x``; of length nq for positions, else nv.
-
+        ``'position'``, nq of them, ``'velocity'``, ``'acceleration'`` or ``'effort'``, nv of them.
         """
         found = []
         for name, joint in self._joints.items():
@@ -205,16 +196,8 @@ class Coordinates:
         """
         Return the keys, one below the other, of the numbers that can be varied by themselves.
 
-        Parameters
-        ----------
-        quantity : str
-            ``'position'`` or ``'velocity'``.
-
-        Returns
-        -------
-        dict of tuple of str to int
-            Their places among the coordinates or rates; those of quaternions are left out.
-
+        With their places among the coordinates (``'position'``) or rates (``'velocity'``); those
+        of quaternions are left out.
         """
         found = {}
         for name, joint in self._joints.items():
@@ -296,21 +279,7 @@ class Coordinates:
         return found
 
     def by_name(self, quantity, values):
-        """
-        Return values by name, as ``filled`` takes them.
-
-        Parameters
-        ----------
-        quantity : str
-            ``'position'`` or ``'velocity'``.
-        values : sequence of floats
-            Of length nq for positions, else nv.
-
-        Returns
-        -------
-        dict
-
-        """
+        """Return values by name, as ``filled`` takes them, of nq positions or nv velocities."""
         found, values = {}, [float(value) for value in values]
         whole = self.coordinates if quantity == 'position' else self.rates
         single = self.place if quantity == 'position' else range(self.nv)
@@ -332,11 +301,7 @@ class Coordinates:
         """
         Return coordinates, shape (nq,) or (n, nq), with quaternions of norm 1.
 
-        Raises
-        ------
-        FieldError
-            Where one is further from that than rounded numbers are.
-
+        FieldError where one is further from that than rounded numbers are.
         """
         q = np.array(q, dtype=float)
         for first, rate in self.balls.tolist():
@@ -349,15 +314,9 @@ class Coordinates:
 
     def moved(self, q, change):
         """
-        Return coordinates after a change of the rates' kind.
+        Return coordinates, shape (..., nq), after a change of the rates' kind, shape (..., nv).
 
-        Parameters
-        ----------
-        q : ndarray, shape (..., nq)
-            Quaternions are composed with the exponential of their change.
-        change : ndarray, shape (..., nv)
-            [rad, m].
-
+        Quaternions are composed with the exponential of their change.
         """
         single = self.place >= 0
         q = q.copy()
@@ -369,15 +328,7 @@ class Coordinates:
         return q
 
     def apart(self, q, other):
-        """
-        Return the change that leads from other coordinates to some.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
-            Of turns the shorter way round.
-
-        """
+        """Return the change, shape (nv,), from other coordinates to some; by the shorter turns."""
         single = self.place >= 0
         change = np.zeros(self.nv)
         change[single] = q[self.place[single]] - other[self.place[single]]
@@ -401,25 +352,17 @@ class Coordinates:
 
     def poses(self, q):
         """
-        Return the poses of the joints with an orientation.
+        Return the poses of the joints with an orientation, shape (..., number of them, 7).
 
-        Returns
-        -------
-        ndarray, shape (..., number of them, 7)
-            Place [m], zero in a spherical joint, and quaternion x, y, z, w.
-
+        Place [m], zero in a spherical joint, and quaternion x, y, z, w.
         """
         return np.concatenate([q, np.zeros((*q.shape[:-1], 1))], axis=-1)[..., self.pose]
 
     def twists(self, qd):
         """
-        Return rates, or efforts, of the joints with an orientation.
+        Return rates, or efforts, of the joints with an orientation, shape (..., number, 6).
 
-        Returns
-        -------
-        ndarray, shape (..., number of them, 6)
-            Along the axes of the joint, zero in a spherical one; about those of the child.
-
+        Along the axes of the joint, zero in a spherical one; about those of the child.
         """
         return np.concatenate([qd, np.zeros((*qd.shape[:-1], 1))], axis=-1)[..., self.twist]
 

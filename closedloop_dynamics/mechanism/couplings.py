@@ -15,21 +15,7 @@ from .mechanism import GROUND, REVOLUTE
 
 
 def measured(mechanism, coupling):
-    """
-    Return the cut joints of a coupling whose coordinates are no sums of those of the tree.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Joints and cut joints that the coupling names exist.
-    coupling : Coupling
-        Of joints and cut joints of one degree of freedom.
-
-    Returns
-    -------
-    list of CutJoint
-
-    """
+    """Return the cut joints of a coupling whose coordinates are no sums of those of the tree."""
     return [cut for cut in mechanism.cut_joints if cut.name in coupling.joints
             and not (mechanism.planar and cut.type == REVOLUTE)]
 
@@ -38,20 +24,9 @@ def in_tree(mechanism, coupling):
     """
     Return a coupling's equation in the coordinates of the tree.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Joints and cut joints that the coupling names exist.
-    coupling : Coupling
-        Of joints and cut joints; those that ``measured`` returns are left out.
-
-    Returns
-    -------
-    factors : dict of str to float
-        By joint of the tree, none zero; empty where their sum never changes.
-    offset : float
-        Constant value of the sum of the coordinates times these.
-
+    Factors by joint of the tree, none zero; empty where their sum never changes; and the constant
+    value of the sum of the coordinates times these. Cut joints that ``measured`` returns are left
+    out.
     """
     carrier = {joint.child: joint for joint in mechanism.joints}
     cuts = {cut.name: cut for cut in mechanism.cut_joints}
@@ -76,15 +51,10 @@ def in_tree(mechanism, coupling):
 
 def coupling_scales(mechanism):
     """
-    Return the scales of the multipliers of couplings.
+    Return the scales of the multipliers of couplings, shape (number of couplings,).
 
     Those of a cut joint whose coordinate is no sum of those of the tree are written for that
     coordinate, without its factor.
-
-    Returns
-    -------
-    ndarray, shape (number of couplings,)
-
     """
     found = [measured(mechanism, one) for one in mechanism.couplings]
     return np.array([one.joints[cuts[0].name] if cuts else 1.0
@@ -95,21 +65,8 @@ def relative(mechanism, coupling):
     """
     Return a coupling for the coordinate of a cut joint among ``measured``.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    coupling : Coupling
-        Of one such cut joint.
-
-    Returns
-    -------
-    cut : CutJoint
-    factors : dict of str to float
-        Of joints of the tree.
-    offset : float
-        Constant value of the sum with the coordinate of the cut joint.
-
+    That cut joint, the factors of joints of the tree, and the constant value of the sum with the
+    coordinate of the cut joint.
     """
     cut, = measured(mechanism, coupling)
     factors, offset = in_tree(mechanism, coupling)

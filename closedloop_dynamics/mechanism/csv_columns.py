@@ -15,27 +15,10 @@ MOST_BYTES = 4_000_000
 
 def read_columns(value, directory, count):
     """
-    Return the columns of a CSV file.
+    Return so many columns of a CSV file, tuples of floats.
 
-    Parameters
-    ----------
-    value : str
-        Its path, from the directory on.
-    directory : pathlib.Path
-        Of the file that names it.
-    count : int
-        Number of columns.
-
-    Returns
-    -------
-    tuple of count tuples of floats
-
-    Raises
-    ------
-    FieldError
-        Naming file and line. A first line of words is a heading; empty lines and what follows
-        a # are left out.
-
+    ``value`` is its path, from the directory on of the file that names it. A first line of words
+    is a heading; empty lines and what follows a # are left out. FieldError names file and line.
     """
     path = Path(directory) / text(value)
     try:

@@ -67,13 +67,9 @@ class CutFreedom(NamedTuple):
 
 def cut_freedoms(mechanism):
     """
-    Return the freedoms of all cut joints that have coordinates.
+    Return the freedoms of all cut joints that have coordinates, by name.
 
-    Returns
-    -------
-    dict of str to CutFreedom
-        By name, in the order of ``Mechanism.cut_coordinates``.
-
+    In the order of ``Mechanism.cut_coordinates``.
     """
     names, found = mechanism.cut_coordinates, {}
     for cut in mechanism.cut_joints:

@@ -58,19 +58,7 @@ class Decomposition:
 
 
 def decompose(mechanism):
-    """
-    Decompose a mechanism into tree-type subsystems and order its cut joints.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Valid: every body hangs on the ground through exactly one chain of joints.
-
-    Returns
-    -------
-    Decomposition
-
-    """
+    """Decompose a valid mechanism into tree-type subsystems and order its cut joints."""
     cuts = tuple(_Cut(cut.name, (cut.body_a, cut.body_b)) for cut in mechanism.cut_joints)
     moved = [_Cut(joint.name, (joint.child,)) for joint in mechanism.joints] + list(cuts)
     return _decompose(
@@ -128,17 +116,8 @@ def structure_of(touched):
     """
     Order cut joints that touch subsystems, and list the blocks that elimination reaches.
 
-    Parameters
-    ----------
-    touched : sequence of collections
-        The subsystems that each cut joint touches; numbers of any kind.
-
-    Returns
-    -------
-    order : tuple of int
-    structure : tuple of frozensets of int
-        As ``Decomposition`` has them.
-
+    ``touched``: the subsystems that each cut joint touches, numbers of any kind; order and
+    structure are as ``Decomposition`` has them.
     """
     numbers = {key: number for number, key in enumerate(sorted(set().union(*touched)))}
     return _eliminated(_cut_joint_graph(

@@ -66,17 +66,9 @@ class Document:
 
     def __init__(self, path, error_type, text=None):
         """
-        Load ``path``; where it cannot be loaded, raise ``error_type``.
+        Load ``path``, or ``text``, which it need not exist for.
 
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            Of the file.
-        error_type : type
-            The exception that :meth:`errors` turns a FieldError into.
-        text : str, optional
-            Text of the file, which need not exist then.
-
+        Where that fails, and where :meth:`errors` meets a FieldError, ``error_type`` is raised.
         """
         self.path = Path(path)
         self._error_type = error_type
@@ -229,19 +221,8 @@ def with_scalars(text, values):
     """
     Return YAML with some scalars replaced; all else, comments included, is unchanged.
 
-    Parameters
-    ----------
-    text : str
-        That ``Document`` reads.
-    values : dict of tuple of str to str
-        By keys, with places in lists as numbers in text: what is written in the place of a
-        scalar.
-
-    Returns
-    -------
-    str or None
-        None where one of them stands nowhere in the text, or within something with an anchor.
-
+    ``values``: what is written in the place of a scalar, by keys, with places in lists as numbers
+    in text. None where one of them stands nowhere in the text, or within something with an anchor.
     """
     root, places = _composed(text), []
     for keys, value in values.items():
@@ -279,22 +260,8 @@ def with_entry(text, keys, name, value):
     """
     Return YAML with an entry added to a mapping; all else, comments included, is unchanged.
 
-    Parameters
-    ----------
-    text : str
-        That ``Document`` reads.
-    keys : tuple of str
-        Of the mapping; the last one need not be there yet.
-    name : str
-        Key of the entry, which is not there yet.
-    value : object
-        Plain data; written in one line.
-
-    Returns
-    -------
-    str or None
-        None where there is no place for it.
-
+    ``keys`` are those of the mapping, of which the last one need not be there yet; ``name`` is not
+    there yet, ``value`` plain data, written in one line. None where there is no place for it.
     """
     root = _composed(text)
     node = _node(root, keys)
@@ -322,20 +289,7 @@ def without_entry(text, keys):
     Return YAML without an entry of a mapping; all else, other comments too, is unchanged.
 
     With it goes the comment that stands right above it or behind it in its line, and a mapping
-    that had nothing else.
-
-    Parameters
-    ----------
-    text : str
-        That ``Document`` reads.
-    keys : tuple of str
-        Of the entry.
-
-    Returns
-    -------
-    str or None
-        None where the text does not contain it.
-
+    that had nothing else. None where the text does not contain it.
     """
     node = _node(_composed(text), keys[:-1])
     if not isinstance(node, yaml.MappingNode):
@@ -395,22 +349,9 @@ def in_one_line(value):
 
 def with_mapping(text, keys, below):
     """
-    Return YAML in which a mapping, given as YAML, replaces a scalar.
+    Return YAML in which a mapping, given as YAML in block style, replaces a scalar.
 
-    Parameters
-    ----------
-    text : str
-        That ``Document`` reads.
-    keys : tuple of str
-        Of the scalar, which is the value of a key of a block.
-    below : str
-        YAML of a mapping in block style.
-
-    Returns
-    -------
-    str or None
-        None where it has no place.
-
+    That is the value of a key of a block; None where there is no place for it.
     """
     node = _node(_composed(text), keys)
     if not isinstance(node, yaml.ScalarNode):

@@ -56,19 +56,10 @@ class Parameters:
     @classmethod
     def read(cls, section, given=()):
         """
-        Read a section ``parameters`` of a file.
+        Read a section ``parameters`` of a file: numbers by name, or expressions in those above.
 
-        Parameters
-        ----------
-        section : mapping or None
-            Numbers by name, or expressions in those above.
-        given : mapping of str to float
-            Numbers in the place of those of the section; others are left alone.
-
-        Raises
-        ------
-        FieldError
-
+        Numbers in ``given`` take the place of those of the section; others are left alone.
+        FieldError.
         """
         found, given = cls(), dict(given)
         with at('parameters'):
@@ -85,13 +76,8 @@ class Parameters:
         """
         Return a value with numbers in the place of expressions, in lists and mappings, too.
 
-        Text that is no expression stays as it is, for the checks to refuse.
-
-        Raises
-        ------
-        FieldError
-            Where an expression has no finite value, or an unknown name.
-
+        Text that is no expression stays as it is, for the checks to refuse. FieldError where an
+        expression has no finite value, or an unknown name.
         """
         if isinstance(value, str):
             return self._number(value)
@@ -113,17 +99,8 @@ class Parameters:
         """
         Return the keys of a record with numbers in the place of expressions.
 
-        Parameters
-        ----------
-        record_type : type
-            Dataclass; its types state which of its fields are made of numbers.
-        values : mapping
-            By key; keys that the record has not stay as they are.
-
-        Raises
-        ------
-        FieldError
-
+        The types of a dataclass state which of its fields are made of numbers; keys that it has
+        not stay as they are. FieldError.
         """
         types = {key: field.type for key, field in record_type.__dataclass_fields__.items()}
         found = dict(values)
@@ -151,24 +128,9 @@ def value_of(text, known, functions, expected, takes=FUNCTIONS):
     """
     Return the value of an expression, of numbers or number-like objects.
 
-    Parameters
-    ----------
-    text : str
-        The expression.
-    known : mapping of str to number
-        Values of names, beside CONSTANTS.
-    functions : dict of str to callable
-        By the names in ``takes``.
-    expected : str
-        The expected kind of expression.
-    takes : dict of str to tuple of int, optional
-        How many operands each function may take.
-
-    Raises
-    ------
-    FieldError
-        Where it is none, names something else, or has no finite value.
-
+    ``known``: values of names, beside CONSTANTS; ``functions``: by the names in ``takes``, which
+    says how many operands each may take; ``expected``: the kind of expression, for messages.
+    FieldError where it is none, names something else, or has no finite value.
     """
     root, known = parsed(text), {**known, **CONSTANTS}
     if root is None:
@@ -230,16 +192,8 @@ def put_changes(value, before, after):
     """
     Return a record with the differences of two others of its kind applied.
 
-    Parameters
-    ----------
-    value, before, after : dataclass
-        ``value`` may differ from ``before`` in its own way, but not in its structure.
-
-    Raises
-    ------
-    FieldError
-        Where ``value`` has no place for a change.
-
+    It may differ from ``before`` in its own way, but not in its structure. FieldError where it has
+    no place for a change.
     """
     if is_dataclass(after) and type(value) is type(before) is type(after):
         found = {}

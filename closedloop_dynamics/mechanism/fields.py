@@ -105,20 +105,8 @@ def mapping(value, required=(), optional=None):
     """
     Return ``value`` if it is a mapping with the required keys.
 
-    Parameters
-    ----------
-    value : object
-        The value to check.
-    required : sequence of str
-        Keys that must be there.
-    optional : sequence of str, optional
-        Further keys that may be there; None: any key may.
-
-    Raises
-    ------
-    FieldError
-        Where it is no mapping, or a key is unknown or missing.
-
+    ``optional``: further keys that may be there; None: any key may. FieldError where it is no
+    mapping, or a key is unknown or missing.
     """
     if not isinstance(value, Mapping):
         raise FieldError('a mapping (key: value)', shown(value))

@@ -10,26 +10,10 @@ import stat
 
 def read_file(path, most):
     """
-    Return the contents of a file, up to one byte beyond its limit.
+    Return the contents of a file, bytes, up to one beyond its limit.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of the file.
-    most : int
-        How many bytes it may have.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    OSError
-        Where it cannot be read, or is a pipe or a device.
-    ValueError
-        Where no path can be so: a NUL, or what no file name can be coded as.
-
+    OSError where it cannot be read, or is a pipe or a device; ValueError where no path can be so:
+    a NUL, or what no file name can be coded as.
     """
     # Opening a pipe would wait for its other end.
     with open(path, 'rb', opener=lambda name, flags: os.open(

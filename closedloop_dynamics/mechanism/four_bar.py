@@ -42,20 +42,9 @@ class FourBar(NamedTuple):
 
 def four_bar(mechanism, drive) -> Optional[FourBar]:
     """
-    Return the links and class of a planar loop of four revolute joints.
+    Return the links and class of a planar loop of four revolute joints, None for other mechanisms.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    drive : str
-        The driven joint, on the ground.
-
-    Returns
-    -------
-    FourBar or None
-        None for other mechanisms.
-
+    ``drive`` is the driven joint, on the ground.
     """
     chain = bars(mechanism, drive)
     if chain is None:
@@ -66,20 +55,10 @@ def four_bar(mechanism, drive) -> Optional[FourBar]:
 
 def bars(mechanism, drive):
     """
-    Return the links of a four-bar linkage, from the base on in the order of the loop.
+    Return the links of a four-bar linkage, from the base on in the order of the loop, or None.
 
-    Parameters
-    ----------
-    mechanism, drive
-        As for ``four_bar``.
-
-    Returns
-    -------
-    list of tuple, or None
-        Name of the body, places of the pin it begins with and of the pin it ends with in its
-        frame, and the name of that pin, of base, input link, coupler and output link. None for
-        other mechanisms.
-
+    Name of the body, places of the pin it begins with and of the pin it ends with in its frame,
+    and the name of that pin, of base, input link, coupler and output link.
     """
     if not mechanism.planar or len(mechanism.joints) != 3 or len(mechanism.cut_joints) != 1 or any(
             one.type != REVOLUTE for one in (*mechanism.joints, *mechanism.cut_joints)):

@@ -11,18 +11,10 @@ _PLACES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 
 def inertia_matrix(inertia):
     """
-    Return an inertia as a matrix.
+    Return an inertia as a matrix, shape (3, 3) [kg m^2].
 
-    Parameters
-    ----------
-    inertia : float, or sequence of 3 or 6 floats
-        As ``Body`` has it in space: xx, yy, zz, xy, xz, yz, the elements of the matrix; what is
-        not given is zero [kg m^2].
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-
+    Given as ``Body`` has it in space: xx, yy, zz, xy, xz, yz, the elements of the matrix; what is
+    not given is zero.
     """
     values = np.zeros(6)
     values[:np.size(inertia)] = inertia

@@ -27,18 +27,9 @@ def steps_of(joint):
     """
     Return the turns and slides that a joint is made of, one after the other.
 
-    Parameters
-    ----------
-    joint : Joint
-        Of a tree, in the plane or in space.
-
-    Returns
-    -------
-    list of tuples
-        Type (revolute, prismatic, helical or spherical), and axis in the frame before, shape (2,)
-        for one that slides in the plane, else (3,); None of a spherical one. Each has one
-        coordinate, a spherical one four.
-
+    Type (revolute, prismatic, helical or spherical), and axis in the frame before, shape (2,) for
+    one that slides in the plane, else (3,); None of a spherical one. Each has one coordinate, a
+    spherical one four.
     """
     if joint.axis is None and joint.type in (REVOLUTE, PRISMATIC):
         return [(REVOLUTE, Z) if joint.type == REVOLUTE else (PRISMATIC, X[:2])]
@@ -99,21 +90,10 @@ def _joint_frame(parent, joint):
 
 def moved_by(pose, joint, coordinates):
     """
-    Return where a joint's child is.
+    Return where a joint's child is, of the pose of the joint's frame, shape (..., 3) or (..., 7).
 
-    Parameters
-    ----------
-    pose : ndarray, shape (..., 3) or (..., 7)
-        Of the joint's frame.
-    joint : Joint
-        Of a tree.
-    coordinates : ndarray, shape (..., its number of coordinates)
-        [rad or m], and quaternions of any length.
-
-    Returns
-    -------
-    ndarray, shape (..., 3) or (..., 7)
-
+    ``coordinates`` are those of the joint in the last axis [rad or m], and quaternions of any
+    length.
     """
     planar, place = pose.shape[-1] != POSE, 0
     origin, turn = (pose[..., :2], pose[..., 2:]) if planar else (pose[..., :3], pose[..., 3:])
@@ -135,25 +115,11 @@ def moved_by(pose, joint, coordinates):
 
 def body_velocities(mechanism, position, rates, names):
     """
-    Return how bodies move.
+    Return how bodies move, shape (n, number of names, 6).
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose bodies these are.
-    position : ndarray, shape (nq,)
-        Joint coordinates, as for ``body_poses``.
-    rates : ndarray, shape (n, nv)
-        Joint rates [rad/s or m/s], n times others.
-    names : sequence of str
-        Of the bodies.
-
-    Returns
-    -------
-    ndarray, shape (n, number of names, 6)
-        Velocity of the frame's origin [m/s] and angular velocity [rad/s], in world axes; to about
-        1e-9 of their size.
-
+    Velocity of the frame's origin [m/s] and angular velocity [rad/s], in world axes; to about 1e-9
+    of their size. ``position`` is as for ``body_poses``, shape (nq,), ``rates`` are n times
+    others, shape (n, nv) [rad/s or m/s].
     """
     moved = mechanism.coordinates.moved
     after, before = (body_poses(mechanism, np.array(
@@ -171,26 +137,11 @@ def body_velocities(mechanism, position, rates, names):
 
 def wrench_in_joints(mechanism, position, body, place, wrench):
     """
-    Return the joint torques equivalent to a wrench on a body.
+    Return the joint torques equivalent to a wrench on a body, shape (nv,) [N m or N].
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Of the body.
-    position : ndarray, shape (nq,)
-        Joint coordinates, as for ``body_poses``.
-    body : str
-        Its name.
-    place : ndarray, shape (3,)
-        That the force acts on, in the body's frame [m]; in the plane the last one is zero.
-    wrench : ndarray, shape (6,)
-        Force [N] and torque [N m] along the body's axes.
-
-    Returns
-    -------
-    ndarray, shape (nv,)
-        [N m or N].
-
+    ``position`` is as for ``body_poses``, shape (nq,). The force acts on a ``place`` in the body's
+    frame, shape (3,) [m], in the plane the last one zero; the wrench is force [N] and torque [N m]
+    along the body's axes, shape (6,).
     """
     names, carrying = mechanism.coordinates, {joint.child: joint for joint in mechanism.joints}
     places, link = [], body
@@ -217,19 +168,11 @@ def _ground(mechanism, shape):
 
 def world_points(pose, points):
     """
-    Move points of a body into the world.
+    Move points of a body, shape (2,) or (m, 2) in its frame, into the world [m].
 
-    Parameters
-    ----------
-    pose : ndarray, shape (..., 3)
-        x, y, angle of the body; in space (..., 7), x, y, z and quaternion.
-    points : sequence, shape (2,) or (m, 2)
-        In the body's frame [m]; in space of three numbers each.
-
-    Returns
-    -------
-    ndarray, shape (..., 2) or (..., m, 2), in space (..., 3) or (..., m, 3)
-
+    ``pose``, shape (..., 3): x, y, angle of the body; in space (..., 7), x, y, z and quaternion,
+    and points of three numbers. Returns shape (..., 2) or (..., m, 2), in space (..., 3) or (...,
+    m, 3).
     """
     points = np.asarray(points, dtype=float)
     return place_on(pose[..., np.newaxis, :] if points.ndim == 2 else pose, points)

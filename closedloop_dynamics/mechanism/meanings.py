@@ -11,11 +11,7 @@ def documented(record_type):
     """
     Return the type and the meaning of each field in a numpydoc docstring.
 
-    Returns
-    -------
-    dict of str to tuple of str
-        Empty where Python has left the docstrings out (``-OO``).
-
+    Empty where Python has left the docstrings out (``-OO``).
     """
     text = (inspect.getdoc(record_type) or '').partition('----------\n')[2]
     found = {}

@@ -36,22 +36,8 @@ def with_shape(values, spatial):
     """
     Return the keys of a body with its shape replaced by the properties that follow.
 
-    Parameters
-    ----------
-    values : mapping
-        Keys of a body, ``shape`` and ``density`` [kg/m^3] among them.
-    spatial : bool
-        Whether the body is one in space.
-
-    Returns
-    -------
-    dict
-        With ``mass``, ``center_of_mass``, ``inertia`` and, unless it is given, ``visual``.
-
-    Raises
-    ------
-    FieldError
-
+    With ``mass``, ``center_of_mass``, ``inertia`` and, unless it is given, ``visual``, from
+    ``shape`` and ``density`` [kg/m^3]. FieldError.
     """
     values = dict(values)
     shape = values.pop('shape', None)
@@ -91,25 +77,7 @@ def with_shape(values, spatial):
 
 
 def visuals(shapes, spatial):
-    """
-    Return the visuals of a body.
-
-    Parameters
-    ----------
-    shapes : list of mappings
-        One of ``VISUALS`` each.
-    spatial : bool
-        Whether the body is one in space.
-
-    Returns
-    -------
-    tuple of Visual
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Return the visuals of a body, of shapes with one of ``VISUALS`` each; raise FieldError."""
     if not isinstance(shapes, (list, tuple)):
         raise FieldError('a list of shapes', shown(shapes))
     found = []

@@ -78,25 +78,10 @@ def choose_tree(bodies, edges, closures):
     """
     Choose the spanning tree that takes the fewest operations, as far as they can be counted.
 
-    Parameters
-    ----------
-    bodies : sequence of str
-        Without the ground.
-    edges : sequence of Edge
-        The joints.
-    closures : sequence of (sequence of str, int)
-        Other constraints: bodies and the number of equations.
-
-    Returns
-    -------
-    chosen, listed : Tree
-        The one chosen, and the first that the order of the joints gives.
-
-    Raises
-    ------
-    FieldError
-        Where no tree reaches all bodies, or joints that are not to be cut close a loop.
-
+    ``bodies`` are without the ground, ``edges`` the joints, ``closures`` other constraints: bodies
+    and the number of equations. Returns the tree chosen, and the first that the order of the
+    joints gives. FieldError where no tree reaches all bodies, or joints that are not to be cut
+    close a loop.
     """
     graph = _Graph(bodies, edges, closures)
     listed = best = graph.tree(graph.first())

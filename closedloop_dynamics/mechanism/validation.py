@@ -174,23 +174,8 @@ def validate_mechanism(mechanism, source=None):
     """
     Check a mechanism that was built in Python by the rules of those read from files.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Built in Python.
-    source : str, optional
-        Its name in error messages; its own name by default.
-
-    Returns
-    -------
-    Mechanism
-        An equal one with every number a float and every list a tuple.
-
-    Raises
-    ------
-    MechanismError
-        Where it is no mechanism.
-
+    Returns an equal one with every number a float and every list a tuple. ``source`` is its name
+    in error messages; its own name by default. MechanismError where it is no mechanism.
     """
     with _of(source or f'mechanism {getattr(mechanism, "name", mechanism)!r}'):
         return checked(mechanism)
@@ -231,17 +216,7 @@ def with_bodies(mechanism, bodies):
     """
     Return a checked mechanism with other numbers of its bodies; only those are checked.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        As ``validate_mechanism`` returned it.
-    bodies : tuple of Body
-        Of the same names and flags, in the same order.
-
-    Raises
-    ------
-    MechanismError
-
+    They have the same names and flags, in the same order. MechanismError.
     """
     _, checks = (SECTIONS if mechanism.planar else SPATIAL_SECTIONS)['bodies']
     other = copied(mechanism)
@@ -258,15 +233,7 @@ def with_bodies(mechanism, bodies):
 
 
 def is_spatial(mechanism):
-    """
-    Return whether a mechanism is meant to be one in space, as its first joint is.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Not yet checked.
-
-    """
+    """Return whether an unchecked mechanism is meant to be in space, as its first joint is."""
     try:
         return len(mechanism.joints[0].position) == 3
     except (AttributeError, IndexError, KeyError, TypeError):
@@ -442,19 +409,7 @@ def _require_key(section, joint, key, types):
 
 
 def check_axes(mechanism):
-    """
-    Refuse axes that a joint in space does not have, and require those that it has.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Of which ``joints`` and ``cut_joints`` are looked at.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Refuse axes that a joint in space does not have, and require those that it has."""
     for section, keys in _KEYS_OF_JOINTS.items():
         for joint in getattr(mechanism, section):
             for key, types in keys.items():

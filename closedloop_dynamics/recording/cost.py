@@ -129,15 +129,8 @@ def allowance(budget, costs, pace=1.0):
     """
     Return in words which accuracy a budget is expected to allow.
 
-    Parameters
-    ----------
-    budget : float
-        Computing time per time of the clock [1].
-    costs : sequence of Cost
-        From ``probe``, of ``integrator: auto``.
-    pace : float
-        Simulated seconds per second of the clock.
-
+    ``budget``: computing time per time of the clock [1]; ``costs``: from ``probe``, of
+    ``integrator: auto``; ``pace``: simulated seconds per second of the clock.
     """
     known = [(cost.value, pace * cost.share) for cost in costs
              if not cost.failure and cost.share > 0.0]

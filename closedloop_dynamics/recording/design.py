@@ -64,22 +64,9 @@ class Output(NamedTuple):
 
 def cycle(scene):
     """
-    Return the drive of a cycle: a whole turn, or from limit to limit.
+    Return the drive of a cycle by name: a whole turn, or from limit to limit.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        Of one degree of freedom, with one actuated joint, which turns.
-
-    Returns
-    -------
-    dict of str to Drive
-
-    Raises
-    ------
-    ValueError
-        For other scenes.
-
+    ValueError for a scene without one degree of freedom and one actuated joint, which turns.
     """
     names = scene.mechanism.actuated_joints
     joints = [joint for joint in scene.mechanism.joints if joint.name in names]
@@ -182,13 +169,8 @@ def shaking(run):
     """
     Return the force and moment of the bodies' inertia on the ground.
 
-    Returns
-    -------
-    force : ndarray, shape (n, 2), in space (n, 3)
-        [N].
-    moment : ndarray, shape (n,), in space (n, 3)
-        About the origin of the world [N m].
-
+    Forces [N], shape (n, 2), in space (n, 3); moments about the origin of the world [N m], shape
+    (n,), in space (n, 3).
     """
     mechanism, coordinates = run.mechanism, run.mechanism.coordinates
     fastest = np.abs(run.velocity).max()
@@ -238,15 +220,8 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
     """
     Return the numbers by which machines are compared, by name with their units.
 
-    Parameters
-    ----------
-    run : DrivenRun
-        Of the machine.
-    table : tuple
-        Of ``run.table``.
-    torques, forces : dict of str to ndarray, shape (n,)
-        Of the drives, and in the joints.
-
+    ``table`` is that of ``run.table``; ``torques`` of the drives and ``forces`` in the joints are
+    by name, shape (n,).
     """
     name, _ = drive_values(run)
     found = {}
@@ -323,23 +298,9 @@ def length_keys(scene):
 
 def output_numbers(mechanism, position, driven):
     """
-    Return names and values of joints and points.
+    Return names and values [rad or m], shape (n, number of names), of joints and points.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    position : ndarray, shape (n, nq)
-        Joint coordinates.
-    driven : sequence of str
-        Joints that are left out.
-
-    Returns
-    -------
-    names : list of str
-    values : ndarray, shape (n, number of names)
-        [rad or m].
-
+    ``position`` has the shape (n, nq); the joints ``driven`` are left out.
     """
     coordinates = mechanism.coordinates
     single = [name for name, place in zip(coordinates.names, coordinates.place) if place >= 0]

@@ -82,22 +82,11 @@ def measured_positions(path, topic, joints):
 
 def smooth(times, positions, deviation):
     """
-    Return positions, rates and accelerations of splines through, or near, measured positions.
+    Return positions, rates and accelerations of splines near measured positions, shape (3, n, m).
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        [s].
-    positions : ndarray, shape (n, m)
-        Of angles without jumps by turns.
-    deviation : float
-        Standard deviation of a position: the splines are as smooth as that allows [rad or m]; 0:
-        they go through all of them.
-
-    Returns
-    -------
-    ndarray, shape (3, n, m)
-
+    ``times`` [s], shape (n,); ``positions``, shape (n, m), of angles without jumps by turns. The
+    splines are as smooth as a standard ``deviation`` of positions allows [rad or m]; 0: they go
+    through all of them.
     """
     found = np.empty((3, *positions.shape))
     for k, column in enumerate(positions.T):

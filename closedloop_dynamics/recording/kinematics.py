@@ -128,23 +128,10 @@ class DrivenRun:
 
     def table(self, show=None):
         """
-        Return the table of ``simulate --forces all``, for every pose.
+        Return the columns of ``simulate --forces all``, their names and rows, for every pose.
 
-        Parameters
-        ----------
-        show : callable, optional
-            Called with the number of each pose.
-
-        Returns
-        -------
-        names : list of str
-        rows : ndarray, shape (n, number of columns)
-
-        Raises
-        ------
-        SimulationError
-            Where the actuated joints cannot move a driven point so.
-
+        ``show`` is called with the number of each pose. SimulationError where the actuated joints
+        cannot move a driven point so.
         """
         model = self.scene.model()
         names, rows = None, []
@@ -165,15 +152,7 @@ class DrivenRun:
 
 
 def assemblies(scene, drives):
-    """
-    Return the assemblies at the first pose, a ``simulation.assemblies.Assembled``.
-
-    Parameters
-    ----------
-    scene, drives
-        As for ``DrivenRun``.
-
-    """
+    """Return the assemblies at the first pose, a ``simulation.assemblies.Assembled``."""
     mechanism = with_motions(_driven_scene(scene, drives, 1.0))
     return _assembled(mechanism, start_position(scene), [each.start for each in drives.values()])
 

@@ -141,29 +141,9 @@ def between_states(path, recording, scene, driven):
     """
     Return measurements half way between the states of a bag.
 
-    Parameters
-    ----------
-    path : path-like
-        Of the bag, for messages.
-    recording : recording.Recording
-        Its contents.
-    scene, driven
-        As for ``read_measurements``.
-
-    Returns
-    -------
-    time : ndarray, shape (n,)
-        [s].
-    values : dict of str to dict of str to ndarray, shape (n,)
-        By quantity and joint [rad or m, and per s and s^2].
-    effort : dict of str to ndarray, shape (n,)
-        By joint [N m or N].
-
-    Raises
-    ------
-    RecordingError
-        Where there are no two states between which nothing is missing.
-
+    Times [s], shape (n,); by quantity and joint values [rad or m, and per s and s^2]; efforts by
+    joint [N m or N]. ``path`` is for messages. RecordingError where there are no two states
+    between which nothing is missing.
     """
     motion, coordinates = recording.motion, scene.mechanism.coordinates
     step = np.diff(motion.time)
@@ -200,11 +180,7 @@ def _held(log, states, step):
     """
     Return the commands on average between states, and between which states nothing is missing.
 
-    Returns
-    -------
-    held : ndarray, shape (states - 1, columns)
-    whole : ndarray of bool, shape (states - 1,)
-
+    Shapes (states - 1, columns) and (states - 1,).
     """
     held, whole = np.full((states - 1, log.torque.shape[1]), np.nan), np.zeros(
         states - 1, dtype=bool)

@@ -24,17 +24,9 @@ def metadata(storage, compression, topics, files):
     """
     Return the metadata of a bag.
 
-    Parameters
-    ----------
-    storage : str
-        ``'mcap'`` or ``'sqlite3'``.
-    compression : str
-        Of every single message: ``''`` or ``'zstd'``.
-    topics : sequence of (Topic, int)
-        With the number of their messages.
-    files : sequence of (str, int, int, int)
-        Name, first and last time [ns], messages.
-
+    ``storage``: ``'mcap'`` or ``'sqlite3'``; ``compression`` of every single message: ``''`` or
+    ``'zstd'``; ``topics`` with the number of their messages; ``files``: name, first and last time
+    [ns], messages.
     """
     filled = [file for file in files if file[3]]
     start = min((first for _, first, _, _ in filled), default=0)

@@ -44,26 +44,10 @@ def usual_amplitude(mechanism, mode):
 
 def mode_motion(linearisation, mode, position, amplitude, periods=PERIODS, rows=ROWS):
     """
-    Return the motion of a mode.
+    Return the motion of a mode about a position.
 
-    Parameters
-    ----------
-    linearisation : simulation.linearisation.Linearisation
-        That found it.
-    mode : simulation.linearisation.Mode
-        Of these.
-    position : ndarray, shape (nq,)
-        About which it moves.
-    amplitude : float
-        Of the joint that moves most [rad or m].
-    periods, rows : int
-        How often it is repeated, and rows of each time.
-
-    Raises
-    ------
-    SimulationError
-        Where the loops cannot be closed at this amplitude.
-
+    ``amplitude`` is that of the joint that moves most [rad or m]; there are so many ``periods`` of
+    so many ``rows``. SimulationError where the loops cannot be closed at this amplitude.
     """
     period = 1.0 / mode.frequency if mode.frequency else USUAL_PERIOD
     turn = 2.0j * np.pi * np.arange(rows) / rows
@@ -79,13 +63,7 @@ def mode_table(scene, motion, torque):
     """
     Return a motion of a mode as ``simulate`` writes one, under the torques that hold the middle.
 
-    Returns
-    -------
-    scene : scene_records.Scene
-        That begins with the motion.
-    names : list of str
-    rows : ndarray, shape (n, number of columns)
-
+    That is a scene that begins with the motion, and names and rows of a table.
     """
     begun = replace(scene.initial, position=tuple(motion.position[0].tolist()),
                     velocity=tuple(motion.velocity[0].tolist()), hold=())

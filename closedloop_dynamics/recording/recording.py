@@ -66,24 +66,10 @@ class Recording:
 
 def read_recording(path, scene=None, namespace=None):
     """
-    Read a bag, or the CSV file of a run.
+    Read a bag, one of its files, or the CSV file of a run.
 
-    Parameters
-    ----------
-    path : path-like
-        Directory of a bag, one of its files, or a CSV file.
-    scene : scene_records.Scene, optional
-        The simulated one; needed where the recording does not hold it.
-    namespace : str, optional
-        Of the simulator; needed where several are in the bag.
-
-    Raises
-    ------
-    RecordingError
-        Where states or the scene are not in it.
-    OSError
-        Where it cannot be read.
-
+    ``scene`` is needed where the recording does not hold it, ``namespace`` where several
+    simulators are in the bag. RecordingError where states or the scene are not in it; OSError.
     """
     path = Path(path)
     if path.suffix == '.csv':

@@ -47,25 +47,10 @@ def write_scene(path, scene):
 
 def read_rows(path, scene=None):
     """
-    Read the CSV file of a run.
+    Read the CSV file of a run; return its trajectory and scene.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Of the rows.
-    scene : scene_records.Scene, optional
-        The simulated one; needed where it is not beside the rows.
-
-    Returns
-    -------
-    visual.trajectory.Trajectory, scene_records.Scene
-
-    Raises
-    ------
-    RecordingError
-        Where the scene is unknown, or rows and scene are of different mechanisms.
-    OSError, SceneError
-
+    ``scene`` is needed where it is not beside the rows. RecordingError where it is unknown, or
+    rows and scene are of different mechanisms; OSError, SceneError.
     """
     beside = scene_path(path)
     known = read_scene_text(beside.read_text(encoding='utf-8'))[0] if beside.is_file() else None
@@ -84,27 +69,10 @@ def read_rows(path, scene=None):
 
 def read_table(path, require):
     """
-    Read the numbers of a CSV file.
+    Read the numbers of a CSV file; return names, without units in brackets, and a table.
 
-    Parameters
-    ----------
-    path : path-like
-        Of the file.
-    require : callable
-        Takes the names of the columns, refuses others than are expected.
-
-    Returns
-    -------
-    names : list of str
-        Without units in brackets behind them.
-    table : ndarray, shape (n, number of names)
-
-    Raises
-    ------
-    RecordingError
-        Where there are no rows, or something is no number.
-    OSError
-
+    ``require`` takes the names of the columns and refuses others than are expected. RecordingError
+    where there are no rows, or something is no number; OSError.
     """
     with open(path, newline='', encoding='utf-8') as file:
         names, *rows = [*csv.reader(file)] or [[]]
@@ -122,14 +90,7 @@ def read_table(path, require):
 
 
 def require_same_mechanism(path, recorded, given):
-    """
-    Refuse a scene whose mechanism is not the recorded one.
-
-    Raises
-    ------
-    RecordingError
-
-    """
+    """Refuse, with RecordingError, a scene whose mechanism is not the recorded one."""
     one, other = (json.loads(scene_text(scene))['mechanism'] for scene in (recorded, given))
     place = _first_difference(one, other)
     if place is not None:

@@ -58,20 +58,10 @@ def transmission_angle(mechanism, position, drive):
 
 def transmission_parts(mechanism, position, drive):
     """
-    Return numerator and denominator of the tangent of each transmission angle.
+    Return numerator and denominator of the tangent of each transmission angle, shape (n,).
 
-    Smooth in the position, but for where a part is zero.
-
-    Parameters
-    ----------
-    mechanism, position, drive
-        As for ``transmission_angle``.
-
-    Returns
-    -------
-    list of (ndarray, ndarray), shape (n,)
-        Of either sign: the coupler's part along the way that its pin can go, and across it.
-
+    Of either sign: the coupler's part along the way that its pin can go, and across it. Smooth in
+    the position, but for where a part is zero.
     """
     joints = list(_joints(mechanism))
     grounded = {joint.other_than(GROUND): joint for joint in joints

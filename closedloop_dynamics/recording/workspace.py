@@ -489,17 +489,7 @@ def links(mechanism):
 
 
 def least_distance(mechanism, position):
-    """
-    Return the least distance between links that no joint joins, shape (n,) [m].
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    position : ndarray, shape (n, nq)
-        Joint coordinates [rad or m].
-
-    """
+    """Return the least distance between links that no joint joins, shape (n,) [m]."""
     joined = {frozenset((joint.parent, joint.child)) for joint in mechanism.joints}
     joined |= {frozenset((cut.body_a, cut.body_b)) for cut in mechanism.cut_joints}
     poses = body_poses(mechanism, position)
@@ -646,14 +636,7 @@ def _curves(platform, state, jacobian):
 
 
 def read(file):
-    """
-    Return the arrays of a map's file by name.
-
-    Raises
-    ------
-    WorkspaceFileError
-
-    """
+    """Return the arrays of a map's file by name; WorkspaceFileError where it is none."""
     try:
         with netcdf_file(file, 'r', mmap=False) as found:
             return {name: np.array(each.data) for name, each in found.variables.items()}

@@ -238,24 +238,12 @@ class StatePublisher:
     def publish(self, nanoseconds, position, velocity, effort, wrenches, cuts=(),
                 *others):
         """
-        Publish a state.
+        Publish a state, of a stamp in nanoseconds.
 
-        Parameters
-        ----------
-        nanoseconds : int
-            The stamp.
-        position : ndarray, shape (nq,)
-            Of the joints [rad or m].
-        velocity, effort : ndarray, shape (nv,)
-            The same per s; [N m or N].
-        wrenches : ndarray, shape (number of them, 3 or 6)
-            Torque about z [N m], force along x and y [N]; in space torque about and force along
-            x, y and z.
-        cuts : tuple of 3 ndarrays
-            The same three of the cut joints; none where there are none.
-        *others : ndarray
-            Efforts of each of the other topics.
-
+        ``position``, shape (nq,) [rad or m]; ``velocity`` and ``effort``, shape (nv,) [per s; N m
+        or N]; ``wrenches``, shape (number of them, 3 or 6): torque about z [N m], force along x
+        and y [N], in space torque about and force along x, y and z; ``cuts``: the same three of
+        the cut joints, none where there are none; ``others``: efforts of each of the other topics.
         """
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
         self.stamp.sec, self.stamp.nanosec = sec, nanosec

@@ -66,15 +66,7 @@ class RateControl:
         self._names = names
 
     def torque(self, simulation):
-        """
-        Return the torques for the present state, by joint.
-
-        Raises
-        ------
-        SimulationError
-            Where the torques cannot set the rates.
-
-        """
+        """Return the torques for the present state, by joint; raise SimulationError."""
         q, qd = simulation.position, simulation.velocity
         free, _ = self._smooth.forward_dynamics(q, qd)
         response = np.array([

@@ -48,18 +48,8 @@ def advice(study, matters):
     """
     Say which effects matter, and how much leaving out the others saves.
 
-    Parameters
-    ----------
-    study : Study
-        Finished.
-    matters : float
-        A change of positions or places that matters [rad or m].
-
-    Returns
-    -------
-    str
-        A line for each type of effect, and one for those that change less, together.
-
+    Lines for each type of effect, and one for those that together change positions or places by
+    less than ``matters`` [rad or m].
     """
     lines = []
     for finding in (*study.findings, *filter(None, [study.together])):

@@ -14,22 +14,9 @@ def ladder(loops, angle=0.5):
     Build N + 1 cranks side by side on the ground, N couplers between their tips: N loops.
 
     Each crank carries the coupler to the next one, where it is cut: the cut joints form a chain
-    between subsystems of two bodies. All bars are uniform, 1 m long, of 1 kg.
-
-    Parameters
-    ----------
-    loops : int
-        N, at least 1.
-    angle : float
-        Of all cranks [rad]; upright at pi / 2, flat and singular at 0.
-
-    Returns
-    -------
-    mechanism : Mechanism
-        With 2 N + 1 joints and 2 N equations.
-    position : tuple of floats
-        Coordinates that close the loops.
-
+    between subsystems of two bodies. All bars are uniform, 1 m long, of 1 kg. Upright at ``angle``
+    pi / 2, flat and singular at 0 [rad]. Returns the mechanism, of 2 N + 1 joints and 2 N
+    equations, and coordinates that close the loops.
     """
     bodies, joints, cuts, position = [], [], [], []
     for k in range(loops + 1):
@@ -48,20 +35,10 @@ def ladder(loops, angle=0.5):
 
 def chain(links):
     """
-    Build N links in a row, together 1 m long, hung up at both ends along a half circle.
+    Build N >= 3 links in a row, together 1 m long, hung up at both ends along a half circle.
 
-    Parameters
-    ----------
-    links : int
-        N, at least 3.
-
-    Returns
-    -------
-    mechanism : Mechanism
-        With N joints and one cut joint: 2 equations.
-    position : tuple of floats
-        Coordinates that close the loop.
-
+    Returns the mechanism, of N joints and one cut joint: 2 equations, and coordinates that close
+    it.
     """
     length, turn = 1.0 / links, math.pi / links
     bodies = tuple(bar(f'link_{k}', length, length) for k in range(links))
@@ -78,27 +55,11 @@ def chain(links):
 
 def star(loops, arms=8, angle=0.5):
     """
-    Build ladders that meet at one crank: a star of subsystems.
+    Build so many ladders (arms) of N loops that meet at one crank: a star of subsystems.
 
     The subsystem in the middle touches as many cut joints as there are arms, every other one two.
-    All cranks turn alike, as in a ladder.
-
-    Parameters
-    ----------
-    loops : int
-        Of each arm, at least 1.
-    arms : int
-        Ladders, evenly around the crank in the middle.
-    angle : float
-        Of all cranks [rad].
-
-    Returns
-    -------
-    mechanism : Mechanism
-        With 2 arms loops + 1 joints and one equation less.
-    position : tuple of floats
-        Coordinates that close the loops.
-
+    All cranks turn alike [rad], as in a ladder. Returns the mechanism, of 2 arms loops + 1 joints
+    and one equation less, and coordinates that close the loops.
     """
     bodies, cuts = [bar('hub', 1.0, 1.0)], []
     joints = [Joint('pivot', REVOLUTE, GROUND, 'hub', (0.0, 0.0), actuated=True)]

@@ -22,27 +22,10 @@ ENOUGH = 1e-18
 
 def exact_dynamics(mechanism, q, qd, tau):
     """
-    Compute joint accelerations and multipliers in extended precision.
+    Compute joint accelerations and multipliers in extended precision [rad/s^2], [N].
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        With revolute joints and revolute cut joints only.
-    q, qd, tau : ndarray, shape (nv,)
-        Coordinates, rates and torques of the joints, taken as exact.
-
-    Returns
-    -------
-    acceleration : ndarray of longdouble, shape (nv,)
-        [rad/s^2].
-    multipliers : ndarray of longdouble, shape (nc,)
-        [N].
-
-    Raises
-    ------
-    ValueError
-        For joints of other types.
-
+    Of coordinates, rates and torques that are taken as exact, shape (nv,). ValueError where the
+    mechanism has other joints than revolute ones.
     """
     if any(joint.type != REVOLUTE for joint in (*mechanism.joints, *mechanism.cut_joints)):
         raise ValueError('joints: expected revolute ones only')

@@ -174,21 +174,9 @@ def study_scenes(scenes, progress=lambda done, total: None):
     Measure time and differences of all formulations on scenes, with their effects, as they run.
 
     Each is evaluated as it moves after ``AFTER`` without torques, or as it starts where it does
-    not get there.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        In the plane or in space.
-    progress : callable
-        Called with the number of scenes done and of all.
-
-    Returns
-    -------
-    list of Row
-        Their errors are the largest differences from the median of all formulations, component by
-        component. A formulation that fails is a row with its reason.
-
+    not get there. Errors of the rows returned are the largest differences from the median of all
+    formulations, component by component; a formulation that fails is a row with its reason.
+    ``progress`` is called with the number of scenes done and of all.
     """
     rows = []
     for done, scene in enumerate(scenes):

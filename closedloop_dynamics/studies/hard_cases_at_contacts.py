@@ -40,19 +40,9 @@ def shot(speed, half, stiffness, in_space=False, **shape):
     """
     Return a case: a ball flies straight at a solid and back.
 
-    Parameters
-    ----------
-    speed : float
-        [m/s].
-    half : float
-        Of the solid's thickness [m]; a plate where no ``shape`` is given.
-    stiffness : float
-        [N/m]: enough that the ball turns round in the nearer half.
-    in_space : bool
-        Whether it flies in space.
-    shape
-        Keys of the contact.
-
+    ``half`` is that of the solid's thickness [m], a plate where no ``shape`` is given, of a
+    ``stiffness`` [N/m] at which the ball turns round in the nearer half; ``speed`` in m/s,
+    ``shape`` keys of the contact.
     """
     def run(method, quick):
         keys = shape or {'shape': 'curve', 'interpolation': 'linear',
@@ -72,15 +62,8 @@ def dips(effect, stiffness, depth):
     """
     Return a case: a crank is held up a little once a turn, for a short while.
 
-    Parameters
-    ----------
-    effect : Effect
-        Supporting force, without losses, about the angle 0.
-    stiffness : float
-        [N/m].
-    depth : callable
-        How deep, at an angle [m].
-
+    By an effect without losses about the angle 0, of a stiffness [N/m]; ``depth`` gives how deep
+    it is at an angle [m].
     """
     def run(method, quick):
         crank = Mechanism(

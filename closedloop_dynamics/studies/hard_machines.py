@@ -43,17 +43,8 @@ def ladder(loops, tilt=0.0, rate=1.0, direction=DIRECTION, size=1.0):
     """
     Return N parallelogram loops in a row (benchmark A02) on their parallel branch.
 
-    Parameters
-    ----------
-    loops : int
-        N.
-    tilt, rate : float
-        Of the legs, clockwise from upright [rad, rad/s].
-    direction : float
-        Direction of the ground, in which all is turned [rad].
-    size : float
-        Length of every link [m]; masses are 1 kg.
-
+    Legs stand at a tilt [rad], clockwise from upright, and turn at a rate [rad/s]; all is turned
+    by the direction of the ground [rad]. Links are ``size`` long [m], of 1 kg.
     """
     cos, sin = math.cos(direction), math.sin(direction)
     bodies, joints, cuts, q, qd = [], [], [], [], []
@@ -142,13 +133,8 @@ def pantograph(arm, forearm, arm_rate, forearm_rate):
     """
     Return the pantograph of the carpet scraping mechanism alone, two freedoms, one loop.
 
-    Parameters
-    ----------
-    arm, forearm : float
-        Angles of links 4 and 6 against the ground [rad]; where they agree, it is folded flat.
-    arm_rate, forearm_rate : float
-        [rad/s].
-
+    ``arm``, ``forearm``: angles of links 4 and 6 against the ground [rad], folded flat where they
+    agree; their rates in rad/s.
     """
     bodies = tuple(bar(name, mass, length) for name, (length, mass) in PANTOGRAPH.items())
     joints = (hinge('theta_4', 'ground', 'link_4', angle=DIRECTION, actuated=True),

@@ -222,19 +222,7 @@ def identify(scene, keys, motion, effort, others=None):
 
 
 def measured_joints(scene):
-    """
-    Return the joints that determine the motion of all others: driven ones, or else all.
-
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        With its effects and drives.
-
-    Returns
-    -------
-    tuple of str
-
-    """
+    """Return the names of joints that determine the motion of all: driven ones, or else all."""
     bare, driven = _without_motions(scene)
     names = bare.mechanism.coordinates.single_names
     chosen = tuple(name for name in driven if name in names)
@@ -339,13 +327,9 @@ class Identifier:
 
     def influence(self):
         """
-        Return the torques of usual parameters along the motion, around the scene.
+        Return the torques of usual parameters along the motion, around the scene [N m or N].
 
-        Returns
-        -------
-        ndarray, shape (n, number of independent coordinates, parameters)
-            Linear ones, then the others [N m or N].
-
+        Shape (n, number of independent coordinates, parameters): linear ones, then the others.
         """
         along = self._along
         found = [along.regressor[self._samples] * along.typical]
@@ -354,19 +338,7 @@ class Identifier:
         return np.concatenate(found, axis=2)
 
     def solve(self, effort):
-        """
-        Identify the parameters.
-
-        Parameters
-        ----------
-        effort
-            As for ``identify``.
-
-        Returns
-        -------
-        Identification
-
-        """
+        """Identify the parameters from efforts, as for ``identify``."""
         torque = self._generalized(effort)
         rows = torque.size
         if rows <= len(self._keys):

@@ -135,18 +135,9 @@ class BodyParameters:
 
     def values(self, parameters):
         """
-        Return the numbers of the keys.
+        Return the numbers of the keys, of parameters by name, those not given being the scene's.
 
-        Parameters
-        ----------
-        parameters : dict of str to float or complex
-            By name, those not given being the scene's; complex ones for derivatives by complex
-            steps.
-
-        Returns
-        -------
-        dict of str to float or complex
-
+        Complex ones are for derivatives by complex steps.
         """
         name, body = self.name, self._body
         parameters = {**{one.name: one.value for one in self.parameters}, **parameters}
@@ -173,15 +164,7 @@ def _shifted(center):
 
 
 def numbers_of(body) -> np.ndarray:
-    """
-    Return mass, first moments and inertia about the origin of a body, as ``Parameter.numbers``.
-
-    Parameters
-    ----------
-    body : mechanism.mechanism.Body
-        Possible or not.
-
-    """
+    """Return mass, first moments and inertia about the origin, as ``Parameter.numbers``."""
     center = np.array(body.center_of_mass)
     if len(center) == 2:
         return np.array([body.mass, *(body.mass * center),
@@ -194,18 +177,10 @@ def pseudo_inertia(body) -> np.ndarray:
     """
     Return the pseudo-inertia matrix of a body, positive definite where it can exist.
 
-    Parameters
-    ----------
-    body : mechanism.mechanism.Body
-        Possible or not.
-
-    Returns
-    -------
-    ndarray, shape (3, 3), in space (4, 4)
-        [[S, m c], [m c^T, m]], S the integral of x x^T dm from the origin: tr(I)/2 1 - I about the
-        centre of mass, and m c c^T. In the plane I/2 along both axes stands for the former, of
-        which the sum alone is known: positive definite where mass and inertia are positive.
-
+    Shape (3, 3), in space (4, 4): [[S, m c], [m c^T, m]], S the integral of x x^T dm from the
+    origin: tr(I)/2 1 - I about the centre of mass, and m c c^T. In the plane I/2 along both axes
+    stands for the former, of which the sum alone is known: positive definite where mass and
+    inertia are positive.
     """
     center = np.array(body.center_of_mass)
     if len(center) == 2:
@@ -220,21 +195,10 @@ def pseudo_inertia(body) -> np.ndarray:
 
 def unit_rows(placement, planar):
     """
-    Return the change of a body's row of ``Model.body`` by units of its numbers.
+    Return the change of a body's row of ``Model.body`` by units of its numbers, shape (k, k).
 
-    Parameters
-    ----------
-    placement : simulation.tree_rows.Placement
-        Where the body's frame is in that of its row.
-    planar : bool
-        Whether this is in the plane, where it is the same.
-
-    Returns
-    -------
-    ndarray, shape (k, k)
-        A row for each number of ``Parameter.numbers``; columns: mass, first moments, inertia about
-        the origin; k is 4 in the plane, 10 in space.
-
+    A row for each number of ``Parameter.numbers``; columns: mass, first moments, inertia about the
+    origin; k is 4 in the plane, where all placements have the same, 10 in space.
     """
     if planar:
         return np.eye(4)

@@ -103,13 +103,8 @@ class Expression:
         """
         Return its value, one number with derivatives.
 
-        Raises
-        ------
-        Infeasible
-            Where the machine, or the expression, has no such value.
-        FieldError
-            Where it is not one number.
-
+        Infeasible where the machine, or the expression, has none; FieldError where it is not one
+        number.
         """
         found = self._of(self._written, quantities)
         if not isinstance(found, Slope) or found.value.ndim:

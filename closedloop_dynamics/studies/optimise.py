@@ -178,22 +178,7 @@ def problem_of(scene, vary: Mapping[str, Tuple[float, float]], minimise: Sequenc
                subject_to: Sequence[str] = (), drives: Optional[Mapping[str, Drive]] = None, *,
                poses: int = POSES, speed: float = 1.0, branch: Optional[int] = None,
                seed: int = 0, paths: Mapping[str, Any] = ()) -> Problem:
-    """
-    Return a problem, checked.
-
-    Parameters
-    ----------
-    scene, vary, minimise, subject_to, drives, poses, speed, branch, seed, paths
-        As for ``optimise``.
-
-    Raises
-    ------
-    FieldError, SceneError
-        For what makes no sense.
-    ValueError
-        For drives that do not fit.
-
-    """
+    """Return a problem, checked; arguments and errors are those of ``optimise``."""
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     variables = tuple(_variable(scene, key, *ends) for key, ends in vary.items())
     if not variables:
@@ -352,14 +337,7 @@ def solve(problem: Problem, starts: int = STARTS, front: int = FRONT,
 
 
 def aims_of(problem: Problem, scene: Scene) -> Tuple[float, ...]:
-    """
-    Return the aims of another scene, driven as those of a problem.
-
-    Raises
-    ------
-    Infeasible
-
-    """
+    """Return the aims of another scene, driven as those of a problem; raise Infeasible."""
     quantities = Quantities(scene, problem.driven)
     return tuple(float(one.value(quantities).value) for one in problem.aims)
 

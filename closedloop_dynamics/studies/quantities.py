@@ -72,14 +72,7 @@ class Driven:
         return replace(scene, initial=replace(scene.initial, hold=()))
 
     def run(self, scene):
-        """
-        Drive a machine all the way.
-
-        Raises
-        ------
-        Infeasible
-
-        """
+        """Drive a machine all the way; raise Infeasible where it cannot be."""
         try:
             run = DrivenRun(
                 self.start(scene), self.drives, self.poses, self.speed, self.branch)
@@ -108,15 +101,7 @@ class Variable(NamedTuple):
 
 
 def with_values(scene, variables, values):
-    """
-    Return a scene with other numbers.
-
-    Raises
-    ------
-    Infeasible
-        Where a number is impossible at its place.
-
-    """
+    """Return a scene with other numbers; raise Infeasible where one is impossible at its place."""
     try:
         return changed(scene, {resolve(scene, one.key): float(value)
                                for one, value in zip(variables, values)})

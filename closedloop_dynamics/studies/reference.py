@@ -63,20 +63,9 @@ class Difference:
 
 def in_angles(coordinates, q, other):
     """
-    Return how far coordinates are from others, of orientations the angle between them.
+    Return how far coordinates are from others [rad or m], shape (nv,).
 
-    Parameters
-    ----------
-    coordinates : mechanism.coordinates.Coordinates
-        Of the mechanism.
-    q, other : ndarray, shape (nq,)
-        [rad or m].
-
-    Returns
-    -------
-    ndarray, shape (nv,)
-        The angle of the rotation between two orientations in each of its three places.
-
+    Of two orientations the angle of the rotation between them stands in each of its three places.
     """
     change = coordinates.apart(q, other)
     for _, rate in coordinates.balls:
@@ -86,24 +75,10 @@ def in_angles(coordinates, q, other):
 
 def differences(one, other, coordinates):
     """
-    Compare two motions, output by output, as far as both go.
+    Compare two trajectories, output by output, as far as both go; shape (outputs, 3).
 
-    Parameters
-    ----------
-    one : Trajectory
-        The first.
-    other : Trajectory
-        The second.
-    coordinates : mechanism.coordinates.Coordinates
-        Of the mechanism.
-
-    Returns
-    -------
-    ndarray, shape (outputs, 3)
-        Largest differences of positions, of orientations the angle of the rotation that leads from
-        one to the other [rad or m], of velocities [rad/s or m/s] and of constraint forces
-        [N or N m].
-
+    Largest differences of positions, of orientations the angle of the rotation that leads from one
+    to the other [rad or m], of velocities [rad/s or m/s] and of constraint forces [N or N m].
     """
     found = []
     for k in range(min(len(one), len(other))):
@@ -120,26 +95,11 @@ def difference(one, other, coordinates):
 
 def record(simulation, tau, steps, outputs, patience=float('inf')):
     """
-    Advance from the initial state and keep the state at even times.
+    Advance from the initial state, and keep the state at even times, as a Trajectory.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Reset here.
-    tau : ndarray, shape (number of ``torque_names``,)
-        Constant joint torques [N m or N].
-    steps : int
-        Whole steps from one output to the next.
-    outputs : int
-        How often.
-    patience : float
-        Give up after this time of computing [s].
-
-    Returns
-    -------
-    Trajectory
-        As far as it goes; its ``failure`` says why it ends early.
-
+    Under constant torques ``tau``, shape (number of ``torque_names``,) [N m or N], so many whole
+    ``steps`` from one of the ``outputs`` to the next; it ends early, with a ``failure``, where a
+    step fails or computing takes longer than ``patience`` [s]. The simulation is reset.
     """
     position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
     failure, begun = '', time.thread_time()

@@ -265,16 +265,8 @@ def misses(path, wanted):
     """
     Return the distances of wanted places from the curve that a point draws, shape (m,) [m].
 
-    Between the poses the curve is a cubic spline through them; in the plane, distances have
-    signs, by which side of the curve a place is on.
-
-    Parameters
-    ----------
-    path : Path
-        Of the point.
-    wanted : ndarray, shape (m, 2), in space (m, 3)
-        Places [m].
-
+    Between the poses the curve is a cubic spline through them; places have the shape (m, 2), in
+    space (m, 3). In the plane, distances have signs, by which side of the curve a place is on.
     """
     places = _path(path, 'distance')
     count, size = places.value.shape

@@ -43,24 +43,10 @@ class Batch:
 
 def run_batch(job, samples, values, torques):
     """
-    Run samples, some of them at a time.
+    Run samples, some of them at a time; a failed one has its reason in the batch, none raises.
 
-    Parameters
-    ----------
-    job : Job
-        Their common plan and settings.
-    samples : ndarray of int, shape (n,)
-        Their places in the sweep.
-    values : ndarray, shape (n, number of varied keys)
-        Values of the varied quantities.
-    torques : ndarray, shape (rows, na) or (n, rows, na), or None
-        [N m or N].
-
-    Returns
-    -------
-    Batch
-        With a failed sample's reason; no sample raises.
-
+    ``samples``: their places in the sweep, shape (n,); ``values`` of the varied quantities, shape
+    (n, number of keys); ``torques``, shape (rows, na) or (n, rows, na), or None [N m or N].
     """
     source = _Source(job)
     results, reasons = [], []

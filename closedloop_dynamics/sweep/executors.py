@@ -174,11 +174,7 @@ def _begin(parent):
     """
     Leave Ctrl-C to the parent; give up computing when it wants that, and end when it is gone.
 
-    Parameters
-    ----------
-    parent : multiprocessing.connection.Connection
-        Where the parent sends a byte to each worker that is to end.
-
+    It sends a byte to each worker that is to end.
     """
 
     def interrupt(number, frame):
@@ -292,19 +288,10 @@ class Cluster(ExternalExecutor):
 @contextmanager
 def engine_for(batches, workers=None, scheduler=None, executor=None):
     """
-    Yield the executor of a sweep, and close it.
+    Yield the executor of a sweep of at most so many batches, and close it.
 
-    Parameters
-    ----------
-    batches : int
-        How many there are at most.
-    workers : int or None
-        Processes on this machine; None: as many as it has processors, where that pays.
-    scheduler : str or None
-        Address of a Dask cluster.
-    executor : object or None
-        Like ``concurrent.futures.Executor``.
-
+    ``workers``: processes on this machine; None: as many as it has processors, where that pays;
+    ``scheduler``: address of a Dask cluster; ``executor``: like ``concurrent.futures.Executor``.
     """
     engine = _engine(batches, workers, scheduler, executor)
     try:
@@ -348,32 +335,12 @@ class Task:
 
 def dispatched(engine, call, given_up, tasks, keep_going):
     """
-    Compute tasks, in any order.
+    Compute tasks, samples that are computed together, in any order; yield what comes of them.
 
-    Parameters
-    ----------
-    engine : object
-        Of ``executors``.
-    call : callable
-        Takes samples, returns the function that computes them, and its arguments.
-    given_up : callable
-        Takes samples whose worker is lost whenever they run, even alone, and the reason; returns
-        what is yielded for them.
-    tasks : iterable of ndarray of int
-        Samples that are computed together.
-    keep_going : callable
-        Polled; the rest is given up where it returns False.
-
-    Yields
-    ------
-    object
-        Return values of the function; each sample once.
-
-    Raises
-    ------
-    EngineError
-        Where there are no workers any more.
-
+    ``call`` takes samples, returns the function that computes them, and its arguments;
+    ``given_up`` takes samples whose worker is lost whenever they run, even alone, and the reason,
+    and returns what is yielded for them. Polled, ``keep_going`` gives the rest up where it returns
+    False. EngineError where there are no workers any more.
     """
     fresh, again, running = iter(tasks), deque(), {}
 

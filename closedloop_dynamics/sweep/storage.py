@@ -340,12 +340,8 @@ def opened(path, layout, resume=False, overwrite=False):
     """
     Yield the storage of a sweep, new or to be continued.
 
-    Raises
-    ------
-    FieldError
-        Where a file is there and neither is wanted, or another sweep's is to be continued.
-    StorageError
-
+    FieldError where a file is there and neither is wanted, or another sweep's is to be continued;
+    StorageError.
     """
     if path.exists():
         if resume:

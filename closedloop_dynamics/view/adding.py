@@ -31,24 +31,8 @@ def with_part(scene, text, what, position, **given):
     """
     Return the text of a scene with another part, or None where it has no place for it.
 
-    Parameters
-    ----------
-    scene : simulation.scene_records.Scene
-        As it is.
-    text : str
-        Of it.
-    what : str
-        A key of ``NEEDED``.
-    position : ndarray, shape (nq,)
-        Where the machine stands [rad or m].
-    **given
-        As ``editing.Editor.add`` has them.
-
-    Raises
-    ------
-    FieldError
-        Where it cannot be added.
-
+    ``what`` is a key of ``NEEDED``, ``given`` as ``editing.Editor.add`` has it; the machine stands
+    at a ``position``, shape (nq,). FieldError where the part cannot be added.
     """
     if not scene.mechanism.planar and what in ('link', 'pin'):
         raise FieldError('a mechanism in the plane', 'one in space', path=(what,))

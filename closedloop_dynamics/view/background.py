@@ -34,13 +34,8 @@ class Background:
         """
         Start a computation; an earlier one is dropped.
 
-        Parameters
-        ----------
-        compute : callable
-            Without arguments; touches nothing that the run does.
-        take : callable
-            Is called by ``tick`` with a function that returns the result, or raises the error.
-
+        ``compute`` touches nothing that the run does; ``take`` is called by ``tick`` with a
+        function that returns the result, or raises the error.
         """
         self._future, self._take = self._pool.submit(_again_if_stopped, compute), take
 

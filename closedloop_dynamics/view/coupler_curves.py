@@ -22,23 +22,9 @@ def curves(mechanism, position, points):
     """
     Return the curves of points over the whole range of the first driven joint.
 
-    The other driven joints stay, and there is one curve, of the first point. Where the joints that
-    are driven do not decide the motion, there are no curves.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Without motions.
-    position : ndarray, shape (nq,)
-        That closes the loops [rad or m].
-    points : sequence of mechanism.mechanism.Point
-        Of the mechanism.
-
-    Returns
-    -------
-    list of dict
-        Name, and places [m], one after the other, in space.
-
+    Of each, name and places [m], one after the other, in space. ``position``, shape (nq,), closes
+    the loops; the other driven joints stay, and there is one curve, of the first point. Where the
+    joints that are driven do not decide the motion, there are none.
     """
     names = mechanism.coordinates
     driven = [names.names[k] for k in names.actuated if names.place[k] >= 0]

@@ -42,24 +42,10 @@ CHOICES = {'integrators': {name: one.kind for name, one in INTEGRATORS.items()
 
 def describe(mechanism, columns, effects=None, **more):
     """
-    Describe a mechanism for a page.
+    Describe a mechanism for a page, as JSON can.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        The mechanism to show.
-    columns : columns.Columns
-        Of the rows that the page gets.
-    effects : mapping of str to effect, optional
-        Effects; springs, cables and contacts are drawn.
-    **more
-        Further data for the page, of JSON types.
-
-    Returns
-    -------
-    dict
-        As JSON can.
-
+    ``columns`` are those of the rows that the page gets; of the effects springs, cables and
+    contacts are drawn; ``more`` is further data.
     """
     effects, missing, extras = effects or {}, [], MachineShapes(mechanism, effects or {})
     size = drawn_size(mechanism, extras)

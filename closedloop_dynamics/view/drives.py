@@ -46,11 +46,7 @@ class Drive:
         """
         Follow another reference from a time [s] and position [rad; m] on.
 
-        Raises
-        ------
-        FieldError
-            Where the value is no number, or no expression.
-
+        FieldError where the value is no number, or no expression.
         """
         with at('value'):
             (text if mode in (EXPRESSION, OWN) else number)(value)

@@ -168,15 +168,7 @@ class Driving:
         return round_up(REACH[slides] * self.drives[name].inertia)
 
     def change_mode(self, joint, mode):
-        """
-        Give a drive another mode, with the value that it has then.
-
-        Raises
-        ------
-        FieldError
-            Where there is no such drive, or it has no such mode.
-
-        """
+        """Give a drive another mode, with its value then; FieldError where it has none."""
         drive = drive_of(self.drives, joint)
         if drive.mode == mode:
             return

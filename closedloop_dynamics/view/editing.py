@@ -138,15 +138,7 @@ class Editor:
         return found
 
     def set(self, key, value):  # noqa: A003
-        """
-        Give a number another value.
-
-        Raises
-        ------
-        FieldError, MechanismError
-            Where there is no such number, or the value is impossible.
-
-        """
+        """Give a number another value; FieldError, MechanismError where that is impossible."""
         value = number(value)
         with at(key):
             if key.startswith(f'{LENGTH}.'):
@@ -233,22 +225,10 @@ class Editor:
 
     def move(self, kind, name, place, position):
         """
-        Move a pin or a point to a place.
+        Move a pin or a point, named as a handle has it, to a place in the world [m].
 
-        Parameters
-        ----------
-        kind, name : str
-            As a handle has them.
-        place : sequence of 3 floats
-            In the world [m]; in the plane the third one does not count.
-        position : ndarray, shape (nq,)
-            Present joint coordinates [rad or m].
-
-        Raises
-        ------
-        FieldError, MechanismError
-            Where it cannot be there.
-
+        In the plane the third number does not count; ``position`` is the present one, shape (nq,).
+        FieldError, MechanismError where it cannot be there.
         """
         if not any((kind, name) == (handle['kind'], handle['name']) for handle in self.handles()):
             raise FieldError('a pin or a point that can be moved', f'{kind} {name}')
@@ -298,43 +278,20 @@ class Editor:
 
     def add(self, what, position, joint=None, **places):
         """
-        Add a part.
+        Add a part: ``what`` is a key of ``adding.NEEDED``.
 
-        Parameters
-        ----------
-        what : str
-            A key of ``adding.NEEDED``.
-        position : ndarray, shape (nq,)
-            Present joint coordinates [rad or m].
-        joint : str, optional
-            Of a damper or a drive.
-        **places
-            ``body_a``, ``a``, ``body_b``, ``b``: names of bodies, None for none, and places in
-            the world [m].
-
-        Raises
-        ------
-        FieldError, MechanismError, SceneError
-            Where it cannot be added.
-
+        ``position``: present joint coordinates, shape (nq,); ``joint``: of a damper or a drive;
+        ``places``: ``body_a``, ``a``, ``body_b``, ``b``: names of bodies, None for none, and
+        places in the world [m]. FieldError, MechanismError, SceneError where it cannot be added.
         """
         self._rewrite(lambda text: with_part(
             self.scene, text, what, position, joint=joint, **places), what)
 
     def remove(self, kind, name):
         """
-        Remove a part; return the names of all parts removed with it.
+        Remove a part, of a kind in ``messages.REMOVALS``; return the names of all removed with it.
 
-        Parameters
-        ----------
-        kind, name : str
-            One of ``messages.REMOVALS``, and which.
-
-        Raises
-        ------
-        FieldError, MechanismError, SceneError
-            Where others need it.
-
+        FieldError, MechanismError, SceneError where others need it.
         """
         also = []
 

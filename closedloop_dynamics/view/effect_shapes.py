@@ -23,24 +23,11 @@ def effect_lines(mechanism, effects, rows, heights, above):
     """
     Return the springs and cables, with their ends.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Of the points.
-    effects : mapping of str to effect
-        All of a scene.
-    rows, heights : dict of str to number
-        By body: its number, -1 for the ground, and its layer above the plane [m].
-    above : float
-        Distance above the higher of two layers [m].
-
-    Returns
-    -------
-    list of dict
-        Kind, name, ends (number of a body, place in its frame [m]), of a cable radii, and under
-        ``anchor`` the key of the effect that the last end follows; in space the axis of the
-        pulleys, with the body that it is fixed in.
-
+    ``rows`` and ``heights`` are by body: its number, -1 for the ground, and its layer above the
+    plane [m]; lines are ``above`` the higher of two layers [m]. Of each: kind, name, ends (number
+    of a body, place in its frame [m]), of a cable radii, and under ``anchor`` the key of the
+    effect that the last end follows; in space the axis of the pulleys, with the body that it is
+    fixed in.
     """
     found = []
     points = {point.name: point for point in mechanism.points}

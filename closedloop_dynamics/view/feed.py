@@ -151,22 +151,10 @@ class Feed:
 
     def frame(self, sampled=None):
         """
-        Return the newest frame, with samples.
+        Return the newest frame, its number, and the number of the last sample in it.
 
-        Parameters
-        ----------
-        sampled : int, optional
-            Number of the last sample that the page has; by default it gets none.
-
-        Returns
-        -------
-        frame : bytes
-            Header, row, and each sample with its time before the frame's [s].
-        number : int
-            Of the frame.
-        sampled : int
-            Of the last sample that the page has then: the frame.
-
+        The frame is bytes: header, row, and each sample behind number ``sampled`` with its time
+        before the frame's [s]; None: no samples.
         """
         with self._lock:
             last, time, row = self._frame

@@ -81,11 +81,7 @@ class Library:
         """
         Write a scene; return the path.
 
-        Raises
-        ------
-        FieldError
-            Where there is no folder, or a file of that name that was not saved here before.
-
+        FieldError where there is no folder, or a file of that name that was not saved here before.
         """
         if self._folder is None:
             raise FieldError('a folder to save in', 'none', path=('save',))

@@ -19,26 +19,10 @@ class MeshError(ValueError):
 
 def read_mesh(path, most=MOST_TRIANGLES):
     """
-    Read a mesh.
+    Read a mesh, of at most so many triangles; return points and triangles.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        STL, OBJ, PLY, GLB or OFF; COLLADA where trimesh can read it.
-    most : int
-        Number of triangles, at most.
-
-    Returns
-    -------
-    points : ndarray, shape (n, 3)
-        As the file has them.
-    triangles : ndarray of int, shape (m, 3)
-        Rows of ``points``.
-
-    Raises
-    ------
-    MeshError
-
+    STL, OBJ, PLY, GLB or OFF; COLLADA where trimesh can read it. Points, shape (n, 3), are as the
+    file has them; triangles, shape (m, 3), are rows of them. MeshError for anything else.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f'{path}: expected a mesh ({", ".join(SUFFIXES)}), got another name')

@@ -50,15 +50,9 @@ def chosen(drives, which=OWN, file=None):
     """
     Return a function that gives the chosen motion of a scene and a controller's model.
 
-    Parameters
-    ----------
-    drives : mapping of str to tuple
-        Mode and value, by joint; they come before anything else.
-    which : str
-        The own motion of the machine, all drives held, or free.
-    file : path-like, optional
-        Of a controller, in place of the machine's own motion.
-
+    ``drives`` (mode and value by joint) come before anything else; ``which``: the own motion of
+    the machine, all drives held, or free; ``file``: of a controller, in place of the machine's own
+    motion.
     """
     def motion(scene, model=None):
         found = OwnMotion()

@@ -61,18 +61,9 @@ class Rebuilding:
         """
         Change the scene, and go on with the machine as it is then; or change nothing.
 
-        Parameters
-        ----------
-        change : callable
-            Changes the scene by the editor.
-        beside : bool
-            Whether the machine before moves on until there is another.
-
-        Raises
-        ------
-        ValueError, SimulationError
-            Where the change is impossible, or gives no machine at once.
-
+        ``change`` does so by the editor; ``beside``: the machine before moves on until there is
+        another. ValueError, SimulationError where the change is impossible, or gives no machine at
+        once.
         """
         with self.lock:
             before = self.editor.state

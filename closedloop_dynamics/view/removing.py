@@ -29,33 +29,11 @@ def removable(scene):
 
 def without(scene, text, kind, name):
     """
-    Return the text of a scene without a part, and the other parts removed.
+    Return the text of a scene without a part, and the names of the parts removed with it.
 
-    With a body go its joints and points, and the effects and couplings of these.
-
-    Parameters
-    ----------
-    scene : simulation.scene_records.Scene
-        As it is.
-    text : str
-        Of it.
-    kind : str
-        One of ``messages.REMOVALS``.
-    name : str
-        Of the part.
-
-    Returns
-    -------
-    text : str or None
-        None where the text has no place of it.
-    also : list of str
-        Names of the parts removed with it.
-
-    Raises
-    ------
-    FieldError
-        Where it is none of the scene, or others hang on it.
-
+    With a body go its joints and points, and the effects and couplings of these. The text is None
+    where it has no place of the part, whose kind is one of ``messages.REMOVALS``. FieldError where
+    the part is none of the scene, or others hang on it.
     """
     _require(scene, kind, name)
     parts, joints = [(kind, name)], [name] if kind == JOINT else []

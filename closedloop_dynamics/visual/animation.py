@@ -37,14 +37,8 @@ def frame_times(motion, rate, speed):
     """
     Return the times of the motion that the frames show [s], at least one.
 
-    Raises
-    ------
-    AnimationError
-        For more than ``MOST_FRAMES``.
-
     ``rate`` is in frames per second of the animation [Hz], ``speed`` in seconds of motion per
-    second.
-
+    second. AnimationError for more than ``MOST_FRAMES``.
     """
     first, last = motion.time[0], motion.time[-1]
     count = math.floor((last - first) * rate / speed + 1e-9) + 1

@@ -73,20 +73,10 @@ def _turn(first, second, third):
 
 def solid(points):
     """
-    Return edges and faces of a body in space, through all its points.
+    Return edges and faces of a body in space, through all its points, shape (m, 3), each once [m].
 
-    Parameters
-    ----------
-    points : ndarray, shape (m, 3)
-        Each once [m].
-
-    Returns
-    -------
-    edges : list of tuple of 2 int
-        Indices of points; of a body of less than two points none.
-    faces : list of tuple of 3 int
-        Triangles of the convex hull; those of a flat body lie in its plane, a bar has none.
-
+    Edges are pairs of indices of points, none of a body of less than two. Faces are triangles of
+    the convex hull; those of a flat body lie in its plane, a bar has none.
     """
     _, lengths, directions = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     depth = int(np.sum(lengths > FLAT * lengths.max(initial=0.0)))

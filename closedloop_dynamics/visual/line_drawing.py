@@ -76,17 +76,7 @@ class LineDrawing(NamedTuple):
 
 
 def line_drawing(motion, title):
-    """
-    Return the drawing of a mechanism where a motion starts, with the paths of all its points.
-
-    Parameters
-    ----------
-    motion : trajectory.Trajectory
-        Of the mechanism.
-    title : str
-        Of the drawing.
-
-    """
+    """Return the drawing of a mechanism at the start of a motion, with the paths of all points."""
     mechanism = motion.mechanism
     poses = body_poses(mechanism, motion.position)
     colors, lines = body_colors(mechanism), []
@@ -123,14 +113,7 @@ def _strokes(mechanism, body):
 
 
 def require_kind(path):
-    """
-    Refuse a file of which the kind is unknown, or that a library is missing for.
-
-    Raises
-    ------
-    DrawingError
-
-    """
+    """Refuse, with DrawingError, a file of unknown kind, or that a library is missing for."""
     if path.suffix.lower() not in KINDS:
         raise DrawingError(f'expected a name that ends with {" or ".join(KINDS)}, got {path}')
     if path.suffix.lower() == '.dxf':
@@ -141,19 +124,7 @@ def write(drawing, path):
     """
     Write a drawing as DXF or SVG, as the name of the file ends.
 
-    Parameters
-    ----------
-    drawing : LineDrawing
-        To be written.
-    path : pathlib.Path
-        Of the file.
-
-    Raises
-    ------
-    DrawingError
-        For other names, and where ``ezdxf`` is missing.
-    OSError
-
+    DrawingError for other names, and where ``ezdxf`` is missing; OSError.
     """
     require_kind(path)
     if path.suffix.lower() == '.dxf':

@@ -179,15 +179,8 @@ def shapes(mechanism, deflections, title):
     """
     Draw shapes of motion, each in a panel: one position strong, others pale behind it.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        The mechanism to draw.
-    deflections : dict of str to ndarray, shape (n, nq)
-        By the titles of the panels; the first position of each is the strong one.
-    title : str
-        Of the picture.
-
+    ``deflections``, by the titles of the panels, shape (n, nq); the first position of each is
+    strong.
     """
     columns = min(len(deflections), 3)
     rows = -(-len(deflections) // columns)
@@ -251,17 +244,9 @@ def over_drive(curves, label, title, common=()):
     """
     Draw curves over the drive, a panel a quantity.
 
-    Parameters
-    ----------
-    curves : dict of str to dict of str to tuple of 2 ndarrays, shape (n,)
-        By the quantity with its unit and by name: driven values and what belongs to them.
-    label : str
-        Driven coordinate, with its unit.
-    title : str
-        Of the picture.
-    common : sequence of str
-        Names of all panels, which one legend below them explains then.
-
+    ``curves``, by the quantity with its unit and by name: driven values and what belongs to them,
+    shape (n,) each; ``label``: the driven coordinate, with its unit; ``common``: names of all
+    panels, which one legend below them explains then.
     """
     figure, rows = _panels(len(curves), title)
     for axes, (quantity, values) in zip(rows[:, 0], curves.items()):
@@ -278,19 +263,10 @@ def over_drive(curves, label, title, common=()):
 
 def pareto_front(front, others, before, labels, title):
     """
-    Draw the machines' values of two objectives.
+    Draw the machines' values of two objectives, whose names are the labels.
 
-    Parameters
-    ----------
-    front, others : ndarray, shape (n, 2)
-        Both aims of the machines on the front, and of those that it is better than.
-    before : sequence of 2 floats, or None
-        Those of the machine as it was.
-    labels : sequence of 2 str
-        Names of the aims.
-    title : str
-        Of the picture.
-
+    ``front``, ``others``, shape (n, 2): both aims of the machines on the front, and of those that
+    it is better than; ``before``: those of the machine as it was, or None.
     """
     figure = matplotlib.figure.Figure(
         figsize=(8.0, 6.0), layout='constrained', dpi=DOTS_PER_INCH)
@@ -315,17 +291,8 @@ def overlaid_paths(paths, view, title, marked=()):
     """
     Draw the paths of points of several machines in one picture.
 
-    Parameters
-    ----------
-    paths : dict of str to dict of str to ndarray, shape (n, 2), in space (n, 3)
-        By machine and by point [m].
-    view : views.View
-        In which they are seen.
-    title : str
-        Of the picture.
-    marked : sequence of ndarray, shape (m, 2), in space (m, 3)
-        Places that are marked [m].
-
+    ``paths``, by machine and by point, shape (n, 2), in space (n, 3) [m], are seen in a view;
+    ``marked``: places that are marked [m], of such shapes.
     """
     figure = matplotlib.figure.Figure(
         figsize=(9.0, 7.0), layout='constrained', dpi=DOTS_PER_INCH)

@@ -22,26 +22,11 @@ GROUP = 'driven'
 
 def srdf(mechanism, states=None):
     """
-    Return the SRDF to the URDF of a mechanism.
+    Return the SRDF, as text, to the URDF of a mechanism.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Some of whose joints of the tree are driven.
-    states : dict of str to sequence, optional
-        Coordinates of the mechanism by name, shape (nq,), of which those of the driven joints
-        become states of their group [rad or m].
-
-    Returns
-    -------
-    str
-        XML.
-
-    Raises
-    ------
-    ValueError
-        Where no joint of the tree that has one number is driven.
-
+    ``states``: coordinates of the mechanism by name, shape (nq,), of which those of the driven
+    joints become states of their group [rad or m]. ValueError where no joint of the tree that has
+    one number is driven.
     """
     coordinates = mechanism.coordinates
     single = set(coordinates.single)

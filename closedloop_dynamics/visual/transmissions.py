@@ -35,18 +35,11 @@ LARGEST_RING, BELT_RADIUS = 6.0, 0.15
 
 def transmissions(mechanism):
     """
-    Return the wheels, racks and belts of the couplings of a mechanism.
+    Return the wheels, racks and belts of the couplings of a mechanism, three lists.
 
-    Couplings whose wheels would not touch, are on one axis or on skew ones have none; neither
-    have those without a ``radius`` between bodies with shapes of their own, as joints of robots
-    that mimic others.
-
-    Returns
-    -------
-    wheels : list of Wheel
-    racks : list of Rack
-    belts : list of Belt
-
+    Couplings whose wheels would not touch, are on one axis or on skew ones have none; neither have
+    those without a ``radius`` between bodies with shapes of their own, as joints of robots that
+    mimic others.
     """
     if not mechanism.couplings:
         return [], [], []
@@ -61,12 +54,8 @@ def outlines(mechanism):
     """
     Return the outlines of wheels, racks and belts, in the frames of bodies.
 
-    Returns
-    -------
-    list of tuple
-        Name of a body, places of a closed outline, shape (n, 2), in space (n, 3) [m], and whether
-        it is filled. That of a ring goes round its hole, too.
-
+    Of each: name of a body, places of a closed outline, shape (n, 2), in space (n, 3) [m], and
+    whether it is filled. That of a ring goes round its hole, too.
     """
     wheels, racks, belts = transmissions(mechanism)
     found = []

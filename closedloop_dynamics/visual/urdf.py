@@ -176,14 +176,9 @@ def _add_joint(robot, joint, size):
 
 def _chain(joint):
     """
-    Return the single joints of a joint of two or three coordinates, outward.
+    Return the single joints of a joint of two or three coordinates, outward; none of others.
 
-    Returns
-    -------
-    list of tuples
-        (link, (name, whether it slides, axis)) of each joint of one freedom in its place; empty
-        for other joints.
-
+    (link, (name, whether it slides, axis)) of each joint of one freedom in its place.
     """
     steps = {
         UNIVERSAL: (('.1', False, joint.axis), ('.2', False, joint.second_axis)),
