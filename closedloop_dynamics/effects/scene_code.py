@@ -10,8 +10,6 @@ under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
 """
 
-import numpy as np
-
 from .live_laws import COURSES, joints_of, LAWS, LiveLaws, shape
 from .smooth_laws import FORCE_TABLES
 from .table import (
@@ -26,7 +24,7 @@ from ..engine import native
 # Columns of EffectTable.values that only the code may depend on, of an effect's kind.
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
 _IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, TENDON)
-_NOT_IN_LANES = (*COURSES, *FORCE_TABLES, ACTUATOR, CABLE, CURVE_CONTACT, FACE_CONTACT)
+_NOT_IN_LANES = {*COURSES, *FORCE_TABLES, ACTUATOR, CABLE, CURVE_CONTACT, FACE_CONTACT}
 # Structures of the code behind addresses.
 _known = {}
 
@@ -108,7 +106,7 @@ def fit_lanes(table):
     cables are watched: each lane would do that by itself.
     """
     return bool(table.code.fits[0] and table.enabled.all() and not table.loaded[0]
-                and not len(table.cuts.index) and not np.isin(table.kind, _NOT_IN_LANES).any())
+                and not len(table.cuts.index) and _NOT_IN_LANES.isdisjoint(table.kind.tolist()))
 
 
 def addresses_in_lanes(model, tables):

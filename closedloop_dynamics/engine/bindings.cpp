@@ -39,6 +39,7 @@
 #include "routines.hpp"
 #include "sensitivity.hpp"
 #include "sticking.hpp"
+#include "stiffness.hpp"
 #include "switching.hpp"
 #include "validation.hpp"
 
@@ -247,6 +248,8 @@ const Entry entries[] = {
   entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
   released<evaluate_again, Length::STATE>("evaluate_again", "evaluate_again(system, state, count)"),
   entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
+  released<fastest_rate, Length::STATE, Length::STATE>(
+    "fastest_rate", "fastest_rate(system, state, start): of the motion in a state"),
   entry<stabilise, Length::ANY, Length::STATE>(
     "stabilise", "stabilise(system, stabilisation, state)"),
   entry<equations_suffice, Length::ANY, Length::STATE>(

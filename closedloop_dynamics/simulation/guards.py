@@ -33,8 +33,6 @@ STABILITY_LIMITS = {'semi_implicit_euler': 2.0, 'heun': 2.0, 'rk4': 2.78}
 # Error-controlled explicit methods stay stable by taking steps as small as it needs; more than
 # this many of them for one interval of the output grid is no simulation but a standstill.
 MOST_SMALL_STEPS = 3000.0
-PAIRS = 4
-DIFFERENCE = 1e-7
 
 # The energy balance is checked after so many steps at first, then half as often each time. With
 # methods of order 1 the error of the first steps is as large as the energy exchanged in them.
@@ -79,30 +77,18 @@ def fastest_rate(system, state, own=()):
         [1/s].
 
     """
-    *_, of_effects, _ = parts_of_state(system)
-    silent = np.ones(len(state), dtype=bool)
+    return native.fastest_rate(system.native, state, _direction(system, own))
+
+
+def _direction(system, own):
+    """Return any direction in which the motion may change, shape (ns,)."""
+    *_, of_effects, states = parts_of_state(system)
+    silent = np.ones(states, dtype=bool)
     silent[:of_effects.start] = False
     silent[of_effects.start + np.array(own, dtype=int)] = False
-    slope, moved = np.zeros_like(state), np.zeros_like(state)
-    native.derivative(system.native, state.copy(), slope)
-    direction = np.random.default_rng(0).normal(size=len(state))
+    direction = np.random.default_rng(0).normal(size=states)
     direction[silent] = 0.0
-
-    def turned(vector):
-        size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
-        native.derivative(system.native, state + size * vector, moved)
-        result = (moved - slope) / size
-        result[silent] = 0.0
-        return result
-
-    rate = 0.0
-    for _ in range(PAIRS):
-        norm = np.linalg.norm(direction)
-        if not (math.isfinite(norm) and norm > 0.0):
-            return rate
-        direction = turned(turned(direction / norm))
-        rate = math.sqrt(np.linalg.norm(direction))
-    return rate
+    return direction
 
 
 class EnergyGuard:
@@ -315,7 +301,8 @@ class StiffnessGuard:
 
     def __init__(self, system, method, own=()):
         integrator = INTEGRATORS[method.integrator]
-        self._system, self._name, self._own = system, method.integrator, own
+        self._system, self._name = system, method.integrator
+        self._start = _direction(system, own)
         self._fixed = integrator.kind == FIXED
         self.limit = STABILITY_LIMITS.get(
             method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
@@ -332,7 +319,7 @@ class StiffnessGuard:
 
     def rate(self, state):
         """Return the fastest rate of the motion in a state [1/s]."""
-        return fastest_rate(self._system, state, self._own)
+        return native.fastest_rate(self._system.native, state, self._start)
 
     def check(self, state, step_size):
         """

@@ -214,8 +214,10 @@ class _BatchRunner:
     def _side_by_side(self, samples, results):
         """Return records of samples run in the lanes of a vector, by number; none where not."""
         starts = self._starts(samples)
-        if not starts or not all(fits_simd(start.simulation, self._schedule)
-                                 for start in starts.values()):
+        # One simulation may make all of them.
+        simulations = {id(start.simulation): start.simulation for start in starts.values()}
+        if not starts or not all(
+                fits_simd(one, self._schedule) for one in simulations.values()):
             return {}
         together = self._together()
         room = None
