@@ -17,12 +17,7 @@ def with_all_equations(model):
     """
     Return a model with the equations, too, that the elimination leaves out.
 
-    Returns
-    -------
-    Model
-        For dense matrices: it has no room for a block elimination. Itself where nothing is left
-        out.
-
+    For dense matrices: it has no room for a block elimination. Itself where nothing is left out.
     """
     if (model.cut[:, KEPT] == model.cut[:, POSSIBLE]).all():
         return model
@@ -107,22 +102,7 @@ class Equations:
             self._connected = structure
 
     def move(self, q, qd=None):
-        """
-        Set the state.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Coordinates.
-        qd : ndarray, shape (nv,), optional
-            Rates; none when not given.
-
-        Returns
-        -------
-        Equations
-            Itself.
-
-        """
+        """Set the state, coordinates and rates, zero when not given; return itself."""
         self._connect()
         self._q[:], self._qd[:] = q, 0.0 if qd is None else qd
         self._move()
@@ -130,14 +110,7 @@ class Equations:
         return self
 
     def closures(self):
-        """
-        Return psi, J qd and Jdot qd, in the mechanism's order.
-
-        Returns
-        -------
-        ndarray, shape (3, nc)
-
-        """
+        """Return psi, J qd and Jdot qd, in the mechanism's order, shape (3, nc)."""
         self._close()
         return np.array([self.work.closure, self.work.closure_rate, self.work.bias])[
             :, self._order]
@@ -149,24 +122,12 @@ class Equations:
 
     def closed(self, q, free, error, limit):
         """
-        Return coordinates that close the loops, where that is plain.
+        Return coordinates that close the loops, given some that nearly do, where that is plain.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Nearly closing them.
-        free : ndarray of int
-            Freedoms that may change, by the least in the mass metric.
-        error : float
-            Closure error that counts as closed [m or rad].
-        limit : float
-            Most that one correction changes a coordinate [m or rad].
-
-        Returns
-        -------
-        ndarray, shape (nq,), or None
-            None where they do not close, or equations may depend on one another on the way.
-
+        ``free``: freedoms that may change, by the least in the mass metric; ``error``: closure
+        error that counts as closed; ``limit``: the most that one correction changes a coordinate
+        [m or rad]. None where they do not close, or equations may depend on one another on the
+        way.
         """
         self._connect()
         self._closed[:], self._jacobian = q, None
@@ -175,28 +136,14 @@ class Equations:
         return self._closed.copy()
 
     def jacobian(self):
-        """
-        Return J = d psi / d q.
-
-        Returns
-        -------
-        ndarray, shape (nc, nv)
-
-        """
+        """Return J = d psi / d q, shape (nc, nv)."""
         if self._jacobian is None:
             self._jacobian = np.zeros((self.nc, self.nv))
             native.constraint_jacobian(self.model, self.work, self._jacobian)
         return self._jacobian
 
     def inertia(self):
-        """
-        Return the generalized inertia matrix of the spanning tree.
-
-        Returns
-        -------
-        ndarray, shape (nv, nv)
-
-        """
+        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
         gim = np.zeros((self.nv, self.nv))
         native.generalized_inertia_matrix(self.model, self.work, gim)
         # That has used up the bodies' own inertias.
@@ -204,35 +151,18 @@ class Equations:
         return gim
 
     def energies(self):
-        """
-        Return kinetic energy, and potential energy in gravity, zero at the world's origin [J].
-
-        Returns
-        -------
-        tuple of 2 floats
-
-        """
+        """Return kinetic energy, and that in gravity, zero at the world's origin [J]."""
         found = np.zeros(2)
         native.energies(self.model, self.work, self._qd, found)
         return float(found[0]), float(found[1])
 
     def cut_wrenches(self, lam, body):
         """
-        Return the wrench of body B on body A at each cut joint.
+        Return the wrench of body B on body A at each cut joint, shape (number of cuts, 3 or 6).
 
-        Parameters
-        ----------
-        lam : ndarray, shape (nc,)
-            Multipliers of all equations.
-        body : ndarray
-            As ``Workspace.body``; only poses are read.
-
-        Returns
-        -------
-        ndarray, shape (number of cuts, 3 or 6)
-            Moment, then force, at the cut point of A, in world axes, in the mechanism's order
-            [N m, N].
-
+        Moment, then force, at the cut point of A, in world axes, in the mechanism's order [N m,
+        N], of the multipliers of all equations; of ``body``, as ``Workspace.body``, only poses are
+        read.
         """
         model, work = self.model, self.work
         found = np.empty((len(model.cut), work.wrench.shape[1]))

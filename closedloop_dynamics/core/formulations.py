@@ -48,19 +48,9 @@ class DenseWorkspace(NamedTuple):
 
 def allocate_dense(model, formulation):
     """
-    Allocate the arrays of one dense formulation.
+    Allocate the arrays of one dense formulation, ``SYSTEM`` or ``AUGMENTED``.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    formulation : int
-        ``SYSTEM`` or ``AUGMENTED``; for ``SUBSYSTEM`` arrays have no length.
-
-    Returns
-    -------
-    DenseWorkspace
-
+    For ``SUBSYSTEM`` arrays have no length.
     """
     nv, nc = (0, 0) if formulation == SUBSYSTEM else (len(model.tree) - 1, len(model.column) - 1)
     both = nv + nc if formulation == AUGMENTED else 0

@@ -42,17 +42,7 @@ class Partition(NamedTuple):
 
 
 def allocate_partition(model, used=True):
-    """
-    Allocate a partition, no set chosen yet.
-
-    Parameters
-    ----------
-    model : Model
-        Of the mechanism.
-    used : bool
-        Where not, arrays have no length.
-
-    """
+    """Allocate a partition, no set chosen yet; arrays have no length where it is not used."""
     nv, nc = (len(model.tree) - 1, len(model.column) - 1) if used else (0, 0)
     return Partition(
         order=np.arange(nv), jac=np.zeros((nc, nv)), scaled=np.zeros((nc, nv)),
@@ -61,14 +51,6 @@ def allocate_partition(model, used=True):
 
 
 def forget(partition):
-    """
-    Make a partition one that has not been chosen yet.
-
-    Parameters
-    ----------
-    partition : Partition
-        Changed in place.
-
-    """
+    """Make a partition one that has not been chosen yet, in place."""
     partition.order[:] = np.arange(len(partition.order))
     partition.record[:] = 0.0

@@ -43,15 +43,7 @@ class Manifold(NamedTuple):
 
 
 def manifold_of(model):
-    """
-    Return the table of a model's quaternions.
-
-    Returns
-    -------
-    Manifold or None
-        None where there are no quaternions.
-
-    """
+    """Return the table of a model's quaternions, None where there are none."""
     rows = model.tree[1:]
     turns = rows[:, TYPE] == BALL
     if not turns.any():
@@ -65,21 +57,7 @@ def manifold_of(model):
 
 
 def weights(manifold, nv):
-    """
-    Return the weights of errors by component: 2 for those of quaternions, 1 for others.
-
-    Parameters
-    ----------
-    manifold : Manifold or None
-        Of the mechanism.
-    nv : int
-        Number of rates.
-
-    Returns
-    -------
-    ndarray, shape (nq,)
-
-    """
+    """Return the weights of errors by component, (nq,): 2 for those of quaternions, else 1."""
     found = np.ones(nv if manifold is None else nv + len(manifold.balls))
     if manifold is not None:
         for first in manifold.balls[:, QUATERNION]:

@@ -241,12 +241,5 @@ class Workspace(NamedTuple):
 
 
 def number_of_coordinates(model):
-    """
-    Return nq: the length of q; nv, and one more for each spherical joint.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return nq: the length of q; nv, and one more for each spherical joint."""
     return len(model.tree) - 1 + int(np.count_nonzero(model.tree[:, TYPE] == BALL)) // 3

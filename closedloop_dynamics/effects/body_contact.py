@@ -56,13 +56,7 @@ def damping(restitution, rate):
     """
     Return the damping c with which an impact at a rate has a coefficient of restitution.
 
-    Parameters
-    ----------
-    restitution : float
-        More than 0, at most 1.
-    rate : float
-        Of the impact [m/s].
-
+    It is more than 0, at most 1; the rate in m/s.
     """
     if restitution == 1.0:
         return 0.0

@@ -39,17 +39,7 @@ def require_joint_or_point(record, wanted):
     """
     Refuse a record of neither a joint nor a point, or of both, and a point without a direction.
 
-    Parameters
-    ----------
-    record : object
-        With ``joint``, ``point`` and ``direction``, None where not given.
-    wanted : str
-        Of the direction.
-
-    Raises
-    ------
-    FieldError
-
+    ``wanted``: that of the direction. FieldError.
     """
     if (record.joint is None) == (record.point is None):
         raise FieldError('either joint or point', 'neither' if record.joint is None else 'both',
@@ -65,17 +55,8 @@ def require_keys(record, shapes=SHAPES):
     """
     Refuse keys that the shape of a course does not have, and miss those that it needs.
 
-    Parameters
-    ----------
-    record : object
-        With the keys of all shapes as attributes, None where not given.
-    shapes : dict of str to pair of tuples of str
-        Required and optional keys by shape.
-
-    Raises
-    ------
-    FieldError
-
+    Of a record with the keys of all shapes as attributes, None where not given; ``shapes``:
+    required and optional keys by shape. FieldError.
     """
     required, optional = shapes[record.shape]
     for key in required:
@@ -90,21 +71,9 @@ def require_keys(record, shapes=SHAPES):
 
 def pieces(record):
     """
-    Return the pieces of a course.
+    Return the pieces of a course, rows of COLUMNS floats, of a record with its shape and keys.
 
-    Parameters
-    ----------
-    record : object
-        With shape and keys of the course, checked.
-
-    Returns
-    -------
-    tuple of tuples of COLUMNS floats
-
-    Raises
-    ------
-    FieldError
-
+    FieldError.
     """
     if record.shape == 'constant':
         return (piece(0.0, record.amplitude),)
@@ -116,19 +85,7 @@ def pieces(record):
 
 
 def piece(start, *coefficients, wave=(0.0, 0.0, 0.0)):
-    """
-    Return a piece.
-
-    Parameters
-    ----------
-    start : float
-        [s].
-    *coefficients : float
-        c0, c1, ...; zero where not given.
-    wave : tuple of 3 floats
-        a, w, p.
-
-    """
+    """Return a piece: start [s], coefficients c0, c1, ..., and a wave a, w, p; zero by default."""
     return (start, *coefficients, *(COEFFICIENTS - len(coefficients)) * (0.0,), *wave)
 
 
@@ -139,17 +96,10 @@ def wave(record):
 
 def ramps(record, low, ramp):
     """
-    Return the pieces of a rise, a rest on top where there is one, and a fall.
+    Return the pieces of a rise from ``low``, a rest on top where there is one, and a fall.
 
-    Parameters
-    ----------
-    record : object
-        With the keys of a trapezoid or cycloid.
-    low : float
-        Where it rises from.
-    ramp : callable
-        Returns the pieces of a rise, of its start, duration, level and height.
-
+    The record has the keys of a trapezoid or cycloid; ``ramp`` returns the pieces of a rise, of
+    its start, duration, level and height.
     """
     fall = record.rise if record.fall is None else record.fall
     found, now = [piece(0.0, low)], record.start or 0.0
@@ -183,14 +133,7 @@ def ramp(start, duration, level, height, shape):
 
 
 def require_table(record):
-    """
-    Return times and values of a table and its period; refuse anything else.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Return times and values of a table and its period; raise FieldError for anything else."""
     times, values, period = np.array(record.times), np.array(record.values), record.period
     if len(times) < 2:
         raise FieldError('two times or more', f'{len(times)}', path=('times',))
@@ -244,19 +187,7 @@ def _without_empty(found, period):
 
 
 def present(found, period, time):
-    """
-    Return which piece is the present one, counted on through all periods.
-
-    Parameters
-    ----------
-    found : tuple of tuples
-        Of ``pieces``.
-    period : float or None
-        [s].
-    time : float
-        [s].
-
-    """
+    """Return which of the pieces is the present one, counted on through all periods [s]."""
     time += SAME_TIME * max(1.0, abs(time))
     cycle = 0 if period is None else math.floor(time / period)
     inside = time if period is None else time - cycle * period

@@ -29,27 +29,11 @@ SHALLOW = 1e-9
 
 def pieces(x, y, closed, interpolation, hollow):
     """
-    Return the pieces of a curve through points.
+    Return the pieces, rows of COLUMNS floats, of a curve through points in the body's frame [m].
 
-    Parameters
-    ----------
-    x, y : sequence of floats
-        In the body's frame [m]; the first point of a closed curve is not repeated.
-    closed : bool
-        Whether it ends where it begins.
-    interpolation : str
-        ``'linear'`` or ``'cubic'``.
-    hollow : bool
-        Whether the inside of a closed curve is free; for an open one, whether its right is.
-
-    Returns
-    -------
-    tuple of tuples of COLUMNS floats
-
-    Raises
-    ------
-    FieldError
-
+    A closed curve ends where it begins; its first point is not repeated. ``interpolation``:
+    ``'linear'`` or ``'cubic'``; ``hollow``: whether the inside of a closed curve is free, of an
+    open one its right. FieldError.
     """
     points = _checked_points(x, y, closed)
     if closed:
@@ -77,11 +61,7 @@ def radii_of(text):
     """
     Return the radii at POLAR_POINTS even angles of an expression in the angle ``a`` [rad].
 
-    Raises
-    ------
-    FieldError
-        Where it is none, or not positive everywhere.
-
+    FieldError where it is none, or not positive everywhere.
     """
     return tuple(positive(Parameters({'a': angle}).evaluated(text))
                  for angle in 2.0 * np.pi * np.arange(POLAR_POINTS) / POLAR_POINTS)

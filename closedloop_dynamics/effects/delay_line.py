@@ -18,19 +18,10 @@ class DelayLine:
 
     def order(self, time, tau, delays, present):
         """
-        Add a command.
+        Add a command, joint torques of shape (nv,), given at a time [s].
 
-        Parameters
-        ----------
-        time : float
-            When it is given [s].
-        tau : ndarray, shape (nv,)
-            Joint torques.
-        delays : dict of int to float
-            Delay [s] of every joint that has one.
-        present : ndarray, shape (nv,)
-            The torques acting so far.
-
+        ``delays`` [s] are those of every joint that has one; ``present`` are the torques acting so
+        far.
         """
         ordered = present.copy()
         for _, joint, value in sorted(self.pending):
@@ -39,17 +30,7 @@ class DelayLine:
             self.pending.append((time + delays.get(int(joint), 0.0), int(joint), tau[joint]))
 
     def due(self, time, tolerance, present):
-        """
-        Return the torques that act from a time on, shape (nv,).
-
-        Parameters
-        ----------
-        time, tolerance : float
-            [s].
-        present : ndarray, shape (nv,)
-            The torques acting so far.
-
-        """
+        """Return the torques that act from a time on, given those acting so far, shape (nv,)."""
         acting = present.copy()
         for item in sorted(self.pending):
             if item[0] <= time + tolerance:

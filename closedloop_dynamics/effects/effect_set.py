@@ -28,14 +28,7 @@ from ..mechanism.fields import at, FieldError, keys_of, mapping
 
 
 def require_one_drive_each(records):
-    """
-    Refuse two drives of one joint, of which each would replace the command or the motion.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Refuse two drives of one joint: each would replace the command or the motion; FieldError."""
     drives, moved = {}, {}
     for name, record in records.items():
         motion = record.motion('')
@@ -115,15 +108,7 @@ class EffectSet:
         self.restart()
 
     def bind(self, system):
-        """
-        Adopt the table that a system was built with from ``elements``, and keep it up to date.
-
-        Returns
-        -------
-        EffectTable
-            Empty where there are none.
-
-        """
+        """Adopt the table that a system was built with from ``elements``, and keep it in line."""
         self._table, self._system = system.effects, system
         self._linked = joint_kernels.structure(self._model)
         # What the code of the scene is of, on whatever equations it works.
@@ -221,20 +206,9 @@ class EffectSet:
         """
         Adopt the numbers of other records of the same effects, and of other bodies.
 
-        Parameters
-        ----------
-        mechanism : Mechanism
-            That differs from the present one in masses alone.
-        records : dict of str to Effect
-            That fit it.
-        weigh : callable
-            Writes its masses into rows of ``Model.body``.
-
-        Returns
-        -------
-        bool
-            False where there is no room for these numbers; nothing has changed then.
-
+        The mechanism differs from the present one in masses alone, which ``weigh`` writes into
+        rows of ``Model.body``. Returns False where there is no room for these numbers; nothing has
+        changed then.
         """
         # As when the scene is loaded.
         self._machine.decided = frozenset()
@@ -273,21 +247,9 @@ class EffectSet:
 
     def checked(self, name, enabled, parameters):
         """
-        Return the record that a change would give, or refuse the change.
+        Return the record that a change would give, or refuse the change with FieldError.
 
-        Parameters
-        ----------
-        name : str
-            Of a listed effect.
-        enabled : bool or None
-            None leaves it as it is.
-        parameters : dict
-            New values by the effect's keys.
-
-        Raises
-        ------
-        FieldError
-
+        None as ``enabled`` leaves that as it is; parameters are new values by the effect's keys.
         """
         with at('effects'):
             one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
@@ -319,28 +281,13 @@ class EffectSet:
         """
         Switch an effect, or change its parameters; nothing changes where anything is refused.
 
-        Returns
-        -------
-        ndarray of int
-            Places of the own states that restart.
-
-        Raises
-        ------
-        FieldError
-
+        Returns the places of the own states that restart. FieldError.
         """
         record = self.checked(name, enabled, parameters)
         return self.put(name, record, self.enabled[name] if enabled is None else enabled)
 
     def put(self, name, record, enabled):
-        """
-        Put a record that fits in the place of an effect; see ``change``.
-
-        Returns
-        -------
-        ndarray of int
-
-        """
+        """Put a record that fits in the place of an effect; see ``change``."""
         was = self.enabled[name]
         self.records[name], self.enabled[name] = record, enabled
         self._update()
@@ -362,21 +309,7 @@ class EffectSet:
         self.sensors_at_cuts.forget()
 
     def rates(self, q, qd):
-        """
-        Return the rates of all joints, behind them those of cut joints that anything acts in.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-        qd : ndarray, shape (nv,)
-            Rates.
-
-        Returns
-        -------
-        ndarray, shape (nv + nk,)
-
-        """
+        """Return the rates of all joints, behind them of cut joints that anything acts in."""
         if self.cuts is None:
             return qd
         cuts, nv = self._table.cuts, len(qd)
@@ -395,17 +328,7 @@ class EffectSet:
                 states[row[FOLLOWED]] = cuts.q[len(cuts.q) - len(cuts.index) + k]
 
     def begin_angle(self, name, angle):
-        """
-        Set the turn count of a cut joint's angle: within half a turn of another angle.
-
-        Parameters
-        ----------
-        name : str
-            Of the cut joint.
-        angle : float
-            [rad].
-
-        """
+        """Set the turn count of a cut joint's angle: within half a turn of another one [rad]."""
         if name in self._machine.cuts:
             place = self.cuts[0][self._machine.cuts.index(name), FOLLOWED]
             if place >= 0:
@@ -441,14 +364,9 @@ class EffectSet:
 
     def energies(self):
         """
-        Return the energies of the effects at the latest evaluation [J].
+        Return kinetic and stored energy of the effects at the latest evaluation [J].
 
-        Returns
-        -------
-        kinetic, stored : float
-            Kinetic energy of what is reflected at cut joints and along tendons, and what all
-            others store.
-
+        Kinetic is that of what is reflected at cut joints and along tendons.
         """
         if not len(self._table.kind):
             return 0.0, 0.0
@@ -458,13 +376,9 @@ class EffectSet:
 
     def hold_inertia(self, accelerations):
         """
-        Set the forces of reflected inertia for given accelerations, or restore its own.
+        Set the forces of reflected inertia for given accelerations, or (None) restore its own.
 
-        Parameters
-        ----------
-        accelerations : ndarray, shape (nv + nk,) or None
-            Of the joints, those of cut joints behind.
-
+        Shape (nv + nk,): of the joints, those of cut joints behind.
         """
         for row in np.flatnonzero(self._table.kind == REFLECTED_INERTIA):
             self._table.sticking.hold[row] = 0.0 if accelerations is None else (
@@ -497,14 +411,7 @@ class EffectSet:
                 if self.enabled[name] and isinstance(self.records[name], TracedEffect)]
 
     def require_finite(self):
-        """
-        Refuse laws of users that have no finite value in the state that was evaluated.
-
-        Raises
-        ------
-        FieldError
-
-        """
+        """Refuse laws of users that have no finite value in the state that was evaluated."""
         for name in self.traced:
             row = self._rows.index(name)
             first = self._table.index[row, STATE]
@@ -515,13 +422,9 @@ class EffectSet:
 
     def winding_places(self):
         """
-        Return where effects' data have how far cables are wound round pulleys.
+        Return where effects' data have how far cables are wound round pulleys, by cable and point.
 
-        Returns
-        -------
-        dict of (str, str) to int
-            By cable and point, of those that are switched on; the radius stands before each.
-
+        Of those that are switched on; the radius stands before each.
         """
         found = {}
         for row, (name, element) in enumerate(zip(self._rows, self.elements)):
@@ -532,15 +435,7 @@ class EffectSet:
         return found
 
     def windings(self):
-        """
-        Return how far cables are wound round pulleys at the latest evaluation.
-
-        Returns
-        -------
-        dict of (str, str) to float
-            By cable and point [rad].
-
-        """
+        """Return how far cables are wound round pulleys [rad], by cable and point."""
         data = self._table.data
         return {pulley: float(data[place] / abs(data[place - 1]))
                 for pulley, place in self.winding_places().items()}
@@ -573,13 +468,8 @@ class EffectSet:
         """
         Return which effects feel reactions of joints.
 
-        Returns
-        -------
-        places : ndarray of int
-            Of these reactions among the states.
-        rows : ndarray of int
-            In the table, where column 2 of ``output`` has the present ones.
-
+        Places of these reactions among the states, and rows in the table, where column 2 of
+        ``output`` has the present ones.
         """
         rows = np.flatnonzero(self._table.index[:, LOADED])
         return self._table.index[rows, STATE] + 1, rows

@@ -71,15 +71,7 @@ class EnergyBalance:
             roles.astype(np.int64), np.zeros(freedoms), np.zeros(COLUMNS))
 
     def restart(self, q):
-        """
-        Begin at a state; its energy is evaluated when first needed.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nv + nk,)
-            Coordinate of each freedom.
-
-        """
+        """Begin at a state, coordinates by freedom; its energy is evaluated when first needed."""
         _, since, numbers = self.account
         since[:], numbers[:] = q, 0.0
         numbers[REFERENCE] = math.nan
@@ -98,13 +90,8 @@ class EnergyBalance:
         """
         Exclude the energy of a change from outside from the balance.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nv + nk,)
-            Coordinate of each freedom after it.
-        energy : float
-            Kinetic and stored energy after it less before [J].
-
+        ``q``: coordinate of each freedom after it; ``energy``: kinetic and stored energy after it
+        less before [J].
         """
         self.account.since[:] = q
         self.account.numbers[REFERENCE] += energy

@@ -98,10 +98,7 @@ def program(text):
     """
     Return an expression as one entry of the table: number of operations, these, room for a stack.
 
-    Raises
-    ------
-    FieldError
-
+    FieldError.
     """
     return _program(_term(text), text)
 
@@ -110,11 +107,7 @@ def programs(text):
     """
     Return an expression, its first and its second derivative, each as ``program`` does.
 
-    Raises
-    ------
-    FieldError
-        Where it is none, or has corners that no derivative tells.
-
+    FieldError where it is none, or has corners that no derivative describes.
     """
     terms = [_term(text)]
     for _ in range(2):

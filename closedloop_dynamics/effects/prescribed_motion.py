@@ -218,28 +218,11 @@ class PrescribedMotion(Effect):
         """
         Return the keys of another course, from the present state on through points.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        start : float
-            Where the joint or point starts in the scene [rad; m].
-        times, values : sequence of float
-            Of the points, the first not before now, and growing [s], [rad; m].
-        rates, accelerations : sequence of float or None
-            At the points [rad/s; m/s], [rad/s^2; m/s^2]; without rates those of the cubic spline
-            through the points, at rest at the last one.
-
-        Returns
-        -------
-        dict of str to tuple of floats
-
-        Raises
-        ------
-        FieldError
-            For points in the past, for those that are no numbers, and for jumps away from the
-            present state.
-
+        ``now``: the time [s]; ``start``: where the joint or point starts in the scene; ``times``,
+        ``values``: of the points, the first not before now, and growing [s], [rad; m]; rates and
+        accelerations at the points or None: without rates those of the cubic spline through the
+        points, at rest at the last one. FieldError for points in the past, for those that are no
+        numbers, and for jumps away from the present state.
         """
         if self.shape != COMMANDED:
             raise FieldError(f'a motion of the shape {COMMANDED}, which follows commands',
@@ -286,15 +269,9 @@ class PrescribedMotion(Effect):
 
     def at(self, time, start=0.0):
         """
-        Return where the motion is, its rate and its acceleration, shape (3,).
+        Return where the motion is at a time [s], its rate and its acceleration, shape (3,).
 
-        Parameters
-        ----------
-        time : float
-            [s].
-        start : float
-            Where the joint or point starts in the scene [rad; m].
-
+        ``start``: where the joint or point starts in the scene [rad; m].
         """
         held = np.zeros((1, 3))
         table = build_table(

@@ -31,20 +31,9 @@ _known = {}
 
 def structure(model, table):
     """
-    Return the key of the code of a scene, beside its mechanism.
+    Return the key of the code of a scene with a table of effects, beside its mechanism.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    table : EffectTable
-        Its effects.
-
-    Returns
-    -------
-    tuple or None
-        None where an effect has no law on symbols.
-
+    None where an effect has no law on symbols.
     """
     kinds = table.kind.tolist()
     balls = set(model.tree[model.tree[:, TYPE] == BALL, DOF].tolist())
@@ -59,20 +48,10 @@ def structure(model, table):
 
 def link(model, table, functions, scene=None):
     """
-    Give a function table the evaluation of a scene, if there is one.
+    Give a function table the evaluation of a scene with a table of effects, if there is one.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    table : EffectTable
-        Its effects.
-    functions : ndarray of int
-        The function table.
-    scene : tuple, optional
-        Structure that the effects had when code was generated; where they have another one now,
-        there is no evaluation until they have this one again.
-
+    ``scene``: structure that the effects had when code was generated; where they have another one
+    now, there is no evaluation until they have this one again.
     """
     key = structure(model, table)
     functions[list(calls.OF_SCENE)] = 0
@@ -113,18 +92,8 @@ def addresses_in_lanes(model, tables):
     """
     Return the addresses of the evaluations of a scene in the lanes of a vector.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of one of the mechanisms.
-    tables : sequence of EffectTable
-        That ``fit_lanes``, one for each lane.
-
-    Returns
-    -------
-    dict of int to int, or None
-        By places of the function table. None where they are not of one structure.
-
+    By places of the function table, for one of the models and tables that ``fit_lanes``, one for
+    each lane; None where they are not of one structure.
     """
     first = tables[0]
     key = structure(model, first)

@@ -63,14 +63,7 @@ class Sensor(Effect):
                              path=('seed',))
 
     def fit(self, mechanism):
-        """
-        Refuse joints with orientations: readings are numbers, one for each degree of freedom.
-
-        Raises
-        ------
-        FieldError
-
-        """
+        """Refuse joints with orientations: readings are one number for each degree of freedom."""
         if len(mechanism.coordinates.balls):
             raise FieldError(
                 'a mechanism without spherical and free joints in its tree, as sensors measure '
@@ -110,21 +103,7 @@ class Chain:
         self._time = None
 
     def measure(self, time, position, velocity):
-        """
-        Return the reading of a state; the same again for the same time.
-
-        Parameters
-        ----------
-        time : float
-            [s].
-        position, velocity : ndarray, shape (nv,)
-            The true ones.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (nv,)
-
-        """
+        """Return the reading of a true state, shape (nv,); the same again for the same time."""
         if not self.instruments:
             return position, velocity
         if time != self._time:
@@ -150,30 +129,13 @@ class Instrument:
         return self._record.delay > 0.0
 
     def show(self, time, position, velocity):
-        """
-        Record the true state.
-
-        Parameters
-        ----------
-        time : float
-            [s].
-        position, velocity : ndarray, shape (nv,)
-            Kept; not to be changed by the caller.
-
-        """
+        """Record the true state at a time [s]; arrays of shape (nv,) are kept, not copied."""
         self._past.append((time, position, velocity))
         while len(self._past) > 2 and self._past[1][0] <= time - self._record.delay:
             self._past.popleft()
 
     def read(self):
-        """
-        Return the reading at the latest time recorded.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (nv,)
-
-        """
+        """Return position and velocity read at the latest time recorded, shape (nv,) each."""
         record, past = self._record, self._past
         wanted = past[-1][0] - record.delay
         position, velocity = past[0][1:]

@@ -135,27 +135,10 @@ def _spatial_force(forces, body, _, values, __):
 
 def push_along(forces, size, body, values, force):
     """
-    Apply a prescribed force at a point of a body, in a space of two or three dimensions.
+    Apply a prescribed force [N] at a point of a body, in space (3) or the plane (2).
 
-    Parameters
-    ----------
-    forces : core.codegen.scene_routines.Forces
-        To which it is added.
-    size : int
-        Of the space.
-    body : int
-        Its row.
-    values : sequence
-        Numbers of the effect: from the third on the point, the direction, and whether this is of
-        the body's axes (positive).
-    force : number
-        Present one [N].
-
-    Returns
-    -------
-    number
-        The power.
-
+    ``body`` is its row; ``values``: numbers of the effect: from the third on the point, the
+    direction, and whether this is of the body's axes (positive). Returns the power.
     """
     offset = forces.turned(body, values[2:2 + size])
     direction = _turned(

@@ -200,15 +200,8 @@ def _allocate_cuts(index, values, nv, bodies):
     """
     Allocate the joint values that laws read.
 
-    Parameters
-    ----------
-    index, values : ndarray
-        As ``CutCoordinates`` has them.
-    nv : int
-        Number of rates of the tree.
-    bodies : int
-        Number of rows of bodies.
-
+    ``index``, ``values`` as ``CutCoordinates`` has them; ``nv`` rates of the tree, ``bodies``
+    rows.
     """
     total, planar = nv + len(index), bool(index[:, IN_PLANE].all())
     return CutCoordinates(index, values, *(np.zeros(total) for _ in range(4)),
@@ -284,17 +277,7 @@ def states_of(elements, cuts=None):
     """
     Return the states that effects add: their own, then angles of cut joints that are followed.
 
-    Parameters
-    ----------
-    elements : sequence of ForceElement
-        In the order of the scene.
-    cuts : tuple of 2 ndarrays, optional
-        As for ``build_table``; where the angles are followed is written.
-
-    Returns
-    -------
-    list of State
-
+    ``cuts`` are as for ``build_table``; where the angles are followed is written.
     """
     states = [state for element in elements for state in element.states]
     for row in () if cuts is None else cuts[0]:

@@ -53,20 +53,9 @@ FORCES_OVER_TIME = {
 
 def refused(effects, instant=False):
     """
-    Return which effects have no law here, and why.
+    Return which effects have no law here, and why, by the names of those switched on.
 
-    Parameters
-    ----------
-    effects : EffectSet
-        Of a scene.
-    instant : bool
-        Whether the time is held.
-
-    Returns
-    -------
-    dict of str to str
-        Reasons by the names of effects that are switched on.
-
+    ``instant``: whether the time is held.
     """
     found = {}
     for name, element in effects.by_name.items():
@@ -87,17 +76,10 @@ def refused(effects, instant=False):
 
 def act(table, forces, laws=None):
     """
-    Apply effects.
+    Apply the effects of a table, or of None, to forces.
 
-    Parameters
-    ----------
-    table : EffectTable or None
-        Its kinds and indices are read; numbers are the forces' symbols.
-    forces : core.codegen.scene_routines.Forces
-        What they do is added there.
-    laws : dict of int to traced_effect.Tracing, optional
-        Laws of users, by rows; where their points are is no input.
-
+    Kinds and indices of the table are read; numbers are the forces' symbols. ``laws``: those of
+    users, by rows; where their points are is no input.
     """
     if table is None:
         return
@@ -127,18 +109,7 @@ def constants_of(table, row):
     """
     Return the numbers of a row's entries, which are constants of the code.
 
-    Parameters
-    ----------
-    table : EffectTable
-        Of a scene.
-    row : int
-        Of an effect.
-
-    Returns
-    -------
-    list of float
-        Of a tendon behind how many joints and coefficients there are, of which kind.
-
+    Of a tendon behind how many joints and coefficients there are, of which kind.
     """
     found = entries_of(table, row).tolist()
     if table.kind[row] != TENDON:

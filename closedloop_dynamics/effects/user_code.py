@@ -16,18 +16,9 @@ _defined = {}
 
 def run_code(path):
     """
-    Run a Python file, once in a process.
+    Run a Python file, once in a process; relative paths begin where the process works.
 
-    Parameters
-    ----------
-    path : path-like
-        Relative ones begin where the process works.
-
-    Raises
-    ------
-    ValueError
-        Where it fails, with the path and what it raised.
-
+    ValueError where it fails, with the path and what it raised.
     """
     path = Path(path).resolve()
     if path not in _defined:

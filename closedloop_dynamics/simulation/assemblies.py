@@ -88,28 +88,11 @@ def _in_words(found, count):
 
 def find_assemblies(mechanism, equations, values, start):
     """
-    Find the assemblies of a driven mechanism.
+    Find the assemblies of a mechanism whose ``motions`` are driven, as ``Assembled``.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Its ``motions`` are what is driven.
-    equations : core.equations.Equations
-        Of it; the driven values are written into its model.
-    values : sequence of float
-        Driven values [rad or m].
-    start : ndarray, shape (nq,)
-        A position of the mechanism; those found by random starts begin with it.
-
-    Returns
-    -------
-    Assembled
-
-    Raises
-    ------
-    ValueError
-        Where less is driven than there are degrees of freedom.
-
+    The driven ``values`` [rad or m] are written into the model of its equations; the positions
+    found by random starts begin with ``start``, shape (nq,). ValueError where less is driven than
+    there are degrees of freedom.
     """
     unit = np.where(mechanism.coordinates.lengths, extent(mechanism), 1.0)
     needed, free, _ = drives_needed(
@@ -197,26 +180,13 @@ def drives_needed(mechanism, jacobian, unit, position):
     """
     Return the number of driven values that determine a mechanism, and free displacements.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Its ``motions`` are what is driven.
-    jacobian : ndarray, shape (n, nv)
-        Of the loops and the driving equations at the position, by scaled displacements.
-    unit : ndarray, shape (nv,)
-        Factors of these [rad or m].
-    position : ndarray, shape (nq,)
-        Closing the loops.
+    Its ``motions`` are what is driven; ``jacobian``, shape (n, nv), is that of the loops and the
+    driving equations at the closed ``position``, shape (nq,), by scaled displacements, whose
+    factors are ``unit``, shape (nv,) [rad or m].
 
-    Returns
-    -------
-    needed : int
-        Degrees of freedom at and near the position, without idle ones.
-    free : ndarray, shape (n, nv)
-        Scaled displacements with the driven values at rest, idle ones left out.
-    idle : ndarray, shape (n, nv)
-        Those that only turn rods between ball or universal joints about themselves.
-
+    Returns the degrees of freedom at and near the position, without idle ones; scaled
+    displacements with the driven values at rest, shape (n, nv), without idle ones; and those that
+    only turn rods between ball or universal joints about themselves.
     """
     loops = replace(mechanism, motions=())
     freedoms = Assembler(loops, Geometry(loops).equations).degrees_of_freedom(position)
@@ -268,15 +238,7 @@ def marked_places(mechanism, geometry, position):
     """
     Return where joints, cut points and named points of moving bodies are, shape (n, 2 or 3) [m].
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Any.
-    geometry : Geometry
-        Of it.
-    position : ndarray, shape (nq,)
-        Joint coordinates.
-
+    ``geometry`` is that of the mechanism, ``position`` has the shape (nq,).
     """
     points = [(joint.parent, joint.position) for joint in mechanism.joints]
     points += [(joint.child, np.zeros(len(joint.position))) for joint in mechanism.joints]

@@ -103,15 +103,10 @@ class Assembler:
 
     def positions(self, guess, hold=()):
         """
-        Find joint coordinates that close the loops, shape (nq,).
+        Find joint coordinates that close the loops, of approximate ones, shape (nq,).
 
-        ``guess``: shape (nq,); approximate values.
-
-        Raises
-        ------
-        AssemblyError
-            Where the loops cannot be closed from there, or ``hold`` leaves freedoms open.
-
+        AssemblyError where the loops cannot be closed from there, or ``hold`` leaves freedoms
+        open.
         """
         free = self._free(hold)
         q, psi = self.solve_closure(np.array(guess, dtype=float), free)
@@ -183,22 +178,10 @@ class Assembler:
 
     def velocities(self, q, guess, hold=()):
         """
-        Find joint rates that keep the loops closed, shape (nv,).
+        Find joint rates that keep the loops closed, of approximate ones, shape (nv,).
 
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Closing the loops.
-        guess : ndarray, shape (nv,)
-            Approximate values.
-        hold : sequence of str
-            Joints whose rates are kept.
-
-        Raises
-        ------
-        AssemblyError
-            Where the held rates contradict one another, or no motion continues the rates.
-
+        ``q`` closes the loops; rates of the joints in ``hold`` are kept. AssemblyError where the
+        held rates contradict one another, or no motion continues the rates.
         """
         qd = np.array(guess, dtype=float)
         if not (qd.any() or self.prescribed_rates.any()):
@@ -252,32 +235,15 @@ class Assembler:
         return qd
 
     def degrees_of_freedom(self, q):
-        """
-        Return the degrees of freedom at and near a closed position: nv less the largest rank.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Closing the loops.
-
-        """
+        """Return the degrees of freedom at and near a closed position: nv less the rank."""
         return self.nv - self._largest_rank(q)[0]
 
     def lost_equations(self, q):
         """
         Return how many closure equations are lost at a closed position, and only there.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Closing the loops.
-
-        Returns
-        -------
-        int
-            Positive at a change point or another singular position; zero where equations depend
-            on one another everywhere nearby.
-
+        Positive at a change point or another singular position; zero where equations depend on one
+        another everywhere nearby.
         """
         return self._largest_rank(q)[0] - rank_of(self.jacobian(q))
 
@@ -290,19 +256,7 @@ class Assembler:
                                  for near in self._neighbours(q, seed))), key=itemgetter(0))
 
     def jacobian_of_largest_rank(self, q):
-        """
-        Return the Jacobian of a closed position, or of one nearby if that has a larger rank.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Closing the loops.
-
-        Returns
-        -------
-        ndarray, shape (nc, nv)
-
-        """
+        """Return the Jacobian of a closed position, or of one nearby if that has a larger rank."""
         return self.jacobian(self.of_largest_rank(q))
 
     def of_largest_rank(self, q, seed=0):
@@ -311,15 +265,9 @@ class Assembler:
 
     def implies_all(self, q, opening):
         """
-        Return whether near a position all loops close where the equations that are kept do.
+        Return whether near a closed position all loops close where the equations that are kept do.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Closing the loops.
-        opening : float
-            What counts as closed, in sizes of the mechanism.
-
+        ``opening`` is what counts as closed, in sizes of the mechanism.
         """
         return any(np.abs(self._equations.move(near).closures()[0]).max() <= (
             opening * self.extent) for near in self._neighbours(q))
@@ -340,18 +288,9 @@ class Assembler:
         """
         Return which rates the closure equations decide by themselves, at and near a position.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Closing the loops.
-        derivatives : callable
-            Returns those of the rates by the joints', shape (n, nv), at a position.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            None where there are too many equations for dense ranks.
-
+        ``derivatives`` returns those of the rates by the joints', shape (n, nv), at a position,
+        which closes the loops. Returns bool, shape (n,), None where there are too many equations
+        for dense ranks.
         """
         most, found = -1, np.zeros(len(derivatives(q)), dtype=bool)
         if not 0 < self.nc <= MOST_EQUATIONS:
@@ -369,15 +308,7 @@ class Assembler:
         return found
 
     def advice_on_opening(self, q):
-        """
-        Return the reason why a step near a change point did not close, and a remedy; or ''.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Where the step began.
-
-        """
+        """Return why a step from near a change point did not close, and a remedy; or ''."""
         if not 0 < self.nc <= MOST_EQUATIONS:
             return ''
         rank, _ = self._largest_rank(q)
@@ -399,17 +330,9 @@ class Assembler:
 
     def notes(self, position, velocity, q, qd, hold):
         """
-        Return notes of changes that an assembly made to its guess.
+        Return notes of changes that an assembly made to its guess, with some joints held.
 
-        Parameters
-        ----------
-        position, velocity : ndarray, shape (nv,)
-            Guesses.
-        q, qd : ndarray, shape (nv,)
-            What they were assembled to.
-        hold : sequence of str
-            Joints that were held.
-
+        Guesses are ``position`` and ``velocity``, assembled ``q`` and ``qd``.
         """
         return [*self._notes_on_position(position, q, hold),
                 *self._notes_on_singularity(q, hold), *self._notes_on_lock(q),
@@ -467,18 +390,9 @@ class Assembler:
 
     def require_independent(self, q):
         """
-        Refuse a configuration with dependent closure equations.
+        Refuse a closed configuration with dependent closure equations.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Closing the loops.
-
-        Raises
-        ------
-        AssemblyError
-            Where a method needs them independent, and they are not.
-
+        AssemblyError where a method needs them independent, and they are not.
         """
         kept = self._equations.kept
         rank, count = rank_of(self.jacobian(q)[kept]), np.count_nonzero(kept)
@@ -622,12 +536,8 @@ def find_degrees_of_freedom(mechanism):
     """
     Count the degrees of freedom of a mechanism, in positions that are found by trial.
 
-    Returns
-    -------
-    int or None
-        The most among the positions: there may be some in which it is locked. None where no
-        guess led to one that closes the loops, and for mechanisms too large to try.
-
+    The most among the positions: there may be some in which it is locked. None where no guess led
+    to one that closes the loops, and for mechanisms too large to try.
     """
     if mechanism.number_of_equations > MOST_EQUATIONS:
         return None

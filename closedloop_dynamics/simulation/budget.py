@@ -156,19 +156,8 @@ def allowed(share, known):
     """
     Return the finest accuracy that a share of real time is expected to allow.
 
-    Parameters
-    ----------
-    share : float
-        Computing time per time of the clock [1].
-    known : sequence of (float, float)
-        Two accuracies and the shares that they take, positive; shares in between and beyond follow
-        a power law.
-
-    Returns
-    -------
-    float or None
-        Between ``FINEST`` and ``COARSEST``; None where not even that is allowed.
-
+    ``known``: two accuracies and the shares that they take, positive; shares in between and beyond
+    follow a power law. Between ``FINEST`` and ``COARSEST``; None where not even that is allowed.
     """
     (one, at_one), (other, at_other) = known
     power = math.log(at_other / at_one) / math.log(other / one)

@@ -17,14 +17,7 @@ LIMITS = -0.5 * math.pi, 1.5 * math.pi
 
 
 def explain(simulation):
-    """
-    Raise where a run has stopped because a winding is at its limit.
-
-    Raises
-    ------
-    NumericalError
-
-    """
+    """Raise NumericalError where a run has stopped because a winding is at its limit."""
     for place, angle in simulation.windings().items():
         if min(abs(angle - limit) for limit in LIMITS) < NEAR:
             raise leapt(place, angle, simulation.time)

@@ -18,18 +18,9 @@ NEVER_CLOSED = 1e-9
 
 def changeable_in_plane(model):
     """
-    Return whether any motion may change each equation of a planar model.
+    Yield whether any motion may change each equation of a planar model, by cut joint.
 
-    Parameters
-    ----------
-    model : core.types.Model
-        Its equations are not chosen yet.
-
-    Yields
-    ------
-    bool
-        In the order of the cut joints.
-
+    Its equations are not chosen yet.
     """
     for one in model.cut[np.argsort(model.cut[:, t.CUT_NUMBER])]:
         kind, between = one[t.CUT_TYPE], model.path_body[one[t.PATH_A]:one[t.PATH_COMMON]]
@@ -45,27 +36,10 @@ _always_held = {}
 
 def changeable_in_space(mechanism, model, size):
     """
-    Find the equations of each cut joint in space that do not hold anyway.
+    Yield the numbers of the equations of each cut joint in space that do not hold anyway.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In space.
-    model : core.types.Model
-        Its equations are not chosen yet.
-    size : float
-        Of the mechanism [m].
-
-    Yields
-    ------
-    list of int
-        Their numbers, cut joint by cut joint in the order of elimination.
-
-    Raises
-    ------
-    MechanismError
-        Where a loop cannot close: an equation that no motion changes is not met.
-
+    Cut joint by cut joint in the order of elimination; the equations of ``model`` are not chosen
+    yet. MechanismError where a loop cannot close: an equation that no motion changes is not met.
     """
     # Lengths and masses may differ: they are symbols.
     shape = tuple((array.shape, array.tobytes()) for array in (

@@ -17,22 +17,7 @@ from ..mechanism.rotations import in_three, of_quaternion, quaternions_of
 
 
 def acted_in(mechanism, effects):
-    """
-    Return the names of the freedoms of cut joints that anything acts along.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Of the scene.
-    effects : mapping of str to Effect
-        Of the scene.
-
-    Returns
-    -------
-    tuple of str
-        In the mechanism's order.
-
-    """
+    """Return the names of the freedoms of cut joints that anything acts along, in their order."""
     known = mechanism.cut_coordinates
     named = {getattr(record, 'joint', None) for record in effects.values()}
     return tuple(name for place, name in enumerate(known.names)
@@ -43,25 +28,9 @@ def coordinate_arrays(mechanism, model, placements, names, followed):
     """
     Return the coordinates of some cut joints as arrays.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    model : core.types.Model
-        Of it.
-    placements : dict of str to tree_rows.Placement
-        Where the bodies' frames are in those of their rows.
-    names : sequence of str
-        Of freedoms of cut joints.
-    followed : bool
-        Whether angles in space are followed, in the place of a number within half a turn.
-
-    Returns
-    -------
-    index : ndarray of int, shape (number of them, CUT_INDEX_COLUMNS)
-    values : ndarray, shape (number of them, CUT_VALUE_COLUMNS)
-        As ``effects.table.CutCoordinates`` has them.
-
+    ``placements``: where the bodies' frames are in those of their rows; ``names`` of freedoms of
+    cut joints; ``followed``: whether angles in space are followed, in the place of a number within
+    half a turn. Index and values, a row each, are as ``effects.table.CutCoordinates`` has them.
     """
     index = np.zeros((len(names), CUT_INDEX_COLUMNS), dtype=np.int64)
     values = np.zeros((len(names), CUT_VALUE_COLUMNS))
@@ -96,15 +65,9 @@ def coupling_moments(mechanism):
     Return the moments of couplings at revolute cut joints in the plane.
 
     Their equations are in the coordinates of the tree, where their torques act in each joint on
-    the way to the ground; they are handed over at the cut joint.
-
-    Returns
-    -------
-    at_cuts : ndarray, shape (number of cut joints, number of couplings)
-        Moment there, for a unit of the coupling's force.
-    in_joints : ndarray, shape (number of joints, number of couplings)
-        What that leaves in the joints of the tree, beside the torques of the equations.
-
+    the way to the ground; they are handed over at the cut joint. Moments there, for a unit of the
+    coupling's force, shape (cut joints, couplings), and what that leaves in the joints of the
+    tree, beside the torques of the equations, shape (joints, couplings).
     """
     places = {joint.child: place for place, joint in enumerate(mechanism.joints)}
     at_cuts, in_joints = (np.zeros((len(joints), len(mechanism.couplings)))
@@ -171,19 +134,10 @@ class CutJoints:
 
     def measure(self, body):
         """
-        Return positions and velocities.
+        Return positions and velocities, given ``Workspace.body`` after the outward recursion.
 
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            Of ``Workspace``, after the outward recursion.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (number of them,)
-            Angles in space from -pi to pi, zero in the place of a spherical joint's
-            [rad; m], [rad/s; m/s].
-
+        Angles in space from -pi to pi, zero in the place of a spherical joint's [rad; m], [rad/s;
+        m/s].
         """
         position, velocity = np.zeros(self.count), np.zeros(self.count)
         native.measure_cut_coordinates(
@@ -194,13 +148,7 @@ class CutJoints:
         """
         Return all coordinates, shape (nq of ``Mechanism.cut_coordinates``,).
 
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            As for ``measure``.
-        position : ndarray, shape (number of names,)
-            What has one number; see ``measure``.
-
+        ``body`` and ``position``, of what has one number, are those of ``measure``.
         """
         if not len(self._rows):
             return position
@@ -212,17 +160,7 @@ class CutJoints:
         return found
 
     def accelerations(self, equations, qdd):
-        """
-        Return accelerations [rad/s^2; m/s^2].
-
-        Parameters
-        ----------
-        equations : core.equations.Equations
-            In the state.
-        qdd : ndarray, shape (nv,)
-            Accelerations of the tree.
-
-        """
+        """Return accelerations [rad/s^2; m/s^2], given those of the tree in a state."""
         native.cut_accelerations(
             self._arrays, equations.model, equations.work, qdd, True, self._arrays.qdd)
         return self._arrays.qdd[len(qdd):].copy()
@@ -235,15 +173,8 @@ class CutJoints:
         """
         Add the efforts along the coordinates to the wrenches at cut joints, in place.
 
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            Of ``Workspace``, after the outward recursion.
-        efforts : ndarray, shape (number of them,)
-            [N m; N].
-        wrenches : ndarray, shape (number of cuts, 3 or 6)
-            In the mechanism's order.
-
+        ``body`` is as for ``measure``; efforts in N m or N; wrenches, shape (number of cuts, 3 or
+        6), in the mechanism's order.
         """
         for place, effort in enumerate(efforts):
             if effort == 0.0:
@@ -260,19 +191,9 @@ class CutJoints:
 
     def jacobian(self, model, work, names):
         """
-        Return the derivatives of coordinates by those of the tree.
+        Return the derivatives of coordinates by those of the tree, after the outward recursion.
 
-        Parameters
-        ----------
-        model, work : Model, Workspace
-            After the outward recursion.
-        names : sequence of str
-            Of the freedoms.
-
-        Returns
-        -------
-        ndarray, shape (number of names, nv)
-
+        Shape (number of names, nv), of freedoms by name.
         """
         nv, out = len(model.tree) - 1, self._arrays.qdd
         columns = []

@@ -355,13 +355,8 @@ class Data(Names):
         """
         Return where the wrenches in the joints act: at the origins of the bodies they carry.
 
-        Returns
-        -------
-        row : ndarray of int, shape (number of joints,)
-            Of these bodies in the arrays; 0 of fixed joints.
-        point, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
-            Their origins and axes in the frames of the rows [m].
-
+        Rows of these bodies in the arrays, 0 of fixed joints; and their origins [m], shape (number
+        of joints, 3), and axes, (number of joints, 3, 3), in the frames of the rows.
         """
         return self._geometry.joint_places
 
@@ -707,23 +702,7 @@ class Data(Names):
 
 
 def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:
-    """
-    Return finite numbers as a new array, shape (length,).
-
-    Parameters
-    ----------
-    name : str
-        What they are, for the error message.
-    values : sequence
-        Of numbers.
-    length : int
-        How many are expected.
-
-    Raises
-    ------
-    ValueError
-
-    """
+    """Return so many finite numbers as a new array; ``name`` is for the ValueError."""
     array = np.array(values, dtype=float, order='C')
     if array.shape != (length,) or not _are_finite(array):
         raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')

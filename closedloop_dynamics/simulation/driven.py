@@ -167,16 +167,8 @@ class DrivenKinematics:
         """
         Move through driven values, one pose after the other; ``position`` is the last one.
 
-        Parameters
-        ----------
-        values : array_like, shape (n, m) or (n, m, 3)
-            Driven values [rad or m], and their rates and accelerations; these are zero when not
-            given.
-
-        Returns
-        -------
-        DrivenMotion
-
+        Values [rad or m] have the shape (n, m) or (n, m, 3), with their rates and accelerations,
+        which are zero when not given. Returns a DrivenMotion.
         """
         wanted = np.array(values, dtype=float)
         if wanted.ndim == 2:
@@ -204,14 +196,7 @@ class DrivenKinematics:
         return DrivenMotion(position[:done], velocity[:done], acceleration[:done], end)
 
     def go_to(self, values):
-        """
-        Move to driven values; return the position there, shape (nq,).
-
-        Raises
-        ------
-        BranchEndError
-
-        """
+        """Move to driven values; return the position there, shape (nq,); raise BranchEndError."""
         motion = self.follow(np.array(values, dtype=float).reshape(1, -1))
         if motion.end is not None:
             raise BranchEndError(motion.end, 0)
@@ -251,22 +236,10 @@ class DrivenKinematics:
 
     def linearised(self, position):
         """
-        Return the equations in a position, with derivatives by the scaled displacements.
+        Return the equations near a closed position, with derivatives by scaled displacements.
 
-        Parameters
-        ----------
-        position : ndarray, shape (nq,)
-            Near one that closes the loops.
-
-        Returns
-        -------
-        loops : ndarray, shape (nl,)
-            Closure errors of the equations of the loops that are solved.
-        loops_jacobian : ndarray, shape (nl, nv)
-        values : ndarray, shape (m,)
-            Driven values.
-        values_jacobian : ndarray, shape (m, nv)
-
+        Closure errors of the equations of the loops that are solved, (nl,); their Jacobian, (nl,
+        nv); driven values, (m,); and theirs, (m, nv).
         """
         values = self.values_at(position)
         jac, count = self._equations.jacobian() * self._unit, len(values)
@@ -392,24 +365,8 @@ def driven_mechanism(mechanism, drives=None, points=None):
     """
     Return a mechanism with driven joints and points, and their values.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Without motions.
-    drives, points
-        As for ``Model.solve``.
-
-    Returns
-    -------
-    count : int or None
-        Of poses; None where a single one is given.
-    mechanism : mechanism.mechanism.Mechanism
-    values : ndarray, shape (n, m)
-
-    Raises
-    ------
-    ValueError
-
+    ``drives`` and ``points`` are as for ``Model.solve``. The number of poses, None where a single
+    one is given; the mechanism; and values, shape (n, m). ValueError.
     """
     if mechanism.motions:
         raise ValueError(

@@ -135,22 +135,9 @@ def fmu(simulation, name, version='3.0', derivatives=False, binary=True):
 
 def compiled(files, name, *options):
     """
-    Compile the sources of a unit for this machine.
+    Compile the sources of a unit, by name, for this machine; return a shared library's bytes.
 
-    Parameters
-    ----------
-    files : dict of str to str
-        Sources by name.
-    name : str
-        Of the model.
-    options : str
-        Further ones of the compiler.
-
-    Returns
-    -------
-    bytes
-        A shared library.
-
+    ``options``: further ones of the compiler.
     """
     with tempfile.TemporaryDirectory() as folder:
         for place, text in files.items():

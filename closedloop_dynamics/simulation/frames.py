@@ -33,27 +33,11 @@ def moved_inertia(pose, inertia):
 
 def reframed(mechanism, frames):
     """
-    Return a mechanism with other frames.
+    Return a mechanism with other frames, and cut joints whose coordinates count from elsewhere.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose bodies these are.
-    frames : dict of str to formats.pose.Pose
-        By body, the ground among them: the new frame in the old one. Joints whose child has a new
-        frame stay as they are: their places in it are for the caller to find.
-
-    Returns
-    -------
-    mechanism : mechanism.mechanism.Mechanism
-    recounted : tuple of str
-        Cut joints whose coordinates count from elsewhere.
-
-    Raises
-    ------
-    MechanismError
-        Where a body that slides where a loop is cut would have its frame turned.
-
+    ``frames``, by body, the ground among them: the new frame in the old one. Joints whose child
+    has a new frame stay as they are: their places in it are for the caller to find. MechanismError
+    where a body that slides where a loop is cut would have its frame turned.
     """
     def place(body, values):
         return moved_place(frames[body], values) if body in frames else values

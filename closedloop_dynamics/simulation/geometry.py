@@ -50,17 +50,10 @@ class Geometry(LoopModel):
 
     def weigh(self, constants, bodies, changed):
         """
-        Write the masses of some bodies into rows of ``Model.body``.
+        Write the masses of some bodies into rows of ``Model.body``, in place.
 
-        Parameters
-        ----------
-        constants : ndarray
-            As ``Model.body``, without what effects add; changed in place.
-        bodies : sequence of Body
-            All of the mechanism's.
-        changed : set of str
-            Names of those that have other masses, centres of mass or inertias.
-
+        ``constants`` are without what effects add; ``bodies`` are all of the mechanism's;
+        ``changed``: names of those that have other masses, centres of mass or inertias.
         """
         # A row has the masses of all bodies that are fixed to one another.
         rows = {self.placements[name].row for name in changed}
@@ -70,24 +63,7 @@ class Geometry(LoopModel):
         weigh_bodies(constants, self.placements, {body.name: body for body in bodies}, rows)
 
     def point(self, q, body, position):
-        """
-        Return the place of a point of a body.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-        body : str
-            Its name.
-        position : sequence of 2 or 3 floats
-            In the body's frame [m].
-
-        Returns
-        -------
-        ndarray, shape (2,) or (3,)
-            In the world [m].
-
-        """
+        """Return where a point in a body's frame is in the world [m], at coordinates q."""
         return self._in_world(self.equations.move(q).work.body,
                               *self._placed_points([(body, position)]))[0]
 
@@ -99,19 +75,11 @@ class Geometry(LoopModel):
 
     def poses_among(self, body):
         """
-        Return the poses of the bodies where the rows of the tree are.
+        Return the poses of the bodies, in the mechanism's order, where the rows of the tree are.
 
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            Of ``Workspace``, after the outward recursion.
-
-        Returns
-        -------
-        ndarray, shape (nb, 3) or (nb, 7)
-            x, y [m] and angle [rad] of each body, in the mechanism's order; in space x, y, z of
-            the frame's origin and its unit quaternion x, y, z, w.
-
+        Of ``Workspace.body``, after the outward recursion: x, y [m] and angle [rad], shape (nb,
+        3); in space x, y, z of the frame's origin and its unit quaternion x, y, z, w, shape (nb,
+        7).
         """
         rows, origins = self._origins
         places = self._in_world(body, rows, origins)
@@ -125,15 +93,9 @@ class Geometry(LoopModel):
         """
         Return where the wrenches in the joints act: at the origins of the bodies they carry.
 
-        Returns
-        -------
-        row : ndarray of int, shape (number of joints,)
-            Of the bodies; 0 of fixed joints, of which the kernels know nothing.
-        point : ndarray, shape (number of joints, 3)
-            In the frame of the row [m].
-        axes : ndarray, shape (number of joints, 3, 3)
-            Of these bodies there.
-
+        Rows of the bodies, 0 of fixed joints, of which the kernels know nothing; and the origins
+        [m], shape (number of joints, 3), and axes, (number of joints, 3, 3), in the frames of the
+        rows.
         """
         joints = self.mechanism.joints
         carried = [self.placements[joint.child] for joint in joints]

@@ -125,17 +125,7 @@ class ClosureProblem:
         return self.coordinates.moved(q, change)
 
     def frames(self, q):
-        """
-        Return where the bodies are.
-
-        Returns
-        -------
-        frames : dict of str to ndarray, shape (3, 3)
-            By body: its axes in the world, as columns.
-        origins : dict of str to ndarray, shape (3,)
-            [m].
-
-        """
+        """Return where the bodies are, by name: axes in the world, as columns, and origins [m]."""
         return self.kinematics(q)[:2]
 
     def unwound(self, q, start):
@@ -176,25 +166,11 @@ class ClosureProblem:
 
     def residual(self, q, wanted=True, size=None):
         """
-        Return how far everything is from coinciding, and how that changes.
+        Return how far everything is from coinciding, and how that changes if that is ``wanted``.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Coordinates.
-        wanted : bool
-            Whether the change is wanted.
-        size : float, optional
-            Unit of lengths, the size of the mechanism if not given [m].
-
-        Returns
-        -------
-        residual : ndarray, shape (n,)
-            Lengths in units of the size, and differences of unit vectors.
-        jac : ndarray, shape (n, nv), or None
-        counts : list of int
-            How many of the numbers each cut joint has, then each coupling; limits follow.
-
+        Numbers, shape (n,): lengths in units of the ``size``, that of the mechanism if not given
+        [m], and differences of unit vectors; their Jacobian, shape (n, nv), or None; and how many
+        of the numbers each cut joint has, then each coupling; limits follow.
         """
         frames, origins, spins, moments = self.kinematics(q)
         size = size or self.size
@@ -316,15 +292,7 @@ class ClosureProblem:
         return found
 
     def rank(self, q):
-        """
-        Return the largest rank of the equations at a closed position and around it.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Closing the loops.
-
-        """
+        """Return the largest rank of the equations at a closed position and around it."""
         rng, ranks = np.random.default_rng(0), [rank_of(self.residual(q)[1])]
         free = np.arange(self.nv)
         for _ in range(NEIGHBOURS if self._ends or self.mechanism.couplings else 0):
@@ -341,29 +309,13 @@ class ClosureProblem:
 
 def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH):
     """
-    Search a position that closes the loops, near a start.
+    Search a position that closes the loops of a mechanism in space, near a start.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In space.
-    size : float
-        Of the mechanism [m].
-    start : ndarray, shape (nq,)
-        Coordinates; orientations as unit quaternions x, y, z, w.
-    hold : sequence of str
-        Joints, or freedoms of joints, that stay where they are.
-    limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one degree of freedom.
-    starts : int
-        How many others are tried at each distance from the first; 0: nothing but the first.
-
-    Returns
-    -------
-    Found
-        The nearest of what was found at the first distance where anything was; where nothing was,
-        the least open.
-
+    ``size`` is the mechanism's [m]; ``start``, shape (nq,), has unit quaternions x, y, z, w;
+    ``hold``: joints, or freedoms of joints, that stay; ``limits``: least and largest coordinate of
+    joints of one degree of freedom; ``starts``: how many others are tried at each distance from
+    the first; 0: nothing but the first. Returns the nearest of what was found at the first
+    distance where anything was; where nothing was, the least open.
     """
     loops, places = ClosureProblem(mechanism, size, limits), mechanism.coordinates
     held = [k for name in hold for k in (
@@ -415,24 +367,10 @@ def _search(loops, start, free, starts):
 
 def never_closed(mechanism, size, q):
     """
-    Return the loops that stay open by themselves, whatever the others do.
+    Return the loops that stay open by themselves, whatever the others do, from coordinates q on.
 
-    Each is tried alone, moved by nothing but its own joints, without limits.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In space.
-    size : float
-        Of the mechanism [m].
-    q : ndarray, shape (nq,)
-        Coordinates to start from.
-
-    Returns
-    -------
-    dict of str to float
-        By joint that closes a loop: the least that it is open [m, and sines of angles].
-
+    Each is tried alone, moved by nothing but its own joints, without limits. By joint that closes
+    a loop: the least that it is open [m, and sines of angles].
     """
     found, rng = {}, np.random.default_rng(0)
     for cut in mechanism.cut_joints:
@@ -484,11 +422,7 @@ def _parts(mechanism, limited):
     """
     Return the mechanism in parts whose loops share no joints.
 
-    Returns
-    -------
-    list of (Mechanism, set of str)
-        With the joints that carry a part's loops, and those of them that the loops move.
-
+    With the joints that carry a part's loops, and those of them that the loops move.
     """
     held = [({*_around(mechanism, cut)}, [cut], []) for cut in mechanism.cut_joints]
     held += [(set(coupling.joints), [], [coupling]) for coupling in mechanism.couplings]

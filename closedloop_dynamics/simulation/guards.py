@@ -59,23 +59,10 @@ CLOSING = ('projection', 'independent')
 
 def fastest_rate(system, state, own=()):
     """
-    Estimate the largest eigenvalue, in magnitude, of the derivative's Jacobian.
+    Estimate the largest eigenvalue, in magnitude, of the derivative's Jacobian in a state [1/s].
 
-    Parameters
-    ----------
-    system : System
-        Model and workspace of the mechanism.
-    state : ndarray, shape (ns,)
-        Where.
-    own : sequence of int
-        Places, among the effects' states, of those that act back on the motion, such as the
-        lag of a drive; dissipated energy and work do not.
-
-    Returns
-    -------
-    float
-        [1/s].
-
+    ``own``: places, among the effects' states, of those that act back on the motion, such as the
+    lag of a drive; dissipated energy and work do not.
     """
     return native.fastest_rate(system.native, state, _direction(system, own))
 
@@ -154,11 +141,8 @@ class EnergyGuard:
         """
         Check before a state is handed to others, however few steps have led to it.
 
-        Raises
-        ------
-        StiffnessError, NumericalError
-            Where the energy balance is far off; the state kept is the latest that was passed on.
-
+        StiffnessError, NumericalError where the energy balance is far off; the state kept is the
+        latest that was passed on.
         """
         if self._counts[run.SINCE] >= self._least:
             simulation.check_energy()
@@ -169,17 +153,7 @@ class EnergyGuard:
             float(self._numbers[run.CHECK - 1]) if self._counts[run.BEGUN] else 0.0)
 
     def compare(self, lost, moved, rounding, time):
-        """
-        Record an error of the energy balance.
-
-        Parameters
-        ----------
-        lost, moved, rounding : float
-            Error of the balance, energy exchanged, possible rounding of the error [J].
-        time : float
-            [s].
-
-        """
+        """Record an error of the energy balance, the energy exchanged, possible rounding [J]."""
         native.record_loss(self._numbers, lost, moved, rounding, time)
 
     @property
@@ -322,14 +296,7 @@ class StiffnessGuard:
         return native.fastest_rate(self._system.native, state, self._start)
 
     def check(self, state, step_size):
-        """
-        Raise where steps of ``step_size`` from ``state`` cannot be stable.
-
-        Raises
-        ------
-        StiffnessError
-
-        """
+        """Raise StiffnessError where steps of ``step_size`` from ``state`` cannot be stable."""
         if self.stable(state, step_size):
             return
         rate = self.rate(state)

@@ -116,19 +116,9 @@ def health_of(
         model: Model, work: Workspace, equations: Equations,
         passive: Union[Sequence[int], np.ndarray] = ()) -> Health:
     """
-    Return the record of a workspace.
+    Return the record of a workspace after an evaluation, of equations in the same state.
 
-    Parameters
-    ----------
-    model : core.types.Model
-        Of the mechanism.
-    work : core.types.Workspace
-        After an evaluation.
-    equations : core.equations.Equations
-        In the same state.
-    passive : sequence of int
-        Coordinates of the joints that are not actuated.
-
+    ``passive``: coordinates of the joints that are not actuated.
     """
     values = work.health
     nc = len(work.right)

@@ -18,11 +18,7 @@ def places_of(names, independent):
     """
     Return the places of the requested independent coordinates; None where none are.
 
-    Raises
-    ------
-    ValueError
-        For unknown names.
-
+    ValueError for unknown names.
     """
     for name in independent or ():
         if name not in names:
@@ -32,20 +28,9 @@ def places_of(names, independent):
 
 def choose_independent(jac, first):
     """
-    Choose coordinates by which the others are best decided.
+    Choose coordinates by which the others are best decided, places in rising order.
 
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Jacobian of the closure equations, of full rank.
-    first : list of int
-        To be taken before others: the actuated ones.
-
-    Returns
-    -------
-    list of int
-        As many as there are degrees of freedom, in rising order.
-
+    ``jac``, shape (nc, nv), has full rank; ``first`` are taken before others: the actuated ones.
     """
     # Of the null space, the row that is longest beside those that are chosen.
     _, _, rows = np.linalg.svd(jac)
@@ -66,26 +51,10 @@ def choose_independent(jac, first):
 
 def dependent_on(jac, own, names):
     """
-    Return the other coordinates.
+    Return the places of the other coordinates, shape (nc,), than the independent ones.
 
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Jacobian of the closure equations.
-    own : list of int
-        The independent ones.
-    names : sequence of str
-        Of all coordinates, for messages.
-
-    Returns
-    -------
-    ndarray of int, shape (nc,)
-
-    Raises
-    ------
-    ValueError
-        Where those do not decide all others.
-
+    ``names`` of all coordinates are for the message of the ValueError, where those do not decide
+    all others.
     """
     nc, nv = jac.shape
     if len(own) != nv - nc:
@@ -104,23 +73,11 @@ def dependent_on(jac, own, names):
 
 def changes_along(jac, own, rest, rate_by_position):
     """
-    Return the changes of all coordinates and rates with the independent ones.
+    Return the changes of all coordinates and rates with the independent ones, shape (nv, n).
 
-    Parameters
-    ----------
-    jac, rate_by_position : ndarray, shape (nc, nv)
-        J, and the derivatives of J qd by the coordinates.
-    own : sequence of int
-        The independent coordinates.
-    rest : ndarray of int, shape (nc,)
-        The others.
-
-    Returns
-    -------
-    along, bent : ndarray, shape (nv, n)
-        Changes of all coordinates, and of all rates with the independent ones held, for a unit
-        change of each independent coordinate.
-
+    ``jac`` and ``rate_by_position``, shape (nc, nv): J, and the derivatives of J qd by the
+    coordinates; ``own``, ``rest``: the independent coordinates, and the others. Changes are for a
+    unit change of each independent coordinate, of the rates with the independent ones held.
     """
     along = following(jac, rest, jac[:, own])
     along[own] = np.eye(len(own))
@@ -129,21 +86,9 @@ def changes_along(jac, own, rest, rate_by_position):
 
 def following(jac, rest, right):
     """
-    Return the changes of dependent coordinates with closure equations, the others held.
+    Return the changes of dependent coordinates with closure equations, the others held, (nv, n).
 
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Jacobian of the closure equations.
-    rest : ndarray of int, shape (nc,)
-        The dependent coordinates.
-    right : ndarray, shape (nc, n)
-        Changes of the equations.
-
-    Returns
-    -------
-    ndarray, shape (nv, n)
-
+    ``rest`` are the dependent ones, ``right``, shape (nc, n), changes of the equations.
     """
     found = np.zeros((jac.shape[1], right.shape[1]))
     if len(rest):

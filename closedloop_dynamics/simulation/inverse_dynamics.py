@@ -47,22 +47,8 @@ class InverseDynamics:
         """
         Return torques of the actuated joints and multipliers for a motion.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-        qd, qdd : ndarray, shape (nv,)
-            Rates and accelerations, consistent with the loops.
-
-        Returns
-        -------
-        torque : ndarray, shape (number of actuated joints,)
-        lam : ndarray, shape (nc,)
-
-        Raises
-        ------
-        SimulationError
-
+        Of coordinates, rates and accelerations that are consistent with the loops;
+        SimulationError.
         """
         jac = self._jacobian(q, qd, qdd)
         table = self._table
@@ -104,18 +90,9 @@ class InverseDynamics:
 
     def needed(self, q, qd, qdd):
         """
-        Return the required sum of torques and constraint forces at the joints.
+        Return the required sum of torques and constraint forces at the joints, shape (nv,).
 
-        Parameters
-        ----------
-        q, qd, qdd : ndarray
-            As for ``solve``; they need not close the loops.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
-            I qdd + c - tau_effects, the loops open [N m or N].
-
+        I qdd + c - tau_effects [N m or N]; q, qd, qdd need not close the loops.
         """
         need, table, system = np.zeros(len(qd)), self._table, self._system
         native.outward(system.model, q, qd, system.work)

@@ -21,26 +21,15 @@ from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS, with_bodies
 
 def numbers(scene):
     """
-    Return the numbers that a scene is made of.
+    Return the numbers that a scene is made of, by key path.
 
-    Returns
-    -------
-    dict of str to float or None
-        By key path; None for a number that may be given but is not.
-
+    None for a number that may be given but is not.
     """
     return dict(_leaves(_tree(scene)))
 
 
 def resolve(scene, key):
-    """
-    Return the keys of a key path, or refuse one that leads to no number.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Return the keys of a key path, or refuse, with FieldError, one that leads to no number."""
     path = tuple(str(key).replace('[', '.').replace(']', '').split('.'))
     here = _tree(scene)
     for depth, word in enumerate(path):
@@ -63,11 +52,7 @@ def changed(scene, values):
     """
     Return a scene with other numbers.
 
-    Raises
-    ------
-    FieldError, MechanismError
-        Where a value is impossible at its place, or impossible beside the others.
-
+    FieldError, MechanismError where a value is impossible at its place, or beside the others.
     """
     changes = {}
     for path, value in values.items():

@@ -80,17 +80,8 @@ class LoopModel:
         """
         Return the model of some equations, and these.
 
-        Parameters
-        ----------
-        kept : ndarray of bool, shape (nc,), or None
-            Which equations the elimination is to work on; all when None.
-
-        Returns
-        -------
-        model : core.types.Model
-            It shares all that effects change with the others.
-        equations : core.equations.Equations
-
+        ``kept``, bool of shape (nc,): which the elimination is to work on; all when None. The
+        model shares all that effects change with the others.
         """
         key = None if kept is None else kept.tobytes()
         if key not in self._known:
@@ -106,14 +97,7 @@ class LoopModel:
 
     @property
     def joint_points(self):
-        """
-        Return where the joints are on their two bodies, fixed ones of the tree left out.
-
-        Returns
-        -------
-        integration.system.JointPlaces
-
-        """
+        """Return where the joints are on their two bodies, fixed ones of the tree left out."""
         joints = [joint for joint in self.mechanism.joints if joint.type != FIXED]
         origin = (0.0, 0.0) if self.mechanism.planar else (0.0, 0.0, 0.0)
         ends = [((joint.parent, joint.position), (joint.child, origin)) for joint in joints]
@@ -137,17 +121,7 @@ class LoopModel:
         return self.model
 
     def leave_out_repeated(self, q, hold=()):
-        """
-        Retain independent equations in the elimination.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Near a position that closes the loops.
-        hold : sequence of str
-            Joints that are held there.
-
-        """
+        """Retain independent equations, near a closed position with some joints held."""
         if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
             return
         assembler = Assembler(self.mechanism, self.equations)
@@ -169,19 +143,7 @@ class LoopModel:
         return singular.min(initial=1.0) > max(PLAIN, FAR * error)
 
     def choose(self, q):
-        """
-        Retain equations in the elimination that are independent at or near a position.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Closing the loops.
-
-        Returns
-        -------
-        Model
-
-        """
+        """Retain equations in the elimination that are independent at or near a position."""
         assembler, place = Assembler(self.mechanism, self.equations), q
         for seed in range(MOST_TRIES):
             # Where many loops are flat at once, not all of them may have opened nearby.
@@ -200,19 +162,8 @@ class LoopModel:
         Return the choices of equations that the elimination may come to work on, if they are few.
 
         Which equations are independent is the same almost everywhere on the way of a mechanism:
-        where it is asked first.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            The start, closing the loops.
-
-        Returns
-        -------
-        list of ndarray of bool, shape (nc,)
-            Empty where no equation repeats others, or there are more than ``MOST_CHOICES`` to try,
-            or fewer where the mechanism is large.
-
+        where it is asked first, at the closed start. Empty where no equation repeats others, or
+        there are more than ``MOST_CHOICES`` to try, or fewer where the mechanism is large.
         """
         if self._choices is None:
             self._choices = self._independent_choices(q)
@@ -247,15 +198,7 @@ class LoopModel:
         return None if self.equations.kept.all() else self.equations.kept
 
     def is_valid(self, q):
-        """
-        Return whether the equations that are left out repeat others at or near a position.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Closing the loops.
-
-        """
+        """Return whether the equations left out repeat others at or near a closed position."""
         jac = scaled(self._jacobian(q), self.equations.groups)
         return rank_of(jac) == rank_of(jac[self.equations.kept])
 
@@ -267,21 +210,10 @@ class LoopModel:
         """
         Choose the equations that the elimination works on again, where the present ones serve ill.
 
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Nearly closing the loops.
-        better : float
-            How much further from dependent another choice must be.
-        nearby : bool
-            Whether to look at positions nearby where this one is singular, which takes long.
-
-        Returns
-        -------
-        Model or None
-            Of the new choice; None where the present one is as good, there are fewer equations
-            to choose here, or they have been worked on here before, so that it is no progress.
-
+        ``better``: how much further from dependent another choice must be; ``nearby``: whether to
+        consider positions nearby where this one is singular, which takes long. Returns the model
+        of the new choice; None where the present one is as good, there are fewer equations to
+        choose here, or they have been worked on here before, so that it is no progress.
         """
         if q.tobytes() != self._place:
             self._place, self._tried = q.tobytes(), set()
@@ -307,18 +239,9 @@ def scaled(jac, groups):
     """
     Scale a Jacobian so that neither units of coordinates nor those of equations decide.
 
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Of all equations. Rounding errors of entries that are zero are not scaled up.
-    groups : ndarray of int, shape (nc,)
-        Equations of one kind, which are scaled alike: one that hardly changes stays small. So do
-        those of a kind that change by the last digits of axes only.
-
-    Returns
-    -------
-    ndarray, shape (nc, nv)
-
+    Shape (nc, nv), of all equations. Rounding errors of entries that are zero are not scaled up.
+    ``groups``, shape (nc,): equations of one kind, which are scaled alike: one that hardly changes
+    stays small. So do those of a kind that change by the last digits of axes only.
     """
     columns = np.abs(jac).max(axis=0, initial=0.0)
     moves = columns > ROUNDING * columns.max(initial=0.0)
@@ -338,19 +261,8 @@ def independent(jac, groups):
     """
     Choose rows of a Jacobian that do not depend on one another, by pivoting.
 
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Of all equations.
-    groups : ndarray of int, shape (nc,)
-        As for ``scaled``.
-
-    Returns
-    -------
-    kept : ndarray of bool, shape (nc,)
-    apart : float
-        How far the others are from depending on these: the length of the longest scaled row.
-
+    ``groups`` are as for ``scaled``. Which rows are kept, bool of shape (nc,), and how far the
+    others are from depending on these: the length of the longest scaled row.
     """
     kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
     while not kept.all():

@@ -31,24 +31,9 @@ def mirrored(scene, axis='x'):
     """
     Return the mirror image of a scene's machine, which moves as its mirror image.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        Of the machine.
-    axis : str
-        The coordinate that changes its sign: ``'x'``, ``'y'``, in space ``'z'``.
-
-    Returns
-    -------
-    variant.Variant
-        Effects that are given in the machine's joints, at its points and by weight are mirrored;
-        others are left out.
-
-    Raises
-    ------
-    ValueError
-        For another axis.
-
+    ``axis``: the coordinate that changes its sign: ``'x'``, ``'y'``, in space ``'z'``, else
+    ValueError. Effects that are given in the machine's joints, at its points and by weight are
+    mirrored; others are left out.
     """
     mechanism = scene.mechanism
     planar, size = mechanism.planar, 2 if mechanism.planar else 3

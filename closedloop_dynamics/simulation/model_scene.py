@@ -40,22 +40,10 @@ class ModelWarning(UserWarning):
 
 def scene_of_model(path, imported):
     """
-    Return the scene of a model.
+    Return the scene of a model that was read from a path.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Of its file.
-    imported : formats.building.Imported
-        What was read.
-
-    Raises
-    ------
-    MechanismError
-        Where it cannot be simulated.
-    AssemblyError
-        Where no position was found that closes the loops.
-
+    MechanismError where it cannot be simulated; AssemblyError where no position was found that
+    closes the loops.
     """
     mechanism, effects = imported.mechanism, {}
     try:
@@ -80,18 +68,8 @@ def closed_start(imported):
     """
     Search where a model starts with its loops closed: as it is drawn, or near.
 
-    Returns
-    -------
-    imported : formats.building.Imported
-        As ``assembled`` returns it.
-    initial : Initial
-        Where it starts, at rest.
-
-    Raises
-    ------
-    AssemblyError
-        Where none was found; it states which loops stay open.
-
+    Returns what was read, as ``assembled`` returns it, and the start, at rest. AssemblyError where
+    none was found; it states which loops stay open.
     """
     imported, found, notes = assembled(imported)
     if not found.closed:
@@ -109,14 +87,8 @@ def assembled(imported):
     """
     Close the loops of a model with drives held and limits kept, or as well as it goes.
 
-    Returns
-    -------
-    imported : formats.building.Imported
-        With the anchors of loops moved, where the last digits of a file keep them open.
-    found : global_assembly.ClosureResult
-    notes : list of str
-        Notes about it; none where nothing moved.
-
+    Returns what was read, with the anchors of loops moved where the last digits of a file keep
+    them open; the result of ``find_closed``; and notes about it, none where nothing moved.
     """
     mechanism, size = imported.mechanism, extent(imported.mechanism)
     start = ClosureProblem(mechanism, size).start(imported.position)
@@ -162,25 +134,11 @@ def assembled(imported):
 
 def _with_anchors_moved(mechanism, q, closure_errors, size):
     """
-    Return a mechanism whose loops, closed but for rounded digits, close exactly.
+    Return a mechanism whose loops, closed but for rounded digits, close exactly, and notes.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        As it was read.
-    q : ndarray, shape (nq,)
-        The position.
-    closure_errors : dict of str to float
-        How far its loops are open there [m, sines of angles].
-    size : float
-        Of the mechanism [m].
-
-    Returns
-    -------
-    mechanism : Mechanism
-    notes : list of str
-        Which anchors were moved; none where a loop is open by more, or cannot be closed so.
-
+    ``closure_errors``: how far its loops are open at q [m, sines of angles]; ``size``: of the
+    mechanism [m]. Notes say which anchors were moved; none where a loop is open by more, or cannot
+    be closed so.
     """
     open_by = {name: gap for name, gap in closure_errors.items() if gap > CLOSED * size}
     if not open_by or max(open_by.values()) > DIGITS * size:

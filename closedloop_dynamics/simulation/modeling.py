@@ -159,11 +159,7 @@ def extent(mechanism):
     """
     Return the size that tolerances are relative to: the longest distance on any body [m].
 
-    Returns
-    -------
-    float
-        At least the smallest positive float of any use, never zero.
-
+    At least the smallest positive float of any use, never zero.
     """
     places = [joint.position for joint in mechanism.joints]
     places += [p for cut in mechanism.cut_joints for p in (cut.point_a, cut.point_b)]

@@ -263,19 +263,9 @@ class Monitor:
         """
         Report counts and findings.
 
-        Parameters
-        ----------
-        closure : float
-            Present closure error [m or rad].
-        energy_error : float
-            Change of energy that neither work nor dissipation explains [J].
-        energy_guard : guards.EnergyGuard
-            Of the run.
-        notes : tuple of str
-            Findings beside these.
-        budget : budget.Budget, optional
-            That the accuracy follows.
-
+        ``closure``: the present error [m or rad]; ``energy_error``: change of energy that neither
+        work nor dissipation explains [J]; ``notes``: findings beside these; ``budget``: that the
+        accuracy follows, or None.
         """
         time, steps, spent = self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1].tolist()
         steps, error, health = int(steps), self._local_error, self._system.work.health

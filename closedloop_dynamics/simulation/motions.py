@@ -45,19 +45,9 @@ def with_motions(scene):
 
 def moving(scene, motion):
     """
-    Return a scene with further prescribed motions of joints.
+    Return a scene with further prescribed motions of joints; raise FieldError.
 
-    Parameters
-    ----------
-    scene : Scene
-        Any.
-    motion : mapping of str to str or PrescribedMotion
-        By joint: an expression in the time ``t`` [rad; m], or what the scene could list.
-
-    Raises
-    ------
-    FieldError
-
+    By joint: an expression in the time ``t`` [rad; m], or what the scene could list.
     """
     effects = dict(scene.effects)
     for joint, law in motion.items():
@@ -76,19 +66,10 @@ def moving(scene, motion):
 
 def require_actuated(mechanism, names):
     """
-    Refuse torques of joints that take none.
+    Refuse, with ValueError, torques of joints that take none.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        As ``with_motions`` returns it.
-    names : iterable of str
-        Of the joints that torques are given for.
-
-    Raises
-    ------
-    ValueError
-
+    ``mechanism`` is as ``with_motions`` returns it; ``names`` are of the joints that torques are
+    given for.
     """
     prescribed = {motion.freedom: motion.name for motion in mechanism.motions}
     for name in names:
@@ -190,17 +171,10 @@ class DrivingConstraints:
 
     def begin(self, assembler, time, q, qd):
         """
-        Start an assembly at the prescribed positions.
+        Start an assembly at the prescribed positions of a time [s].
 
-        Parameters
-        ----------
-        assembler : Assembler
-            Its right-hand sides are set.
-        time : float
-            [s].
-        q, qd : ndarray
-            Coordinates and rates; those of joints that are moved are changed in place.
-
+        Right-hand sides of the assembler are set; q and qd of joints that are moved are changed in
+        place.
         """
         values = self.set_time(time)
         assembler.prescribed_rates[:] = values[:, 1]
@@ -210,14 +184,7 @@ class DrivingConstraints:
                 qd[self._coordinates.index[motion.freedom]] = rate
 
     def require_independent(self, assembler, q):
-        """
-        Refuse motions that the loops, or other motions, decide already.
-
-        Raises
-        ------
-        AssemblyError
-
-        """
+        """Refuse, with AssemblyError, motions that the loops, or other motions, decide already."""
         if not self:
             return
         jac = assembler.jacobian_of_largest_rank(q)
@@ -243,23 +210,9 @@ class DrivingConstraints:
 
     def require_continued(self, name, record, enabled, time):
         """
-        Refuse a change of a motion that is none, or that jumps.
+        Refuse, with FieldError, a change of a motion that is none, or that jumps.
 
-        Parameters
-        ----------
-        name : str
-            Of an effect.
-        record : Effect
-            As it is to become.
-        enabled : bool or None
-            As for ``Simulation.set_effect``.
-        time : float
-            [s].
-
-        Raises
-        ------
-        FieldError
-
+        ``record`` is the effect as it is to become; ``enabled`` as for ``Simulation.set_effect``.
         """
         if name not in self._names:
             return
@@ -283,35 +236,16 @@ class DrivingConstraints:
         """
         Effects whose course is commanded at runtime, by their names in commands.
 
-        Returns
-        -------
-        dict of str to str
-            By the joint that moves, or the effect's own name where a point moves.
-
+        That is the joint that moves, or the effect's own name where a point moves.
         """
         return {motion.freedom or motion.name: motion.name for motion in self.mechanism.motions
                 if self.records[motion.name].shape == COMMANDED}
 
     def courses(self, commands, time):
         """
-        Return the courses of commands, as arguments of ``Simulation.set_effect``.
+        Return the courses of commands, keys by effect, as arguments of ``Simulation.set_effect``.
 
-        Parameters
-        ----------
-        commands : mapping of str to tuple
-            As for ``Simulation.command_motion``.
-        time : float
-            [s].
-
-        Returns
-        -------
-        dict of str to dict
-            Keys by effect.
-
-        Raises
-        ------
-        FieldError
-
+        ``commands`` are as for ``Simulation.command_motion``. FieldError.
         """
         found, known = {}, self.commanded
         for key, points in commands.items():
@@ -332,15 +266,7 @@ class DrivingConstraints:
         """
         Return why a run cannot go on where a motion leads beyond a limit; '' where it does not.
 
-        Parameters
-        ----------
-        assembler : Assembler
-            Of the mechanism.
-        q : ndarray, shape (nq,)
-            The last good position.
-        time, step_size : float
-            Of that position; the time of one step [s].
-
+        ``q`` and ``time`` [s] are those of the last good position.
         """
         try:
             for steps in (1.0, 10.0, 100.0) if self else ():

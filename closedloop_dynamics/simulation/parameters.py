@@ -57,24 +57,11 @@ class ParameterArrays(NamedTuple):
 
 def parameter_arrays(simulation, keys):
     """
-    Differentiate the arrays of a simulation by numbers of its scene.
+    Differentiate the arrays of a simulation, which stays as it is, by numbers of its scene.
 
-    Parameters
-    ----------
-    simulation : Data
-        It stays as it is.
-    keys : sequence of str
-        Key paths, such as ``'mechanism.bodies.crank.mass'`` or ``'parameters.l'``.
-
-    Returns
-    -------
-    ParameterArrays
-
-    Raises
-    ------
-    ValueError
-        Where there is no such number, or the motion does not follow it smoothly, with the reason.
-
+    ``keys``: key paths, such as ``'mechanism.bodies.crank.mass'`` or ``'parameters.l'``.
+    ValueError where there is no such number, or the motion does not follow it smoothly, with the
+    reason.
     """
     scene, effects = simulation.scene, simulation.effect_set
     # The nearest start will do.

@@ -192,16 +192,7 @@ class PlanarEquations:
     # Solutions.
 
     def solve(self):
-        """
-        Return all real solutions, and how many there can be at most.
-
-        Returns
-        -------
-        list of ndarray, shape (nq,)
-            Joint coordinates.
-        int
-
-        """
+        """Return all real solutions, shape (nq,) each, and how many there can be at most."""
         found, most = [{0: 1.0}], 1
         for unknowns, equations in self._groups():
             count = len(unknowns)
@@ -347,23 +338,10 @@ def _sum(one, other, sign=1.0):
 
 def _bilinear_solutions(matrices):
     """
-    Return all finite solutions of bilinear equations x^T B y = 0.
+    Return all finite solutions of bilinear equations x^T B y = 0, given B of each.
 
-    Parameters
-    ----------
-    matrices : ndarray, shape (2 l, l + 1, l + 1)
-        B of each equation.
-
-    Returns
-    -------
-    list of tuple of 2 ndarrays, shape (l + 1,)
-        x and y with 1 in the first place.
-
-    Raises
-    ------
-    NotProved
-        Where there are infinitely many, or some coincide.
-
+    Matrices, shape (2 l, l + 1, l + 1); x and y, shape (l + 1,), with 1 in the first place.
+    NotProved where there are infinitely many, or some coincide.
     """
     count, size, _ = matrices.shape
     loops = size - 1
@@ -414,19 +392,8 @@ def _bilinear_solutions(matrices):
 
 def all_planar(mechanism, values) -> Tuple[Optional[List[np.ndarray]], int]:
     """
-    Return all assemblies of a driven planar mechanism, as joint coordinates.
+    Return all assemblies of a planar mechanism whose ``motions`` are driven, as coordinates.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Its ``motions`` are what is driven.
-    values : sequence of float
-        Of these [rad or m].
-
-    Raises
-    ------
-    NotProved
-        Where this method cannot say that these are all.
-
+    ``values`` of these [rad or m]. NotProved where this method cannot say that these are all.
     """
     return PlanarEquations(mechanism, values).solve()

@@ -230,25 +230,10 @@ class PoseGrid:
 
     def start_from(self, position, most=NEAREST):
         """
-        Move from any position that closes the loops to the nearest node, without leaving a branch.
+        Move from any closed position to the nearest node, without leaving a branch.
 
-        Parameters
-        ----------
-        position : ndarray, shape (nq,)
-            Joint coordinates [rad or m].
-        most : int
-            How many of the nearest nodes are tried.
-
-        Returns
-        -------
-        bool
-            Whether a node was reached, now or before.
-
-        Raises
-        ------
-        BranchEndError
-            Where the position is singular.
-
+        ``most`` of the nearest nodes are tried. Returns whether a node was reached, now or before.
+        BranchEndError where the position is singular.
         """
         kinematics = self._kinematics_at(position)
         here = kinematics.values[:len(self.axes)]
@@ -266,18 +251,9 @@ class PoseGrid:
 
     def lead_from(self, positions):
         """
-        Begin at positions in a near orientation.
+        Begin at positions of ``leading`` of a grid in a near orientation.
 
-        Parameters
-        ----------
-        positions : sequence of ndarray, shape (nq,)
-            Of ``leading`` of another grid.
-
-        Returns
-        -------
-        bool
-            Whether a node was reached.
-
+        Returns whether a node was reached.
         """
         for position in positions:
             with suppress(BranchEndError):
@@ -311,20 +287,10 @@ class PoseGrid:
 
     def spread(self, keep_going=lambda: True, show=lambda count: None):
         """
-        Reach all nodes that neighbours lead to.
+        Reach all nodes that neighbours lead to; return whether the search came to its end.
 
-        Parameters
-        ----------
-        keep_going : callable
-            Called between parts; False ends the search, and the poses reached are kept.
-        show : callable
-            Called with the number of nodes reached.
-
-        Returns
-        -------
-        bool
-            Whether it came to its end.
-
+        ``keep_going``, called between parts, ends the search where it returns False, and the poses
+        reached are kept; ``show`` is called with the number of nodes reached.
         """
         known, parts = np.zeros(len(self.reached), dtype=bool), self._parts()
         across = False
@@ -398,18 +364,7 @@ class PoseGrid:
         """
         Search from random starts for parts that are not connected with the reached ones.
 
-        One node at least must have been reached.
-
-        Parameters
-        ----------
-        keep_going, show
-            As for ``spread``.
-
-        Returns
-        -------
-        bool
-            Whether it came to its end.
-
+        One node at least must have been reached; arguments and result are those of ``spread``.
         """
         left = np.flatnonzero(self.reached == 0)
         if not len(left):
@@ -442,18 +397,9 @@ class PoseGrid:
 
 def orientation_of(angles):
     """
-    Return the orientation of a body by its angles.
+    Return the orientation of a body, shape (2, 2) or (3, 3), by its angles [rad].
 
-    Parameters
-    ----------
-    angles : sequence of float
-        One in the plane; in space those about the x, y and z axes of the world, one after the
-        other [rad].
-
-    Returns
-    -------
-    ndarray, shape (2, 2) or (3, 3)
-
+    One in the plane; in space those about the x, y and z axes of the world, one after the other.
     """
     return of_angles(angles) if len(angles) == 3 else about((0.0, 0.0, 1.0), angles[0])[:2, :2]
 
@@ -475,26 +421,9 @@ def begun(platform, axes, angles=None, workers=None):
     Return a grid in an orientation, of which one node at least is reached from the scene's start.
 
     The way there leads through orientations in between, on a coarse grid in each, so that the
-    point may move where it must.
-
-    Parameters
-    ----------
-    platform : Platform
-        Of the scene.
-    axes : sequence of Axis
-        One for each axis of the world, in their order.
-    angles : sequence of float, optional
-        As for ``orientation_of``; those of the start when not given.
-    workers : int, optional
-        As for ``PoseGrid``.
-
-    Raises
-    ------
-    BranchEndError
-        Where the start is singular.
-    AssemblyError
-        Where no node is reached.
-
+    point may move where it must. ``axes`` are those of the world, in their order; ``angles`` as
+    for ``orientation_of``, those of the start when not given; ``workers`` as for ``PoseGrid``.
+    BranchEndError where the start is singular, AssemblyError where no node is reached.
     """
     wanted = platform.orientation if angles is None or not platform.turned else orientation_of(
         angles)

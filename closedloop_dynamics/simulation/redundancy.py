@@ -53,21 +53,7 @@ def wrench_names(mechanism):
 
 
 def find_redundancy(mechanism, q):
-    """
-    Find equations that repeat others at and near a position that closes the loops.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-
-    Returns
-    -------
-    Redundancy
-
-    """
+    """Find equations that repeat others at and near a position that closes the loops."""
     geometry = Geometry(mechanism)
     geometry.choose(q)
     if not geometry.has_redundant_constraints:
@@ -98,15 +84,8 @@ def _components(mechanism, geometry, q, common, extent):
     """
     Return the components of the wrenches in all joints that multipliers without effect change.
 
-    Parameters
-    ----------
-    mechanism, geometry, q
-        As in ``find_redundancy``.
-    common : ndarray, shape (n, nc)
-        Multipliers that move nothing: J^T of each is zero.
-    extent : float
-        Size of the mechanism [m].
-
+    ``common``, shape (n, nc): multipliers that move nothing: J^T of each is zero; ``extent``: size
+    of the mechanism [m].
     """
     names = wrench_names(mechanism)
     moments = 1 if mechanism.planar else 3

@@ -110,12 +110,8 @@ def is_plain(simulation):
     """
     Return whether a run needs nothing but fixed steps, so that several can share a vector.
 
-    Returns
-    -------
-    bool
-        False for error-controlled and stiff methods, independent coordinates, commands that
-        arrive late, sensors that remember, and equations that were left out, which are watched.
-
+    Not for error-controlled and stiff methods, independent coordinates, commands that arrive late,
+    sensors that remember, and equations that were left out, which are watched.
     """
     effects = simulation.effect_set
     return (isinstance(simulation.monitor.driver, FixedSteps)
@@ -128,12 +124,8 @@ def runs_whole(simulation):
     """
     Return whether the engine can make runs of a simulation as a whole.
 
-    Returns
-    -------
-    bool
-        False for SciPy's methods, commands that arrive late, sensors that remember, what acts
-        in cut joints, and equations that may be left out but are not, or drift apart.
-
+    Not for SciPy's methods, commands that arrive late, sensors that remember, what acts in cut
+    joints, and equations that may be left out but are not, or drift apart.
     """
     effects = simulation.effect_set
     watched = simulation.run.watch.chooses
@@ -146,19 +138,10 @@ def runs_whole(simulation):
 
 def record(simulation, torques, schedule, quantities=QUANTITIES):
     """
-    Run a simulation from its start, and return the results.
+    Run a simulation at time zero, and return the results; ``reset`` it before using it again.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        At time zero. Call ``reset`` before using it again.
-    torques : ndarray, shape (rows, number of actuated joints)
-        [N m or N]; at least one row.
-    schedule : TimeGrid
-        No longer than the rows last.
-    quantities : sequence of str
-        What to keep, of ``QUANTITIES``.
-
+    ``torques``, shape (rows, number of actuated joints) [N m or N], at least one row; the
+    ``schedule`` is no longer than these last; ``quantities``, of ``QUANTITIES``, are kept.
     """
     at_start = simulation.at_start
     done, = record_all(simulation, torques[np.newaxis], schedule, quantities)
@@ -174,21 +157,8 @@ def starts_as_given(simulation, positions, velocities):
     """
     Return states to start from that need no assembly, as far as there are such.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        At its start.
-    positions : ndarray, shape (n, nq)
-        Joint coordinates.
-    velocities : ndarray, shape (n, nv)
-        Joint rates.
-
-    Returns
-    -------
-    states : ndarray, shape (n, ns)
-    fine : ndarray of bool, shape (n,)
-        Whether ``set_state`` would take each to the last digit.
-
+    Of positions, shape (n, nq), and velocities, (n, nv): states, (n, ns), and whether
+    ``set_state`` would take each to the last digit, bool of shape (n,).
     """
     system, names = simulation.system, simulation.coordinates
     states = np.tile(simulation.integrated, (len(positions), 1))
@@ -216,20 +186,9 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     """
     Make runs from the present state of a simulation as a whole, as far as possible.
 
-    Parameters
-    ----------
-    simulation, schedule, quantities
-        As for ``record``.
-    torques : ndarray, shape (n, rows, number of actuated joints)
-        Of each run [N m or N].
-    starts : ndarray, shape (n, ns), optional
-        Initial states; by default the present state of the simulation.
-
-    Returns
-    -------
-    list of RunResult, or None
-        None for runs that are to be made step by step: these alone can say how they end.
-
+    ``torques`` of each run, shape (n, rows, number of actuated joints) [N m or N]; ``starts``,
+    shape (n, ns): initial states, by default the present one; all else as for ``record``. None for
+    runs that are to be made step by step: these alone can say how they end.
     """
     steps, records, bearable = (
         schedule.steps(simulation.step_size), [None] * len(torques), range(len(torques)))

@@ -26,27 +26,10 @@ def write_with_numbers(scene, values, path):
     """
     Write a scene with other numbers, in its own words where these have a place for them.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        As it was read.
-    values : dict of str to float
-        By key path; of those under ``initial.position``, the ones in the file.
-    path : pathlib.Path
-        Of the new file; beside it, one of the mechanism where that has its own.
-
-    Returns
-    -------
-    files : list of pathlib.Path
-    kept : bool
-        Whether the words of the author were kept.
-
-    Raises
-    ------
-    FieldError, MechanismError
-        For impossible numbers.
-    OSError
-
+    ``values`` are by key path; of those under ``initial.position``, the ones in the file. Beside
+    the file of ``path`` there is one of the mechanism where that has its own. Returns the files,
+    and whether the words of the author were kept. FieldError, MechanismError for impossible
+    numbers; OSError.
     """
     values = {'.'.join(resolve(scene, key)): float(value) for key, value in values.items()}
     other = changed(scene, {resolve(scene, key): value for key, value in values.items()})

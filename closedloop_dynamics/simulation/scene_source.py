@@ -24,19 +24,9 @@ MECHANISM = 'mechanism'
 
 def source_of(scene: Scene) -> Tuple[str, bool]:
     """
-    Return the text of a scene.
+    Return the text of a scene, and whether it is in the words of the author.
 
-    Parameters
-    ----------
-    scene : Scene
-        As it was read, or changed since in numbers.
-
-    Returns
-    -------
-    text : str
-    kept : bool
-        Whether it is in the words of the author.
-
+    It is as it was read, or changed since in numbers.
     """
     text = _as_written(scene)
     if text is not None:
@@ -52,18 +42,8 @@ def with_numbers(text: str, base: Scene, scene: Scene) -> Optional[str]:
     """
     Return a text with the numbers of another scene, and with other effects switched off.
 
-    Parameters
-    ----------
-    text : str
-        Of ``base``.
-    base, scene : Scene
-        Alike but for these.
-
-    Returns
-    -------
-    str or None
-        None where a number has no place in the text, or stands for others, too.
-
+    It is that of ``base``, which is like ``scene`` but for these. None where a number has no place
+    in the text, or stands for others, too.
     """
     before, after = numbers(base), numbers(scene)
     given = (base.source[0] if base.source else {})
@@ -91,20 +71,9 @@ def with_numbers(text: str, base: Scene, scene: Scene) -> Optional[str]:
 
 def with_entries(text: str, entries: Mapping[Tuple[str, ...], Any]) -> Optional[str]:
     """
-    Return a text with more in it.
+    Return a text of a scene with more in it; None where there is no place.
 
-    Parameters
-    ----------
-    text : str
-        Of a scene.
-    entries : mapping of tuple of str to object
-        Plain data by the keys of their places; the last key is new.
-
-    Returns
-    -------
-    str or None
-        None where there is no place.
-
+    ``entries``: plain data by the keys of their places, of which the last one is new.
     """
     for (*keys, name), value in entries.items():
         more = with_entry(text, tuple(keys), name, value)

@@ -64,15 +64,7 @@ class SignalWatch:
 
     @contextmanager
     def reacting(self, reaction):
-        """
-        Call ``reaction(number)`` on a signal while the body runs.
-
-        Parameters
-        ----------
-        reaction : callable
-            Takes the number of the signal.
-
-        """
+        """Call ``reaction(number)`` on a signal while the body runs."""
         with self._lock:
             depth = len(self._reactions)
             self._reactions.append(reaction)

@@ -185,17 +185,11 @@ class SingularCurves:
 
     def follow(self, position):
         """
-        Return the curve through a singular position, a ``SingularCurve``.
+        Return the curve through a singular position as of ``onto``, a ``SingularCurve``.
 
         It ends beyond the grid, where it comes back to its first point, where two legs are
         singular at once, and, of type 2, where it meets a curve of type 1 and goes on as that of
         another branch.
-
-        Parameters
-        ----------
-        position : ndarray, shape (nq,)
-            As ``onto`` returns it.
-
         """
         forth, closed = self._one_way(position, 1.0)
         back = [] if closed else self._one_way(position, -1.0)[0]
@@ -255,19 +249,9 @@ class SingularCurves:
 
 def all_curves(curves, seeds):
     """
-    Follow the curves next to many positions, each once.
+    Yield the curves next to many positions, singular ones or not, each once.
 
-    Parameters
-    ----------
-    curves : SingularCurves
-        Of one kind.
-    seeds : iterable of ndarray, shape (nq,)
-        Near singular positions, or not.
-
-    Yields
-    ------
-    SingularCurve
-
+    ``curves`` are of one kind.
     """
     known = np.zeros((0, 2))
     for seed in seeds:

@@ -56,13 +56,9 @@ class StepDerivatives:
 
     def need(self, group):
         """
-        Have some routines compiled.
+        Have some routines compiled, a group of ``core.codegen.sensitivities``.
 
-        Parameters
-        ----------
-        group : tuple of int
-            ``FORWARD``, ``REVERSE``, ``CLOSURE`` or ``WRENCH`` of ``core.codegen.sensitivities``.
-
+        ``FORWARD``, ``REVERSE``, ``CLOSURE`` or ``WRENCH``.
         """
         table, model, scene = self.routines.table, self.parameters.model, self._scene
         if table[group[0]]:
@@ -90,19 +86,10 @@ class StepDerivatives:
 
     def by_parameter(self, q, qd, qdd, lam):
         """
-        Return derivatives by the parameters, coordinates and rates held.
+        Return derivatives by the parameters, coordinates and rates of a state held.
 
-        Parameters
-        ----------
-        q, qd, qdd, lam : ndarray, shapes (nq,), (nv,), (nv,), (nc,)
-            A state, its accelerations and multipliers.
-
-        Returns
-        -------
-        of_acceleration : ndarray, shape (nv + nc, np)
-            Of accelerations and multipliers.
-        of_closure, of_closure_rate : ndarray, shape (nc, np)
-
+        Of accelerations and multipliers, shape (nv + nc, np); of closures and of their rates, (nc,
+        np).
         """
         self.need(FORWARD)
         self.routines.qdd[:], self.routines.lam[:] = qdd, lam
@@ -114,19 +101,9 @@ class StepDerivatives:
         """
         Return the wrenches in the joints that are not fixed and in cut joints; their derivatives.
 
-        Parameters
-        ----------
-        q, qd, qdd, lam
-            As for ``by_parameter``.
-
-        Returns
-        -------
-        wrenches : ndarray, shape (6 n,)
-            Moment and force of each, in world axes, at the origin of the child, of cut joints at
-            the cut point of body A.
-        derivatives : ndarray, shape (6 n, 3 nv + np)
-            By joint displacements, rates, torques and parameters.
-
+        Moment and force of each, in world axes, at the origin of the child, of cut joints at the
+        cut point of body A, shape (6 n,); and by joint displacements, rates, torques and
+        parameters, (6 n, 3 nv + np). Arguments are those of ``by_parameter``.
         """
         self.need(WRENCH)
         self.routines.qdd[:], self.routines.lam[:] = qdd, lam
@@ -140,12 +117,7 @@ class StepDerivatives:
         """
         Return derivatives of the closure equations, and of their rates.
 
-        Returns
-        -------
-        jacobian, rate_by_position : ndarray, shape (nc, nv)
-            By joint displacements, the rates held.
-        by_parameter, rate_by_parameter : ndarray, shape (nc, np)
-
+        By joint displacements, the rates held, both (nc, nv); by parameters, both (nc, np).
         """
         return (*self._of_closures(q, qd, self._seeds_of_displacements(q)),
                 *self._of_closures(q, qd, self._seeds_of_parameters()))
@@ -172,21 +144,9 @@ class StepDerivatives:
 
 def turned(manifold, q, displacements):
     """
-    Return changes of coordinates for displacements of joints, quaternions by rotations.
+    Return changes of coordinates, (nq, n), for displacements of joints, (nv, n), at coordinates q.
 
-    Parameters
-    ----------
-    manifold : Manifold or None
-        Of the coordinates; None where there are no quaternions among them.
-    q : ndarray, shape (nq,)
-        Where they are.
-    displacements : ndarray, shape (nv, n)
-        Of orientations, about the axes of the child.
-
-    Returns
-    -------
-    ndarray, shape (nq, n)
-
+    Quaternions by rotations, of orientations about the axes of the child.
     """
     if manifold is None:
         return displacements

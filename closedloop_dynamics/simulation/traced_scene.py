@@ -15,18 +15,7 @@ def refusals(simulation, instant=False):
     """
     Return the parts of a simulation without derivatives, and the reasons.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Of the scene.
-    instant : bool
-        Whether the time is held.
-
-    Returns
-    -------
-    dict of str to str
-        Reasons by what is refused; empty where there are derivatives, and C (``c_source``).
-
+    Empty where there are derivatives, and C (``c_source``). ``instant``: whether the time is held.
     """
     found = {f'effects.{name}': reason
              for name, reason in refused(simulation.effect_set, instant).items()}
@@ -40,15 +29,7 @@ def refusals(simulation, instant=False):
 
 
 def require_derivatives(simulation, instant=False):
-    """
-    Refuse a scene that has no derivatives, or none while the time is held.
-
-    Raises
-    ------
-    SimulationError
-        With names and reasons.
-
-    """
+    """Refuse a scene that has no derivatives, or none while the time is held."""
     reasons = refusals(simulation, instant)
     if reasons:
         raise SimulationError(
@@ -111,19 +92,9 @@ class TracedScene:
 
     def table(self, arrays, columns):
         """
-        Return a table of addresses, without routines; it does not keep the arrays.
+        Return a table of addresses, of so many columns, without routines.
 
-        Parameters
-        ----------
-        arrays : dict of int to ndarray
-            By their places, beside those of the scene.
-        columns : int
-            Length of the table.
-
-        Returns
-        -------
-        ndarray of int, shape (columns,)
-
+        ``arrays``, by their places, beside those of the scene, are not kept by it.
         """
         table = np.zeros(columns, dtype=np.int64)
         for place, array in {calls.BODY: self._model.body, calls.GRAVITY: self._model.gravity,

@@ -17,23 +17,9 @@ MOST_JOINTS = 40
 
 def count_operations(mechanism):
     """
-    Count the operations of one evaluation: additions, multiplications, divisions, negations.
+    Count the operations of one evaluation of a mechanism with a tree, None if it is too large.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        With a tree.
-
-    Returns
-    -------
-    int or None
-        None for a mechanism that is too large to count.
-
-    Raises
-    ------
-    MechanismError
-        Where a loop cannot close.
-
+    Additions, multiplications, divisions, negations. MechanismError where a loop cannot close.
     """
     if len(mechanism.joints) > MOST_JOINTS:
         return None
@@ -41,15 +27,7 @@ def count_operations(mechanism):
 
 
 def cheapest(mechanism):
-    """
-    Exchange joints that are cut for others, one by one, as long as that saves operations.
-
-    Returns
-    -------
-    Mechanism
-        Itself where there is nothing to choose.
-
-    """
+    """Exchange joints that are cut for others, one by one, as long as that saves operations."""
     if mechanism.tree is None or len(mechanism.joints) > MOST_JOINTS:
         return mechanism
     best, fewest = mechanism, _counted(mechanism)

@@ -61,19 +61,10 @@ class Placement(NamedTuple):
 
     def weigh(self, constants, mass, center, inertia):
         """
-        Add a rigid mass on the body to ``Model.body``.
+        Add a rigid mass [kg] on the body to ``Model.body``, in place.
 
-        Parameters
-        ----------
-        constants : ndarray, shape (nb + 1, BODY_COLUMNS)
-            Changed in place.
-        mass : float
-            [kg].
-        center : sequence of 2 or 3 floats
-            Its centre of mass in the body's frame [m].
-        inertia : float or tuple of 6
-            About that, in the body's axes, as ``mechanism.Body`` has it [kg m^2].
-
+        ``center``: its centre of mass in the body's frame [m]; ``inertia``: about that, in the
+        body's axes, as ``mechanism.Body`` has it [kg m^2].
         """
         if len(center) == 2:
             plane.weigh(constants[self.row], mass, self.place(center), inertia)
@@ -198,19 +189,10 @@ class SpatialTreeRows(TreeRows):
 
 def weigh_bodies(constants, placements, bodies, rows=None):
     """
-    Write masses into ``Model.body``.
+    Write masses into rows of ``Model.body``, in place, where they are zero.
 
-    Parameters
-    ----------
-    constants : ndarray, shape (nb + 1, BODY_COLUMNS)
-        Changed in place; the masses of these rows are zero.
-    placements : dict of str to Placement
-        Of all bodies, in the order of the rows: in that they are added up, to the last bit.
-    bodies : dict of str to Body
-        By name.
-    rows : set of int, optional
-        The rows to write; all when not given.
-
+    ``placements`` of all bodies are in the order of the rows: in that they are added up, to the
+    last bit; ``bodies`` are by name; ``rows``: those to write, all when None.
     """
     for name, placement in placements.items():
         if name != GROUND and (rows is None or placement.row in rows):

@@ -54,30 +54,14 @@ def variant(scene, mechanism, initial, effects, left_out) -> Variant:
 
 def carried_effects(scene, signs, world, place, turned=()):
     """
-    Return the effects of a scene for a machine whose joints count another way.
+    Return the effects of a scene for a machine whose joints count another way, and those left out.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        Of the other machine.
-    signs : dict of str to int or None
-        By joint and by freedom: what the new coordinate is times the old one; None where it is
-        none of both. 1 for others.
-    world : callable or None
-        Takes a vector in the old world's axes, returns it in those of the new one, mirrored. None
-        where the old world is a moving body: gravity alone stays.
-    place : callable
-        Takes a body's name, a place in its frame and an inertia along its axes, returns both in
-        its new frame; None for a body that is there no more.
-    turned : set of str, optional
-        Joints of which parent and child have changed places.
-
-    Returns
-    -------
-    effects : dict of str to record
-    left_out : list of str
-        Parts that could not be carried over.
-
+    ``signs``, by joint and by freedom: what the new coordinate is times the old one; None where it
+    is none of both, 1 for others. ``world`` takes a vector in the old world's axes, returns it in
+    those of the new one, mirrored; None where the old world is a moving body: gravity alone stays.
+    ``place`` takes a body's name, a place in its frame and an inertia along its axes, returns both
+    in its new frame; None for a body that is there no more. ``turned``: joints of which parent and
+    child have changed places.
     """
     effects, left_out = {}, []
     for name, effect in scene.effects.items():

@@ -24,19 +24,9 @@ __all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'LEFT_OUT', 'link', 'LOOP_E
 
 def link(model, table, which=ALWAYS, joints=None):
     """
-    Give a function table routines of a model.
+    Give a function table routines of a model, by their places in it.
 
-    Parameters
-    ----------
-    model : core.types.Model
-        Constant arrays of the mechanism.
-    table : ndarray of int
-        Changed in place.
-    which : tuple of int
-        Places of the routines in it.
-    joints : integration.system.JointPlaces, optional
-        For LEAST_FORCES and LEFT_OUT.
-
+    ``joints`` are for LEAST_FORCES and LEFT_OUT.
     """
     for place, address in addresses(model, which, joints=joints).items():
         table[place] = address
@@ -46,13 +36,7 @@ def relink(model, table, joints=None, but=()):
     """
     Replace the routines of a function table, when the structure of the model has changed.
 
-    Parameters
-    ----------
-    model, table, joints
-        As for ``link``.
-    but : tuple of int
-        Places of those that are left as they are.
-
+    Those at the places ``but`` are left as they are.
     """
     link(model, table, tuple(
         one for one in np.flatnonzero(table[:BODY]).tolist() if one not in but), joints)

@@ -30,20 +30,10 @@ SLIGHT = 1e-19
 
 def write(function, y, x):
     """
-    Write the code for the angle of (x, y), to two units in the last place.
+    Write the code for the angle of (x, y) from -pi to pi [rad], to two units in the last place.
 
-    Parameters
-    ----------
-    function : Function
-        Where it goes.
-    y, x : double values or vectors of them
-        As of the C library's ``atan2``; the angle of two infinite ones is no number.
-
-    Returns
-    -------
-    value
-        From -pi to pi [rad].
-
+    As the C library's ``atan2``, of double values or vectors of them; the angle of two infinite
+    ones is no number.
     """
     kind = y[0]
     count = 0 if kind == DOUBLE else int(kind[1:].split()[0])

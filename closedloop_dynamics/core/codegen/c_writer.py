@@ -127,18 +127,8 @@ def statements(routine, places):
     """
     Return the statements of a routine.
 
-    Parameters
-    ----------
-    routine : Routine
-        The computation.
-    places : dict of int to str
-        By input or output, the array in C: a pointer to doubles.
-
-    Returns
-    -------
-    list of str
-        The last one returns 1 where the branches that were taken are right, else 0.
-
+    ``places``: by input or output, the array in C: a pointer to doubles. The last statement
+    returns 1 where the branches that were taken are right, else 0.
     """
     return _Statements(routine, places).lines
 
@@ -245,19 +235,8 @@ def statements_in_lanes(routine, places, shared):
     """
     Return the statements of a routine that computes eight times the same side by side.
 
-    Parameters
-    ----------
-    routine : Routine
-        Of sums, products and quotients alone.
-    places : dict of int to str
-        As for ``statements``; number k of lane n of an array is at place 8 k + n.
-    shared : int
-        Input that all lanes have in common.
-
-    Returns
-    -------
-    list of str
-
+    It has sums, products and quotients alone. ``places`` are as for ``statements``; number k of
+    lane n of an array is at place 8 k + n; all lanes have the input ``shared`` in common.
     """
     lines, constants = [], {}
 

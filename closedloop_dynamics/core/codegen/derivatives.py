@@ -137,17 +137,10 @@ class DerivativeTrace(SceneTrace):
         """
         Store the wrenches in joints: of the parent on the child, of body B on body A.
 
-        Parameters
-        ----------
-        rows : list of int
-            Of the bodies that the joints carry.
-        origins, axes : ndarray, shape (number of joints, 3), (number of joints, 3, 3)
-            Of the children in the frames of these rows.
-        cuts : sequence of tuples of int
-            As for ``cut_wrench``, of the cut joints whose wrenches follow, at the cut points of A.
-        cut_axes : ndarray, shape (number of cut joints, 3, 3)
-            Of bodies A in the frames of their rows.
-
+        ``rows`` are those of the bodies that the joints carry; ``origins``, shape (number of
+        joints, 3), and ``axes``, (number of joints, 3, 3), of the children in the frames of these
+        rows; ``cuts`` as for ``cut_wrench``, of the cut joints whose wrenches follow, at the cut
+        points of A; ``cut_axes`` of bodies A in the frames of their rows.
         """
         _, wrenches, _ = self._balanced()
         found = []
@@ -167,20 +160,9 @@ class DerivativeTrace(SceneTrace):
         """
         Return the wrench of body B on body A at a cut joint.
 
-        Parameters
-        ----------
-        rows : tuple of int
-            Of the cut joint among those of the model, behind it of what couples its freedoms.
-
-        Returns
-        -------
-        body : int
-            Row of body A.
-        wrench : tuple of 6
-            About the origin of that row, in world axes.
-        point : sequence
-            The cut point in the frame of that row.
-
+        ``rows``: that of the cut joint among those of the model, behind it those of what couples
+        its freedoms. Returns the row of body A, the wrench about the origin of that row, in world
+        axes, and the cut point in the frame of that row.
         """
         lam, body, wrench = self.symbols(LAM, (self.nc,)), self.constant.cut[rows[0], BODY_A], (
             2 * ZERO)

@@ -15,19 +15,7 @@ def differentiated(graph, values, seed):
     """
     Return the derivatives of values in one direction, as further operations of their graph.
 
-    Parameters
-    ----------
-    graph : ExpressionGraph
-        More is put into it.
-    values : sequence of Symbol or float
-        To be differentiated.
-    seed : dict of int to number
-        Changes of inputs, by the places of their symbols.
-
-    Returns
-    -------
-    list of Symbol or float
-
+    ``seed``: changes of inputs, by the places of their symbols.
     """
     known, operations = dict(seed), graph.operations
     for place in range(min(seed, default=0), _last(values) + 1):
@@ -45,22 +33,7 @@ def gradients(graph, values, weights, inputs):
     """
     Return the derivatives of a weighted sum of values by inputs, by one pass in reverse.
 
-    Parameters
-    ----------
-    graph : ExpressionGraph
-        More is put into it.
-    values : sequence of Symbol or float
-        To be differentiated.
-    weights : sequence of Symbol or float
-        Of the values; constant.
-    inputs : sequence of Symbol
-        Symbols that are loaded.
-
-    Returns
-    -------
-    list of Symbol or float
-        One for each input.
-
+    Weights are constant, inputs symbols that are loaded; more is put into the graph.
     """
     operations, found = graph.operations, {}
     # What does not depend on the inputs has no part in it.

@@ -75,17 +75,7 @@ def assemble(model, work):
 
 
 def share_scale(cut, scale):
-    """
-    Give the first two equations of a cut joint the larger scale of both.
-
-    Parameters
-    ----------
-    cut : ndarray of int, shape (CUT_COLUMNS,)
-        Row of ``Model.cut``.
-    scale : ndarray, shape (nc,)
-        In elimination order; written in place.
-
-    """
+    """Give the first two equations of a cut joint the larger scale of both."""
     if cut[CUT_TYPE] != CUT_PRISMATIC and cut[LENGTHS] > 1:
         first = cut[ROW]
         scale[first] = scale[first + 1] = larger(scale[first], scale[first + 1])
@@ -95,18 +85,7 @@ def factorize(model, work):
     """
     Factor the assembled Ibar = L D L^T in place; keep L D, and 1/D apart.
 
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        After ``assemble``.
-
-    Returns
-    -------
-    float
-        The smallest relative pivot; 0 where one is not positive or not a number.
-
+    Returns the smallest relative pivot; 0 where one is not positive or not a number.
     """
     column, row, dependency = model.column, model.row, model.dependency
     factor, scatter, inverse, scale = work.factor, work.scatter, work.pivot_inverse, work.scale
@@ -132,19 +111,7 @@ def factorize(model, work):
 
 
 def good(model, smallest, limit):
-    """
-    Return whether a smallest pivot is good enough.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    smallest : float
-        As ``factorize`` returns it.
-    limit : float
-        ``SMALL_PIVOT`` or ``POOR_PIVOT``.
-
-    """
+    """Return whether a smallest pivot is above ``SMALL_PIVOT`` or ``POOR_PIVOT``, the limit."""
     return smallest >= limit * min(1.0, MANY_JOINTS / model.tree.shape[0])
 
 
@@ -152,41 +119,13 @@ def factorize_well(model, work):
     """
     Factorise as ``factorize``; record a good smallest pivot in ``health``.
 
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        After ``assemble``.
-
-    Returns
-    -------
-    bool
-        Whether every pivot is good; if not, ``refinement`` must be asked.
-
+    Returns whether every pivot is good; if not, ``refinement`` must be asked.
     """
     return record_good_pivot(model, work, factorize(model, work))
 
 
 def record_good_pivot(model, work, smallest):
-    """
-    Record a smallest pivot in ``health`` where it is good.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        ``health`` is written.
-    smallest : float
-        As ``factorize`` returns it.
-
-    Returns
-    -------
-    bool
-        Whether every pivot is good; if not, ``refinement`` must be asked.
-
-    """
+    """Record a smallest pivot in ``health`` where it is good; return whether it is."""
     fine = good(model, smallest, SMALL_PIVOT)
     # A small one may be that of the masses alone: the one reported comes from ``refinement``.
     record_pivot(model, work, chosen(fine, smallest, 1.0))
@@ -194,19 +133,7 @@ def record_good_pivot(model, work, smallest):
 
 
 def record_pivot(model, work, smallest):
-    """
-    Record a smallest pivot in ``health``.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        ``health`` is written.
-    smallest : float
-        As ``factorize`` returns it.
-
-    """
+    """Record the smallest pivot of ``factorize`` in ``health``."""
     health = work.health
     health[RANK] = model.column.shape[0] - 1
     health[SMALLEST_PIVOT] = smallest
@@ -215,19 +142,7 @@ def record_pivot(model, work, smallest):
 
 
 def solve(model, work, right):
-    """
-    Solve Ibar x = ``right`` with the factors.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        After ``factorize``.
-    right : ndarray, shape (nc,)
-        In elimination order; replaced by the solution.
-
-    """
+    """Solve Ibar x = ``right`` with the factors, in place, in elimination order."""
     column, row, factor, inverse = model.column, model.row, work.factor, work.pivot_inverse
     rows = column.shape[0] - 1
     for k in range(rows):

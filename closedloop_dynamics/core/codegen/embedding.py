@@ -23,15 +23,7 @@ from ..types import (
 
 
 def closing_bodies(recursion, model):
-    """
-    Return where the loops are eliminated.
-
-    Returns
-    -------
-    list of int
-        Of each cut joint a row of the tree, 0 for the ground.
-
-    """
+    """Return where the loops are eliminated: a row of the tree by cut joint, 0 for the ground."""
     parent = model.tree[:, PARENT].tolist()
     # Bodies between three hinges have no inertia of their own, and must not get one.
     between = {i for rows in recursion.hinges for i in rows[:2]}
@@ -205,21 +197,10 @@ def _groups(recursion, model, work):
 
 def _solve(recursion, model, work, tau, right, qdd):
     """
-    Solve the equations of motion and closure.
+    Solve the equations of motion and closure; return the smallest relative pivot.
 
-    Parameters
-    ----------
-    recursion, model, work, tau, qdd
-        As for ``accelerate``.
-    right : ndarray, shape (nc,)
-        Accelerations of the closure errors without those of joints, in elimination order; replaced
-        by the multipliers.
-
-    Returns
-    -------
-    Symbol
-        The smallest relative pivot.
-
+    ``right``, shape (nc,), has the accelerations of the closure errors without those of joints, in
+    elimination order, and is replaced by the multipliers; all else is as for ``accelerate``.
     """
     groups, smallest = _groups(recursion, model, work), []
 
@@ -244,16 +225,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
 
-    Parameters
-    ----------
-    recursion, model, work, tau, baumgarte, qdd, lam
-        As for ``forward_dynamics.accelerate``.
-
-    Returns
-    -------
-    bool
-        Whether every pivot was good.
-
+    Returns whether every pivot was good.
     """
     work.health[EVALUATIONS] += 1.0
     recursion.update(model, work, NO_RESPONSES)
@@ -271,20 +243,8 @@ def correct(recursion, model, work, error, out):
     """
     Find the least change of coordinates or rates, in the mass metric, that closes an error.
 
-    Parameters
-    ----------
-    recursion, model, work
-        As for ``accelerate``.
-    error : ndarray, shape (nc,)
-        Of the closures' positions or rates, in elimination order.
-    out : ndarray, shape (nv,)
-        Written in place.
-
-    Returns
-    -------
-    bool
-        Whether every pivot was good.
-
+    ``error``, shape (nc,): of the closures' positions or rates, in elimination order; ``out``,
+    shape (nv,), is written. Returns whether every pivot was good.
     """
     kept = recursion.motion, recursion.inertia, recursion.force
     # Nothing but the multipliers acts.

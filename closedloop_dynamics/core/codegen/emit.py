@@ -169,21 +169,7 @@ class LawWriter(KernelWriter):
 
 
 def intermediate_code(routines, writer):
-    """
-    Return LLVM's intermediate representation of routines.
-
-    Parameters
-    ----------
-    routines : list of Routine
-        What is to be computed.
-    writer : type
-        ``Writer`` or one derived from it.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return LLVM's intermediate representation of routines, by a ``Writer``."""
     declared, functions = {}, []
     for routine in routines:
         written = writer(routine, declared)

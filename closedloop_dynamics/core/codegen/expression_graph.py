@@ -91,19 +91,7 @@ def needed_for(operations, places, begin=0):
     """
     Return all places on which given ones depend, themselves included.
 
-    Parameters
-    ----------
-    operations : list of tuple
-        Of a graph.
-    places : iterable of int
-        Of operations.
-    begin : int
-        What earlier operations depend on is left out.
-
-    Returns
-    -------
-    set of int
-
+    What operations before ``begin`` depend on is left out.
     """
     found, rest = set(), list(places)
     while rest:
@@ -297,21 +285,9 @@ _AGAIN = {
 
 def replayed(graph, values, load):
     """
-    Compute values again from other inputs.
+    Compute values of a graph without a guard again from other inputs.
 
-    Parameters
-    ----------
-    graph : ExpressionGraph
-        Of the values; without a guard.
-    values : sequence of Symbol or float
-        What is computed.
-    load : callable
-        Returns an input, a symbol of another graph or a number, by input and place.
-
-    Returns
-    -------
-    list of Symbol or float
-
+    ``load`` returns an input, a symbol of another graph or a number, by input and place.
     """
     known, places = {}, [value.place for value in values if isinstance(value, Symbol)]
     for place in sorted(needed_for(graph.operations, places)):
@@ -325,27 +301,10 @@ def divided(graph, values, begin, own, shared):
     """
     Compute values in a graph of their own, from results of the first operations of another.
 
-    Parameters
-    ----------
-    graph : ExpressionGraph
-        Of the values; without a guard that later operations ask for.
-    values : sequence of Symbol or float
-        What is computed.
-    begin : int
-        Operations before this one are results to be loaded.
-    own : callable
-        Returns the (input, place) of a later load in the new graph, None for one that is a result
-        of the first graph, too; takes input and place.
-    shared : int
-        Input of the results.
-
-    Returns
-    -------
-    values : list of Symbol or float
-        Of the new graph.
-    results : list of Symbol
-        Of the first graph, by their places in ``shared``.
-
+    Operations before ``begin`` are results to be loaded; no later one asks for the guard. ``own``
+    returns the (input, place) of a later load in the new graph, None for one that is a result of
+    the first graph, too, by input and place. Returns the values, of the new graph, and the
+    results, of the first graph, by their places in the input ``shared``.
     """
     after, known, results = ExpressionGraph(), {}, []
     for place in sorted(needed_for(

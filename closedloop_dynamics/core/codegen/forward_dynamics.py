@@ -10,24 +10,10 @@ from ..types import (
 
 def prepare(recursion, model, tau, work):
     """
-    Factor the inertias of the trees and the constraint matrix.
+    Factor the inertias of the trees and the constraint matrix; return whether pivots are good.
 
-    Parameters
-    ----------
-    recursion : spatial.Recursion
-        Of the bodies.
-    model : Model
-        Constant topology and geometry.
-    tau : ndarray, shape (nv,)
-        Joint torques [N m] and forces [N].
-    work : Workspace
-        After ``outward`` and whatever subtracted applied forces from FZ, FX, FY.
-
-    Returns
-    -------
-    bool
-        Whether every pivot was good.
-
+    ``work``: after ``outward`` and whatever subtracted applied forces from FZ, FX, FY; ``tau``,
+    shape (nv,): joint torques [N m] and forces [N].
     """
     recursion.inward(model, tau, work)
     recursion.update(model, work, REDUCED)
@@ -86,15 +72,7 @@ def free_acceleration(model, work, out):
     """
     Compute J I^-1 phi, the acceleration of each closure error without cut forces.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        After ``update``.
-    out : ndarray, shape (nc,)
-        Written in place, in elimination order.
-
+    ``out``, shape (nc,), is written in elimination order, after ``update``.
     """
     body, scaled = work.body, work.response_scaled
     cut, path_body = model.cut, model.path_body
@@ -108,17 +86,9 @@ def free_acceleration(model, work, out):
 
 def apply(model, work, lam):
     """
-    Add J^T lambda, reduced, to the right-hand sides of the joints.
+    Add J^T lambda, reduced, to the right-hand sides RHS of the joints, after ``update``.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        After ``update``; RHS is added to.
-    lam : ndarray, shape (nc,)
-        Multipliers in elimination order.
-
+    ``lam``, shape (nc,), in elimination order.
     """
     body, response = work.body, work.response
     cut, path_body = model.cut, model.path_body
@@ -133,17 +103,9 @@ def apply(model, work, lam):
 
 def constraint_right_side(work, baumgarte, right):
     """
-    Turn J I^-1 phi into the right-hand side of the multipliers, in place.
+    Turn J I^-1 phi (or zeros), shape (nc,), into the right-hand side of the multipliers.
 
-    Parameters
-    ----------
-    work : Workspace
-        After ``update``.
-    baumgarte : float
-        Decay rate [1/s] of closure errors.
-    right : ndarray, shape (nc,)
-        J I^-1 phi (or zeros); replaced by - Jdot qd - Baumgarte's terms less that.
-
+    In place: - Jdot qd - Baumgarte's terms, of a decay rate [1/s] of closure errors, less that.
     """
     for k in range(right.shape[0]):
         right[k] = -right[k] - work.bias[k] - baumgarte * (
@@ -151,19 +113,7 @@ def constraint_right_side(work, baumgarte, right):
 
 
 def to_user_order(model, ordered, out):
-    """
-    Copy closure-sized values from elimination order to the order of the mechanism.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    ordered : ndarray, shape (nc,)
-        In elimination order.
-    out : ndarray, shape (nc,)
-        Written in place.
-
-    """
+    """Copy closure-sized values from elimination order to the order of the mechanism."""
     cut = model.cut
     for a in range(cut.shape[0]):
         for k in range(cut[a, ROWS]):

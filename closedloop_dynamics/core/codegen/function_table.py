@@ -49,15 +49,7 @@ def connect(arrays):
     """
     Return a function table without routines.
 
-    Parameters
-    ----------
-    arrays : dict of int to ndarray
-        By the places BODY to LAM_OF_ALL; the table does not keep them.
-
-    Returns
-    -------
-    ndarray of int, shape (TABLE_COLUMNS,)
-
+    ``arrays``, by the places BODY to LAM_OF_ALL, are not kept by the table.
     """
     table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():

@@ -30,21 +30,7 @@ SAME_PLACE = 1e-12
 
 
 def structure(model, joints):
-    """
-    Return the structural data of code for least forces, beside the topology.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    joints : integration.system.JointPlaces
-        Of its joints.
-
-    Returns
-    -------
-    tuple
-
-    """
+    """Return the structural data of code for least forces, beside the topology."""
     return (joints.row.tobytes(), joints.body.tobytes(), (joints.point != 0.0).tobytes(),
             *(_is_at_origin(model, joints, k) for k in range(len(joints.row))))
 
@@ -61,21 +47,10 @@ def _is_at_origin(model, joints, k):
 
 def closures_of(trace, everything):
     """
-    Return the equations of all cut joints.
+    Return the equations of all cut joints, in the mechanism's order, after the outward recursion.
 
-    Parameters
-    ----------
-    trace : routines.MechanismTrace
-        After the outward recursion.
-    everything : bool
-        Whether those, too, that the elimination leaves out.
-
-    Returns
-    -------
-    list of (int, bool, Closure)
-        In the mechanism's order: which cut joint of the model, and whether the elimination works
-        on the equation.
-
+    Which cut joint of the model, whether the elimination works on the equation, and the Closure;
+    ``everything``: those, too, that the elimination leaves out.
     """
     found = []
     for a in np.argsort(trace.constant.cut[:, CUT_NUMBER]).tolist():
@@ -90,22 +65,10 @@ def wrenches(trace, qdd, lam, closures):
     """
     Sum up the wrenches in the joints of the trees, by Newton.
 
-    Parameters
-    ----------
-    trace : routines.MechanismTrace
-        After the outward recursion, with what acts on the bodies.
-    qdd : ndarray, shape (nv,)
-        Accelerations; those of spherical joints about the world's axes.
-    lam : sequence
-        Multipliers of the closures.
-    closures : list
-        As ``closures_of`` returns it.
-
-    Returns
-    -------
-    list of tuples of 6
-        By rows of the tree, at the bodies' origins; what carries the ground counts for nothing.
-
+    ``trace``: after the outward recursion, with what acts on the bodies; ``qdd``, shape (nv,):
+    accelerations, those of spherical joints about the world's axes; ``lam``: multipliers of the
+    closures, which are as ``closures_of`` returns them. Wrenches are by rows of the tree, at the
+    bodies' origins; what carries the ground counts for nothing.
     """
     one, tree = trace.recursion, trace.constant.tree
     after, found = [2 * ZERO], [2 * ZERO, *one.force[1:]]
@@ -213,15 +176,7 @@ class _Joint:
 
 
 def require_left_out(trace, qdd):
-    """
-    Record in the guard whether accelerations fulfil the equations that are left out.
-
-    Parameters
-    ----------
-    trace, qdd
-        As for ``least_forces``.
-
-    """
+    """Record in the guard whether accelerations fulfil the equations that are left out."""
     closures = closures_of(trace, True)
     _require_closed(closures, _levers(closures, _passages(trace, closures)), qdd)
 

@@ -39,15 +39,7 @@ def connect(model, kernel, cut_kernel):
     """
     Fill in the addresses of the kernels of a mechanism.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    kernel : ndarray of int, shape (nb + 1, BODY_KERNELS)
-        Written in place; row 0 is not used.
-    cut_kernel : ndarray of int, shape (number of cuts, 2)
-        Written in place.
-
+    Shapes (nb + 1, BODY_KERNELS), of which row 0 is not used, and (number of cuts, 2).
     """
     arrays = arrays_of(model)
     structures = space.structure(model) if arrays is space else (None, None)
@@ -62,15 +54,7 @@ def structure(model):
     """
     Return the data that the kernels depend on: while it is the same, nothing is linked.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism, of which effects change masses, rotors and joint types.
-
-    Returns
-    -------
-    bytes
-
+    Effects change masses, rotors and joint types of a model.
     """
     found = space.kinds_of_bodies(model) if space.is_spatial(model) else ()
     return b''.join(array.tobytes() for array in (model.tree, *found))

@@ -23,20 +23,10 @@ def connect(model, arrays, evaluations=None):
     """
     Return the function table of the routines of a mechanism for several states at once.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of one of the mechanisms; all must have its topology.
-    arrays : dict of int to ndarray
-        From the places BODY to RATES, lane by lane, but for BAUMGARTE, which all share;
-        they must live as long as the function table is used.
-    evaluations : dict of int to int, optional
-        Addresses of those of a scene by place; where not given, that of the mechanism alone.
-
-    Returns
-    -------
-    ndarray of int, shape (TABLE_COLUMNS,)
-
+    ``model`` is one of the mechanisms, which have its topology; ``arrays``, from the places BODY
+    to RATES, lane by lane, but for BAUMGARTE, which all share, must live as long as the table is
+    used; ``evaluations``: addresses of those of a scene by place, by default that of the mechanism
+    alone.
     """
     table = connect_arrays(arrays)
     alone = (EVALUATION, CORRECTION) if evaluations is None else (CORRECTION,)
@@ -46,40 +36,16 @@ def connect(model, arrays, evaluations=None):
 
 
 def spread(arrays):
-    """
-    Store an array of each lane lane by lane.
-
-    Parameters
-    ----------
-    arrays : sequence of LANES ndarrays
-        All of one shape.
-
-    Returns
-    -------
-    ndarray, shape (LANES * size,)
-
-    """
+    """Store an array of each lane, all of one shape, lane by lane: shape (LANES * size,)."""
     return np.stack([np.asarray(array, dtype=float).ravel() for array in arrays], axis=-1).ravel()
 
 
 def allocate(models, sizes, baumgarte):
     """
-    Allocate inputs and outputs of routines for several states at once.
+    Allocate inputs and outputs of routines for several states at once, for ``connect``.
 
-    Parameters
-    ----------
-    models : sequence of LANES Models
-        Of one topology.
-    sizes : sequence of 2 ints
-        Joint coordinates, closure equations.
-    baumgarte : ndarray, shape (1,)
-        Decay rate of closure errors [1/s].
-
-    Returns
-    -------
-    dict of int to ndarray
-        For ``connect``.
-
+    ``models`` are of one topology; ``sizes``: joint coordinates, closure equations; ``baumgarte``,
+    shape (1,): decay rate of closure errors [1/s].
     """
     nv, nc = sizes
     return {

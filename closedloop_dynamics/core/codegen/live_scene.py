@@ -30,21 +30,8 @@ def address_of_scene(model, structure, laws, form=SCALAR):
     """
     Return the address of the evaluation of a scene, compiled unless it is stored.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    structure : tuple
-        Dependences of the code beside the mechanism.
-    laws : callable
-        Returns the laws for ``LiveTrace``.
-    form : tuple
-        Of ``machine_code``.
-
-    Returns
-    -------
-    int
-
+    ``structure``: dependences of the code beside the mechanism; ``laws`` returns the laws for
+    ``LiveTrace``; ``form`` is that of ``machine_code``.
     """
     form = form_for(model, form)
     key = topology(model), structure, form
@@ -116,18 +103,8 @@ class LiveTrace(MechanismTrace):
         """
         Apply static friction, up to its limit, to joints at rest; see ``engine/sticking.hpp``.
 
-        Parameters
-        ----------
-        resting : list of (Symbol, list of (int, Symbol))
-            Limits of the frictions, all zero but one, and the joints that each acts on with its
-            moment arms.
-        qdd, lam : ndarray
-            Accelerations and multipliers without it.
-
-        Returns
-        -------
-        tuple of 2 ndarrays
-
+        ``resting``: limits of the frictions, all zero but one, and the joints that each acts on
+        with its moment arms. Returns accelerations and multipliers, given those without it.
         """
         most = zeros(self.nv)
         for limit, arms in resting:

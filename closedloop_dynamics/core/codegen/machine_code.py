@@ -29,15 +29,7 @@ _announce = []
 
 @contextmanager
 def announced_by(announce):
-    """
-    Announce long compilations, before they begin, by a function.
-
-    Parameters
-    ----------
-    announce : callable
-        Takes a sentence.
-
-    """
+    """Announce long compilations, before they begin, by a function that takes a sentence."""
     _announce.append(announce)
     try:
         yield
@@ -47,26 +39,12 @@ def announced_by(announce):
 
 def machine_code(key, routines, form, parts=1, seconds=0.0):
     """
-    Return the addresses of routines, compiled now or by an earlier process.
+    Return a function from a routine's name to its address, compiled now or by an earlier process.
 
-    Parameters
-    ----------
-    key : tuple
-        Structure of the mechanism and all else that the routines depend on.
-    routines : callable
-        Returns the list of Routine; called only where nothing is stored.
-    form : tuple
-        ``SCALAR``, ``KERNEL``, ``LAW``, ``LANES`` or ``PACKED``.
-    parts : int
-        Of how many objects the code is, at most as many as there are routines.
-    seconds : float
-        Approximate limit of the compile time [s].
-
-    Returns
-    -------
-    callable
-        From a routine's name to its address.
-
+    ``key``: structure of the mechanism and all else that the routines depend on; ``routines``
+    returns the list of Routine, called only where nothing is stored; ``form``: ``SCALAR``,
+    ``KERNEL``, ``LAW``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code is, at
+    most as many as there are routines; ``seconds``: approximate limit of the compile time.
     """
     from llvmlite import binding
     binding.initialize_native_target()

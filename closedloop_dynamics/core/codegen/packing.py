@@ -47,22 +47,9 @@ def alike(operations, use, apart):
     """
     Find operations that are the same on other inputs.
 
-    Parameters
-    ----------
-    operations : list of tuple
-        Of a graph.
-    use : list of int
-        Places of those that are needed, in their order.
-    apart : set of int
-        Places that are to stay alone.
-
-    Returns
-    -------
-    kinds : dict of int to int
-        The same number for operations that are the same, at whatever inputs.
-    groups : list of list of int
-        Places of operations that are the same, each of other inputs.
-
+    Of a graph, those that are needed in their order (``use``), but for places that are to stay
+    alone (``apart``). Returns the same number for operations that are the same, at whatever
+    inputs, by place, and lists of places of operations that are the same, each of other inputs.
     """
     inputs, kinds, numbers = support(operations, use), {}, {}
     found = defaultdict(lambda: defaultdict(list))
@@ -215,24 +202,11 @@ class Packing:
 
     def gathered(self, operands):
         """
-        Return where the operands of a bundle are, lane by lane.
+        Return where the operands of a bundle, places of operations or numbers, are, lane by lane.
 
-        Parameters
-        ----------
-        operands : sequence of int or float
-            Places of operations, or numbers.
-
-        Returns
-        -------
-        width : int
-            Of a vector that they fit in.
-        padded : tuple of int or float
-            As many; the first one in lanes beyond them, too.
-        number : int or None
-            Of the bundle that all of them are in.
-        lanes : list of int
-            Of that bundle.
-
+        The width of a vector that they fit in; as many operands, the first one in lanes beyond
+        them, too; the number of the bundle that all of them are in, or None; and the lanes of that
+        bundle.
         """
         width = 4 if len(operands) <= 4 else WIDEST
         padded = operands + (width - len(operands)) * operands[:1]
@@ -245,19 +219,9 @@ class Packing:
 
 def packing_of(routine, angles):
     """
-    Return how operations of a routine go together, None where that is not worth it.
+    Return the ``Packing`` of a routine's operations, None where that is not worth it.
 
-    Parameters
-    ----------
-    routine : Routine
-        What is computed.
-    angles : sequence of int
-        Places of what sines and cosines are taken of.
-
-    Returns
-    -------
-    Packing or None
-
+    ``angles``: places of what sines and cosines are taken of.
     """
     found = Packing(routine, angles)
     return None if found.saved < WORTH * len(found.use) else found

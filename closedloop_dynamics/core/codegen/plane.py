@@ -42,19 +42,10 @@ HELD = {kind: (CUT_TYPES[kind], *held) for kind, held in {
 
 def weigh(constant, mass, center, about):
     """
-    Add a rigid mass to a row of ``Model.body``.
+    Add a rigid mass [kg] to a row of ``Model.body``, in place.
 
-    Parameters
-    ----------
-    constant : ndarray, shape (BODY_COLUMNS,)
-        Changed in place.
-    mass : float
-        [kg].
-    center : ndarray, shape (2,)
-        Its centre of mass in the body's frame [m].
-    about : float
-        Inertia about that [kg m^2].
-
+    ``center``, shape (2,): its centre of mass in the body's frame [m]; ``about``: inertia about
+    that [kg m^2].
     """
     x, y = center.tolist()
     for column, value in (
@@ -64,19 +55,7 @@ def weigh(constant, mass, center, about):
 
 
 def possible(kind):
-    """
-    Return the bits of the equations of a cut joint that do not always hold in the plane.
-
-    Parameters
-    ----------
-    kind : int
-        Its ``CUT_TYPE``.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return the bits of a cut type's equations that do not always hold in the plane."""
     _, along, perpendicular = HELD[kind]
     # Others have one equation of their own.
     open_ones = [axis != Z for axis in along] + [Z not in pair for pair in perpendicular] or [True]
@@ -84,34 +63,12 @@ def possible(kind):
 
 
 def group_of(kind, number):
-    """
-    Return which equations of a cut joint are of one kind: of places 0, others 1.
-
-    Parameters
-    ----------
-    kind : int
-        Its ``CUT_TYPE``.
-    number : int
-        Of the equation.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return which equations of a cut type are of one kind, by number: of places 0, others 1."""
     return int(kind != CUT_DISTANCE and number >= len(HELD[kind][1]))
 
 
 def number_equations(cut):
-    """
-    Fill in the numbers of the equations that the elimination works on.
-
-    Parameters
-    ----------
-    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-        As for ``space.number_equations``.
-
-    """
+    """Fill in the numbers of the equations that the elimination works on; see ``space``."""
     space.number_rows(cut, [
         sum(1 << n for n in range(6) if group_of(kind, n) == 0)
         for kind in cut[:, CUT_TYPE].tolist()])
@@ -123,16 +80,7 @@ def structure(model):
     """
     Return the structural data of code for a planar mechanism, beside its topology.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of a planar mechanism.
-
-    Returns
-    -------
-    tuple of ndarrays
-        Which joints its couplings read; empty where there are none.
-
+    Which joints its couplings read; empty where there are none.
     """
     couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
     found = (model.cut_point[couplings, FACTORS:] != 0.0,) if couplings.any() else ()
@@ -143,20 +91,9 @@ def structure(model):
 
 def bodies(model, symbols):
     """
-    Describe the rows of a planar tree.
+    Describe the rows of a planar tree by symbols, shape (nb + 1, BODY_COLUMNS).
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    symbols : ndarray, shape (nb + 1, BODY_COLUMNS)
-        Of the inputs, as ``Model.body``.
-
-    Returns
-    -------
-    list of Body
-        Quantities without meaning in the plane, such as inertias about axes in it, are zero.
-
+    Quantities without meaning in the plane, such as inertias about axes in it, are zero.
     """
     found = []
     for row, kind in zip(symbols, model.tree[:, TYPE]):
@@ -171,21 +108,7 @@ def bodies(model, symbols):
 
 
 def cuts(model, symbols):
-    """
-    Describe the cut joints of a planar mechanism.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
-        Of the inputs, as ``Model.cut_point``.
-
-    Returns
-    -------
-    list of Cut
-
-    """
+    """Describe the cut joints of a planar mechanism by symbols, as of ``Model.cut_point``."""
     return [_coupling(model, one, values, row)
             if one[CUT_TYPE] in (CUT_COUPLING, PRESCRIBED_JOINT) else
             Cut(*HELD[one[CUT_TYPE]][1:], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),

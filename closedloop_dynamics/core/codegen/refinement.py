@@ -99,25 +99,10 @@ def _stand_in(model, work):
 
 def prepare(recursion, model, tau, work):
     """
-    Check the configuration, and factor the constraint matrix where it is regular.
+    Check the configuration, and factor the constraint matrix; return whether it is regular.
 
-    Parameters
-    ----------
-    recursion : spatial.Recursion
-        Of the bodies.
-    model : Model
-        Constant topology and geometry.
-    tau : ndarray, shape (nv,)
-        Joint torques [N m] and forces [N].
-    work : Workspace
-        After ``outward``, afresh, and the applied forces. ``health`` gives the smallest
-        relative pivot, without masses.
-
-    Returns
-    -------
-    bool
-        Whether it is regular.
-
+    ``work``: after ``outward``, afresh, and the applied forces; its ``health`` gives the smallest
+    relative pivot, without masses. ``tau``, shape (nv,): joint torques [N m] and forces [N].
     """
     smallest = _geometry(recursion, model, work)
     elimination.record_pivot(model, work, smallest)

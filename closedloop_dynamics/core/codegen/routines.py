@@ -34,15 +34,7 @@ def topology(model):
     """
     Return the key of a mechanism's routines: its topology and structural numbers.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism. Masses, lengths and gravity may change later.
-
-    Returns
-    -------
-    tuple
-
+    Masses, lengths and gravity may change later.
     """
     spatial = space.is_spatial(model)
     structure = (space if spatial else plane).structure(model)
@@ -64,21 +56,8 @@ def addresses(model, which, form=SCALAR, joints=None):
     """
     Return the addresses of a mechanism's routines, compiled unless they are stored.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    which : tuple of int
-        Places in the function table.
-    form : tuple
-        Of ``machine_code``; single states of a mechanism in space are packed.
-    joints : integration.system.JointPlaces, optional
-        Of which least forces are found.
-
-    Returns
-    -------
-    dict of int to int
-
+    By places in the function table; ``form`` is that of ``machine_code``: single states of a
+    mechanism in space are packed; ``joints`` are those of which least forces are found.
     """
     form = form_for(model, form)
     key = topology(model), form
@@ -97,14 +76,7 @@ def addresses(model, which, form=SCALAR, joints=None):
 
 
 def unrolled_size(model):
-    """
-    Return about how many operations an evaluation of a mechanism in space is, by a rule of thumb.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return about how many operations an evaluation in space is, by a rule of thumb."""
     cut = model.cut
     passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
     # Of each column the squared number of entries below it.
@@ -121,11 +93,7 @@ def operations(model):
     """
     Count the operations of an evaluation, before anything is compiled.
 
-    Returns
-    -------
-    int
-        Additions, subtractions, multiplications, divisions and negations.
-
+    Additions, subtractions, multiplications, divisions and negations.
     """
     return count_operations(MechanismTrace(model).routine(EVALUATION))
 

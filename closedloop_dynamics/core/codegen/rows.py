@@ -11,38 +11,18 @@ not have are zero.
 
 def six(row, columns):
     """
-    Return a wrench, or a spatial velocity or acceleration.
+    Return a wrench, or a spatial velocity or acceleration, of a row of numbers or symbols.
 
-    Parameters
-    ----------
-    row : sequence
-        Numbers or symbols.
-    columns : dict of int to int
-        Where each component is: ``FORCES``, ``SHARES`` or ``CHANGES``.
-
-    Returns
-    -------
-    tuple of 6
-
+    ``columns``, where each component is: ``FORCES``, ``SHARES`` or ``CHANGES``.
     """
     return tuple(row[columns[n]] if n in columns else 0.0 for n in range(6))
 
 
 def matrix(row, columns):
     """
-    Return an inertia.
+    Return an inertia, 6 rows of 6, of a row of numbers or symbols.
 
-    Parameters
-    ----------
-    row : sequence
-        Numbers or symbols.
-    columns : dict of (int, int) to int
-        Where each component above the diagonal is: ``INERTIAS``.
-
-    Returns
-    -------
-    tuple of 6 tuples
-
+    ``columns``, where each component above the diagonal is: ``INERTIAS``.
     """
     places = [[columns.get((min(m, n), max(m, n))) for n in range(6)] for m in range(6)]
     return tuple(tuple(0.0 if place is None else row[place] for place in places_of_row)
@@ -50,43 +30,18 @@ def matrix(row, columns):
 
 
 def by_column(values, columns):
-    """
-    Return components by column.
-
-    Parameters
-    ----------
-    values : tuple of 6, or of 6 tuples
-        A wrench, a motion or an inertia.
-    columns : dict
-        As for ``six`` or ``matrix``.
-
-    Returns
-    -------
-    dict of int to number
-
-    """
+    """Return the components of a wrench, motion or inertia by column, as ``six`` or ``matrix``."""
     return {place: values[at[0]][at[1]] if isinstance(at, tuple) else values[at]
             for at, place in columns.items()}
 
 
 def motion_of(row, columns, ground):
     """
-    Return the kinematics in a row of ``Workspace.body``.
+    Return the kinematics in a row of symbols of ``Workspace.body``.
 
-    Parameters
-    ----------
-    row : ndarray, shape (WORK_COLUMNS,)
-        Of symbols.
-    columns : dict of str to tuple
-        Where the components of each part are, rows of the frame one after the other: ``MOTION``.
-    ground : BodyKinematics
-        Of the ground: what the row does not tell is as there.
-
-    Returns
-    -------
-    BodyKinematics
-        Components that are not kept are zero.
-
+    ``columns``, where the components of each part are, rows of the frame one after the other:
+    ``MOTION``. What the row does not have is as in the ground's; components that are not kept are
+    zero.
     """
     found = {}
     for part, places in columns.items():
@@ -101,21 +56,7 @@ def motion_of(row, columns, ground):
 
 
 def columns_of(motion, columns):
-    """
-    Return the parts of a body's kinematics by column.
-
-    Parameters
-    ----------
-    motion : BodyKinematics
-        Of a body.
-    columns : dict of str to tuple
-        As for ``motion_of``.
-
-    Returns
-    -------
-    dict of int to number
-
-    """
+    """Return the parts of a body's kinematics by column, as for ``motion_of``."""
     return {place: value for part, places in columns.items()
             for place, value in zip(places, _flat(part, getattr(motion, part)))
             if place is not None}

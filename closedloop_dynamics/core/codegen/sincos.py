@@ -26,19 +26,9 @@ LARGEST = 1.6e6
 
 def write(function, angles):
     """
-    Write the code for the sines and cosines of some angles.
+    Write the code for the sines and cosines of some angles [rad], and return both.
 
-    Parameters
-    ----------
-    function : Function
-        Left in the block where both are known.
-    angles : sequence of double values
-        [rad].
-
-    Returns
-    -------
-    sines, cosines : list of double values
-
+    The function is left in the block where both are known.
     """
     count = len(angles)
     packed, bits = function.gather(angles), f'i{count}'
@@ -60,21 +50,9 @@ def write(function, angles):
 
 def within(function, angle, count):
     """
-    Write the code that decides for which angles the polynomials hold.
+    Write the code that decides for which of ``count`` angles [rad] the polynomials hold.
 
-    Parameters
-    ----------
-    function : Function
-        Where it goes.
-    angle : vector value
-        [rad].
-    count : int
-        Of angles.
-
-    Returns
-    -------
-    vector of bits
-
+    Returns a vector of bits.
     """
     return function.binary(
         'and', function.compare('fcmp olt', angle, numbers([LARGEST] * count)),
@@ -83,21 +61,9 @@ def within(function, angle, count):
 
 def polynomials(function, angle, count):
     """
-    Reduce angles to a quarter turn around zero, and sum up both series.
+    Reduce ``count`` angles ``within`` the limits [rad] to a quarter turn, and sum up both series.
 
-    Parameters
-    ----------
-    function : Function
-        Where the code goes.
-    angle : vector value
-        [rad], ``within`` the limits.
-    count : int
-        Of angles.
-
-    Returns
-    -------
-    sine, cosine : vector values
-
+    Returns sine and cosine, vectors.
     """
     def constant(value):
         return numbers([value] * count)

@@ -91,15 +91,7 @@ def vary(model, row, columns):
     """
     Make constants of a body loads, so that they may change at runtime and be zero now.
 
-    Parameters
-    ----------
-    model : Model
-        Of a mechanism in space.
-    row : int
-        Of the body.
-    columns : iterable of int
-        Of ``Model.body``.
-
+    ``row`` of the body, ``columns`` of ``Model.body``.
     """
     for column in columns:
         model.tree[row, VARIES] |= 1 << int(column)
@@ -123,19 +115,10 @@ def snapped(values):
 
 def weigh(constant, mass, center, about):
     """
-    Add a rigid mass to a row of ``Model.body``.
+    Add a rigid mass [kg] to a row of ``Model.body``, in place.
 
-    Parameters
-    ----------
-    constant : ndarray, shape (BODY_COLUMNS,)
-        Changed in place.
-    mass : float
-        [kg].
-    center : ndarray, shape (3,)
-        Its centre of mass in the row's frame [m].
-    about : ndarray, shape (3, 3)
-        Inertia about that, in the axes of the row's frame [kg m^2].
-
+    ``center``, shape (3,): its centre of mass in the row's frame [m]; ``about``, shape (3, 3):
+    inertia about that, in the axes of the row's frame [kg m^2].
     """
     # Numbers rather than arrays: of so few they are faster.
     place, square = center.tolist(), float(center @ center)
@@ -157,19 +140,9 @@ _TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning
 
 def equation_names(kind, held):
     """
-    Name the equations of a cut joint; x, y and z are the world's, or its own where it slides.
+    Name the equations of a cut type; x, y and z are the world's, or its own where it slides.
 
-    Parameters
-    ----------
-    kind : int
-        Its ``CUT_TYPE``.
-    held : sequence or dict
-        Components that cut joints hold, by type: ``HELD``, here or of ``plane``.
-
-    Returns
-    -------
-    list of str
-
+    ``held``: components that cut joints hold, by type: ``HELD``, here or of ``plane``.
     """
     name, along, perpendicular = held[kind]
     return [*(f'place along {"xyz"[axis]}' for axis in along),
@@ -180,21 +153,7 @@ def equation_names(kind, held):
 
 
 def group_of(kind, number):
-    """
-    Return which equations of a cut joint are of one kind: of places, of angles, another one.
-
-    Parameters
-    ----------
-    kind : int
-        Its ``CUT_TYPE``.
-    number : int
-        Of the equation.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return which kind of equations of a cut type one is: of places, of angles, another one."""
     _, along, perpendicular = HELD[kind]
     return (number >= len(along)) + (number >= len(along) + len(perpendicular))
 
@@ -205,19 +164,7 @@ def is_spatial(model):
 
 
 def structure(model):
-    """
-    Return the structural data of code for a mechanism in space, beside its topology.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of a mechanism in space.
-
-    Returns
-    -------
-    tuple of ndarrays
-
-    """
+    """Return the structural data of code for a mechanism in space, beside its topology."""
     return body_structure(model), _cut_structure(model)
 
 
@@ -287,21 +234,7 @@ def _known(structural, symbols):
 
 
 def bodies(model, symbols):
-    """
-    Describe the rows of a tree in space.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    symbols : ndarray, shape (nb + 1, BODY_COLUMNS)
-        Of the inputs, as ``Model.body``.
-
-    Returns
-    -------
-    list of Body
-
-    """
+    """Describe the rows of a tree in space by symbols, shape (nb + 1, BODY_COLUMNS)."""
     pattern = body_structure(model)
     found = []
     for kind, axis, fixed, row in zip(model.tree[:, TYPE], model.tree[:, AXIS], pattern, symbols):
@@ -327,20 +260,8 @@ def hinges(model, some, cuts):
     """
     Return rows of three hinges through one place, without mass in between.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    some : list of Body
-        As ``bodies`` returns them.
-    cuts : list of Cut
-        As ``cuts`` returns them: no loop is closed on a body in between, no equation holds one of
-        the three.
-
-    Returns
-    -------
-    list of tuples of 3 int
-
+    ``some`` and ``cuts`` are as ``bodies`` and ``cuts`` return them: no loop is closed on a body
+    in between, no equation holds one of the three.
     """
     parents = model.tree[:, PARENT].tolist()
     held = set(model.cut[:, [BODY_A, BODY_B]].ravel().tolist())
@@ -370,21 +291,7 @@ def hinges(model, some, cuts):
 
 
 def cuts(model, symbols):
-    """
-    Describe the cut joints of a mechanism in space.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
-        Of the inputs, as ``Model.cut_point``.
-
-    Returns
-    -------
-    list of Cut
-
-    """
+    """Describe the cut joints of a mechanism in space by symbols, as of ``Model.cut_point``."""
     pattern, found = _cut_structure(model), []
     for cut, fixed, row in zip(model.cut, pattern, symbols):
         row = _known(fixed, row)
@@ -404,15 +311,7 @@ def cuts(model, symbols):
 
 
 def kept(cut):
-    """
-    Return ``Cut.kept``.
-
-    Parameters
-    ----------
-    cut : ndarray of int, shape (CUT_COLUMNS,)
-        Row of ``Model.cut``.
-
-    """
+    """Return ``Cut.kept`` of a row of ``Model.cut``."""
     return tuple(n for n in range(6) if cut[KEPT] >> n & 1)
 
 
@@ -423,17 +322,10 @@ def prescribed(cut, row):
 
 def coupling(model, cut, row):
     """
-    Return ``Cut.coupling``.
+    Return ``Cut.coupling`` of a row of ``Model.cut``.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    cut : ndarray of int, shape (CUT_COLUMNS,)
-        Row of ``Model.cut``.
-    row : ndarray
-        Row of ``Model.cut_point``: symbols, and the number 0 for factors that there are not.
-
+    ``row`` is that of ``Model.cut_point``: symbols, and the number 0 for factors that there are
+    not.
     """
     entries = model.path_body[cut[PATH_A]:cut[PATH_END]].tolist()
     return row[HELD_SUM], tuple(
@@ -446,23 +338,7 @@ def _matrix(row):
 
 
 def motion_of(row, body, ground):
-    """
-    Return the kinematics in a row of ``Workspace.body``.
-
-    Parameters
-    ----------
-    row : ndarray, shape (WORK_COLUMNS,)
-        Of symbols.
-    body : Body
-        Of this row.
-    ground : BodyKinematics
-        Of the ground.
-
-    Returns
-    -------
-    BodyKinematics
-
-    """
+    """Return the kinematics in a row of symbols of ``Workspace.body``."""
     motion = rows.motion_of(row, MOTION, ground)
     return motion._replace(base=motion.frame, axis=_axis(body, motion.axis))
 

@@ -372,20 +372,9 @@ class Recursion:
         """
         Eliminate a joint from its body; pass articulated inertia and force to the parent.
 
-        Parameters
-        ----------
-        i, parent : int
-            The body and its parent; the ground takes nothing.
-        torque : number
-            In the joint [N m, N].
-        massless : bool
-            Whether joints may carry no inertia.
-
-        Returns
-        -------
-        inverse, right : number
-            One over the joint's pivot D, and D times its own share of I^-1 phi.
-
+        The ground takes nothing; ``torque`` is that in the joint [N m, N]; ``massless``: whether
+        joints may carry no inertia. Returns one over the joint's pivot D, and D times its own
+        share of I^-1 phi.
         """
         inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
         alone, armature = self.alone(i), self.bodies[i].armature
@@ -412,19 +401,10 @@ class Recursion:
 
     def hand_over(self, i, parent, torque, scaled, right):
         """
-        Add the articulated force of a body to its parent's.
+        Add the articulated force of a body to its parent's, which is not the ground.
 
-        Parameters
-        ----------
-        i, parent : int
-            The body and its parent, which is not the ground.
-        torque : number
-            In the joint [N m, N].
-        scaled : tuple of 6
-            U / D of the joint.
-        right : number
-            As ``eliminate`` returns it.
-
+        ``torque``: in the joint [N m, N]; ``scaled``: U / D of the joint; ``right`` as
+        ``eliminate`` returns it.
         """
         force, alone = self.force[i], self.alone(i)
         force = tuple(torque if alone == n else force[n] + scaled[n] * right for n in range(6))
@@ -437,23 +417,7 @@ class Recursion:
         return _aligned(self.motion[i].axis)
 
     def propagate_acceleration(self, i, before, qdd):
-        """
-        Return the acceleration of a body from those of its parent and its joint.
-
-        Parameters
-        ----------
-        i : int
-            The body.
-        before : tuple of 6
-            At the parent's origin.
-        qdd : number
-            Of the joint.
-
-        Returns
-        -------
-        tuple of 6
-
-        """
+        """Return the acceleration of a body from that at its parent's origin and its joint's."""
         motion = self.motion[i]
         before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
         return add(before, scale(motion.axis, qdd))
@@ -477,20 +441,10 @@ class Recursion:
 
     def accelerate(self, i, parent, inverse, right):
         """
-        Complete the acceleration of a body.
+        Complete the acceleration of a body; return that of its joint.
 
-        Parameters
-        ----------
-        i, parent : int
-            The body and its parent.
-        inverse, right : number
-            As ``eliminate`` returns them, ``right`` with the share of the cut forces.
-
-        Returns
-        -------
-        number
-            The joint's own acceleration.
-
+        ``inverse``, ``right`` as ``eliminate`` returns them, ``right`` with the share of the cut
+        forces.
         """
         before, motion = self.acceleration[parent], self.motion[i]
         before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
@@ -640,27 +594,11 @@ class Recursion:
 
     def transmit_wrench(self, i, wrench, beyond=False, own=0.0):
         """
-        Transmit a wrench on a body to its parent.
+        Transmit a wrench on a body, at its origin, to its parent.
 
-        Parameters
-        ----------
-        i : int
-            The body.
-        wrench : tuple of 6
-            At its origin.
-        beyond : bool
-            Whether the joint's angle counts from the frame that its parent's does, too: no other
-            angle turns the bodies beyond.
-        own : number
-            A force in the joint itself.
-
-        Returns
-        -------
-        force : number
-            Its share in the joint.
-        wrench : tuple of 6
-            At the parent's origin.
-
+        ``beyond``: whether the joint's angle counts from the frame that its parent's does, too: no
+        other angle turns the bodies beyond; ``own``: a force in the joint itself. Returns its
+        share in the joint, and the wrench at the parent's origin.
         """
         motion = self.motion[i]
         force = dot(motion.axis, wrench) + own
@@ -671,26 +609,10 @@ class Recursion:
 
     def transmit_articulated_wrench(self, i, inverse, wrench, own=0.0):
         """
-        Transmit a wrench on a body through its articulated joint to the parent.
+        Transmit a wrench on a body, at its origin, through its articulated joint to the parent.
 
-        Parameters
-        ----------
-        i : int
-            The body.
-        inverse : number
-            One over the joint's pivot.
-        wrench : tuple of 6
-            At its origin.
-        own : number
-            A force in the joint itself.
-
-        Returns
-        -------
-        force, scaled : number
-            Its share in the joint, and that times ``inverse``.
-        wrench : tuple of 6
-            At the parent's origin.
-
+        ``inverse``: one over the joint's pivot; ``own``: a force in the joint itself. Returns its
+        share in the joint, that times ``inverse``, and the wrench at the parent's origin.
         """
         motion = self.motion[i]
         share, alone = self.factors[i]
@@ -728,21 +650,7 @@ def rigid(body, motion):
 
 
 def rotation(quaternion, double=2.0):
-    """
-    Return the matrix of a quaternion.
-
-    Parameters
-    ----------
-    quaternion : sequence of 4
-        x, y, z, w; numbers or symbols.
-    double : number
-        2 over the square of its norm.
-
-    Returns
-    -------
-    tuple of 3 tuples
-
-    """
+    """Return the matrix of a quaternion x, y, z, w; ``double``: 2 over the square of its norm."""
     x, y, z, w = quaternion
     x2, y2, z2 = double * x, double * y, double * z
     xx, yy, zz = x * x2, y * y2, z * z2
