@@ -30,9 +30,9 @@ SLOW = ('null_space', 'large_singular', 'least_squares', 'bindings', 'assembly')
 # The version of the wheel ziglang, a C++ compiler for machines without one.
 ZIG = '0.17.1'
 # No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
-# numbers on all machines of an architecture.
-FLAGS = ('-std=c++17', '-O2', '-ffp-contract=off', '-fno-math-errno', '-DNDEBUG', '-fPIC',
-         '-fvisibility=hidden', '-Wall', '-Wextra')
+# numbers on all machines of an architecture. Two numbers in a register wait for one another.
+FLAGS = ('-std=c++17', '-O2', '-ffp-contract=off', '-fno-math-errno', '-fno-tree-slp-vectorize',
+         '-DNDEBUG', '-fPIC', '-fvisibility=hidden', '-Wall', '-Wextra')
 # With the assertions of Eigen and of ours, too.
 SANITIZERS = ('-UNDEBUG', '-g1', '-fno-omit-frame-pointer', '-fsanitize=address,undefined',
               '-fno-sanitize-recover=all')
