@@ -16,9 +16,8 @@ namespace
 // Steps to the nearest point of a piece; they stop when they are as short as this, those of
 // Halley's method earlier: the next one would be of the order of the cube.
 constexpr int MOST_STEPS = 30;
-constexpr double SHORT = 1e-15, SHORT_OF_HALLEY = 1e-6;
-// Pieces on either side of the previous one that are searched first; and one less rounding.
-constexpr Index BESIDE = 3;
+constexpr double SHORT = 1e-15, SHORT_OF_HALLEY = 1e-5;
+// One less rounding.
 constexpr double SURELY = 1.0 - 1e-12;
 // A valley of less than this below an end of a path is no other place than that end [m].
 constexpr double SHALLOW = 1e-9;
@@ -31,10 +30,11 @@ struct CurvePoint
   Vector2 bend;
 };
 
-/// The nearest place on a piece.
+/// To a point from the nearest place on a piece, and the piece's tangent there.
 struct Nearest
 {
-  Vector2 place;
+  Vector2 apart;
+  Vector2 tangent;
   double u;
   double square;
 };
@@ -58,6 +58,27 @@ double within_piece(double u)
   return std::min(1.0, std::max(0.0, u));
 }
 
+/// How far a place of a piece is from the place of its chord with the same u, at most, divided by
+/// u (1 - u): the difference is u (u - 1) (c2 + c3 (1 + u)).
+double bulge(const double * c)
+{
+  return std::fabs(c[2]) + std::fabs(c[6]) + 2.0 * (std::fabs(c[3]) + std::fabs(c[7]));
+}
+
+/// Whether no place of a piece is nearer to a point than its start, or where `at_start` is false its
+/// end.
+bool is_nearest_at(bool at_start, const double * piece, Vector2 point)
+{
+  // At a distance d from that end, (d^2 + 2 u `away` + u^2 L^2)^(1/2) is that from a place of the
+  // chord of length L, which is d + u `most` or more where `away` >= d `most` and L >= `most`.
+  const Vector2 whole = chord(piece), from_start = point - Vector2{piece[0], piece[4]};
+  const Vector2 from_end = at_start ? from_start : from_start - whole;
+  const double along = dot(from_end, whole), away = at_start ? -along : along;
+  const double most = bulge(piece), square = most * most;
+  return away >= 0.0 && away * away >= square * dot(from_end, from_end) &&
+         dot(whole, whole) >= square;
+}
+
 /// To a point from the nearest place of a straight piece.
 Vector2 from_straight(Vector2 point, Vector2 start, Vector2 whole)
 {
@@ -69,8 +90,13 @@ Vector2 from_straight(Vector2 point, Vector2 start, Vector2 whole)
 Nearest nearest_on_piece(const double * piece, Vector2 point)
 {
   // The chord's nearest place to begin with.
-  const Vector2 whole = chord(piece), start = {piece[0], piece[4]};
-  double u = within_piece(dot(point - start, whole) / dot(whole, whole));
+  const Vector2 whole = chord(piece), from_start = point - Vector2{piece[0], piece[4]};
+  const double along = dot(from_start, whole), length = dot(whole, whole);
+  double u = !(along > 0.0) ? 0.0 : along < length ? along / length : 1.0;
+  if (bulge(piece) == 0.0) {
+    const Vector2 apart = from_start - u * whole;
+    return {apart, whole, u, dot(apart, apart)};
+  }
   CurvePoint at = evaluate(piece, u);
   for (int step = 0; step < MOST_STEPS; ++step) {
     const Vector2 apart = at.place - point;
@@ -82,8 +108,10 @@ Nearest nearest_on_piece(const double * piece, Vector2 point)
     const double square = dot(at.tangent, at.tangent), bend = square + dot(apart, at.bend);
     // Where the distance is no valley, as if the piece were straight.
     const bool is_valley = bend > 0.25 * square;
-    double change = slope / square;
-    if (is_valley) {
+    double change;
+    if (!is_valley) {
+      change = slope / square;
+    } else {
       const Vector2 twist = {6.0 * piece[3], 6.0 * piece[7]};
       const double third = 3.0 * dot(at.tangent, at.bend) + dot(apart, twist);
       const double divisor = bend * bend - 0.5 * slope * third;
@@ -98,8 +126,8 @@ Nearest nearest_on_piece(const double * piece, Vector2 point)
       break;
     }
   }
-  const Vector2 apart = at.place - point;
-  return {at.place, u, dot(apart, apart)};
+  const Vector2 apart = point - at.place;
+  return {apart, at.tangent, u, dot(apart, apart)};
 }
 
 /// Square of the distance of a point from the chord of a piece.
@@ -118,80 +146,87 @@ double square_to_chord(const double * piece, Vector2 point)
   return dot(past, past);
 }
 
-/// A piece of a curve, and the square of the distance of its chord.
-struct NearestChord
-{
-  Index piece;
-  double square;
-};
-
 /// Number of a piece of a closed curve, at most one time round away. A division takes longer.
 inline Index around(Index piece, Index count)
 {
   return piece < 0 ? piece + count : piece >= count ? piece - count : piece;
 }
 
-/// The nearest chord of `length` pieces, from number `first` on; beyond both ends of a closed curve
-/// its pieces repeat.
-NearestChord nearest_of(
-  const double * pieces, Index count, Index first, Index length, Vector2 point)
+/// A piece of a curve, and the square of the distance of its chord.
+struct NearChord
 {
-  NearestChord nearest = {0, std::numeric_limits<double>::infinity()};
-  Index k = around(first, count);
-  for (Index n = 0; n < length; ++n) {
-    const double found = square_to_chord(pieces + curve::COLUMNS * k, point);
-    if (found < nearest.square) {
-      nearest = {k, found};
-    }
-    k = k + 1 == count ? 0 : k + 1;
+  double square;
+  Index piece;
+
+  /// Of equals the earlier one is nearer: the same wherever the search begins.
+  bool operator<(const NearChord & other) const
+  {
+    return square < other.square || (square == other.square && piece < other.piece);
   }
-  return nearest;
+};
+
+/// Look at all pieces; write the nearest ones and the distance of the others to the memory.
+Index search_all(const double * pieces, Index count, Vector2 point, double * memory)
+{
+  using namespace nearby;  // NOLINT: columns of one array
+  constexpr double INFINITE = std::numeric_limits<double>::infinity();
+  // The nearest ones in order, and the next one behind them.
+  NearChord nearest[CANDIDATES + 1];
+  std::fill(nearest, nearest + CANDIDATES + 1, NearChord{INFINITE, 0});
+  for (Index k = 0; k < count; ++k) {
+    NearChord found = {square_to_chord(pieces + curve::COLUMNS * k, point), k};
+    if (found < nearest[CANDIDATES]) {
+      for (NearChord & each : nearest) {
+        if (found < each) {
+          std::swap(found, each);
+        }
+      }
+    }
+  }
+  for (Index n = 0; n < CANDIDATES; ++n) {
+    memory[PIECES + n] = static_cast<double>(nearest[n].piece);
+  }
+  memory[PLACE] = point.x;
+  memory[PLACE + 1] = point.y;
+  memory[BEYOND] = std::sqrt(nearest[CANDIDATES].square);
+  return nearest[0].piece;
+}
+
+/// One of the pieces in the memory, which may be that of another curve or none.
+Index known_piece(const double * memory, Index n, Index count)
+{
+  const double piece = memory[nearby::PIECES + n];
+  return 0.0 <= piece && piece < static_cast<double>(count) ? static_cast<Index>(piece) : 0;
 }
 
 /// The piece whose chord is nearest; the nearest point is on it or a neighbour.
 ///
-/// Searched first around the result of the last full search. All other chords were at least
-/// `BEYOND` away then, and have come nearer by no more than the point has moved since.
-Index nearest_chord(
-  const double * pieces, Index count, bool closed, Vector2 point, double * memory)
+/// Sought among the nearest ones of the last full search. All other chords were at least `BEYOND`
+/// away then, and have come nearer by no more than the point has moved since.
+Index nearest_chord(const double * pieces, Index count, Vector2 point, double * memory)
 {
   using namespace nearby;  // NOLINT: columns of one array
   const Vector2 moved_by = point - vector2(memory + PLACE);
   const double moved = std::sqrt(dot(moved_by, moved_by));
-  const auto beside = [&](Index piece) {
-      const Index first = piece - BESIDE, length = 2 * BESIDE + 1;
-      if (closed || count <= length) {
-        return count <= length ? std::pair{Index{0}, count} : std::pair{first, length};
+  // A NaN before the first search.
+  if (moved < memory[BEYOND]) {
+    const auto candidate = [&](Index n) {
+        const Index k = known_piece(memory, n, count);
+        return NearChord{square_to_chord(pieces + curve::COLUMNS * k, point), k};
+      };
+    NearChord nearest = candidate(0);
+    for (Index n = 1; n < CANDIDATES; ++n) {
+      const NearChord found = candidate(n);
+      if (found < nearest) {
+        nearest = found;
+        std::swap(memory[PIECES], memory[PIECES + n]);
       }
-      const Index begin = std::max<Index>(0, first);
-      return std::pair{begin, std::min(count, first + length) - begin};
-    };
-  const double previous = memory[PIECE];
-  if (previous >= 0.0 && previous < static_cast<double>(count)) {
-    const auto [first, length] = beside(static_cast<Index>(previous));
-    const NearestChord found = nearest_of(pieces, count, first, length, point);
-    if (std::sqrt(found.square) + moved < SURELY * memory[BEYOND]) {
-      return found.piece;
+    }
+    if (std::sqrt(nearest.square) + moved < SURELY * memory[BEYOND]) {
+      return nearest.piece;
     }
   }
-  const NearestChord found = nearest_of(pieces, count, 0, count, point);
-  // Not worth while where the point leaves the range of the search at once.
-  const bool leaps = previous >= 0.0 && !(2.0 * moved < memory[REACH]);
-  const double distance = std::sqrt(found.square);
-  memory[PIECE] = static_cast<double>(found.piece);
-  memory[PLACE] = point.x;
-  memory[PLACE + 1] = point.y;
-  memory[BEYOND] = 0.0;
-  if (!leaps) {
-    const auto [first, length] = beside(found.piece);
-    memory[BEYOND] = std::sqrt(
-      closed ? nearest_of(pieces, count, first + length, count - length, point).square :
-      std::min(
-        nearest_of(pieces, count, 0, first, point).square,
-        nearest_of(pieces, count, first + length, count - first - length, point).square));
-    memory[REACH] = memory[BEYOND] - distance;
-  }
-  return found.piece;
+  return search_all(pieces, count, point, memory);
 }
 
 inline Vector2 unit(Vector2 a)
@@ -212,20 +247,32 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
 {
   const double * pieces = curve.data;
   const Index count = curve.size / curve::COLUMNS;
-  const Index best = nearest_chord(pieces, count, closed, point, memory);
-  Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
+  // The place on the piece that was nearest before, while it is found out which one is nearest now:
+  // it seldom is another one.
+  const Index guess = known_piece(memory, 0, count);
+  Nearest nearest = nearest_on_piece(pieces + curve::COLUMNS * guess, point);
+  const Index best = nearest_chord(pieces, count, point, memory);
+  if (best != guess) {
+    nearest = nearest_on_piece(pieces + curve::COLUMNS * best, point);
+  }
   Index piece = best;
-  for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
+  for (Index neighbour : {best - 1, best + 1}) {
     const Index k = closed ? around(neighbour, count) : neighbour;
-    if (0 <= k && k < count) {
-      const Nearest found = nearest_on_piece(pieces + curve::COLUMNS * k, point);
-      if (found.square < nearest.square) {
-        nearest = found;
-        piece = k;
-      }
+    if (k < 0 || k >= count) {
+      continue;
+    }
+    const double * other = pieces + curve::COLUMNS * k;
+    // The end that it shares with the other piece is known.
+    if (is_nearest_at(neighbour > best, other, point)) {
+      continue;
+    }
+    const Nearest found = nearest_on_piece(other, point);
+    if (found.square < nearest.square) {
+      nearest = found;
+      piece = k;
     }
   }
-  Vector2 tangent = evaluate(pieces + curve::COLUMNS * piece, nearest.u).tangent;
+  Vector2 tangent = nearest.tangent;
   // At a corner, the direction half way round it.
   Index beside = piece;
   if (nearest.u == 0.0) {
@@ -242,11 +289,10 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
   }
   const double distance = std::sqrt(nearest.square);
   if (distance > 0.0) {
-    const Vector2 apart = point - nearest.place;
     // An open curve has no solid side past its ends.
     const bool past = beside < 0 || beside >= count;
-    const double sign = past ? 1.0 : std::copysign(1.0, cross(tangent, apart));
-    return {(sign * apart) / distance, sign * distance};
+    const double side = past ? distance : std::copysign(distance, cross(tangent, nearest.apart));
+    return {nearest.apart / side, side};
   }
   tangent = unit(tangent);
   return {{-tangent.y, tangent.x}, 0.0};
@@ -257,7 +303,7 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
 {
   double * last = memory + nearby::LAST;
   // Friction at rest has a state evaluated several times.
-  if (memory[nearby::PIECE] >= 0.0 && last[0] == point.x && last[1] == point.y) {
+  if (memory[nearby::BEYOND] >= 0.0 && last[0] == point.x && last[1] == point.y) {
     return {{last[2], last[3]}, last[4]};
   }
   const CurveDistance found = find_distance(curve, point, closed, memory);

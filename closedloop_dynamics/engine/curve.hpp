@@ -31,12 +31,13 @@ struct CurveDistance
   double distance;
 };
 
-/// Memory of the search for the nearest piece, a row of SceneCode.present: that piece, NaN before
-/// the first search; the point [m]; the distance from it of the nearest piece not beside that one,
-/// and how much farther it was [m]; the latest point, with its normal and distance.
+/// Memory of the search for the nearest piece, a row of SceneCode.present: the nearest pieces at the
+/// last full search; the distance of all others from the point then [m], NaN before the first
+/// search; that point [m]; the latest point, with its normal and distance.
 namespace nearby
 {
-enum : Index {PIECE, PLACE, BEYOND = 3, REACH, LAST};
+enum : Index {BEYOND, PLACE, PIECES = 3, LAST = 7};
+constexpr Index CANDIDATES = LAST - PIECES;
 }
 
 /// Distance of a point, in the frame of the curve's body [m], from a curve of some pieces;
