@@ -37,33 +37,18 @@ class UsageError(ValueError):
 
 @dataclass(frozen=True)
 class Command:
-    """
-    One sub-command.
-
-    Attributes
-    ----------
-    name : str
-    summary : str
-        For the list of commands, in a few words.
-    description, epilog : str
-        For its own help, before and after the options.
-    add_arguments : callable
-        Takes the command's parser.
-    run : callable
-        Takes the parsed arguments, returns the exit code; prints its result. It may raise
-        UsageError, SceneError, MechanismError (exit code 2), SimulationError and OSError (1).
-    reads_scenes : bool
-        Whether it reads any, and so has the option ``--allow-code``.
-
-    """
+    """One sub-command."""
 
     name: str
-    summary: str
+    summary: str  # For the list of commands, in a few words
+    #: ``description``, ``epilog``: For its own help, before and after the options.
     description: str
-    add_arguments: Callable
+    add_arguments: Callable  # Takes the command's parser
+    #: Takes the parsed arguments, returns the exit code; prints its result. It may raise
+    #: UsageError, SceneError, MechanismError (exit code 2), SimulationError and OSError (1).
     run: Callable
     epilog: str = ''
-    reads_scenes: bool = True
+    reads_scenes: bool = True  # Whether it reads any, and so has the option ``--allow-code``
 
 
 class HelpfulParser(ArgumentParser):

@@ -57,21 +57,14 @@ class Wave:
 
 @dataclass(frozen=True)
 class Reference:
-    """
-    Where a joint should be: a start, a constant velocity and a wave on top.
+    """Where a joint should be: a start, a constant velocity and a wave on top."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (n,)
-        At time 0 [rad or m], NaN: where the joint is then; [rad/s or m/s].
-    wave : Wave
-        [rad or m]; its value at time 0 is taken off, so that the reference
-        begins at ``position`` whatever the phase.
-
-    """
-
+    #: ``position``, ``velocity``: Shape (n,): At time 0 [rad or m], NaN: where the joint is then;
+    #: [rad/s or m/s].
     position: np.ndarray
     velocity: np.ndarray
+    #: [rad or m]; its value at time 0 is taken off, so that the reference begins at ``position``
+    #: whatever the phase.
     wave: Wave
 
     def at(self, time, start):
@@ -91,22 +84,12 @@ class TrajectoryError(ValueError):
 
 @dataclass(frozen=True)
 class Waypoints:
-    """
-    The points of a trajectory.
+    """The points of a trajectory."""
 
-    Attributes
-    ----------
-    stamp : float
-        When its time begins [s]; 0: with the next state.
-    times : ndarray, shape (n,)
-        Of the points, from then on [s]; increasing.
-    derivatives : list of ndarray, shape (n, number of joints)
-        Positions; and velocities; and accelerations: as many as the points give.
-
-    """
-
-    stamp: float
-    times: np.ndarray
+    stamp: float  # When its time begins [s]; 0: with the next state
+    times: np.ndarray  # Shape (n,): Of the points, from then on [s]; increasing
+    #: Shape (n, number of joints): Positions; and velocities; and accelerations: as many as the
+    #: points give.
     derivatives: list
 
 

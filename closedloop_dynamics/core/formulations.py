@@ -17,33 +17,16 @@ SUBSYSTEM, SYSTEM, AUGMENTED = range(3)
 
 
 class DenseWorkspace(NamedTuple):
-    """
-    Matrices of the dense formulations.
+    """Matrices of the dense formulations."""
 
-    Attributes
-    ----------
-    gim : ndarray, shape (nv, nv)
-    jac : ndarray, shape (nc, nv)
-    free : ndarray, shape (nv,)
-        phi, then I^-1 phi.
-    right : ndarray, shape (nc,)
-    schur : ndarray, shape (nc, nc)
-        J I^-1 J^T.
-    kkt : ndarray, shape (nv + nc, nv + nc)
-    pivots : ndarray of int, shape (nv + nc,)
-        Of its LU factors.
-    solution : ndarray, shape (nv + nc,)
-
-    """
-
-    gim: np.ndarray
-    jac: np.ndarray
-    free: np.ndarray
-    right: np.ndarray
-    schur: np.ndarray
-    kkt: np.ndarray
-    pivots: np.ndarray
-    solution: np.ndarray
+    gim: np.ndarray  # Shape (nv, nv)
+    jac: np.ndarray  # Shape (nc, nv)
+    free: np.ndarray  # Shape (nv,): phi, then I^-1 phi
+    right: np.ndarray  # Shape (nc,)
+    schur: np.ndarray  # Shape (nc, nc): J I^-1 J^T
+    kkt: np.ndarray  # Shape (nv + nc, nv + nc)
+    pivots: np.ndarray  # Int, shape (nv + nc,): Of its LU factors
+    solution: np.ndarray  # Shape (nv + nc,)
 
 
 def allocate_dense(model, formulation):

@@ -13,32 +13,17 @@ CHOSEN_RATIO, RATIO, SWITCHES = range(3)
 
 
 class Partition(NamedTuple):
-    """
-    Which coordinates are independent, and the scratch to solve for the others.
+    """Which coordinates are independent, and the scratch to solve for the others."""
 
-    Attributes
-    ----------
-    order : ndarray of int, shape (nv,)
-        The nc dependent coordinates, then the independent ones.
-    jac, scaled : ndarray, shape (nc, nv)
-    matrix : ndarray, shape (nc, nc)
-        Factors of the dependent columns.
-    pivots : ndarray of int, shape (nc,)
-    right : ndarray, shape (nc,)
-    change : ndarray, shape (nv,)
-        Of the coordinates; zero for the independent ones.
-    record : ndarray, shape (3,)
-
-    """
-
-    order: np.ndarray
+    order: np.ndarray  # Int, shape (nv,): The nc dependent coordinates, then the independent ones
+    #: ``jac``, ``scaled``: Shape (nc, nv).
     jac: np.ndarray
     scaled: np.ndarray
-    matrix: np.ndarray
-    pivots: np.ndarray
-    right: np.ndarray
-    change: np.ndarray
-    record: np.ndarray
+    matrix: np.ndarray  # Shape (nc, nc): Factors of the dependent columns
+    pivots: np.ndarray  # Int, shape (nc,)
+    right: np.ndarray  # Shape (nc,)
+    change: np.ndarray  # Shape (nv,): Of the coordinates; zero for the independent ones
+    record: np.ndarray  # Shape (3,)
 
 
 def allocate_partition(model, used=True):

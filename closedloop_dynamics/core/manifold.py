@@ -23,22 +23,12 @@ HALF = 0.5
 
 
 class Manifold(NamedTuple):
-    """
-    Where the quaternions are in a state.
+    """Where the quaternions are in a state."""
 
-    Attributes
-    ----------
-    balls : ndarray of int, shape (n, 2)
-        First coordinate and first rate of each.
-    place : ndarray of int, shape (nv,)
-        Coordinate of each rate; less than 0 for those of rotations.
-    number : ndarray, shape (nv,)
-        Scratch: the coordinate of each rate, 0 for those of rotations.
-
-    """
-
-    balls: np.ndarray
+    balls: np.ndarray  # Int, shape (n, 2): First coordinate and first rate of each
+    #: Int, shape (nv,): Coordinate of each rate; less than 0 for those of rotations.
     place: np.ndarray
+    #: Shape (nv,): Scratch: the coordinate of each rate, 0 for those of rotations.
     number: np.ndarray
 
 

@@ -126,118 +126,65 @@ HEALTH_COLUMNS = 11
 
 
 class Model(NamedTuple):
-    """
-    Constant description of one mechanism; built by ``modeling.build_model``.
+    """Constant description of one mechanism; built by ``modeling.build_model``."""
 
-    Attributes
-    ----------
-    tree : ndarray of int, shape (nb + 1, TREE_COLUMNS)
-    body : ndarray, shape (nb + 1, BODY_COLUMNS)
-    gravity : ndarray, shape (2,), in space (3,)
-        [m/s^2].
-    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-    cut_point : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
-    path_body : ndarray of int
-        The body of every path entry (a place on the path of a cut force).
-    pair : ndarray of int, shape (pairs, 2)
-        Off-diagonal blocks: (path entry of the later cut, that of the earlier) that share a
-        body, with the rows of both cuts packed in ``block``.
-    block : ndarray of int, shape (blocks, 4)
-        (later cut, earlier cut, first pair, last pair + 1) of every block of the
-        constraint matrix below the diagonal.
-    column : ndarray of int, shape (nc + 1,)
-        First entry of each column of the factor L, which includes its diagonal.
-    row : ndarray of int
-        Row of each entry of L, in elimination order.
-    entry : ndarray of int, shape (blocks, 3)
-        Place in L of the first entry of every block, for each of the earlier cut's columns.
-    dependency : ndarray of int, shape (nc + 1,)
-        First entry in ``dependency_place`` of each row.
-    dependency_place : ndarray of int, shape (entries, 2)
-        (earlier column k, place of the row in column k), left of each diagonal.
-
-    """
-
-    tree: np.ndarray
-    body: np.ndarray
-    gravity: np.ndarray
-    cut: np.ndarray
-    cut_point: np.ndarray
+    tree: np.ndarray  # Int, shape (nb + 1, TREE_COLUMNS)
+    body: np.ndarray  # Shape (nb + 1, BODY_COLUMNS)
+    gravity: np.ndarray  # Shape (2,), in space (3,): [m/s^2]
+    cut: np.ndarray  # Int, shape (number of cuts, CUT_COLUMNS)
+    cut_point: np.ndarray  # Shape (number of cuts, CUT_POINT_COLUMNS or more)
+    #: The body of every path entry (a place on the path of a cut force) (ndarray of int).
     path_body: np.ndarray
+    #: Int, shape (pairs, 2): Off-diagonal blocks: (path entry of the later cut, that of the
+    #: earlier) that share a body, with the rows of both cuts packed in ``block``.
     pair: np.ndarray
+    #: Int, shape (blocks, 4): (later cut, earlier cut, first pair, last pair + 1) of every block
+    #: of the constraint matrix below the diagonal.
     block: np.ndarray
+    #: Int, shape (nc + 1,): First entry of each column of the factor L, which includes its
+    #: diagonal.
     column: np.ndarray
-    row: np.ndarray
+    row: np.ndarray  # Row of each entry of L, in elimination order (ndarray of int)
+    #: Int, shape (blocks, 3): Place in L of the first entry of every block, for each of the
+    #: earlier cut's columns.
     entry: np.ndarray
-    dependency: np.ndarray
+    dependency: np.ndarray  # Int, shape (nc + 1,): First entry in ``dependency_place`` of each row
+    #: Int, shape (entries, 2): (earlier column k, place of the row in column k), left of each
+    #: diagonal.
     dependency_place: np.ndarray
 
 
 class Workspace(NamedTuple):
-    """
-    All that one evaluation writes; allocated once.
+    """All that one evaluation writes; allocated once."""
 
-    Attributes
-    ----------
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-    response : ndarray, shape (path entries, 3 or 6)
-        Reduced force u = S^T w of each row of a cut at each path entry.
-    response_scaled : ndarray, shape (path entries, 3 or 6)
-        The same times 1/D.
-    factor : ndarray
-        Entries of the constraint matrix, then of its factor L.
-    scale : ndarray, shape (nc,)
-        What the pivots are compared with.
-    lever : ndarray, shape (path entries, 3 or 6)
-        Of each row of a cut, the levers on the bodies' angles, and on the slides.
-    joint : ndarray, shape (nb + 1, JOINT_COLUMNS)
-        What ``refinement`` keeps of every joint.
-    change : ndarray, shape (nv,)
-        Of the accelerations, the latest.
-    pivot_inverse : ndarray, shape (nc,)
-    right : ndarray, shape (nc,)
-        Right-hand side, then solution, in elimination order.
-    scatter : ndarray, shape (nc,)
-    closure, closure_rate, bias : ndarray, shape (nc,)
-        psi, J qd and Jdot qd, in elimination order.
-    equation : ndarray
-        Of one cut joint, as ``engine/loop_closure.cpp`` leaves it.
-    wrench : ndarray, shape (2, 3 or 6)
-        On their way inward.
-    share : ndarray, shape (9 or 18,)
-        Output of a joint kernel.
-    torque : ndarray, shape (nv,)
-        In the world's axes.
-    force : ndarray, shape (nb + 1, 6 or 12)
-        Wrenches, and accelerations, of inverse dynamics.
-    kernel : ndarray of int, shape (nb + 1, BODY_KERNELS)
-    cut_kernel : ndarray of int, shape (number of cuts, 2)
-    health : ndarray, shape (HEALTH_COLUMNS,)
-
-    """
-
-    body: np.ndarray
+    body: np.ndarray  # Shape (nb + 1, WORK_COLUMNS)
+    #: Shape (path entries, 3 or 6): Reduced force u = S^T w of each row of a cut at each path
+    #: entry.
     response: np.ndarray
-    response_scaled: np.ndarray
-    factor: np.ndarray
-    scale: np.ndarray
+    response_scaled: np.ndarray  # Shape (path entries, 3 or 6): The same times 1/D
+    factor: np.ndarray  # Entries of the constraint matrix, then of its factor L
+    scale: np.ndarray  # Shape (nc,): What the pivots are compared with
+    #: Shape (path entries, 3 or 6): Of each row of a cut, the levers on the bodies' angles, and on
+    #: the slides.
     lever: np.ndarray
-    joint: np.ndarray
-    change: np.ndarray
-    pivot_inverse: np.ndarray
-    right: np.ndarray
-    scatter: np.ndarray
+    joint: np.ndarray  # Shape (nb + 1, JOINT_COLUMNS): What ``refinement`` keeps of every joint
+    change: np.ndarray  # Shape (nv,): Of the accelerations, the latest
+    pivot_inverse: np.ndarray  # Shape (nc,)
+    right: np.ndarray  # Shape (nc,): Right-hand side, then solution, in elimination order
+    scatter: np.ndarray  # Shape (nc,)
+    #: ``closure``, ``closure_rate``, ``bias``: Shape (nc,): psi, J qd and Jdot qd, in elimination
+    #: order.
     closure: np.ndarray
     closure_rate: np.ndarray
     bias: np.ndarray
-    equation: np.ndarray
-    wrench: np.ndarray
-    share: np.ndarray
-    torque: np.ndarray
-    force: np.ndarray
-    kernel: np.ndarray
-    cut_kernel: np.ndarray
-    health: np.ndarray
+    equation: np.ndarray  # Of one cut joint, as ``engine/loop_closure.cpp`` leaves it
+    wrench: np.ndarray  # Shape (2, 3 or 6): On their way inward
+    share: np.ndarray  # Shape (9 or 18,): Output of a joint kernel
+    torque: np.ndarray  # Shape (nv,): In the world's axes
+    force: np.ndarray  # Shape (nb + 1, 6 or 12): Wrenches, and accelerations, of inverse dynamics
+    kernel: np.ndarray  # Int, shape (nb + 1, BODY_KERNELS)
+    cut_kernel: np.ndarray  # Int, shape (number of cuts, 2)
+    health: np.ndarray  # Shape (HEALTH_COLUMNS,)
 
 
 def number_of_coordinates(model):

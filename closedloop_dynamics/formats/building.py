@@ -56,34 +56,23 @@ FOR_OTHERS = re.compile('for (pictures|sensors|programs|controllers|another)|nam
 
 @dataclass(frozen=True)
 class Imported:
-    """
-    A mechanism with the other contents of its file.
-
-    Attributes
-    ----------
-    mechanism : Mechanism
-    position : dict of str to float or tuple of floats
-        Where joints start that do not start at zero: the coordinate of a joint of one freedom
-        [rad or m], all of one with an orientation.
-    effects : dict of str to dict
-        Keys of the effects as a scene has them, gravity among them.
-    limits : dict of str to tuple of 2
-        Least and largest coordinate of joints of one degree of freedom, None where there is none.
-    drives : dict of str to tuple of 2
-        Largest torque and speed of driven joints of one freedom, None where there is none.
-    omitted : list of model.Omission
-        Omitted elements that affect the motion.
-    ignored : dict of str to str
-        Other omitted elements, with the reason.
-
-    """
+    """A mechanism with the other contents of its file."""
 
     mechanism: Mechanism
+    #: Where joints start that do not start at zero: the coordinate of a joint of one freedom [rad
+    #: or m], all of one with an orientation (dict of str to float or tuple of floats).
     position: dict
+    #: Keys of the effects as a scene has them, gravity among them (dict of str to dict).
     effects: dict = field(default_factory=dict)
+    #: Least and largest coordinate of joints of one degree of freedom, None where there is none
+    #: (dict of str to tuple of 2).
     limits: dict = field(default_factory=dict)
+    #: Largest torque and speed of driven joints of one freedom, None where there is none (dict of
+    #: str to tuple of 2).
     drives: dict = field(default_factory=dict)
+    #: Omitted elements that affect the motion (list of model.Omission).
     omitted: list = field(default_factory=list)
+    #: Other omitted elements, with the reason (dict of str to str).
     ignored: dict = field(default_factory=dict)
 
 

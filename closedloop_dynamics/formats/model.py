@@ -41,33 +41,18 @@ def free_name(name, taken):
 
 @dataclass
 class Link:
-    """
-    A rigid body as a format has it.
-
-    Attributes
-    ----------
-    name : str
-    where : str
-        File, line and element, for messages.
-    mass : float
-        [kg], zero or more.
-    center : ndarray, shape (3,)
-        Centre of mass in the link's frame [m].
-    inertia : ndarray, shape (3, 3)
-        About the centre of mass, along the axes of the link's frame [kg m^2].
-    visual : list of mechanism.Visual
-        Shapes that it is drawn as, in the link's frame.
-    carried : float
-        The share of its weight that is compensated; 1 where gravity does not act on it.
-
-    """
+    """A rigid body as a format has it."""
 
     name: str
-    where: str = ''
-    mass: float = 0.0
+    where: str = ''  # File, line and element, for messages
+    mass: float = 0.0  # [kg], zero or more
+    #: Shape (3,): Centre of mass in the link's frame [m].
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    #: Shape (3, 3): About the centre of mass, along the axes of the link's frame [kg m^2].
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    #: Shapes that it is drawn as, in the link's frame (list of mechanism.Visual).
     visual: list = field(default_factory=list)
+    #: The share of its weight that is compensated; 1 where gravity does not act on it.
     carried: float = 0.0
 
     def lifted(self, gravity):
@@ -77,106 +62,65 @@ class Link:
 
 @dataclass
 class Connection:
-    """
-    A joint between two links, in a tree or closing a loop.
-
-    Attributes
-    ----------
-    name : str
-    type : str
-        One of ``mechanism.JOINT_FREEDOMS``.
-    parent, child : str
-        Links, or ``'ground'``.
-    where : str
-        File, line and element, for messages.
-    in_parent, in_child : Pose
-        The joint's frame in the frames of both links; they agree at q = 0.
-    axis : ndarray, shape (3,), or None
-        In the joint's frame; of a universal joint the one fixed in the parent, of a planar joint
-        the plane's normal.
-    child_axis : ndarray, shape (3,), or None
-        In the joint's frame in the child, where it differs from ``axis``; the second axis of a
-        universal joint.
-    lead : float or None
-        Of a helical joint [m/rad].
-    closes : bool
-        Whether it must not be a joint of the tree.
-    actuated : bool or None
-        None where the format does not give it.
-    damping, friction, armature, stiffness, rest : float or tuple of floats
-        Zero where there is none; SI units. One number of a joint of several freedoms is that of
-        each, a tuple has one for each.
-    lower, upper, effort, speed : float or None
-        Limits of the coordinate, of the drive and of the rate; None where there is none.
-    start : float or tuple of floats
-        Coordinate that the machine starts from; of a joint with an orientation all of them, zero
-        where it starts as it is drawn.
-
-    """
+    """A joint between two links, in a tree or closing a loop."""
 
     name: str
+    #: One of ``mechanism.JOINT_FREEDOMS``.
     type: str  # noqa: A003
+    #: ``parent``, ``child``: Links, or ``'ground'``.
     parent: str
     child: str
-    where: str = ''
+    where: str = ''  # File, line and element, for messages
+    #: ``in_parent``, ``in_child``: The joint's frame in the frames of both links; they agree at q
+    #: = 0.
     in_parent: Pose = IDENTITY
     in_child: Pose = IDENTITY
+    #: Shape (3,), or None: In the joint's frame; of a universal joint the one fixed in the parent,
+    #: of a planar joint the plane's normal.
     axis: Optional[np.ndarray] = None
+    #: Shape (3,), or None: In the joint's frame in the child, where it differs from ``axis``; the
+    #: second axis of a universal joint.
     child_axis: Optional[np.ndarray] = None
-    lead: Optional[float] = None
-    closes: bool = False
-    actuated: Optional[bool] = None
+    lead: Optional[float] = None  # Of a helical joint [m/rad]
+    closes: bool = False  # Whether it must not be a joint of the tree
+    actuated: Optional[bool] = None  # None where the format does not give it
+    #: ``damping``, ``friction``, ``armature``, ``stiffness``, ``rest``: Zero where there is none;
+    #: SI units. One number of a joint of several freedoms is that of each, a tuple has one for
+    #: each.
     damping: float = 0.0
     friction: float = 0.0
     armature: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    #: ``lower``, ``upper``, ``effort``, ``speed``: Limits of the coordinate, of the drive and of
+    #: the rate; None where there is none.
     lower: Optional[float] = None
     upper: Optional[float] = None
     effort: Optional[float] = None
     speed: Optional[float] = None
+    #: Coordinate that the machine starts from; of a joint with an orientation all of them, zero
+    #: where it starts as it is drawn (float or tuple of floats).
     start: object = 0.0
 
 
 @dataclass
 class Relation:
-    """
-    A linear equation between coordinates of joints.
-
-    Attributes
-    ----------
-    name : str
-    where : str
-        File, line and element, for messages.
-    factors : dict of str to float
-        By joint; the sum of coordinates times factors is ``offset``.
-    offset : float
-
-    """
+    """A linear equation between coordinates of joints."""
 
     name: str
-    where: str
+    where: str  # File, line and element, for messages
+    #: By joint; the sum of coordinates times factors is ``offset`` (dict of str to float).
     factors: dict
     offset: float = 0.0
 
 
 @dataclass
 class Spring:
-    """
-    A spring and damper along the line between two places on links.
-
-    Attributes
-    ----------
-    name : str
-    ends : tuple of 2 tuples (str, Pose)
-        Links, or ``'ground'``, and poses on them.
-    stiffness, damping, rest : float
-        [N/m], [N s/m], free length [m].
-
-    """
+    """A spring and damper along the line between two places on links."""
 
     name: str
-    ends: tuple
+    ends: tuple  # Links, or ``'ground'``, and poses on them (tuple of 2 tuples (str, Pose))
+    #: ``stiffness``, ``damping``, ``rest``: [N/m], [N s/m], free length [m].
     stiffness: float
     damping: float
     rest: float
@@ -184,109 +128,62 @@ class Spring:
 
 @dataclass
 class Rope:
-    """
-    A rope: it pulls along straight lines between places on links when stretched.
-
-    Attributes
-    ----------
-    name : str
-    ends : tuple of tuples (str, Pose)
-        Links, or ``'ground'``, and poses on them, two or more.
-    length : float
-        Free of force up to it [m].
-    stiffness : float or None
-        [N/m]; None where the length is a limit, of whatever stiffness is asked for.
-
-    """
+    """A rope: it pulls along straight lines between places on links when stretched."""
 
     name: str
+    #: Links, or ``'ground'``, and poses on them, two or more (tuple of tuples (str, Pose)).
     ends: tuple
-    length: float
+    length: float  # Free of force up to it [m]
+    #: [N/m]; None where the length is a limit, of whatever stiffness is asked for.
     stiffness: Optional[float] = None
 
 
 @dataclass
 class Belt:
-    """
-    A tendon along a weighted sum of coordinates of joints with one degree of freedom.
-
-    Attributes
-    ----------
-    name : str
-    arms : dict of str to float
-        By joint.
-    stiffness, damping : tuple of floats
-        Coefficients of the first, second, ... power of stretch and rate; SI units.
-    rest : tuple of 2 floats
-        Least and largest sum without a force of the spring.
-    limit : bool
-        Whether the ends of ``rest`` are limits, of whatever stiffness is asked for.
-    friction, inertia : float
-        Dry friction and inertia along the sum; SI units.
-
-    """
+    """A tendon along a weighted sum of coordinates of joints with one degree of freedom."""
 
     name: str
-    arms: dict
+    arms: dict  # By joint (dict of str to float)
+    #: ``stiffness``, ``damping``: Coefficients of the first, second, ... power of stretch and
+    #: rate; SI units (tuple of floats).
     stiffness: tuple = ()
     damping: tuple = ()
+    #: Least and largest sum without a force of the spring (tuple of 2 floats).
     rest: tuple = (0.0, 0.0)
+    #: Whether the ends of ``rest`` are limits, of whatever stiffness is asked for.
     limit: bool = False
+    #: ``friction``, ``inertia``: Dry friction and inertia along the sum; SI units.
     friction: float = 0.0
     inertia: float = 0.0
 
 
 @dataclass
 class Drag:
-    """
-    Drag of a fluid at a link's centre of mass, along and about three axes.
-
-    Attributes
-    ----------
-    link : str
-    rotation : ndarray, shape (3, 3)
-        The axes as columns in the link's frame.
-    linear, quadratic, turning_linear, turning_quadratic : tuple of 3 floats
-        As of the effect ``fluid_drag``.
-    flow : tuple of 3 floats
-        Velocity of the fluid [m/s].
-
-    """
+    """Drag of a fluid at a link's centre of mass, along and about three axes."""
 
     link: str
-    rotation: np.ndarray
+    rotation: np.ndarray  # Shape (3, 3): The axes as columns in the link's frame
+    #: ``linear``, ``quadratic``, ``turning_linear``, ``turning_quadratic``: As of the effect
+    #: ``fluid_drag`` (tuple of 3 floats).
     linear: tuple
     quadratic: tuple
     turning_linear: tuple
     turning_quadratic: tuple
-    flow: tuple
+    flow: tuple  # Velocity of the fluid [m/s] (tuple of 3 floats)
 
 
 @dataclass(frozen=True)
 class Omission:
-    """
-    Something that moves bodies and is left out.
+    """Something that moves bodies and is left out."""
 
-    Attributes
-    ----------
-    quantity : str
-        Such as ``'damping'``.
-    kind, name : str
-        Of the element: ``'tendon'`` and its name in the file.
-    reason : str
-    size : float
-        How much; the largest of several numbers. Infinite where there is no number.
-    unit : str
-        Of the size.
-
-    """
-
-    quantity: str
+    quantity: str  # Such as ``'damping'``
+    #: ``kind``, ``name``: Of the element: ``'tendon'`` and its name in the file.
     kind: str
     name: str
     reason: str
+    #: How much; the largest of several numbers. Infinite where there is no number.
     size: float = math.inf
-    unit: str = ''
+    unit: str = ''  # Of the size
 
     def force(self, lever):
         """Return its force where something moves by 1 m, 1 m/s or 1 m/s^2 at a lever [N]."""
@@ -295,70 +192,34 @@ class Omission:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """
-    Options of the reader of a file.
+    """Options of the reader of a file."""
 
-    Attributes
-    ----------
-    model : str or None
-        Which one of several models of a world is simulated.
-    arguments : dict of str to str
-        Of xacro.
-    anywhere : bool
-        Whether meshes and parts are read from outside of the file's folder.
-
-    """
-
-    model: Optional[str] = None
-    arguments: dict = field(default_factory=dict)
-    anywhere: bool = False
+    model: Optional[str] = None  # Which one of several models of a world is simulated
+    arguments: dict = field(default_factory=dict)  # Of xacro (dict of str to str)
+    anywhere: bool = False  # Whether meshes and parts are read from outside of the file's folder
 
 
 @dataclass
 class Model:
-    """
-    A machine as a format has it.
-
-    Attributes
-    ----------
-    name : str
-    path : pathlib.Path
-        The file.
-    links : dict of str to Link
-        Without the ground.
-    joints : dict of str to Connection
-        In the file's order.
-    relations : list of Relation
-    springs : list of Spring
-    ropes : list of Rope
-    belts : list of Belt
-    drags : list of Drag
-    frames : dict of str to tuple (str, Pose)
-        Named frames on links, or on ``'ground'``.
-    ground_visual : list of mechanism.Visual
-        Shapes drawn beside the links, in the frame of the ground.
-    gravity : tuple of 3 floats
-        [m/s^2].
-    omitted : list of Omission
-        Elements that affect the motion and have no counterpart in a mechanism.
-    ignored : dict of str to str
-        Other elements of the file, with the reason why they are left out.
-
-    """
+    """A machine as a format has it."""
 
     name: str
-    path: object
-    links: dict = field(default_factory=dict)
-    joints: dict = field(default_factory=dict)
-    relations: list = field(default_factory=list)
-    springs: list = field(default_factory=list)
-    ropes: list = field(default_factory=list)
-    belts: list = field(default_factory=list)
-    drags: list = field(default_factory=list)
+    path: object  # The file (pathlib.Path)
+    links: dict = field(default_factory=dict)  # Without the ground (dict of str to Link)
+    joints: dict = field(default_factory=dict)  # In the file's order (dict of str to Connection)
+    relations: list = field(default_factory=list)  # List of Relation
+    springs: list = field(default_factory=list)  # List of Spring
+    ropes: list = field(default_factory=list)  # List of Rope
+    belts: list = field(default_factory=list)  # List of Belt
+    drags: list = field(default_factory=list)  # List of Drag
+    #: Named frames on links, or on ``'ground'`` (dict of str to tuple (str, Pose)).
     frames: dict = field(default_factory=dict)
+    #: Shapes drawn beside the links, in the frame of the ground (list of mechanism.Visual).
     ground_visual: list = field(default_factory=list)
-    gravity: tuple = GRAVITY
+    gravity: tuple = GRAVITY  # [m/s^2] (tuple of 3 floats)
+    #: Elements that affect the motion and have no counterpart in a mechanism (list of Omission).
     omitted: list = field(default_factory=list)
+    #: Other elements of the file, with the reason why they are left out (dict of str to str).
     ignored: dict = field(default_factory=dict)
 
     def add(self, record):

@@ -13,20 +13,10 @@ from ..mechanism.rotations import about, of_quaternion
 
 
 class Pose(NamedTuple):
-    """
-    Where one frame is in another.
+    """Where one frame is in another."""
 
-    Attributes
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Columns: the axes of the frame.
-    position : ndarray, shape (3,)
-        Of its origin [m].
-
-    """
-
-    rotation: np.ndarray
-    position: np.ndarray
+    rotation: np.ndarray  # Shape (3, 3): Columns: the axes of the frame
+    position: np.ndarray  # Shape (3,): Of its origin [m]
 
     def __matmul__(self, other):
         """Return the pose of a frame that is given in this one."""

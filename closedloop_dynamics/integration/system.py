@@ -38,62 +38,34 @@ DISTANCE_ASIDE = 0.015
 
 
 class JointPlaces(NamedTuple):
-    """
-    Where the joints are, fixed ones left out: those of the tree, then the cut joints.
+    """Where the joints are, fixed ones left out: those of the tree, then the cut joints."""
 
-    Attributes
-    ----------
-    row : ndarray of int, shape (number of joints in the tree,)
-        Of the bodies that they carry.
-    body : ndarray of int, shape (n, 2)
-        Rows of the two bodies of each.
-    point : ndarray, shape (2 n, 2 or 3)
-        The joint's point on the one body and on the other [m].
-
-    """
-
-    row: np.ndarray
-    body: np.ndarray
+    row: np.ndarray  # Int, shape (number of joints in the tree,): Of the bodies that they carry
+    body: np.ndarray  # Int, shape (n, 2): Rows of the two bodies of each
+    #: Shape (2 n, 2 or 3): The joint's point on the one body and on the other [m].
     point: np.ndarray
 
 
 class AccelerationDerivatives(NamedTuple):
-    """
-    Generated derivatives of the accelerations, which the stiff method takes its Jacobian from.
+    """Generated derivatives of the accelerations, from which the stiff method has its Jacobian."""
 
-    Attributes
-    ----------
-    table : ndarray of int
-        Addresses of the routines and of all that they read; place 0 is 0 while they are not those
-        of the effects.
-    columns, found : ndarray, shape (blocks, LANES (nv + nc))
-        Changes of the residuals, and of accelerations and multipliers by them.
-    flows : ndarray, shape (2 nv, nz)
-        Changes of the rates of the effects' states.
-
-    """
-
+    #: Addresses of the routines and of all that they read; place 0 is 0 while they are not those
+    #: of the effects (ndarray of int).
     table: np.ndarray
+    #: ``columns``, ``found``: Shape (blocks, LANES (nv + nc)): Changes of the residuals, and of
+    #: accelerations and multipliers by them.
     columns: np.ndarray
     found: np.ndarray
-    flows: np.ndarray
+    flows: np.ndarray  # Shape (2 nv, nz): Changes of the rates of the effects' states
 
 
 class Code(NamedTuple):
-    """
-    Selection of the code that is generated for a mechanism.
+    """Selection of the code that is generated for a mechanism."""
 
-    Attributes
-    ----------
-    routines : tuple of int
-        Places in the function table; none: loops over bodies do it all.
-    scene : tuple, optional
-        Structure of the effects (``scene_code.structure``) as they are in the evaluation of the
-        scene; None: as they are at present.
-
-    """
-
+    #: Places in the function table; none: loops over bodies do it all (tuple of int).
     routines: tuple
+    #: Structure of the effects (``scene_code.structure``) as they are in the evaluation of the
+    #: scene; None: as they are at present.
     scene: Optional[tuple]
 
 
@@ -103,42 +75,6 @@ LOOPS = Code((), None)
 class System(NamedTuple):
     """
     One mechanism with all that an evaluation of its motion reads and writes.
-
-    Attributes
-    ----------
-    model : Model
-    work : Workspace
-    dense : DenseWorkspace
-        Of the dense formulations; of no length where none is used.
-    partition : Partition
-        Of the independent coordinates; of no length where they are not used.
-    settings : ndarray, shape (7,)
-    tau : ndarray, shape (nv + nk,)
-        Commanded joint torques [N m] and forces [N], behind them those of the nk cut joints that
-        anything acts in.
-    qdd : ndarray, shape (nv,)
-        Joint accelerations of the latest evaluation.
-    lam : ndarray, shape (nc,)
-        Its multipliers.
-    applied : ndarray, shape (nv,)
-        Joint torques of commands and effects; ``tau`` itself where no effect is listed.
-    effects : EffectTable or None
-        Forces on the mechanism beside the commanded torques.
-    table : ndarray of int
-        Of the routines that are generated for this mechanism.
-    corrections : ndarray, shape (2, nv)
-        Of coordinates and rates, as generated routines leave them; of no length where there are no
-        such routines.
-    manifold : Manifold or None
-        Where quaternions are among the coordinates; None where there are none.
-    whole : AllEquations or None
-        Where the elimination works on some of them only.
-    joints : JointPlaces or None
-        Where the joints are, for forces that are not unique; None: there are none of these.
-    derivatives : AccelerationDerivatives or None
-        None: the stiff method takes differences.
-    native
-        The engine's view of all these.
 
     Notes
     -----
@@ -150,21 +86,29 @@ class System(NamedTuple):
 
     model: Model
     work: Workspace
-    dense: DenseWorkspace
-    partition: Partition
-    settings: np.ndarray
+    dense: DenseWorkspace  # Of the dense formulations; of no length where none is used
+    partition: Partition  # Of the independent coordinates; of no length where they are not used
+    settings: np.ndarray  # Shape (7,)
+    #: Shape (nv + nk,): Commanded joint torques [N m] and forces [N], behind them those of the nk
+    #: cut joints that anything acts in.
     tau: np.ndarray
-    qdd: np.ndarray
-    lam: np.ndarray
+    qdd: np.ndarray  # Shape (nv,): Joint accelerations of the latest evaluation
+    lam: np.ndarray  # Shape (nc,): Its multipliers
+    #: Shape (nv,): Joint torques of commands and effects; ``tau`` itself where no effect is
+    #: listed.
     applied: np.ndarray
-    effects: Optional[EffectTable]
-    table: np.ndarray
+    effects: Optional[EffectTable]  # Forces on the mechanism beside the commanded torques
+    table: np.ndarray  # Of the routines that are generated for this mechanism (ndarray of int)
+    #: Shape (2, nv): Of coordinates and rates, as generated routines leave them; of no length
+    #: where there are no such routines.
     corrections: np.ndarray
+    #: Where quaternions are among the coordinates; None where there are none.
     manifold: Optional[Manifold]
-    whole: Optional[AllEquations]
+    whole: Optional[AllEquations]  # Where the elimination works on some of them only
+    #: Where the joints are, for forces that are not unique; None: there are none of these.
     joints: Optional[JointPlaces]
-    derivatives: Optional[AccelerationDerivatives]
-    native: object
+    derivatives: Optional[AccelerationDerivatives]  # None: the stiff method takes differences
+    native: object  # The engine's view of all these
 
     @property
     def is_unrolled(self):

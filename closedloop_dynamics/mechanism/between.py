@@ -30,25 +30,13 @@ REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, FIXED)
 
 @dataclass(frozen=True)
 class ChosenTree:
-    """
-    The tree that was chosen.
+    """The tree that was chosen."""
 
-    Attributes
-    ----------
-    cut : tuple of str
-        Joints that were cut.
-    listed : tuple of str
-        Joints that would be cut, were the tree built in their order.
-    open : tuple of str
-        Joints that may be cut or not.
-    shifts : dict of str to tuple
-        Where the frame of each body lies in that of its description [m].
-
-    """
-
-    cut: tuple
-    listed: tuple
+    cut: tuple  # Joints that were cut (tuple of str)
+    listed: tuple  # Joints that would be cut, were the tree built in their order (tuple of str)
+    #: Joints that may be cut or not (tuple of str).
     open: tuple  # noqa: A003
+    #: Where the frame of each body lies in that of its description [m] (dict of str to tuple).
     shifts: dict = field(default_factory=dict)
 
 

@@ -52,26 +52,14 @@ _CHECKS = {'position': orientation, 'velocity': vector3}
 
 
 class Group(NamedTuple):
-    """
-    Numbers of a joint that belong together: one number, a place, or an orientation.
+    """Numbers of a joint that belong together: one number, a place, or an orientation."""
 
-    Attributes
-    ----------
-    name : str
-        ``crank``, ``hip.1``, ``platform.position``, ``ball.orientation``.
-    joint : mechanism.Joint
-    coordinates, rates : list of int
-        Their places.
-    length : bool
-        Whether they are lengths.
-
-    """
-
-    name: str
-    joint: object
+    name: str  # ``crank``, ``hip.1``, ``platform.position``, ``ball.orientation``
+    joint: object  # Mechanism.Joint
+    #: ``coordinates``, ``rates``: Their places (list of int).
     coordinates: list
     rates: list
-    length: bool
+    length: bool  # Whether they are lengths
 
     @property
     def turned(self):

@@ -24,33 +24,18 @@ _X, _Y, _Z = np.eye(3)
 
 
 class CutFreedom(NamedTuple):
-    """
-    One freedom of a cut joint.
+    """One freedom of a cut joint."""
 
-    Attributes
-    ----------
-    name : str
-        As ``Mechanism.cut_coordinates`` has it.
-    cut : CutJoint
-    slides : bool
-        Whether its coordinate is how far A's point is from B's along the axis; else the angle of
-        A in B about it.
-    axis : ndarray, shape (3,)
-        In body B.
-    turn : tuple of 3 ndarrays, shape (3,), or None
-        Where the axis is in body A; a direction of body A across it, and where this is in body B
-        at zero. Of angles in space, and not of those that have rates alone.
-    exchanged : bool
-        Whether A is the cut joint's body B, and B its body A.
-
-    """
-
-    name: str
+    name: str  # As ``Mechanism.cut_coordinates`` has it
     cut: CutJoint
+    #: Whether its coordinate is how far A's point is from B's along the axis; else the angle of A
+    #: in B about it.
     slides: bool
-    axis: np.ndarray
+    axis: np.ndarray  # Shape (3,): In body B
+    #: Shape (3,), or None: Where the axis is in body A; a direction of body A across it, and where
+    #: this is in body B at zero. Of angles in space, and not of those that have rates alone.
     turn: tuple = None
-    exchanged: bool = False
+    exchanged: bool = False  # Whether A is the cut joint's body B, and B its body A
 
     @property
     def bodies(self):

@@ -25,36 +25,20 @@ FEW_CUT_JOINTS = 40
 
 @dataclass(frozen=True)
 class Decomposition:
-    """
-    Topology of a mechanism for the block elimination.
+    """Topology of a mechanism for the block elimination."""
 
-    Attributes
-    ----------
-    subsystems : tuple of tuples of str
-        Joint names of each subsystem, parents first.
-    joint_order : tuple of int
-        Indices into ``mechanism.joints``, subsystem by subsystem, parents first.
-    cut_subsystems : tuple of tuples of int
-        Indices of the subsystems that each cut joint touches.
-    elimination_order : tuple of str
-        Names of the cut joints and couplings in the order they are eliminated.
-    cut_order : tuple of int
-        The same as indices into ``mechanism.closures``.
-    structure : tuple of frozensets of int
-        For each place in the elimination order, the later places that its block column
-        of the factor reaches.
-    fill : int
-        Blocks of the factor that are zero in the constraint matrix.
-
-    """
-
-    subsystems: Tuple[Tuple[str, ...], ...]
+    subsystems: Tuple[Tuple[str, ...], ...]  # Joint names of each subsystem, parents first
+    #: Indices into ``mechanism.joints``, subsystem by subsystem, parents first.
     joint_order: Tuple[int, ...]
+    #: Indices of the subsystems that each cut joint touches.
     cut_subsystems: Tuple[Tuple[int, ...], ...]
+    #: Names of the cut joints and couplings in the order they are eliminated.
     elimination_order: Tuple[str, ...]
-    cut_order: Tuple[int, ...]
+    cut_order: Tuple[int, ...]  # The same as indices into ``mechanism.closures``
+    #: For each place in the elimination order, the later places that its block column of the
+    #: factor reaches.
     structure: Tuple[FrozenSet[int], ...]
-    fill: int
+    fill: int  # Blocks of the factor that are zero in the constraint matrix
 
 
 def decompose(mechanism):

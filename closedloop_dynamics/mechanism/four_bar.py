@@ -15,29 +15,14 @@ NOTHING = 1e-9
 
 
 class FourBar(NamedTuple):
-    """
-    A loop of four revolute joints.
+    """A loop of four revolute joints."""
 
-    Attributes
-    ----------
-    lengths : tuple of 4 floats
-        Of base, input link, coupler and output link [m].
-    kind : str
-        Crank-rocker, ...
-    grashof : str
-        ``'Grashof'``, ``'non-Grashof'`` or ``'change point'``.
-    limits : tuple of floats
-        Angles between input link and base at which coupler and output link are in line [rad].
-    output : str
-        The joint of the output link on the ground.
-
-    """
-
-    lengths: Tuple[float, float, float, float]
-    kind: str
-    grashof: str
+    lengths: Tuple[float, float, float, float]  # Of base, input link, coupler and output link [m]
+    kind: str  # ``'crank-rocker'``, ...
+    grashof: str  # ``'Grashof'``, ``'non-Grashof'`` or ``'change point'``
+    #: Angles between input link and base at which coupler and output link are in line [rad].
     limits: Tuple[float, ...]
-    output: str
+    output: str  # The joint of the output link on the ground
 
 
 def four_bar(mechanism, drive) -> Optional[FourBar]:

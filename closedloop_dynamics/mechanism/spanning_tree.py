@@ -26,52 +26,26 @@ MOST_TREES = 3000
 
 
 class Edge(NamedTuple):
-    """
-    A joint as an edge.
-
-    Attributes
-    ----------
-    name : str
-    first, second : str
-        The bodies it is between; the first one carries the second.
-    freedoms : int
-        Rows of the tree that it takes.
-    equations : int
-        That hold it where it is cut.
-    reversible : bool
-        Whether the second body may carry the first, too.
-    cut : bool or None
-        Whether it is to be cut, or is not to be; None leaves that open.
-
-    """
+    """A joint as an edge."""
 
     name: str
+    #: ``first``, ``second``: The bodies it is between; the first one carries the second.
     first: str
     second: str
-    freedoms: int
-    equations: int
-    reversible: bool
-    cut: Optional[bool]
+    freedoms: int  # Rows of the tree that it takes
+    equations: int  # That hold it where it is cut
+    reversible: bool  # Whether the second body may carry the first, too
+    cut: Optional[bool]  # Whether it is to be cut, or is not to be; None leaves that open
 
 
 class Tree(NamedTuple):
-    """
-    A spanning tree.
+    """A spanning tree."""
 
-    Attributes
-    ----------
-    carriers : dict of str to (int, bool)
-        By body: the edge that carries it, and whether it is turned round.
-    cut : tuple of int
-        The other edges.
-    operations : float
-        Estimated, of one evaluation.
-
-    """
-
+    #: By body: the edge that carries it, and whether it is turned round (dict of str to (int,
+    #: bool)).
     carriers: dict
-    cut: tuple
-    operations: float
+    cut: tuple  # The other edges (tuple of int)
+    operations: float  # Estimated, of one evaluation
 
 
 def choose_tree(bodies, edges, closures):

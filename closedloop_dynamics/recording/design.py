@@ -42,23 +42,14 @@ class Extreme(NamedTuple):
 
 
 class Output(NamedTuple):
-    """
-    How a joint, or a coordinate of a point, moves over the drive.
+    """How a joint, or a coordinate of a point, moves over the drive."""
 
-    Attributes
-    ----------
-    least, most : Extreme
-        [rad or m].
-    dwell : float
-        Longest part of the drive over which it stays within ``DWELL`` of its stroke [rad or m].
-    time_ratio : float
-        Time of the slower stroke to that of the quicker one, of a whole turn; NaN otherwise.
-
-    """
-
+    #: ``least``, ``most``: [rad or m].
     least: Extreme
     most: Extreme
+    #: Longest part of the drive over which it stays within ``DWELL`` of its stroke [rad or m].
     dwell: float
+    #: Time of the slower stroke to that of the quicker one, of a whole turn; NaN otherwise.
     time_ratio: float
 
 
@@ -257,22 +248,11 @@ def _is_length(run, name):
 
 
 class Sensitivity(NamedTuple):
-    """
-    How outputs change with lengths.
+    """How outputs change with lengths."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Lengths, as key paths of the scene.
-    outputs : tuple of str
-        Joints, and coordinates of points.
-    derivatives : ndarray, shape (n, number of outputs, number of keys)
-        At each pose [rad/m or 1].
-
-    """
-
-    keys: Tuple[str, ...]
-    outputs: Tuple[str, ...]
+    keys: Tuple[str, ...]  # Lengths, as key paths of the scene
+    outputs: Tuple[str, ...]  # Joints, and coordinates of points
+    #: Shape (n, number of outputs, number of keys): At each pose [rad/m or 1].
     derivatives: np.ndarray
 
     def worst(self, tolerance):

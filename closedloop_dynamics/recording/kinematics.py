@@ -27,16 +27,9 @@ UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
 
 class Drive(NamedTuple):
-    """
-    Start and end of a driven joint or point.
+    """Start and end of a driven joint or point."""
 
-    Attributes
-    ----------
-    start, end : float
-        [rad or m]; the same where it is held.
-
-    """
-
+    #: ``start``, ``end``: [rad or m]; the same where it is held.
     start: float
     end: float
 

@@ -19,19 +19,11 @@ USUAL_AMPLITUDE = 0.2
 
 
 class ModeMotion(NamedTuple):
-    """
-    An undamped mode as a periodic motion, loops closed.
+    """An undamped mode as a periodic motion, loops closed."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        [s].
-    position, velocity : ndarray, shape (n, nq), (n, nv)
-        The first and the last are those of the largest deflection.
-
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # Shape (n,): [s]
+    #: ``position``, ``velocity``: Shape (n, nq), (n, nv): The first and the last are those of the
+    #: largest deflection.
     position: np.ndarray
     velocity: np.ndarray
 

@@ -52,82 +52,51 @@ class WorkspaceFileError(ValueError):
 
 @dataclass(frozen=True)
 class Request:
-    """
-    The settings of a workspace map.
+    """The settings of a workspace map."""
 
-    Attributes
-    ----------
-    point : str
-        Of the platform.
-    axes : dict of str to (float, float, int)
-        First, last and number of the point's coordinates by ``'x'``, ``'y'``, ``'z'`` [m]; of
-        those not given, what is reached is looked for.
-    angles : tuple of float, or None
-        Of the orientation that is held [rad]: one in the plane, in space about x, y and z of the
-        world, one after the other. That of the scene's start when None.
-    turns : dict of str to (float, float, int)
-        Orientations instead: first, last and number of the angles by axis.
-    torque_limit, stiffness : dict of str to float
-        Of actuated joints [N m or N], [N m/rad or N/m]; 1 where not given.
-    limits : dict of str to (float, float)
-        Of joint coordinates [rad or m].
-    clearance : float or None
-        Least distance of links that no joint joins, each a segment between its joints [m].
-
-    """
-
-    point: str
+    point: str  # Of the platform
+    #: First, last and number of the point's coordinates by ``'x'``, ``'y'``, ``'z'`` [m]; of those
+    #: not given, what is reached is looked for.
     axes: Dict[str, Tuple[float, float, int]] = field(default_factory=dict)
+    #: Of the orientation that is held [rad]: one in the plane, in space about x, y and z of the
+    #: world, one after the other. That of the scene's start when None.
     angles: Optional[Tuple[float, ...]] = None
+    #: Orientations instead: first, last and number of the angles by axis.
     turns: Dict[str, Tuple[float, float, int]] = field(default_factory=dict)
+    #: ``torque_limit``, ``stiffness``: Of actuated joints [N m or N], [N m/rad or N/m]; 1 where
+    #: not given.
     torque_limit: Dict[str, float] = field(default_factory=dict)
     stiffness: Dict[str, float] = field(default_factory=dict)
+    #: Of joint coordinates [rad or m].
     limits: Dict[str, Tuple[float, float]] = field(default_factory=dict)
+    #: Least distance of links that no joint joins, each a segment between its joints [m].
     clearance: Optional[float] = None
 
 
 @dataclass
 class Workspace:
-    """
-    A map.
-
-    Attributes
-    ----------
-    request : Request
-    axes : tuple of pose_grid.Axis
-    angles : ndarray, shape (number of orientations, 1 or 3)
-        [rad].
-    status : ndarray of int, shape of the grid
-        A place in ``MEANINGS``; of several orientations, ``REACHED`` where one is.
-    count : ndarray of int, shape of the grid
-        In how many of the orientations it is reached, within limits and without collisions.
-    missed : tuple of int
-        Orientations that no way leads to: they count as not reached.
-    quantities : dict of str to ndarray, shape of the grid
-        NaN where it is not reached; of a single orientation.
-    curves : tuple of singular_curves.SingularCurve
-        Where two axes have several values, of a single orientation.
-    position : ndarray, shape (*shape of the grid, nq), or None
-        Joint coordinates, of a single orientation.
-    notes : tuple of str
-        Omissions, and their reasons.
-    finished : bool
-    turned : bool
-        Whether the orientation is held: that of a platform, not of a point alone.
-
-    """
+    """A map."""
 
     request: Request
     axes: Tuple[Axis, ...]
-    angles: np.ndarray
+    angles: np.ndarray  # Shape (number of orientations, 1 or 3): [rad]
+    #: Int, shape of the grid: A place in ``MEANINGS``; of several orientations, ``REACHED`` where
+    #: one is.
     status: np.ndarray
+    #: Int, shape of the grid: In how many of the orientations it is reached, within limits and
+    #: without collisions.
     count: np.ndarray
-    missed: Tuple[int, ...] = ()
+    missed: Tuple[int, ...] = ()  # Orientations that no way leads to: they count as not reached
+    #: Shape of the grid: NaN where it is not reached; of a single orientation.
     quantities: Mapping[str, np.ndarray] = field(default_factory=dict)
+    #: Where two axes have several values, of a single orientation (tuple of
+    #: singular_curves.SingularCurve).
     curves: Tuple = ()
+    #: Shape (*shape of the grid, nq), or None: Joint coordinates, of a single orientation.
     position: Optional[np.ndarray] = None
-    notes: Tuple[str, ...] = ()
+    notes: Tuple[str, ...] = ()  # Omissions, and their reasons
     finished: bool = True
+    #: Whether the orientation is held: that of a platform, not of a point alone.
     turned: bool = True
 
     @property

@@ -26,45 +26,23 @@ FREQUENCY = 0.5
 
 @dataclass(frozen=True)
 class Drive:
-    """
-    Parameters of the nodes that drive one scene.
+    """Parameters of the nodes that drive one scene."""
 
-    Attributes
-    ----------
-    description : str
-        For people.
-    parameters : dict
-        Of the torque source, by name; empty where nothing is actuated.
-    file : pathlib.Path or None
-        Where both nodes read theirs.
-
-    """
-
-    description: str
-    parameters: dict
-    file: Optional[object] = None
+    description: str  # For people
+    parameters: dict  # Of the torque source, by name; empty where nothing is actuated (dict)
+    file: Optional[object] = None  # Where both nodes read theirs
 
 
 @dataclass(frozen=True)
 class Aim:
-    """
-    Where a drive is to lead the actuated joints.
+    """Where a drive is to lead the actuated joints."""
 
-    Attributes
-    ----------
-    reference : references.Reference, references.CircularPath or references.PointToPointPath
-    led : ndarray of bool, shape (n,)
-        Whose position is controlled; of the others, their speed is.
-    circle : tuple of (str, ndarray, float), or None
-        Point, centre and radius of a circle [m].
-    places : tuple of (str, ndarray, float), or None
-        Point, places that it is to reach, and the time of the first round [m, s].
-
-    """
-
+    #: References.Reference, references.CircularPath or references.PointToPointPath.
     reference: object
+    #: Bool, shape (n,): Whose position is controlled; of the others, their speed is.
     led: np.ndarray
-    circle: Optional[tuple] = None
+    circle: Optional[tuple] = None  # Point, centre and radius of a circle [m]
+    #: Point, places that it is to reach, and the time of the first round [m, s].
     places: Optional[tuple] = None
 
 

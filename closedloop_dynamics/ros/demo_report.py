@@ -29,23 +29,12 @@ LOST, ANSWERED, SILENCE = 0.01, 0.9, 5.0
 
 @dataclass(frozen=True)
 class Run:
-    """
-    Contents of a bag for one scene.
+    """Contents of a bag for one scene."""
 
-    Attributes
-    ----------
-    motion : visual.trajectory.Trajectory
-        From the last state at rest on; its time is that of the stamps since then.
-    simulated : float
-        Simulated time of the motion [s].
-    arrivals : dict of str to ndarray
-        Times at which the messages of each topic were received [s], relative as above; those
-        before the motion are negative.
-
-    """
-
-    motion: Trajectory
-    simulated: float
+    motion: Trajectory  # From the last state at rest on; its time is that of the stamps since then
+    simulated: float  # Simulated time of the motion [s]
+    #: Times at which the messages of each topic were received [s], relative as above; those before
+    #: the motion are negative (dict of str to ndarray).
     arrivals: dict
 
     def rate(self, topic):

@@ -33,26 +33,12 @@ STEWART, LEGS = 40, 6
 
 
 class Assemblies(NamedTuple):
-    """
-    The assemblies of a mechanism with given driven values.
+    """The assemblies of a mechanism with given driven values."""
 
-    Attributes
-    ----------
-    states : State
-        A batch, at rest, one for each assembly.
-    proved : bool
-        Whether these are all.
-    most : int or None
-        How many there can be of this kind of mechanism, where that is known.
-    reason : str
-        Why there may be others, where it is not proved; or how it is.
-
-    """
-
-    states: State
-    proved: bool
-    most: Optional[int]
-    reason: str
+    states: State  # A batch, at rest, one for each assembly
+    proved: bool  # Whether these are all
+    most: Optional[int]  # How many there can be of this kind of mechanism, where that is known
+    reason: str  # Why there may be others, where it is not proved; or how it is
 
     def __str__(self) -> str:
         """Return ``proved: 6``, or ``found so far: 6``."""
@@ -60,18 +46,10 @@ class Assemblies(NamedTuple):
 
 
 class Assembled(NamedTuple):
-    """
-    Positions that close the loops with given driven values.
+    """Positions that close the loops with given driven values."""
 
-    Attributes
-    ----------
-    positions : list of ndarray, shape (nq,)
-    proved, most, reason
-        As ``Assemblies`` has them.
-
-    """
-
-    positions: List[np.ndarray]
+    positions: List[np.ndarray]  # Shape (nq,)
+    #: ``proved``, ``most``, ``reason``: As ``Assemblies`` has them.
     proved: bool
     most: Optional[int]
     reason: str

@@ -68,22 +68,11 @@ class Variable(NamedTuple):
 
 
 class Fmu(NamedTuple):
-    """
-    A functional mock-up unit.
+    """A functional mock-up unit."""
 
-    Attributes
-    ----------
-    archive : bytes
-        What the file holds.
-    variables : tuple of Variable
-    no_exchange : str or None
-        Why there is no model exchange.
-
-    """
-
-    archive: bytes
-    variables: tuple
-    no_exchange: str
+    archive: bytes  # What the file holds
+    variables: tuple  # Tuple of Variable
+    no_exchange: str  # Why there is no model exchange
 
 
 def fmu(simulation, name, version='3.0', derivatives=False, binary=True):

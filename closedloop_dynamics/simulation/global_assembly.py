@@ -46,25 +46,14 @@ _UNIT = np.eye(3)
 
 
 class ClosureResult(NamedTuple):
-    """
-    Where the search ended.
+    """Where the search ended."""
 
-    Attributes
-    ----------
-    q : ndarray, shape (nq,)
-        Coordinates; orientations as unit quaternions x, y, z, w.
-    closure_errors : dict of str to float
-        By joint that closes a loop, and coupling: how far it is open [m, and sines of angles].
-    closed : bool
-    how : str
-        How it was found.
-
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # Shape (nq,): Coordinates; orientations as unit quaternions x, y, z, w
+    #: By joint that closes a loop, and coupling: how far it is open [m, and sines of angles] (dict
+    #: of str to float).
     closure_errors: dict
     closed: bool
-    how: str
+    how: str  # How it was found
 
 
 class ClosureProblem:

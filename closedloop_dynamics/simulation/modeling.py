@@ -17,22 +17,11 @@ from ..mechanism.decomposition import decompose
 
 
 class MechanismArrays(NamedTuple):
-    """
-    Arrays of a mechanism, and where its bodies and joints are in them.
-
-    Attributes
-    ----------
-    model : core.types.Model
-    placements : dict of str to tree_rows.Placement
-        By body, the ground among them.
-    rows : dict of str to list of int
-        Rows of the tree by joint.
-
-    """
+    """Arrays of a mechanism, and where its bodies and joints are in them."""
 
     model: t.Model
-    placements: dict
-    rows: dict
+    placements: dict  # By body, the ground among them (dict of str to tree_rows.Placement)
+    rows: dict  # Rows of the tree by joint (dict of str to list of int)
 
 
 def build_model(mechanism, gravity=None, decomposition=None, kept=None):

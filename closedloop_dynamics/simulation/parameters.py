@@ -32,26 +32,15 @@ JUMP = 1e-9
 
 
 class ParameterArrays(NamedTuple):
-    """
-    Parameters, and the arrays of a scene.
+    """Parameters, and the arrays of a scene."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Key paths.
-    entries : tuple of (int, int)
-        Numbers of arrays that depend on any of them: place of the array in the function table,
-        and in it.
-    matrix : ndarray, shape (entries, parameters)
-        Derivatives of these numbers.
-    model : Model
-        In whose place code is generated: none of these numbers is one that is part of a structure.
-
-    """
-
-    names: tuple
+    names: tuple  # Key paths (tuple of str)
+    #: Numbers of arrays that depend on any of them: place of the array in the function table, and
+    #: in it (tuple of (int, int)).
     entries: tuple
-    matrix: np.ndarray
+    matrix: np.ndarray  # Shape (entries, parameters): Derivatives of these numbers
+    #: In whose place code is generated: none of these numbers is one that is part of a structure
+    #: (Model).
     model: object
 
 

@@ -45,19 +45,10 @@ SAME_TURN = 1e-6
 
 
 class Axis(NamedTuple):
-    """
-    One axis of a grid.
+    """One axis of a grid."""
 
-    Attributes
-    ----------
-    name : str
-        ``'x'``, ``'y'`` or ``'z'``.
-    values : ndarray, shape (n,)
-        Of the point's coordinate, evenly spaced; one where it is held [m].
-
-    """
-
-    name: str
+    name: str  # ``'x'``, ``'y'`` or ``'z'``
+    #: Shape (n,): Of the point's coordinate, evenly spaced; one where it is held [m].
     values: np.ndarray
 
 

@@ -28,22 +28,13 @@ NO_SHARE = 1e-6
 
 
 class Redundancy(NamedTuple):
-    """
-    Equations that repeat others.
+    """Equations that repeat others."""
 
-    Attributes
-    ----------
-    repeated : tuple of (str, str, str)
-        Cut joint or coupling, its equation, and whether it repeats others at any lengths.
-    shared : tuple of str
-        Joints, cut joints and couplings whose forces are not unique: the least are reported.
-    components : dict of str to tuple of str
-        Of these joints, the components of the wrench, in world axes, that are not unique.
-
-    """
-
+    #: Cut joint or coupling, its equation, and whether it repeats others at any lengths.
     repeated: Tuple[Tuple[str, str, str], ...]
+    #: Joints, cut joints and couplings whose forces are not unique: the least are reported.
     shared: Tuple[str, ...]
+    #: Of these joints, the components of the wrench, in world axes, that are not unique.
     components: Dict[str, Tuple[str, ...]]
 
 

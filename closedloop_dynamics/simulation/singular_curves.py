@@ -32,26 +32,12 @@ STRAIGHT = 0.7
 
 
 class SingularCurve(NamedTuple):
-    """
-    Singular positions one after the other.
+    """Singular positions one after the other."""
 
-    Attributes
-    ----------
-    kind : str
-        ``TYPE_1`` or ``TYPE_2``.
-    places : ndarray, shape (n, 2)
-        Of the platform's point, along both axes of the grid [m].
-    position : ndarray, shape (n, nq)
-        Joint coordinates [rad or m].
-    closed : bool
-        Whether the last point is the first again.
-
-    """
-
-    kind: str
-    places: np.ndarray
-    position: np.ndarray
-    closed: bool
+    kind: str  # ``TYPE_1`` or ``TYPE_2``
+    places: np.ndarray  # Shape (n, 2): Of the platform's point, along both axes of the grid [m]
+    position: np.ndarray  # Shape (n, nq): Joint coordinates [rad or m]
+    closed: bool  # Whether the last point is the first again
 
 
 class SingularCurves:

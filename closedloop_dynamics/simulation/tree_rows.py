@@ -36,23 +36,11 @@ _KINDS = {REVOLUTE: t.REVOLUTE, PRISMATIC: t.PRISMATIC, HELICAL: t.HELICAL}
 
 
 class Placement(NamedTuple):
-    """
-    Where a body's frame is in the frame of its row; in the plane the two are the same.
+    """Where a body's frame is in the frame of its row; in the plane the two are the same."""
 
-    Attributes
-    ----------
-    row : int
-        0 for the ground.
-    axes : ndarray, shape (3, 3)
-        Columns: the body's axes.
-    origin : ndarray, shape (3,)
-        [m].
-
-    """
-
-    row: int
-    axes: np.ndarray
-    origin: np.ndarray
+    row: int  # 0 for the ground
+    axes: np.ndarray  # Shape (3, 3): Columns: the body's axes
+    origin: np.ndarray  # Shape (3,): [m]
 
     def place(self, point):
         """Return a point of the body's frame, of 2 or 3 numbers, in that of the row."""

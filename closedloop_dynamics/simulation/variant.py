@@ -27,19 +27,10 @@ COURSE = ('offset', 'speed', 'amplitude', 'values', 'rates', 'accelerations')
 
 
 class Variant(NamedTuple):
-    """
-    A scene that was made of another one.
-
-    Attributes
-    ----------
-    scene : scene_records.Scene
-    left_out : tuple of str
-        Parts of the other scene that it does not have, and the reasons.
-
-    """
+    """A scene that was made of another one."""
 
     scene: Scene
-    left_out: Tuple[str, ...]
+    left_out: Tuple[str, ...]  # Parts of the other scene that it does not have, and the reasons
 
 
 def variant(scene, mechanism, initial, effects, left_out) -> Variant:

@@ -31,24 +31,13 @@ IMPOSSIBLE = 50.0
 
 
 class Series(NamedTuple):
-    """
-    A Fourier series.
+    """A Fourier series."""
 
-    Attributes
-    ----------
-    start : float
-        q0 [rad or m].
-    sines, cosines : tuple of float
-        a_k and b_k [rad or m].
-    period : float
-        T [s].
-
-    """
-
-    start: float
+    start: float  # q0 [rad or m]
+    #: ``sines``, ``cosines``: a_k and b_k [rad or m].
     sines: Tuple[float, ...]
     cosines: Tuple[float, ...]
-    period: float
+    period: float  # T [s]
 
     def at(self, time):
         """Return position, rate and acceleration, shape (3, n), at times, shape (n,) [s]."""

@@ -54,23 +54,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """
-    Result of one case with one method.
+    """Result of one case with one method."""
 
-    Attributes
-    ----------
-    status : str
-        ``ACCURATE``, ``DEGRADED``, ``REFUSED``, ``UNSTABLE`` or ``SKIPPED``.
-    figure : float
-        The worst one; NaN where refused or not run.
-    note : str
-        The reason where refused.
-
-    """
-
-    status: str
-    figure: float
-    note: str = ''
+    status: str  # ``ACCURATE``, ``DEGRADED``, ``REFUSED``, ``UNSTABLE`` or ``SKIPPED``
+    figure: float  # The worst one; NaN where refused or not run
+    note: str = ''  # The reason where refused
 
 
 def judge(case, method, quick):

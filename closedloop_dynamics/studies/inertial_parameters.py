@@ -25,28 +25,16 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class Parameter(NamedTuple):
-    """
-    A number that the equations of motion are linear in, as a unit added to a body.
+    """A number that the equations of motion are linear in, as a unit added to a body."""
 
-    Attributes
-    ----------
-    name : str
-        ``crank.mass``, ``crank.first_moment.x``, ``crank.inertia_about_origin.xx``; without axes
-        in the plane, and ``crank.inertia`` where it is about the centre of mass.
-    body : str
-    value : float
-        Of the scene [kg, kg m, kg m^2].
-    power : int
-        Of the length in its unit.
-    numbers : ndarray, shape (4,), in space (10,)
-        Mass, first moments, inertia about the origin (xx, yy, zz, xy, xz, yz).
-
-    """
-
+    #: ``crank.mass``, ``crank.first_moment.x``, ``crank.inertia_about_origin.xx``; without axes in
+    #: the plane, and ``crank.inertia`` where it is about the centre of mass.
     name: str
     body: str
-    value: float
-    power: int
+    value: float  # Of the scene [kg, kg m, kg m^2]
+    power: int  # Of the length in its unit
+    #: Shape (4,), in space (10,): Mass, first moments, inertia about the origin (xx, yy, zz, xy,
+    #: xz, yz).
     numbers: np.ndarray
 
 

@@ -55,37 +55,19 @@ class OptimumFileError(ValueError):
 
 @dataclass(frozen=True)
 class Problem:
-    """
-    Variables, objectives and requirements.
+    """Variables, objectives and requirements."""
 
-    Attributes
-    ----------
-    scene : scene_records.Scene
-        With the numbers before.
-    variables : tuple of Variable
-    aims : tuple of Expression
-        One or two.
-    requirements : tuple of Requirement
-    driven : Driven
-    seed : int
-    paths : dict of str to ndarray
-        Places by the names that ``distance`` has for them.
-    before : tuple of float, or None
-        Aims of the scene as it is; None where it cannot be assembled or driven.
-    without : str
-        Why there are none.
-
-    """
-
-    scene: Scene
+    scene: Scene  # With the numbers before
     variables: Tuple[Variable, ...]
-    aims: Tuple[Expression, ...]
+    aims: Tuple[Expression, ...]  # One or two
     requirements: Tuple[Requirement, ...]
     driven: Driven
     seed: int
+    #: Places by the names that ``distance`` has for them.
     paths: Mapping[str, np.ndarray] = field(default_factory=dict)
+    #: Aims of the scene as it is; None where it cannot be assembled or driven.
     before: Optional[Tuple[float, ...]] = None
-    without: str = ''
+    without: str = ''  # Why there are none
 
     @property
     def low(self) -> np.ndarray:
@@ -99,36 +81,20 @@ class Problem:
 
 
 class Candidate(NamedTuple):
-    """
-    A machine that was found.
+    """A machine that was found."""
 
-    Attributes
-    ----------
-    values : tuple of float
-        Of the variables.
-    aims : tuple of float
-    missed : float
-        By how much requirements are missed, of their size; 0, but for rounding, where they are
-        met.
-    position : tuple of float
-        Joint coordinates from which its loops are closed, as its scene has them.
-    message : str
-        Message of the optimiser.
-    evaluations, gradients : int
-        Machines that were driven all the way, and of how many derivatives were found.
-    refused : dict of str to int
-        How many machines could not be assembled or driven, by reason.
-
-    """
-
-    values: Tuple[float, ...]
+    values: Tuple[float, ...]  # Of the variables
     aims: Tuple[float, ...]
+    #: By how much requirements are missed, of their size; 0, but for rounding, where they are met.
     missed: float
+    #: Joint coordinates from which its loops are closed, as its scene has them.
     position: Tuple[float, ...]
-    message: str
+    message: str  # Message of the optimiser
+    #: ``evaluations``, ``gradients``: Machines that were driven all the way, and of how many
+    #: derivatives were found.
     evaluations: int
     gradients: int
-    refused: Dict[str, int]
+    refused: Dict[str, int]  # How many machines could not be assembled or driven, by reason
 
     @property
     def feasible(self) -> bool:
@@ -138,22 +104,12 @@ class Candidate(NamedTuple):
 
 @dataclass
 class Optimum:
-    """
-    Result of an optimisation.
-
-    Attributes
-    ----------
-    problem : Problem
-    starts : dict of str to Found
-        By aim and start, ``'aim 1 start 0'``.
-    front : list of Candidate
-        Of two aims, none of which is worse than another in both, by the first aim.
-    finished : bool
-
-    """
+    """Result of an optimisation."""
 
     problem: Problem
+    #: By aim and start, ``'aim 1 start 0'``.
     starts: Dict[str, Candidate] = field(default_factory=dict)
+    #: Of two aims, none of which is worse than another in both, by the first aim.
     front: List[Candidate] = field(default_factory=list)
     finished: bool = False
 

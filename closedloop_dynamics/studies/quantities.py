@@ -41,24 +41,12 @@ class Infeasible(Exception):
 
 @dataclass(frozen=True)
 class Driven:
-    """
-    How a machine is driven.
-
-    Attributes
-    ----------
-    drives : dict of str to Drive
-    poses : int
-    speed : float
-        Of the first drive that moves [rad/s or m/s].
-    branch : int, optional
-        As for ``DrivenRun``.
-
-    """
+    """How a machine is driven."""
 
     drives: Dict[str, Drive]
     poses: int
-    speed: float
-    branch: Optional[int] = None
+    speed: float  # Of the first drive that moves [rad/s or m/s]
+    branch: Optional[int] = None  # As for ``DrivenRun``
 
     def start(self, scene):
         """
@@ -84,18 +72,9 @@ class Driven:
 
 
 class Variable(NamedTuple):
-    """
-    A number that is varied.
+    """A number that is varied."""
 
-    Attributes
-    ----------
-    key : str
-        Its key path.
-    low, high : float
-
-    """
-
-    key: str
+    key: str  # Its key path
     low: float
     high: float
 

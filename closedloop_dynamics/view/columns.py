@@ -57,26 +57,15 @@ class Plot:
 
 @dataclass
 class Columns:
-    """
-    Columns of a row, in this order; NaN where a value is unknown.
+    """Columns of a row, in this order; NaN where a value is unknown."""
 
-    Attributes
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Poses of its bodies; forces on body A of its cut joints, without feet.
-    loads : list of dict
-        Forces of effects: name and kind (force, normal force or friction); an arrow each.
-    direction : bool
-        Whether poses moved along the singular direction follow.
-    plots : list of Plot
-        The state's other numbers, which are in files only, follow: those of orientations, and
-        efforts of joints that are not driven.
-
-    """
-
-    mechanism: Mechanism
+    mechanism: Mechanism  # Poses of its bodies; forces on body A of its cut joints, without feet
+    #: Forces of effects: name and kind (force, normal force or friction); an arrow each (list of
+    #: dict).
     loads: list = field(default_factory=list)
-    direction: bool = False
+    direction: bool = False  # Whether poses moved along the singular direction follow
+    #: The state's other numbers, which are in files only, follow: those of orientations, and
+    #: efforts of joints that are not driven (list of Plot).
     plots: list = field(default_factory=list)
 
     @property

@@ -33,46 +33,21 @@ class DrawingError(ValueError):
 
 
 class Line(NamedTuple):
-    """
-    A polyline.
-
-    Attributes
-    ----------
-    layer : str
-    color : str
-        ``#RRGGBB``.
-    points : ndarray, shape (n, 2), in space (n, 3)
-        [mm].
-    closed : bool
-        Whether the last one is joined to the first one.
-
-    """
+    """A polyline."""
 
     layer: str
-    color: str
-    points: np.ndarray
-    closed: bool
+    color: str  # ``#RRGGBB``
+    points: np.ndarray  # Shape (n, 2), in space (n, 3): [mm]
+    closed: bool  # Whether the last one is joined to the first one
 
 
 class LineDrawing(NamedTuple):
-    """
-    A drawing.
-
-    Attributes
-    ----------
-    title : str
-    lines : list of Line
-    joints : ndarray, shape (m, 2), in space (m, 3)
-        Places of the joints [mm].
-    extent : float
-        Largest width or height [mm].
-
-    """
+    """A drawing."""
 
     title: str
-    lines: list
-    joints: np.ndarray
-    extent: float
+    lines: list  # List of Line
+    joints: np.ndarray  # Shape (m, 2), in space (m, 3): Places of the joints [mm]
+    extent: float  # Largest width or height [mm]
 
 
 def line_drawing(motion, title):

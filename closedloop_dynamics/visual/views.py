@@ -16,29 +16,15 @@ AZIMUTH, ELEVATION, DISTANCE = math.radians(-60.0), math.radians(22.0), 3.0
 
 @dataclass(frozen=True)
 class View:
-    """
-    A projection.
+    """A projection."""
 
-    Attributes
-    ----------
-    name : str
-        Title of its picture.
-    axes : tuple of 3 tuples of 3 floats, or None
-        Directions in the world of the picture's right, up and towards the eye; None: the picture
-        is the plane that the mechanism is in.
-    labels : tuple of 2 str
-        Of the picture's axes; empty where lengths cannot be read off.
-    center : tuple of 3 floats
-        Size of the scene [m]; of a perspective.
-    distance : float or None
-        From the centre to the eye [m]; None: parallel lines stay parallel.
-
-    """
-
-    name: str
+    name: str  # Title of its picture
+    #: Directions in the world of the picture's right, up and towards the eye; None: the picture is
+    #: the plane that the mechanism is in.
     axes: Optional[Tuple] = None
-    labels: Tuple[str, ...] = ()
-    center: Tuple[float, ...] = (0.0, 0.0, 0.0)
+    labels: Tuple[str, ...] = ()  # Of the picture's axes; empty where lengths cannot be read off
+    center: Tuple[float, ...] = (0.0, 0.0, 0.0)  # Size of the scene [m]; of a perspective
+    #: From the centre to the eye [m]; None: parallel lines stay parallel.
     distance: Optional[float] = None
 
     def project(self, places):

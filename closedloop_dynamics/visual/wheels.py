@@ -26,33 +26,18 @@ ROUND = 72
 
 
 class Wheel(NamedTuple):
-    """
-    A wheel on a body, in its frame.
+    """A wheel on a body, in its frame."""
 
-    Attributes
-    ----------
-    kind : str
-        ``GEAR``, ``RING`` with teeth inside, ``BEVEL`` or ``PULLEY``.
-    body : str
-        Its name, or that of the ground.
-    center, axis, start : ndarray, shape (3,)
-        Centre of its pitch circle [m], axis, and the direction of the middle of a tooth.
-    radius : float
-        Of the pitch circle [m].
-    teeth : int
-        Zero where no whole numbers of teeth have the ratio: a smooth wheel.
-    apex : float
-        Of a bevel gear: where its cone ends, along the axis from the centre on [m].
-
-    """
-
-    kind: str
-    body: str
+    kind: str  # ``GEAR``, ``RING`` with teeth inside, ``BEVEL`` or ``PULLEY``
+    body: str  # Its name, or that of the ground
+    #: ``center``, ``axis``, ``start``: Shape (3,): Centre of its pitch circle [m], axis, and the
+    #: direction of the middle of a tooth.
     center: np.ndarray
     axis: np.ndarray
     start: np.ndarray
-    radius: float
-    teeth: int = 0
+    radius: float  # Of the pitch circle [m]
+    teeth: int = 0  # Zero where no whole numbers of teeth have the ratio: a smooth wheel
+    #: Of a bevel gear: where its cone ends, along the axis from the centre on [m].
     apex: float = 0.0
 
     @property
@@ -67,26 +52,16 @@ class Wheel(NamedTuple):
 
 
 class Rack(NamedTuple):
-    """
-    A straight gear on a body, in its frame.
-
-    Attributes
-    ----------
-    body : str
-    place, along, normal : ndarray, shape (3,)
-        The middle of a tooth on the pitch line [m], directions of that and towards the wheel.
-    pitch : float
-        From tooth to tooth [m].
-    span : tuple of 2 floats
-        Where it begins and ends along the line from ``place`` on [m].
-
-    """
+    """A straight gear on a body, in its frame."""
 
     body: str
+    #: ``place``, ``along``, ``normal``: Shape (3,): The middle of a tooth on the pitch line [m],
+    #: directions of that and towards the wheel.
     place: np.ndarray
     along: np.ndarray
     normal: np.ndarray
-    pitch: float
+    pitch: float  # From tooth to tooth [m]
+    #: Where it begins and ends along the line from ``place`` on [m] (tuple of 2 floats).
     span: tuple
 
 

@@ -29,103 +29,65 @@ X, Y, Z = range(3)
 
 
 class Body(NamedTuple):
-    """
-    Constants of one row of the tree; numbers or symbols.
+    """Constants of one row of the tree; numbers or symbols."""
 
-    Attributes
-    ----------
-    turns, slides : float
-        How far the body turns about its axis, and slides along it, for a unit of its coordinate.
-    axis : int
-        X, Y or Z: the column of the body's frame. What turns does so about Z, but for a ball.
-    ball : bool
-        Whether this is one of the three rows of a spherical joint. They turn about the world's
-        axes; the last one, of axis Z, has the orientation, a quaternion (x, y, z, w) in q, and
-        the angular velocity relative to the parent in its own axes in qd.
-    place : tuple of 3
-        The joint in the parent's frame [m].
-    turned : tuple of 3 tuples or None
-        The joint's frame in the parent's frame; None where it shares the Z axis.
-    angle : number
-        Of the joint's frame about Z [rad].
-    mass : number
-        [kg].
-    moment : tuple of 3
-        First moments in the body's frame [kg m].
-    inertia : tuple of 3 tuples
-        About the body's origin, in the body's frame [kg m^2].
-    armature : number or None
-        Inertia of rotors as seen at the joint.
-    rotor : tuple of 3
-        Angular momentum of rotors that stand on the parent, for a unit of the joint's rate, in
-        the parent's frame.
-
-    """
-
+    #: ``turns``, ``slides``: How far the body turns about its axis, and slides along it, for a
+    #: unit of its coordinate.
     turns: float
     slides: float
+    #: X, Y or Z: the column of the body's frame. What turns does so about Z, but for a ball.
     axis: int
+    #: Whether this is one of the three rows of a spherical joint. They turn about the world's
+    #: axes; the last one, of axis Z, has the orientation, a quaternion (x, y, z, w) in q, and the
+    #: angular velocity relative to the parent in its own axes in qd.
     ball: bool
-    place: tuple
+    place: tuple  # The joint in the parent's frame [m] (tuple of 3)
+    #: The joint's frame in the parent's frame; None where it shares the Z axis (tuple of 3 tuples
+    #: or None).
     turned: tuple
-    angle: object
-    mass: object
-    moment: tuple
-    inertia: tuple
-    armature: object
+    angle: object  # Of the joint's frame about Z [rad] (number)
+    mass: object  # [kg] (number)
+    moment: tuple  # First moments in the body's frame [kg m] (tuple of 3)
+    inertia: tuple  # About the body's origin, in the body's frame [kg m^2] (tuple of 3 tuples)
+    armature: object  # Inertia of rotors as seen at the joint (number or None)
+    #: Angular momentum of rotors that stand on the parent, for a unit of the joint's rate, in the
+    #: parent's frame (tuple of 3).
     rotor: tuple = ZERO
 
 
 class Cut(NamedTuple):
-    """
-    Constants of a cut joint; numbers or symbols.
+    """Constants of a cut joint; numbers or symbols."""
 
-    Attributes
-    ----------
-    along : tuple of int
-        Axes of its frame on body B along which nothing moves; the world's where they are three.
-    perpendicular : tuple of pairs of int
-        Axes of its frames on body A and on body B that stay perpendicular.
-    point_a, point_b : tuple of 3
-        The joint in the frames of both bodies [m].
-    turned_a, turned_b : tuple of 3 tuples or None
-        Its frames in those of the bodies; None where they are the bodies' own.
-    angle : number
-        Of the frame on body B, about its Z axis [rad].
-    kept : tuple of int
-        The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``, but
-        for those that are left out.
-    length : number or None
-        Distance of the two points, where that is held [m].
-    lead : number or None
-        How far body A slides along Z of body B for an angle about it, where that is held [m/rad].
-    coupling : tuple or None
-        Of a coupling of joints, which holds nothing else: the sum that is held, and pairs of a
-        row of the tree and the factor of its coordinate in that sum.
-    motion : tuple of 3 or None
-        Of a prescribed motion, which holds nothing else: what its position, rate and acceleration
-        are to be.
-    between : bool
-        Whether what is coupled to joints, or else moved as prescribed, is the place along an axis
-        or the angle of body A in body B.
-    turns : bool
-        Whether the angle about Z of frames that are turned is held, in the place of anything else.
-
-    """
-
+    #: Axes of its frame on body B along which nothing moves; the world's where they are three
+    #: (tuple of int).
     along: tuple
+    #: Axes of its frames on body A and on body B that stay perpendicular (tuple of pairs of int).
     perpendicular: tuple
+    #: ``point_a``, ``point_b``: The joint in the frames of both bodies [m] (tuple of 3).
     point_a: tuple
     point_b: tuple
+    #: ``turned_a``, ``turned_b``: Its frames in those of the bodies; None where they are the
+    #: bodies' own (tuple of 3 tuples or None).
     turned_a: tuple
     turned_b: tuple
-    angle: object
+    angle: object  # Of the frame on body B, about its Z axis [rad] (number)
+    #: The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``, but
+    #: for those that are left out (tuple of int).
     kept: tuple
-    length: object = None
+    length: object = None  # Distance of the two points, where that is held [m] (number or None)
+    #: How far body A slides along Z of body B for an angle about it, where that is held [m/rad]
+    #: (number or None).
     lead: object = None
+    #: Of a coupling of joints, which holds nothing else: the sum that is held, and pairs of a row
+    #: of the tree and the factor of its coordinate in that sum (tuple or None).
     coupling: tuple = None
+    #: Of a prescribed motion, which holds nothing else: what its position, rate and acceleration
+    #: are to be (tuple of 3 or None).
     motion: tuple = None
+    #: Whether what is coupled to joints, or else moved as prescribed, is the place along an axis
+    #: or the angle of body A in body B.
     between: bool = False
+    #: Whether the angle about Z of frames that are turned is held, in the place of anything else.
     turns: bool = False
 
     def left(self, equations):
@@ -154,44 +116,28 @@ class Cut(NamedTuple):
 
 
 class BodyKinematics(NamedTuple):
-    """
-    Pose, velocity and acceleration of a body, in world axes.
+    """Pose, velocity and acceleration of a body, in world axes."""
 
-    Attributes
-    ----------
-    base : tuple of 3 tuples
-        The frame that the angles of bodies in a row with parallel axes are counted from.
-    carrier : int
-        The body that this frame is fixed in.
-    joined : bool
-        Whether any of these bodies turns, this one included; true of the ground's frame.
-    angle : number
-        From there [rad].
-    frame : tuple of 3 tuples
-        The body's axes are its columns.
-    origin, offset : tuple of 3
-        The body's origin, from the world's and from its parent's [m].
-    spin, velocity : tuple of 3
-        Angular velocity, velocity of the origin.
-    spin_rate, acceleration : tuple of 3
-        Their rates for qdd = 0, from q, qd and gravity.
-    axis : tuple of 6
-        The motion for a unit rate of the body's own joint.
-
-    """
-
+    #: The frame that the angles of bodies in a row with parallel axes are counted from (tuple of 3
+    #: tuples).
     base: tuple
-    carrier: int
+    carrier: int  # The body that this frame is fixed in
+    #: Whether any of these bodies turns, this one included; true of the ground's frame.
     joined: bool
-    angle: object
-    frame: tuple
+    angle: object  # From there [rad] (number)
+    frame: tuple  # The body's axes are its columns (tuple of 3 tuples)
+    #: ``origin``, ``offset``: The body's origin, from the world's and from its parent's [m] (tuple
+    #: of 3).
     origin: tuple
     offset: tuple
+    #: ``spin``, ``velocity``: Angular velocity, velocity of the origin (tuple of 3).
     spin: tuple
     velocity: tuple
+    #: ``spin_rate``, ``acceleration``: Their rates for qdd = 0, from q, qd and gravity (tuple of
+    #: 3).
     spin_rate: tuple
     acceleration: tuple
-    axis: tuple
+    axis: tuple  # The motion for a unit rate of the body's own joint (tuple of 6)
 
     def convective_acceleration(self, vector):
         """Return the acceleration of a point at a place fixed in the body, from its origin."""
@@ -208,25 +154,17 @@ class BodyKinematics(NamedTuple):
 
 
 class Closure(NamedTuple):
-    """
-    One equation of a cut joint.
+    """One equation of a cut joint."""
 
-    Attributes
-    ----------
-    value, rate, bias : number
-        psi, J qd and Jdot qd.
-    on_a, on_b : tuple of 6
-        Moment and force of a unit multiplier on both bodies, at their origins.
-    in_joints : tuple of pairs
-        Rows of the tree and the forces of a unit multiplier in their joints.
-
-    """
-
+    #: ``value``, ``rate``, ``bias``: psi, J qd and Jdot qd (number).
     value: object
     rate: object
     bias: object
+    #: ``on_a``, ``on_b``: Moment and force of a unit multiplier on both bodies, at their origins
+    #: (tuple of 6).
     on_a: tuple
     on_b: tuple
+    #: Rows of the tree and the forces of a unit multiplier in their joints (tuple of pairs).
     in_joints: tuple = ()
 
 
