@@ -32,7 +32,7 @@ METHOD, STEPS, ROWS = {'integrator': 'rk4', 'step_size': 1e-3}, 200, 20
 
 def measured(scene, repeats):
     """Return the time of a rollout and of a gradient [s], and of the first gradient beyond."""
-    model = cld.load_scene(scene).model()
+    model = cld.Model.from_scene(scene)
     start = model.assemble()
     body = next(body.name for body in model.mechanism.bodies if body.mass > 0.0)
     sensitivity = cld.Sensitivity(model, METHOD, (f'mechanism.bodies.{body}.mass',))

@@ -79,8 +79,8 @@ def command(*arguments):
 def with_model(scene, use):
     """Use a model of a scene."""
     def prepare(_):
-        from closedloop_dynamics.simulation.scene import load_scene
-        model = load_scene(scene).model()
+        from closedloop_dynamics.simulation.model import Model
+        model = Model.from_scene(scene)
         return lambda: use(model)
     return prepare
 

@@ -9,7 +9,7 @@ import json
 import math
 import re
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
 from closedloop_dynamics.recording import design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
@@ -28,7 +28,7 @@ from .test_cli import call, read
     ('geared_five_bar', 0.5), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
         ('stewart_platform', 0.02), ('delta_robot', 0.1)))])
 def test_work_of_the_drives_is_what_the_energy_gains(scene, size):
-    model = load_scene(scene).model()
+    model = Model.from_scene(scene)
     start = model.assemble()
     coordinates = model.coordinates
     places = {name: start.q[coordinates.place[coordinates.index[name]]]
@@ -48,7 +48,7 @@ def test_work_of_the_drives_is_what_the_energy_gains(scene, size):
 
 def test_torques_of_actuated_joints_move_a_driven_point():
     scene = load_scene('three_rrr_vertical')
-    model = scene.model()
+    model = Model(scene)
     start = model.assemble()
     x, y = model.evaluate(start).points['platform_center']
     theta = start.q[model.coordinates.index['theta_1']]
@@ -242,7 +242,7 @@ def test_transmission_angles_do_not_depend_on_where_the_loop_is_cut(tmp_path):
 def test_transmission_angles_of_linkages_in_others_of_rods_sliders_and_in_space():
     def angles(name, drive):
         scene = load_scene(name)
-        model = scene.model()
+        model = Model(scene)
         place = float(model.assemble().q[model.coordinates.index[drive]])
         run = DrivenRun(scene, {drive: Drive(place, place + 1.0)}, 21, 1.0)
         evaluated = model.evaluate(model.state(run.position))
@@ -402,7 +402,7 @@ def test_sensitivities_are_those_of_two_circles(tmp_path):
 def test_sensitivities_are_those_of_other_machines_driven_so(name, drives, count):
     scene = load_scene(name)
     if drives is None:
-        model = scene.model()
+        model = Model(scene)
         start, coordinates = model.assemble(), model.coordinates
         drives = {one: Drive(float(place), float(place) + 0.02) for one in model.actuated_joints
                   for place in [start.q[coordinates.place[coordinates.index[one]]]]}
@@ -429,7 +429,7 @@ def test_sensitivities_are_those_of_other_machines_driven_so(name, drives, count
 def test_sensitivity_refuses_lengths_that_close_no_loop():
     scene = load_scene('bennett')
     name, = scene.mechanism.actuated_joints or ('crank_joint',)
-    model = scene.model()
+    model = Model(scene)
     place = float(model.assemble().q[model.coordinates.index[name]])
     run = DrivenRun(scene, {name: Drive(place, place + 0.3)}, 5, 1.0)
     with pytest.raises(ValueError, match='no position closes the loops at another length'):

@@ -57,10 +57,10 @@ def test_all_that_is_public_is_checked():
 @pytest.mark.parametrize('script, complaint', [
     ('import closedloop_dynamics as cld\n'
      'def accelerations(name: str) -> cld.Evaluation:\n'
-     '    model = cld.load_scene(name).model()\n'
+     '    model = cld.Model.from_scene(name)\n'
      '    return model.evaluate(model.assemble({"crank": 0.3}), {"crank": 1.0})\n', ''),
     ('import closedloop_dynamics as cld\n'
-     'wrong: int = cld.load_scene("four_bar").model()\n', 'Incompatible types in assignment'),
+     'wrong: int = cld.Model.from_scene("four_bar")\n', 'Incompatible types in assignment'),
     ('import closedloop_dynamics as cld\n'
      'cld.Simulation.from_scene("four_bar").step(duration="long")\n', 'has incompatible type'),
     ('def unknown(name):\n    return name\n', 'missing a type annotation'),

@@ -17,6 +17,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
+from ..simulation.model import Model
 from ..simulation.motions import moving, require_actuated, with_motions
 from ..simulation.scene import load_scene, scene_names
 from ..simulation.scene_text import write_scene
@@ -208,7 +209,7 @@ def write_variants(arguments, make):
         found = make()
         for one in found.values():
             # What cannot move is not written.
-            one.scene.model().assemble()
+            Model(one.scene).assemble()
     except (ValueError, AssemblyError) as error:
         raise UsageError(f'--{error}' if str(error).startswith(('ground:', 'point:', 'axis:'))
                          else str(error)) from None

@@ -17,6 +17,7 @@ from ..simulation.assembly import Assembler
 from ..simulation.driven import BranchEndError, DrivenKinematics
 from ..simulation.errors import SimulationError
 from ..simulation.geometry import Geometry
+from ..simulation.model import Model
 from ..simulation.motions import with_motions
 from ..visual.trajectory import without_marks
 
@@ -126,7 +127,7 @@ class DrivenRun:
         ``show`` is called with the number of each pose. SimulationError where the actuated joints
         cannot move a driven point so.
         """
-        model = self.scene.model()
+        model = Model(self.scene)
         names, rows = None, []
         for k, time in enumerate(self.time):
             state = model.state(self.position[k], self.velocity[k], time=time)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .run import columns, row
+from ..simulation.model import Model
 from ..simulation.modeling import extent
 
 # How often a mode is repeated, rows of each time, and how long one lasts that does not
@@ -60,7 +61,7 @@ def mode_table(scene, motion, torque):
     begun = replace(scene.initial, position=tuple(motion.position[0].tolist()),
                     velocity=tuple(motion.velocity[0].tolist()), hold=())
     scene = replace(scene, initial=begun)
-    model = scene.model()
+    model = Model(scene)
     rows = []
     for time, q, qd in zip(*motion):
         readings = model.readings(model.state(q, qd, time=time), torque)

@@ -4,8 +4,9 @@
 """The model of a scene: quantities of any state, without a run."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from threading import RLock
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING, Union
 import warnings
 
 import numpy as np
@@ -21,6 +22,7 @@ from .key_paths import changed, resolve
 from .named_array import frozen
 from .names import Names
 from .readings import Readings
+from .scene import load_scene
 from .scene_records import Scene
 from .state import State
 from ..integration.evaluation import Evaluator
@@ -59,7 +61,7 @@ class Model(Names):
     Parameters
     ----------
     scene : scene_records.Scene
-        ``Scene.model`` builds it.
+        As ``load_scene`` returns it; ``Model.from_scene`` takes its name, too.
 
     Attributes
     ----------
@@ -74,11 +76,28 @@ class Model(Names):
 
     Examples
     --------
-    >>> model = load_scene('four_bar').model()
+    >>> model = Model.from_scene('four_bar')
     >>> state = model.assemble({'crank_joint': 0.3}, hold=['crank_joint'])
     >>> model.evaluate(state, {'crank_joint': 5.0}).points['coupler_point']
 
     """
+
+    @classmethod
+    def from_scene(cls, scene: Union[str, Path, Mapping[str, Any], Scene]) -> 'Model':
+        """
+        Build the model of a scene.
+
+        Parameters
+        ----------
+        scene : str, pathlib.Path, mapping or scene_records.Scene
+            What ``load_scene`` takes, or what it returns.
+
+        Raises
+        ------
+        SceneError, AssemblyError
+
+        """
+        return cls(scene if isinstance(scene, Scene) else load_scene(scene))
 
     def __init__(self, scene: Scene) -> None:
         if not isinstance(scene, Scene):

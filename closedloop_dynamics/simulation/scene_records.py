@@ -6,7 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Dict, Optional, Tuple, TYPE_CHECKING, Union
+from typing import Any, Dict, Optional, Tuple, Union
 
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
@@ -16,9 +16,6 @@ from ..mechanism.checks import freedom, list_of, name, number, one_of, positive,
 from ..mechanism.fields import at, FieldError, keys_of, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
-
-if TYPE_CHECKING:
-    from .model import Model
 
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
@@ -253,17 +250,3 @@ class Scene:
                 raise FieldError(f'integrator: {AUTO} with a budget', shown(wanted.integrator),
                                  path=('integrator',))
             return replace(self, method=wanted)
-
-    def model(self) -> 'Model':
-        """
-        Return a model of the scene, for quantities of any state.
-
-        Raises
-        ------
-        AssemblyError
-            Where the loops cannot be closed from the initial state.
-
-        """
-        # Here, as reading a scene takes no engine.
-        from .model import Model
-        return Model(self)

@@ -143,7 +143,7 @@ class Sensitivity:
                  parameters: Sequence[str] = (),
                  independent: Optional[Sequence[str]] = None) -> None:
         if not isinstance(model, Model):
-            raise TypeError(f'Sensitivity: expected a Model, as scene.model() returns it, got '
+            raise TypeError(f'Sensitivity: expected a Model, as Model.from_scene returns it, got '
                             f'{model!r}')
         scene = model.scene if method is None else model.scene.with_method(method)
         _require_differentiable(scene.method)

@@ -15,7 +15,7 @@ sub-environment of its own, and steps along the differences of their returns.
 
 import sys
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import Model
 from closedloop_dynamics.simulation.environment import MechanismVectorEnv
 import numpy as np
 
@@ -31,7 +31,7 @@ class Task:
 
     def __init__(self, num_envs):
         """Build the environment; what is observed is centred where the platform is to be."""
-        model = load_scene('three_rrr_horizontal').model()
+        model = Model.from_scene('three_rrr_horizontal')
         home, driven = model.assemble(), model.actuated_joints
         self.point = [point.name for point in model.mechanism.points].index('platform_center')
         self.goal = model.evaluate(home).points['platform_center'] + ASIDE

@@ -23,7 +23,7 @@ ROWS, STEPS = 20, 200
 
 def optimise(scene, move, duration):
     """Return the torques [N m or N], their mean square, and the distance from the goal."""
-    model = cld.load_scene(scene).model()
+    model = cld.Model.from_scene(scene)
     start, driven = model.assemble(), model.actuated_joints
     sensitivity = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': duration / STEPS})
     names = [*start.coordinates.columns('position'), *start.coordinates.columns('velocity')]

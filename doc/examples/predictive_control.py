@@ -18,7 +18,7 @@ import sys
 from tempfile import TemporaryDirectory
 
 import casadi
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import Model, Simulation
 from closedloop_dynamics.simulation.c_source import c_source
 import numpy as np
 
@@ -77,7 +77,7 @@ def control(count):
     simulation = Simulation.from_scene('three_rrr_horizontal', integrator='rk4', step_size=1e-3)
     names, nv = simulation.joint_names, len(simulation.velocity)
     driven = [names.index(name) for name in simulation.actuated_joints]
-    model, start = simulation.scene.model(), simulation.position
+    model, start = Model(simulation.scene), simulation.position
     goal = model.solve({name: start[place] + change for name, place, change in zip(
         simulation.actuated_joints, driven, CHANGE)}).q
     away, torques = [], []

@@ -17,6 +17,7 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.drivers import build_driver
 from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.scene import load_scene
@@ -198,7 +199,7 @@ def calls(tmp_path_factory):
              if callable(getattr(native, name)) and not name.startswith('_')]
     # What they build to differentiate by parameters is kept by nobody.
     sensitivities = [
-        Sensitivity(load_scene(scene).model(), {'integrator': integrator, 'step_size': 1e-3},
+        Sensitivity(Model.from_scene(scene), {'integrator': integrator, 'step_size': 1e-3},
                     ['effects.gravity.acceleration.1'])
         for scene, integrator in (('three_rrr', 'heun'), ('rssr_four_bar', 'semi_implicit_euler'))]
     with pytest.MonkeyPatch.context() as patch:

@@ -6,7 +6,7 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import load_scene, rollout, Simulation, State
+from closedloop_dynamics import load_scene, Model, rollout, Simulation, State
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.budget import (
     allowed, Budget, COARSEST, FINEST, INTERVAL, MOST_DECADES, PERIOD)
@@ -291,7 +291,7 @@ def test_what_does_not_depend_on_time_refuses_a_budget(tmp_path):
     simulation, _ = runs_of(0.1)
     with pytest.raises(ValueError, match=r'method\.budget: expected no budget for a rollout'):
         simulation.rollout(duration=0.1)
-    model = load_scene('four_bar').model()
+    model = Model.from_scene('four_bar')
     with pytest.raises(ValueError, match='no budget for a rollout'):
         rollout(model, State.stack([model.assemble()]), duration=0.1, method={'budget': 0.1})
     scene = load_scene('four_bar').with_method({'budget': 0.1})

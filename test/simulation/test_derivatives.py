@@ -25,6 +25,7 @@ from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.key_paths import numbers
 from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Scene
 from closedloop_dynamics.simulation.sensitivity import Sensitivity
@@ -287,7 +288,7 @@ def test_forces_over_time_have_no_derivatives_along_a_motion():
     scene = replace(scene, effects={**scene.effects, 'turn': PrescribedForce(
         'trapezoid', 'theta_2', amplitude=1.0, rise=0.1, hold=0.1, period=1.0)})
     with pytest.raises(SimulationError, match='effects.turn .*it follows the time'):
-        Sensitivity(scene.model(), {'integrator': 'rk4', 'step_size': 1e-3})
+        Sensitivity(Model(scene), {'integrator': 'rk4', 'step_size': 1e-3})
     simulation = Simulation.from_scene(scene)
     with pytest.raises(SimulationError, match='follow the time'):
         Linearisation(simulation).discrete_model(0.01)
@@ -385,7 +386,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
     parts = np.concatenate((found.by_position, found.by_velocity, found.by_torque), axis=2)
     for unit, derivative in zip(np.eye(3 * nv), np.moveaxis(parts, 2, 0)):
         require(derivative, lambda size: wrenches(size * unit), step)
-    model = simulation.scene.model()
+    model = Model(simulation.scene)
     for place, key in enumerate(keys):
         value = numbers(simulation.scene)[key]
 

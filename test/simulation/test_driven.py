@@ -7,7 +7,7 @@ from contextlib import suppress
 import math
 import warnings
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.simulation.driven import (
     BranchEndError, CHANGE_POINT, driven_mechanism, DrivenKinematics, LIMIT)
 from closedloop_dynamics.simulation.errors import AssemblyError
@@ -27,7 +27,7 @@ def wrapped(angle):
 @pytest.mark.parametrize('elbow', [1.0, -1.0])
 def test_a_turn_is_that_of_two_circles_on_either_branch(tmp_path, elbow):
     lengths = (2.0, 7.0, 9.0, 6.0)
-    model = four_bar(tmp_path, *lengths, angle=0.3, elbow=elbow).model()
+    model = Model(four_bar(tmp_path, *lengths, angle=0.3, elbow=elbow))
     states = model.solve({'crank_joint': 0.3 + TURN})
     for angle, (crank, coupler, rocker) in zip(0.3 + TURN, states.q):
         beta, psi = closed(*lengths, angle, elbow)
@@ -38,7 +38,7 @@ def test_a_turn_is_that_of_two_circles_on_either_branch(tmp_path, elbow):
 
 def driven(scene, drives=None, points=None):
     """Return the kinematics of a scene, and the driven values of its start."""
-    model = load_scene(scene).model() if isinstance(scene, str) else scene.model()
+    model = Model.from_scene(scene) if isinstance(scene, str) else Model(scene)
     _, mechanism, _ = driven_mechanism(model.mechanism, drives, points)
     kinematics = DrivenKinematics(mechanism, model.assemble().q)
     return kinematics, kinematics.values.copy()
@@ -78,7 +78,7 @@ def test_rates_and_accelerations_are_differences_of_positions(scene, drives, poi
 
 
 def test_the_limit_of_a_rocker_is_where_crank_and_coupler_fold(tmp_path):
-    model = load_scene('four_bar').model()
+    model = Model.from_scene('four_bar')
     with pytest.raises(BranchEndError) as found:
         model.solve({'rocker_joint': [1.9, 2.2, 3.0]})
     # Base 0.4, rocker 0.25; the coupler 0.35 less the crank 0.1.
@@ -91,7 +91,7 @@ def test_the_limit_of_a_rocker_is_where_crank_and_coupler_fold(tmp_path):
 
 def test_the_end_of_a_coarse_way_is_that_of_a_fine_one(tmp_path):
     scene = four_bar(tmp_path, 5.0, 4.0, 6.0, 7.0, angle=1.0)
-    model, ends = scene.model(), []
+    model, ends = Model(scene), []
     for count in (2, 5, 1000):
         with pytest.raises(BranchEndError) as found:
             model.solve({'crank_joint': np.linspace(1.0, 4.0, count)})
@@ -104,7 +104,7 @@ def test_the_end_of_a_coarse_way_is_that_of_a_fine_one(tmp_path):
 @pytest.mark.parametrize('lengths', [(1.0, 3.0, 1.0, 3.0), (1.0, 1.0, 3.0, 3.0)])
 def test_a_branch_ends_at_a_change_point(tmp_path, lengths):
     # A parallelogram, and a kite, fold into a line where another branch crosses.
-    model = four_bar(tmp_path, *lengths, angle=1.0).model()
+    model = Model(four_bar(tmp_path, *lengths, angle=1.0))
     with pytest.raises(BranchEndError) as found:
         model.solve({'crank_joint': np.linspace(1.0, 5.0, 9)})
     assert found.value.end.kind == CHANGE_POINT
@@ -114,7 +114,7 @@ def test_a_branch_ends_at_a_change_point(tmp_path, lengths):
 
 def test_a_branch_ends_where_equations_vanish_as_a_whole():
     # All bars of a scissor lift stand upright: those of a slot no longer change, by no rate.
-    model = load_scene('scissor_lift').model()
+    model = Model.from_scene('scissor_lift')
     with pytest.raises(BranchEndError) as found:
         model.solve({'foot': np.radians([60.0, 80.0, 100.0])})
     end = found.value.end
@@ -123,7 +123,7 @@ def test_a_branch_ends_where_equations_vanish_as_a_whole():
 
 
 def test_points_go_where_they_are_sent():
-    model = load_scene('three_rrr_horizontal').model()
+    model = Model.from_scene('three_rrr_horizontal')
     start = model.evaluate(model.assemble())
     place, theta = start.points['platform_center'], model.assemble().q[0]
     places = place + 0.05 * np.array([[0.0, 0.0], [1.0, 0.5], [0.2, 1.0], [-1.0, -0.3]])
@@ -137,7 +137,7 @@ def test_points_go_where_they_are_sent():
 
 
 def test_the_edge_of_what_a_point_reaches_is_a_type_1_singularity(tmp_path):
-    model = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0, angle=1.0).model()
+    model = Model(four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0, angle=1.0))
     with pytest.raises(BranchEndError) as found:
         model.solve(points={'tool': [(3.0, math.nan), (30.0, math.nan)]})
     assert found.value.end.kind == LIMIT and 'type-1' in str(found.value)
@@ -151,7 +151,7 @@ KNOWN = (((0.0, 0.0), (15.91, 0.0), (0.0, 10.0)), (17.04, 16.54, 20.84), (14.98,
 def test_a_platform_on_three_legs_has_six_assemblies(tmp_path):
     base, sides, legs = KNOWN
     scene = three_rpr(tmp_path, base, sides, legs)
-    model = scene.model()
+    model = Model(scene)
     found = model.assemblies({f'leg_{k}': leg for k, leg in enumerate(legs, 1)})
     assert str(found) == 'proved: 6 (at most 6)' and len(found.states) == 6
     corners = []
@@ -168,7 +168,7 @@ def test_a_platform_on_three_legs_has_six_assemblies(tmp_path):
 
 
 def test_three_legs_have_eight_working_modes():
-    model = load_scene('three_rrr').model()
+    model = Model.from_scene('three_rrr')
     corners = {'corner_1': (0.31, 0.27), 'corner_2': (0.71, 0.27)}
     found = model.assemblies(points=corners)
     assert str(found) == 'proved: 8 (at most 8)'
@@ -190,7 +190,7 @@ def test_no_start_leads_to_an_assembly_that_was_not_found(tmp_path, seed):
     base = tuple(map(tuple, rng.uniform(-1.0, 1.0, (3, 2)).tolist()))
     legs = rng.uniform(1.0, 2.0, 3).tolist()
     scene = three_rpr(tmp_path, base, (1.2, 1.0, 1.4), legs)
-    model = scene.model()
+    model = Model(scene)
     drives = {f'leg_{k}': leg for k, leg in enumerate(legs, 1)}
     found = model.assemblies(drives)
     assert found.proved and len(found.states) in (2, 4, 6)
@@ -209,13 +209,13 @@ def test_no_start_leads_to_an_assembly_that_was_not_found(tmp_path, seed):
 
 
 def test_what_is_out_of_reach_has_no_assembly(tmp_path):
-    model = load_scene('four_bar').model()
+    model = Model.from_scene('four_bar')
     found = model.assemblies({'rocker_joint': 0.0})
     assert found.proved and len(found.states) == 0 and str(found).startswith('proved: 0')
 
 
 def test_random_starts_are_not_called_all():
-    model = load_scene('geared_five_bar').model()
+    model = Model.from_scene('geared_five_bar')
     start = model.assemble()
     name = model.actuated_joints[0]
     found = model.assemblies({name: start.q[model.coordinates.index[name]]})
@@ -236,26 +236,26 @@ def test_random_starts_are_not_called_all():
     ({'points': {'coupler_point': [(0.0, math.nan), (0.0, 0.0)]}}, 'the same coordinates'),
     ({'drives': {'crank_joint': 1.0}, 'branch': 3}, 'state: expected a State')])
 def test_arguments_that_make_no_sense_are_refused(arguments, message):
-    model = load_scene('four_bar').model()
+    model = Model.from_scene('four_bar')
     with pytest.raises(ValueError, match=message):
         model.solve(**arguments)
 
 
 def test_too_few_drives_and_different_counts_are_refused():
-    model = load_scene('three_rrr').model()
+    model = Model.from_scene('three_rrr')
     with pytest.raises(ValueError, match=r'degrees of freedom \(3\), got 1: theta_1'):
         model.solve({'theta_1': 1.0})
     for ask in (model.solve, model.assemblies):
         with pytest.raises(ValueError, match='theta_1; theta_3, .* can still move'):
             ask({'theta_1': 1.0})
     # A wheel that turns about its own axle moves no point, and is not driven by the other one.
-    for ask in (load_scene('geneva_drive').model().solve,
-                load_scene('geneva_drive').model().assemblies):
+    for ask in (Model.from_scene('geneva_drive').solve,
+                Model.from_scene('geneva_drive').assemblies):
         with pytest.raises(ValueError, match=r'\(2\), got 1: driver_joint; wheel_joint can still'):
             ask({'driver_joint': 0.0})
     # Neither does a rod between balls; it needs no drive.
-    assert len(load_scene('rssr_four_bar').model().assemblies({'crank': 0.1}).states) >= 2
+    assert len(Model.from_scene('rssr_four_bar').assemblies({'crank': 0.1}).states) >= 2
     with pytest.raises(ValueError, match='2 in drives: theta_1, 3 in drives: theta_6'):
         model.solve({'theta_1': [1.0, 1.0], 'theta_6': [1.0, 1.0, 1.0], 'theta_7': 1.0})
     with pytest.raises(ValueError, match='prescribes no motions'):
-        moving(load_scene('four_bar'), {'crank_joint': 't'}).model().solve({'crank_joint': 1.0})
+        Model(moving(load_scene('four_bar'), {'crank_joint': 't'})).solve({'crank_joint': 1.0})

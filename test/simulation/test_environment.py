@@ -6,7 +6,7 @@
 from pathlib import Path
 import runpy
 
-from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics import Model, Simulation
 import numpy as np
 import pytest
 
@@ -23,7 +23,7 @@ def slowness(transition):
 
 @pytest.fixture(scope='module')
 def model():
-    return load_scene('three_rrr').model()
+    return Model.from_scene('three_rrr')
 
 
 def settings(model, **others):
@@ -137,7 +137,7 @@ def test_observations_and_readings_are_those_asked_for(model):
 
 
 def test_space_and_orientations():
-    model = load_scene('stewart_platform').model()
+    model = Model.from_scene('stewart_platform')
     many = environment.MechanismVectorEnv(model, 3, torque_limits=300.0, reward=slowness,
                                           method='rk4', steps=2)
     seen, _ = many.reset(seed=0)
@@ -167,7 +167,7 @@ def test_a_failed_simulation_is_truncated_with_its_reason(model):
     ('rack_press', 'states or clocks of their own')])
 def test_states_that_do_not_tell_how_it_goes_on_are_refused(name, reason):
     with pytest.raises(ValueError, match=reason):
-        environment.MechanismVectorEnv(load_scene(name).model(), 2, torque_limits=1.0,
+        environment.MechanismVectorEnv(Model.from_scene(name), 2, torque_limits=1.0,
                                        reward=slowness)
 
 

@@ -3,7 +3,7 @@
 
 """Forward dynamics as a function of JAX: values, derivatives, batches, refusals."""
 
-from closedloop_dynamics import load_scene, SimulationError
+from closedloop_dynamics import Model, SimulationError
 import numpy as np
 import pytest
 
@@ -20,7 +20,7 @@ def moving(name, seed=0):
     """Return a model, its function, and a state with torques, away from rest."""
     from closedloop_dynamics import Simulation
     from closedloop_dynamics.simulation.jax_dynamics import jax_dynamics
-    model = load_scene(name).model()
+    model = Model.from_scene(name)
     torque = np.random.default_rng(seed).normal(size=len(model.actuated_joints))
     simulation = Simulation(model, method='rk4')
     simulation.step(torque, 0.1)
@@ -81,9 +81,9 @@ def test_reverse_is_forward_compiled_and_batched():
 def test_what_has_no_derivatives_is_refused():
     from closedloop_dynamics.simulation.jax_dynamics import jax_dynamics
     with pytest.raises(SimulationError, match='gear_1'):
-        jax_dynamics(load_scene('three_rrr_payload_friction').model())
+        jax_dynamics(Model.from_scene('three_rrr_payload_friction'))
     with jax.enable_x64(False), pytest.raises(RuntimeError, match='64 bits'):
-        jax_dynamics(load_scene('three_rrr').model())
+        jax_dynamics(Model.from_scene('three_rrr'))
     _, dynamics, state = moving('four_bar')
     with pytest.raises(ValueError, match='JVP'):
         jax.hessian(lambda q: dynamics(q, *state[1:])[0].sum())(state[0])

@@ -14,6 +14,7 @@ from closedloop_dynamics.recording.modes import mode_motion
 from closedloop_dynamics.recording.rows import read_rows
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -188,7 +189,7 @@ def test_a_threefold_stewart_platform_has_two_pairs_of_equal_frequencies():
 @pytest.mark.parametrize('scene', ('three_rrr_vertical', 'rssr_four_bar'))
 def test_a_model_is_linearised_in_any_state(scene):
     simulation = simulation_of(scene, **ACCURATE)
-    model, linearisation = load_scene(scene).model(), Linearisation(simulation)
+    model, linearisation = Model.from_scene(scene), Linearisation(simulation)
     torque = dict.fromkeys(simulation.actuated_joints[:1], 0.5)
     for _ in range(2):
         simulation.step(torque, 0.05)
@@ -211,7 +212,7 @@ def test_a_model_is_linearised_in_any_state(scene):
 
 
 def test_batches_and_choices_that_do_not_do_are_refused_by_a_model():
-    model = load_scene('four_bar').model()
+    model = Model.from_scene('four_bar')
     state = model.assemble()
     assert model.linearise(state, independent=('rocker_joint',)).states == (
         'position.rocker_joint', 'velocity.rocker_joint')
@@ -221,14 +222,14 @@ def test_batches_and_choices_that_do_not_do_are_refused_by_a_model():
     with pytest.raises(ValueError, match='independent: expected names of'):
         model.linearise(state, independent=('elbow',))
     with pytest.raises(SimulationError, match='effects.rope'):
-        load_scene('rope_hoist').model().linearise(load_scene('rope_hoist').model().assemble())
+        Model.from_scene('rope_hoist').linearise(Model.from_scene('rope_hoist').assemble())
 
 
 @pytest.mark.parametrize('scene, joint', (
     ('four_bar', 'crank_joint'), ('slider_crank', 'crank_joint')))
 def test_linkages_of_one_degree_follow_virtual_power(scene, joint):
     simulation = simulation_of(scene)
-    model, linearisation = load_scene(scene).model(), Linearisation(simulation)
+    model, linearisation = Model.from_scene(scene), Linearisation(simulation)
     step = 1e-3
 
     def slopes(place):
@@ -319,7 +320,7 @@ def test_the_command_prints_modes(capsys):
 def test_a_mode_goes_on_by_itself(scene):
     scene = load_scene(scene)
     simulation = Simulation.from_scene(scene)
-    linearisation, model = Linearisation(simulation), scene.model()
+    linearisation, model = Linearisation(simulation), Model(scene)
     rest = linearisation.equilibrium()
     lowest = model.evaluate(model.state(rest.position)).energy
     for mode in linearisation.modes(rest.position, rest.torque):
@@ -343,7 +344,7 @@ def test_the_command_draws_modes_and_writes_their_motion(tmp_path, monkeypatch, 
     assert 'mode 1: mode.csv' in capsys.readouterr().out
     assert (tmp_path / 'modes.png').read_bytes().startswith(b'\x89PNG')
     motion, scene = read_rows(tmp_path / 'mode.csv')
-    assert np.abs(scene.model().assemble().q - motion.position[0]).max() < 1e-9
+    assert np.abs(Model(scene).assemble().q - motion.position[0]).max() < 1e-9
     ends = motion.position[[0, 20]]
     middle = Simulation.from_scene('four_bar').position
     largest = np.abs(ends - middle).max(axis=1)

@@ -22,7 +22,7 @@ READINGS = ('acceleration', 'multipliers', 'effort', 'joint_forces', 'constraint
 
 
 def model_of(name):
-    return cld.load_scene(name).model()
+    return cld.Model.from_scene(name)
 
 
 def close(found, expected, share=1e-10):
@@ -83,11 +83,11 @@ def test_inverse_dynamics_finds_the_torques(name):
 
 def test_nothing_moves_without_forces():
     scene = cld.load_scene('three_rrr')
-    model = scene.model().with_parameters({'effects.gravity.acceleration.1': 0.0})
+    model = cld.Model(scene).with_parameters({'effects.gravity.acceleration.1': 0.0})
     now = model.evaluate(model.assemble())
     assert np.abs(now.acceleration).max() < 1e-12 and np.abs(now.joint_forces).max() < 1e-12
     # The scene's own model is another one.
-    assert np.abs(scene.model().evaluate(model.assemble()).acceleration).max() > 1.0
+    assert np.abs(cld.Model(scene).evaluate(model.assemble()).acceleration).max() > 1.0
 
 
 PENDULUM = {
@@ -116,7 +116,7 @@ def pendulums():
 
 def test_a_pendulum_built_in_python_obeys_its_law():
     for scene in pendulums():
-        model = scene.model()
+        model = cld.Model(scene)
         state = model.assemble({'pivot': np.linspace(-1.0, 1.0, 5)})
         now = model.evaluate(state, {'pivot': 0.7})
         angle = state.position['pivot']

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import Model
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -517,7 +517,7 @@ def test_effects_act_on_single_numbers_of_joints_behind_orientations():
 
 
 def test_batches_of_states_have_unit_quaternions_as_single_states_do():
-    model = load_scene('rssr_four_bar').model()
+    model = Model.from_scene('rssr_four_bar')
     q = np.tile(model.assemble().q, (3, 1))
     first, _ = model.coordinates.balls[0]
     q[1, first:first + 4] *= 1.0 + 5e-7

@@ -49,7 +49,7 @@ class Case:
 
     def __init__(self, scene, integrator='rk4', parameters=(), effects=(), size=0.3, **method):
         scene = cld.load_scene(scene)
-        self.model = replace(scene, effects={**scene.effects, **dict(effects)}).model()
+        self.model = cld.Model(replace(scene, effects={**scene.effects, **dict(effects)}))
         self.method = {'integrator': integrator, 'step_size': 1e-3, **method}
         self.sensitivity = cld.Sensitivity(self.model, self.method, parameters)
         self.rng = np.random.default_rng(3)
@@ -136,7 +136,7 @@ def test_a_pendulum_as_complex_steps_say(integrator):
     scene = cld.load_scene(PENDULUM)
     values = [0.3, 0.7, *(numbers(scene)[key] for key in keys)]
     torques, steps, size = np.array([0.5, -1.0, 0.25]), 30, 0.01
-    sensitivity = cld.Sensitivity(scene.model(), {'integrator': integrator, 'step_size': size},
+    sensitivity = cld.Sensitivity(cld.Model(scene), {'integrator': integrator, 'step_size': size},
                                   keys)
     trajectory = sensitivity.trajectory(None, torques[:, np.newaxis], steps=steps)
     twin = pendulum(values, integrator, steps, size, torques)
@@ -159,12 +159,12 @@ def test_an_oscillator_as_powers_of_its_step():
     # x'' = -k x + tau on a slider of mass 1: a step of RK4 is the series of exp(h A) up to h^4.
     slide = {'type': 'prismatic', 'parent': 'ground', 'child': 'cart', 'position': [0.0, 0.0],
              'actuated': True}
-    model = cld.load_scene({
+    model = cld.Model.from_scene({
         'mechanism': {'name': 'cart', 'bodies': {'cart': {
             'mass': 1.0, 'center_of_mass': [0.0, 0.0], 'inertia': 1.0}}, 'joints': {'x': slide}},
         'initial': {'position': {'x': 0.2}},
         'effects': {'spring': {'type': 'joint_spring', 'joint': 'x', 'stiffness': 9.0,
-                               'rest': 0.0}}}).model()
+                               'rest': 0.0}}})
     h, steps = 0.05, 20
     trajectory = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': h}).trajectory(
         None, np.zeros((steps, 1)))
@@ -232,7 +232,7 @@ def values(trajectory):
 
 
 def test_a_gradient_passes_an_impact_on_a_stop():
-    model = cld.load_scene('slider_crank_end_stop').model()
+    model = cld.Model.from_scene('slider_crank_end_stop')
     torques, steps = np.full((5, 1), 0.1), 650
     method, start = {'integrator': 'rk4', 'step_size': 1e-3}, model.assemble()
     trajectory = cld.Sensitivity(model, method).trajectory(start, torques, steps=steps)
@@ -311,7 +311,7 @@ def test_parameters_in_space():
 def test_a_start_later_on_the_way_is_an_end_later_on_it(scene):
     # Under constant torques: changes by the rates and accelerations at the start become those by
     # the rates and accelerations at the end.
-    model = cld.load_scene(scene).model()
+    model = cld.Model.from_scene(scene)
     sensitivity = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': 5e-4})
     torques = np.full((1, len(model.actuated_joints)), 0.1)
     moving = sensitivity.trajectory(None, torques, steps=200)
@@ -383,7 +383,7 @@ def test_accelerations_by_parameters_are_those_of_other_models(three_rrr):
      'has no derivative')])
 def test_methods_without_derivatives_are_refused(method, reason):
     with pytest.raises(ValueError, match=reason):
-        cld.Sensitivity(cld.load_scene('four_bar').model(), method)
+        cld.Sensitivity(cld.Model.from_scene('four_bar'), method)
 
 
 @pytest.mark.parametrize('scene, name, reason', [
@@ -393,7 +393,7 @@ def test_methods_without_derivatives_are_refused(method, reason):
     ('differential', 'effects.engine', 'it follows the time')])
 def test_what_is_not_smooth_is_refused(scene, name, reason):
     with pytest.raises(SimulationError) as error:
-        cld.Sensitivity(cld.load_scene(scene).model(), {'integrator': 'rk4', 'step_size': 1e-4})
+        cld.Sensitivity(cld.Model.from_scene(scene), {'integrator': 'rk4', 'step_size': 1e-4})
     assert name in str(error.value) and reason in str(error.value)
 
 
@@ -404,7 +404,7 @@ def test_what_is_not_smooth_is_refused(scene, name, reason):
     ('initial.position.crank_joint', 'a start is varied as a state'),
     ('mechanism.cut_joints.coupler_rocker_joint.length', 'not given')])
 def test_numbers_that_are_no_parameters_are_refused(key, reason):
-    model = cld.load_scene('four_bar').model()
+    model = cld.Model.from_scene('four_bar')
     if 'cut_joints' in key:
         key = key.replace('coupler_rocker_joint', model.cut_joints[0].name)
     with pytest.raises(ValueError, match=reason):
@@ -415,13 +415,13 @@ def test_a_number_that_may_not_change_to_both_sides_is_refused():
     scene = cld.load_scene('four_bar')
     scene = replace(scene, effects={**scene.effects, 'damper': JointDamping('crank_joint', 0.0)})
     with pytest.raises(ValueError, match='may change a little to both sides'):
-        cld.Sensitivity(scene.model(), 'rk4', ['effects.damper.coefficient'])
+        cld.Sensitivity(cld.Model(scene), 'rk4', ['effects.damper.coefficient'])
 
 
 @pytest.mark.slow
 def test_positions_at_which_frames_jump_are_refused():
     with pytest.raises(ValueError, match='frames of bodies jump'):
-        cld.Sensitivity(cld.load_scene('stewart_platform').model(), 'rk4',
+        cld.Sensitivity(cld.Model.from_scene('stewart_platform'), 'rk4',
                         ['mechanism.joints.leg_1.position.0'])
 
 
@@ -432,7 +432,7 @@ def test_arguments_that_make_no_sense_are_refused(three_rrr):
             ({'torques': np.zeros((2, 2)), 'steps': 6}, 'actuated joints last'),
             ({'torques': np.zeros((4, 3)), 'steps': 6}, 'a multiple of rows'),
             ({'state': cld.State.stack(2 * [three_rrr.start]), 'steps': 6}, 'a batch of 2'),
-            ({'state': cld.load_scene('four_bar').model().assemble(), 'steps': 6},
+            ({'state': cld.Model.from_scene('four_bar').assemble(), 'steps': 6},
              'expected one of three_rrr'),
             ({}, 'got neither')):
         with pytest.raises(ValueError, match=message):
@@ -472,7 +472,7 @@ def test_independent_coordinates_may_be_chosen(three_rrr):
 def test_singular_positions_have_no_derivatives(tmp_path):
     (tmp_path / 'parallelogram.yaml').write_text(PARALLELOGRAM)
     (tmp_path / 'scene.yaml').write_text(PARALLELOGRAM_SCENE)
-    model = cld.load_scene(tmp_path / 'scene.yaml').model()
+    model = cld.Model.from_scene(tmp_path / 'scene.yaml')
     sensitivity = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': 1e-3})
     flat = sensitivity.trajectory(model.state(np.zeros(3)), steps=3)
     with pytest.raises(SingularityError, match='depend on one another'):
@@ -482,11 +482,11 @@ def test_singular_positions_have_no_derivatives(tmp_path):
 
 
 def test_what_cannot_be_run_is_told_with_the_time():
-    model = cld.load_scene(PENDULUM).model()
+    model = cld.Model.from_scene(PENDULUM)
     sensitivity = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': 1e-3})
     with pytest.raises(NumericalError, match='In the step from .* s on the numbers grow'):
         sensitivity.trajectory(None, [[1e308]], steps=10)
-    loop = cld.load_scene('four_bar').model()
+    loop = cld.Model.from_scene('four_bar')
     with pytest.raises((ClosureError, NumericalError), match='In the step from'):
         cld.Sensitivity(loop, {'integrator': 'rk4', 'step_size': 1e-3}).trajectory(
             None, [[1e12]], steps=10)
@@ -499,7 +499,7 @@ def test_the_example_finds_the_least_effort():
         torques, effort, distance = example['optimise'](scene, move, duration)
         assert effort == pytest.approx((torques ** 2).mean()) and distance < 1e-6
         # Along all directions that lead to the goal, too, no torques are less.
-        model = cld.load_scene(scene).model()
+        model = cld.Model.from_scene(scene)
         sensitivity = cld.Sensitivity(
             model, {'integrator': 'rk4', 'step_size': duration / example['STEPS']})
         trajectory = sensitivity.trajectory(None, torques, steps=example['STEPS'])

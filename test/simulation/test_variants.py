@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics import load_scene, Model, Simulation
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
@@ -38,7 +38,7 @@ LINKAGES = {
 def test_cognates_trace_the_same_curve(tmp_path, name):
     *lengths, point, course = LINKAGES[name]
     scene = four_bar(tmp_path, *lengths, angle=1.0, point=point, gravity=9.81)
-    model = scene.model()
+    model = Model(scene)
     turn = model.solve({'crank_joint': np.linspace(1.0, 1.0 + course, 181)})
     tool = model.evaluate(turn).points['tool']
     crank, coupler, rocker = turn.q.T
@@ -47,7 +47,7 @@ def test_cognates_trace_the_same_curve(tmp_path, name):
     (driven,) = first.scene.mechanism.actuated_joints
     first_drive = {'input_joint': crank + coupler, 'coupler_joint': -coupler}[driven]
     for one, drive, rate in ((first, driven, first_drive), (second, 'input_joint', crank)):
-        other = one.scene.model()
+        other = Model(one.scene)
         start = other.assemble().q[other.coordinates.index[drive]]
         found = other.solve({drive: start + rate - rate[0]})
         np.testing.assert_allclose(other.evaluate(found).points['tool'], tool, rtol=0, atol=1e-13)
@@ -160,7 +160,7 @@ def relative(mechanism, position, link, bodies):
 def test_inversion_has_the_same_relative_motion(name, link, drive, size):
     scene = load_scene(name)
     image = inverted(scene, link).scene
-    old, new = scene.model(), image.model()
+    old, new = Model(scene), Model(image)
     starts = [model.assemble() for model in (old, new)]
     names = [drive] if drive else list(old.actuated_joints)
     motions = []

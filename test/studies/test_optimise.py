@@ -6,7 +6,7 @@
 import json
 import math
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import named_paths
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
@@ -66,7 +66,7 @@ def test_derivatives_are_those_of_differences(text, tolerance):
 
 def test_derivatives_in_space_and_of_driven_points():
     manipulator = load_scene('three_rrr_vertical')
-    model = manipulator.model()
+    model = Model(manipulator)
     start = model.assemble()
     x, y = model.evaluate(start).points['platform_center']
     theta = start.q[model.coordinates.index['theta_1']]
@@ -103,7 +103,7 @@ def test_scene_that_holds_other_joints_than_the_driven_one(tmp_path):
         **dict(zip([problem.variables[0].key], found.values)),
         **{key: value for key, value in numbers(Optimum(problem).scene(found)).items()
            if key.startswith('initial.position.')}}, tmp_path / 'found.yaml')
-    load_scene(written[0]).model().assemble()
+    Model.from_scene(written[0]).assemble()
 
 
 def test_poses_are_those_whose_largest_or_mean_square_the_value_is():
