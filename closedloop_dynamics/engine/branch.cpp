@@ -4,6 +4,7 @@
 #include "branch.hpp"
 
 #include <algorithm>
+#include <limits>
 
 #include "branch_equations.hpp"
 #include "branch_motion.hpp"
@@ -32,6 +33,9 @@ constexpr int MOST_CORRECTIONS = 4;
 // Closure error, against the size of the mechanism, that counts as on the branch; and the one,
 // against the smallest pivot, from which the nearest branch is certain to be that of the state.
 constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
+// The same where factors with complete pivoting serve; and pivots of the elimination, against the
+// squares of theirs: of parallelograms and four-bars 0.5 to 10.
+constexpr double NEAR = 2e-3, SQUARED = 3.0;
 // Smallest pivot of equations that are evaluated at the state only, beside singular ones.
 constexpr double REGULAR = 0.02;
 // Numbers of all arrays that are needed here: at most, and on the stack.
@@ -85,21 +89,18 @@ bool accelerate_by_loops(const System & system, Values q, Values qd, Table added
     system.model, system.work, system.applied, 0.0, system.qdd, system.lam, NEAR_PIVOT);
 }
 
-/// Bring a point onto the branch next to it, with its derivatives; return whether it is there.
+/// Bring a point onto the branch next to it, with its derivatives, where it has been evaluated; return
+/// whether it is there.
 bool find_beside(BranchEquations & equations, const BranchPoint & point, double pivot)
 {
   if (!is_certain(equations.system, largest(equations.closure), pivot)) {
     return false;
   }
   for (Component & part : equations.components) {
-    equations.evaluate(point.q, point.rate);
-    if (!(equations.choose(part, 0.0) > 0.0 &&
-      equations.settle(part, point.q, point.rate)))
-    {
+    if (!equations.settle(part, point.q, point.rate)) {
       return false;
     }
     equations.count_moving(part);
-    equations.factor(part);
     equations.follow(part, point.q, point.rate, point.bend);
     equations.add_tangents(part, point.tangent, 1.0);
   }
@@ -110,90 +111,113 @@ bool find_beside(BranchEquations & equations, const BranchPoint & point, double 
 /// ones are evaluated at the state, the others being on their branches.
 bool find_through(BranchEquations & equations, Values q, Values qd, const BranchPoint & point)
 {
-  bool regular = true;
   for (Component & part : equations.components) {
-    // A single component is singular, or this function is not called.
-    part.regular = equations.components.size > 1 && equations.choose(part, REGULAR) > 0.0;
-    regular = regular && part.regular;
+    if (part.pivot > REGULAR) {
+      equations.count_moving(part);
+    }
   }
   for (Component & part : equations.components) {
-    if (part.regular) {
-      equations.count_moving(part);
-    } else if (!interpolate(equations, part, q, qd, point)) {
+    if (part.pivot <= REGULAR && !interpolate(equations, part, q, qd, point)) {
       return false;
     }
   }
   equations.evaluate(point.q, point.rate);
   for (const Component & part : equations.components) {
-    if (part.regular) {
+    if (part.pivot > REGULAR) {
       equations.factor(part);
       equations.bend(part, point.bend);
       equations.add_tangents(part, point.tangent, 1.0);
     }
   }
-  return !regular;
+  return true;
+}
+
+/// Evaluate the equations at a state, and choose dependent coordinates; return about what the
+/// smallest pivot of the geometry would be, not a number where an equation has no coordinate.
+double choose_dependent(BranchEquations & equations, Values q, Values qd)
+{
+  equations.evaluate(q, qd);
+  if (!equations.find_components()) {
+    return std::numeric_limits<double>::quiet_NaN();
+  }
+  double least = 1.0;
+  for (Component & part : equations.components) {
+    part.pivot = equations.choose(part, 0.0);
+    least = std::min(least, part.pivot);
+  }
+  return SQUARED * least * least;
 }
 
 /// Accelerations by dense factors of the closure equations, at the state or from places around it.
-bool accelerate_by_factors(const System & system, Values q, Values qd, Table added, double pivot)
+bool accelerate_by_factors(
+  BranchEquations & equations, Values q, Values qd, Table added, double pivot)
 {
+  const System & system = equations.system;
+  const bool beside = pivot >= SQUARED * NEAR * NEAR;
+  if (!beside && system.has_effects() && system.effects.motions.rows > 0) {
+    // Driven motions are elsewhere at other places.
+    return false;
+  }
   Scratch<double, ROOM> scratch(q.size + qd.size * (2 + qd.size));
   const BranchPoint point{
     scratch.copy_of(q), scratch.copy_of(qd), scratch.take(qd.size),
     scratch.take(qd.size, qd.size)};
   point.bend.fill(0.0);
   point.tangent.fill(0.0);
-  BranchEquations equations(system);
-  equations.evaluate(q, qd);
-  return equations.find_components() &&
-         (good(system.model, pivot, NEAR_PIVOT) ? find_beside(equations, point, pivot) :
-         find_through(equations, q, qd, point)) &&
-         accelerate_along(equations, point, added);
+  return (beside ? find_beside(equations, point, pivot) :
+         find_through(equations, q, qd, point)) && accelerate_along(equations, point, added);
 }
 }  // namespace
 
-bool accelerate_on_branch(const System & system, Values q, Values qd)
+bool accelerate_on_branch(
+  const System & system, Values q, Values qd, bool singular, bool poses)
 {
   const Workspace & work = system.work;
   const Values & health = work.health;
-  const double pivot = health[health::SMALLEST_PIVOT];
   const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
   const Index numbers = q.size + qd.size + bodies * size;
-  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && !good(system.model, pivot, POOR_PIVOT) &&
-    numbers <= ROOM))
+  const bool by_loops = system.table[routine::LOOP_EQUATIONS] == 0;
+  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && (singular || !by_loops) &&
+    system.lam.size < qd.size && numbers <= ROOM))
   {
     return false;
   }
+  double pivot = health[health::SMALLEST_PIVOT];
+  const bool beside = by_loops && good(system.model, pivot, NEAR_PIVOT);
+  BranchEquations equations(system);
+  if (!beside) {
+    pivot = choose_dependent(equations, q, qd);
+    if (!(singular ? pivot >= 0.0 : !good(system.model, pivot, POOR_PIVOT))) {
+      return false;
+    }
+    record_pivot(system.model, work, pivot);
+  }
   Scratch<double, ROOM> scratch(numbers);
-  // Forces of effects on bodies are evaluated at the state itself.
+  // Forces of effects on bodies are those at the state itself.
   const Table added = scratch.take(bodies, size);
   if (bodies > 0) {
-    place_bodies(system, q, qd);
     bias_forces(work, added);
-    apply_listed(system, q, qd);
+    place_bodies(system, q, qd);
     for (Index i = 0; i < bodies; ++i) {
       for (Index n = 0; n < size; ++n) {
-        added(i, n) = work.body(i, work.first_force() + n) - added(i, n);
+        added(i, n) -= work.body(i, work.first_force() + n);
       }
     }
   }
-  const bool beside = good(system.model, pivot, NEAR_PIVOT);
-  const bool driven = system.has_effects() && system.effects.motions.rows > 0;
-  bool found = false;
-  if (beside && system.table[routine::LOOP_EQUATIONS] == 0) {
-    found = accelerate_by_loops(
-      system, scratch.copy_of(q), scratch.copy_of(qd), added, pivot);
-  } else if ((beside || !driven) && system.lam.size < qd.size) {
-    found = accelerate_by_factors(system, q, qd, added, pivot);
+  if (!(beside ? accelerate_by_loops(
+      system, scratch.copy_of(q), scratch.copy_of(qd), added, pivot) :
+    accelerate_by_factors(equations, q, qd, added, pivot)))
+  {
+    return false;
   }
-  if (found) {
-    health[health::RANK_REVEALING_COUNT] += 1.0;
-    health[health::SINGULAR_COUNT] += 1.0;
+  health[health::RANK_REVEALING_COUNT] += 1.0;
+  health[health::SINGULAR_COUNT] += 1.0;
+  if (poses) {
+    place_bodies(system, q, qd);
+    add_forces(work, added);
+    update(system.model, work, Responses::NONE);
   }
-  place_bodies(system, q, qd);
-  add_forces(work, added);
-  update(system.model, work, Responses::NONE);
-  return found;
+  return true;
 }
 
 }  // namespace closedloop

@@ -13,10 +13,13 @@ namespace closedloop
 {
 
 /// Accelerations and multipliers on the branch next to a state, free of the effect of closure
-/// errors. Call after `accelerate_refined` has found a small pivot of the geometry and returned
-/// false; false where equations may be dependent: use `accelerate_rank_revealing` then. Poses and
-/// closure errors remain those of the state itself.
-bool accelerate_on_branch(const System &, Values q, Values qd);
+/// errors; of all that the equations leave open, those of the least joint forces. The bodies have
+/// poses and forces at the state where there are effects. With `singular`, `accelerate_refined` has
+/// found a small pivot of the geometry; otherwise false where a generated routine does not show the
+/// equations to be nearly dependent. False where they may be dependent everywhere, too: use
+/// `accelerate_rank_revealing` then. With `poses`, those and closure errors are of the state
+/// afterwards.
+bool accelerate_on_branch(const System &, Values q, Values qd, bool singular, bool poses);
 
 }  // namespace closedloop
 

@@ -135,10 +135,7 @@ double BranchEquations::choose(Component & part, double share)
     each = row(part, each);
   }
   std::copy(rows.begin(), rows.end(), row_.data + part.row);
-  if (!enough || !keeps_quaternions_whole(part)) {
-    return 0.0;
-  }
-  return std::abs(matrix(part.rows - 1, part.rows - 1) / matrix(0, 0));
+  return !enough ? 0.0 : std::abs(matrix(part.rows - 1, part.rows - 1) / matrix(0, 0));
 }
 
 void BranchEquations::count_moving(Component & part)
@@ -157,7 +154,6 @@ void BranchEquations::count_moving(Component & part)
   }
 }
 
-/// Whether the rates of each quaternion are all dependent, or all independent.
 bool BranchEquations::keeps_quaternions_whole(const Component & part)
 {
   if (system.manifold.empty()) {
@@ -198,7 +194,7 @@ bool BranchEquations::is_isolated(const Component & part)
   return true;
 }
 
-double BranchEquations::factor(const Component & part)
+void BranchEquations::factor(const Component & part)
 {
   const Table matrix = square(part);
   for (Index i = 0; i < part.rows; ++i) {
@@ -208,11 +204,16 @@ double BranchEquations::factor(const Component & part)
     }
   }
   factorize_in_place(matrix);
+}
+
+double BranchEquations::smallest_pivot(const Component & part) const
+{
+  const Table matrix = square(part);
   double least = 0.0, most = 0.0;
   for (Index k = 0; k < part.rows; ++k) {
     // Inverses of pivots, scaled.
     const double size = std::abs(
-      matrix(k, k)) / (row_scale[row(part, k)] * column_scale[column(part, k)]);
+      matrix(k, k) / (row_scale[row(part, k)] * column_scale[column(part, k)]));
     least = k == 0 || size < least ? size : least;
     // Not a number: all comparisons fail.
     most = size <= most ? most : size;
@@ -268,11 +269,11 @@ bool BranchEquations::settle(const Component & part, Values q, Values rates)
       right[row(part, i)] = -each;
     }
     const bool shrinks = count == 0 || error < 0.5 * before;
+    factor(part);
     if (error <= ROUNDING * size || !shrinks || count == MOST_CORRECTIONS) {
       return error <= SETTLED * size;
     }
     before = error;
-    factor(part);
     change_.fill(0.0);
     solve(part, change_);
     move(system.manifold, q, change_, 1.0);

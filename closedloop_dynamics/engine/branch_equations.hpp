@@ -23,7 +23,7 @@ struct Component
 {
   Index row = 0, rows = 0, column = 0, columns = 0;
   Index moving = 0;  ///< Number of independent coordinates in the equations
-  bool regular = false;  ///< Whether the equations are independent at the state itself
+  double pivot = 0.0;  ///< Smallest pivot at the state itself, against the largest
 };
 
 /// A place on the branch, and how it goes on from there.
@@ -50,13 +50,16 @@ public:
   /// Choose the coordinates that the equations decide best at the latest place; return their
   /// smallest pivot against the largest, 0 where it is less than a share.
   double choose(Component &, double share);
+  /// Whether the rates of each quaternion are all dependent, or all independent.
+  bool keeps_quaternions_whole(const Component &);
   /// Count the independent coordinates that occur in the equations at the latest place.
   void count_moving(Component &);
   /// Whether no coordinate of another component occurs in the equations.
   bool is_isolated(const Component &);
-  /// Factor the equations' derivatives by the dependent coordinates; return the smallest pivot
-  /// against the largest.
-  double factor(const Component &);
+  /// Factor the equations' derivatives by the dependent coordinates at the latest place.
+  void factor(const Component &);
+  /// The smallest pivot of these factors against the largest.
+  double smallest_pivot(const Component &) const;
   /// The same by all coordinates, with complete pivoting, down to a share of the first pivot; return
   /// the rank and the factors.
   Index factor_fully(const Component &, double share, Indices rows, Indices columns, Table & out);
@@ -65,7 +68,7 @@ public:
   /// Multipliers of the equations, shape (nc,), that give the dependent coordinates these forces.
   void solve_transposed(const Component &, Values force, Values out);
   /// Bring a place onto the branch, in place, from its evaluation; return whether it is there, then
-  /// with its evaluation.
+  /// with evaluation and factors.
   bool settle(const Component &, Values q, Values rates);
   /// Rates and accelerations of the dependent coordinates at the latest place, factored, from the
   /// rates of the independent ones; evaluates the equations with these rates.
@@ -82,11 +85,10 @@ public:
 
 private:
   double entry(Index i, Index j) const {return jac(i, j) * row_scale[i] * column_scale[j];}
-  bool keeps_quaternions_whole(const Component &);
   Table square(const Component & part) const {return {factor_.data, part.rows, part.rows};}
 
   // Numbers, counts and components that fit on the stack.
-  enum : Index {NUMBERS = 1024, COUNTS = 64, MOST_PARTS = 8};
+  static constexpr Index NUMBERS = 1024, COUNTS = 64, MOST_PARTS = 8;
   Scratch<double, NUMBERS> scratch_;
   Scratch<Index, COUNTS> counts_;
   Scratch<Component, MOST_PARTS> parts_;

@@ -4,6 +4,7 @@
 #include "branch_motion.hpp"
 
 #include "evaluation.hpp"
+#include "least_forces.hpp"
 #include "recursion.hpp"
 #include "scratch.hpp"
 #include "small_factors.hpp"
@@ -19,53 +20,84 @@ constexpr double VANISHED = 1e-7;
 // Numbers and counts that fit on the stack.
 constexpr Index NUMBERS = 1024, COUNTS = 64;
 
-/// Multipliers with these joint forces where equations vanish: in the least squares, and of all
-/// such the least; return the rank of the equations.
-Index find_least_multipliers(BranchEquations & equations, const Component & part, Values force)
+/// Multipliers with these joint forces where equations vanish, zero for those, in the least squares,
+/// as other forces would take infinite ones; and into the first rows of a table multipliers without
+/// any joint force. Return the rank of the equations.
+Index find_some_multipliers(
+  BranchEquations & equations, const Component & part, Values force, Table unfelt)
 {
+  const Values & lam = equations.system.lam, & scale = equations.row_scale;
   Scratch<Index, COUNTS> counts(part.rows + part.columns);
-  const Indices rows = counts.take(part.rows), columns = counts.take(part.columns);
-  Scratch<double, NUMBERS> scratch(part.rows * (part.rows + 1));
-  Table matrix;
-  const Index rank = equations.factor_fully(part, VANISHED, rows, columns, matrix);
-  const auto upper = [&](Index k, Index j) {return j >= k ? matrix(k, j) : 0.0;};
-  const auto lower = [&](Index k, Index i) {
-      return (i == k ? 1.0 : i > k ? matrix(i, k) : 0.0) /
-             equations.row_scale[equations.row(part, rows[i])];
-    };
+  const Indices order = counts.take(part.rows), columns = counts.take(part.columns);
+  Table factor;
+  const Index rank = equations.factor_fully(part, VANISHED, order, columns, factor);
+  for (Index & each : order) {
+    each = equations.row(part, each);
+  }
+  fill_unfelt(factor, order, rank, {unfelt.data, part.rows - rank, unfelt.columns});
+  Scratch<double, NUMBERS> scratch(rank * (rank + 1) + part.columns);
   const Table products = scratch.take(rank, rank);
-  const Values share = scratch.take(rank);
+  const Values share = scratch.take(rank), wanted = scratch.take(part.columns);
+  for (Index j = 0; j < part.columns; ++j) {
+    const Index from = equations.column(part, columns[j]);
+    wanted[j] = force[from] * equations.column_scale[from];
+  }
   for (Index k = 0; k < rank; ++k) {
-    share[k] = 0.0;
-    for (Index j = k; j < part.columns; ++j) {
-      const Index from = equations.column(part, columns[j]);
-      share[k] += matrix(k, j) * force[from] * equations.column_scale[from];
+    const Values upper = factor[k].from(k);
+    share[k] = dot(upper, wanted.from(k));
+    for (Index m = 0; m <= k; ++m) {
+      products(k, m) = dot(upper, factor[m].from(k));
     }
   }
-  fill_products(products, upper, part.columns);
   factorize_positive(products);
   solve_positive(products, share);
-  fill_products(products, lower, part.rows);
-  factorize_positive(products);
-  solve_positive(products, share);
-  for (Index i = 0; i < part.rows; ++i) {
-    double total = 0.0;
-    for (Index k = 0; k < rank; ++k) {
-      total += lower(k, i) * share[k];
+  for (Index k = rank - 1; k >= 0; --k) {
+    for (Index i = k + 1; i < rank; ++i) {
+      share[k] -= factor(i, k) * share[i];
     }
-    equations.system.lam[equations.row(part, rows[i])] = total;
+  }
+  for (Index k = 0; k < part.rows; ++k) {
+    const Index i = order[k];
+    lam[i] = k < rank ? share[k] * scale[i] : 0.0;
+    for (Index n = 0; n < part.rows - rank; ++n) {
+      unfelt(n, i) *= scale[i];
+    }
   }
   return rank;
 }
 
-/// Find the multipliers with these joint forces; return the rank of the equations.
-Index find_multipliers(BranchEquations & equations, const Component & part, Values force)
+/// Find the multipliers with these joint forces, the least forces where equations vanish; return
+/// the rank of the equations.
+Index find_multipliers(BranchEquations & equations, Values force)
 {
-  if (!(equations.factor(part) > VANISHED)) {
-    return find_least_multipliers(equations, part, force);
+  const System & system = equations.system;
+  const Model & model = system.model;
+  const Workspace & work = system.work;
+  Scratch<double, NUMBERS> scratch(equations.nc * equations.nc);
+  const Table unfelt = scratch.take(equations.nc, equations.nc);
+  Index rank = 0, idle = 0;
+  for (const Component & part : equations.components) {
+    equations.factor(part);
+    if (equations.smallest_pivot(part) > VANISHED) {
+      equations.solve_transposed(part, force, system.lam);
+      rank += part.rows;
+    } else {
+      const Index found = find_some_multipliers(equations, part, force, unfelt.from(idle));
+      rank += found;
+      idle += part.rows - found;
+    }
   }
-  equations.solve_transposed(part, force, equations.system.lam);
-  return part.rows;
+  if (idle > 0) {
+    // Where the elimination works on some equations, forces are least of all of them, later.
+    const JointPlaces joints = system.whole.empty() ? system.joints : JointPlaces();
+    if (joints.body.rows > 0) {
+      bias_forces(work, work.force);
+      joint_wrenches(model, work, system.qdd, system.lam, work.force);
+    }
+    minimise_joint_wrenches(
+      system, joints, model, work, {unfelt.data, idle, equations.nc}, work.force, system.lam);
+  }
+  return rank;
 }
 }  // namespace
 
@@ -132,11 +164,7 @@ bool accelerate_along(BranchEquations & equations, const BranchPoint & point, Ta
       force[i] += push[k] * carried(k, i);
     }
   }
-  Index rank = 0;
-  for (const Component & part : equations.components) {
-    rank += find_multipliers(equations, part, force);
-  }
-  work.health[health::RANK] = static_cast<double>(rank);
+  work.health[health::RANK] = static_cast<double>(find_multipliers(equations, force));
   return true;
 }
 

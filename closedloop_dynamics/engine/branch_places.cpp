@@ -40,6 +40,8 @@ constexpr double SLOPED_ASIDE = 1.5;
 // Smallest pivot at the first place, against the largest: below the first value the places are
 // moved farther away, by at most the third; below the second the method fails.
 constexpr double ENOUGH = 2e-3, LEAST = 1e-4, FARTHEST = 8.0;
+// Smallest pivot at the state, against the largest, that is no rounding.
+constexpr double CHOSEN = 1e-8;
 // How much smaller a pivot may be at another place: this one is next to a singular position, too.
 constexpr double SMALLER = 0.05;
 // How far the state may be from the branch, against the distance to the first place; its rates,
@@ -104,8 +106,12 @@ private:
     for (int attempt = 0; ; ++attempt) {
       go_straight(part, 0);
       equations_.evaluate(places_[0], qd_);
-      const double pivot = equations_.choose(part, LEAST);
-      if (pivot >= ENOUGH || (pivot > 0.0 && attempt > 0)) {
+      // Pivots that are not rounding are in one order at the state and here.
+      const bool chosen = (attempt == 0 && part.pivot > CHOSEN) ||
+        equations_.choose(part, LEAST) > 0.0;
+      const double pivot = chosen && equations_.settle(part, places_[0], qd_) ?
+        equations_.smallest_pivot(part) : 0.0;
+      if (pivot >= ENOUGH || (pivot >= LEAST && attempt > 0)) {
         break;
       }
       if (attempt > 0) {
@@ -113,7 +119,7 @@ private:
       }
       step_ *= pivot > 0.0 ? std::min(FARTHEST, 1.5 * ENOUGH / pivot) : FARTHEST;
     }
-    if (!equations_.settle(part, places_[0], qd_)) {
+    if (!equations_.keeps_quaternions_whole(part)) {
       return false;
     }
     equations_.count_moving(part);
@@ -143,8 +149,12 @@ private:
     for (Index n = 1; n < count_; ++n) {
       if (n == 1) {
         go_straight(part, n);
-        for (Index j = 0; j < qd_.size; ++j) {
-          change_[j] = 0.5 * bends_(0, j);
+        // The cubic curve with the rates at the state and the first place, and its bends.
+        change_.fill(0.0);
+        for (Index k = 0; k < part.rows; ++k) {
+          const Index j = equations_.column(part, k);
+          change_[j] =
+            4.0 / 3.0 * (rates_(0, j) - step_ * qd_[j]) - 5.0 / 6.0 * bends_(0, j);
         }
       } else {
         predict(part, n, n < 4 ? 3 - n : n - 4, n - 2);
@@ -161,7 +171,7 @@ private:
   /// Store a settled place with rates and accelerations along the branch, and the tangents.
   bool keep(const Component & part, Index n)
   {
-    const double pivot = equations_.factor(part);
+    const double pivot = equations_.smallest_pivot(part);
     if (n == 0) {
       pivot_ = pivot;
     }

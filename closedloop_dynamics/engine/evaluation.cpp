@@ -6,6 +6,7 @@
 #include "branch.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
+#include "elimination.hpp"
 #include "formulations.hpp"
 #include "forward_dynamics.hpp"
 #include "independent.hpp"
@@ -81,11 +82,12 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
 }
 
 /// Accelerations next to a singular position, or with equations that depend on others.
-void accelerate_near_singular(const System & system, Values q, Values qd)
+void accelerate_near_singular(const System & system, Values q, Values qd, bool poses)
 {
-  if (accelerate_on_branch(system, q, qd)) {
-    minimise_multipliers(system);
-  } else {
+  const double pivot = system.work.health[health::SMALLEST_PIVOT];
+  if (good(system.model, pivot, POOR_PIVOT) ||
+    !accelerate_on_branch(system, q, qd, true, poses))
+  {
     accelerate_with_all_equations(system, q, qd);
   }
 }
@@ -109,7 +111,7 @@ void accelerate_by_loops(const System & system, Values q, Values qd)
   if (!accelerate_refined(
       system.model, system.work, system.applied, gain, system.qdd, system.lam))
   {
-    accelerate_near_singular(system, q, qd);
+    accelerate_near_singular(system, q, qd, true);
   }
 }
 
@@ -122,13 +124,17 @@ void restore_forces(const System & system, Values q, Values qd)
   }
 }
 
-/// Accelerations where the elimination alone does not suffice: by refinement or decompositions.
-void accelerate_beyond_elimination(const System & system, Values q, Values qd)
+/// Accelerations where the elimination alone does not suffice: by refinement or decompositions; with
+/// `poses`, those are of the state afterwards.
+void accelerate_beyond_elimination(const System & system, Values q, Values qd, bool poses)
 {
   if (system.table[routine::REFINED_ACCELERATION] != 0) {
     if (call(system.table, routine::REFINED_ACCELERATION, q, qd)) {
       return;
     }
+  } else if (accelerate_on_branch(system, q, qd, false, poses)) {
+    restore_forces(system, q, qd);
+    return;
   } else {
     move_bodies(system, q, qd);
     if (accelerate_refined(
@@ -139,7 +145,7 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd)
       return;
     }
   }
-  accelerate_near_singular(system, q, qd);
+  accelerate_near_singular(system, q, qd, poses);
   restore_forces(system, q, qd);
 }
 
@@ -286,7 +292,7 @@ void evaluate_in_parts(const System & system, Values q, Values qd)
   if (call(system.table, routine::ACCELERATION, q, qd)) {
     written = system.has_cut_coordinates() ? 0.0 : 1.0;
   } else {
-    accelerate_beyond_elimination(system, q, qd);
+    accelerate_beyond_elimination(system, q, qd, true);
   }
 }
 
@@ -342,7 +348,7 @@ void evaluate_state(const System & system, Values state)
     if (system.table[routine::REFINED_ACCELERATION] != 0) {
       call(system.table, routine::OUTWARD, q, qd);
     }
-    accelerate_beyond_elimination(system, q, qd);
+    accelerate_beyond_elimination(system, q, qd, false);
   }
 }
 

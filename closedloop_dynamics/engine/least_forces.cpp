@@ -77,20 +77,14 @@ double * terms_of_wrench(
   return out;
 }
 
-/// Number of terms of the norm.
-Index number_of_terms(bool planar, Index joints, Index equations)
-{
-  return (planar ? 4 : 9) * joints + equations;
-}
-
 /// Terms of the norm: of tree joints, cut joints and other equations.
 void fill_terms(
-  const System & system, const Model & model, const Workspace & work, Vector<Arms> arms,
-  Table wrench, Values lam, Values out)
+  const JointPlaces & joints, const Model & model, const Workspace & work, double size,
+  Vector<Arms> arms, Table wrench, Values lam, Values out)
 {
-  const Indices & row = system.joints.row;
+  const Indices & row = joints.row;
   const Index count = arms.size;
-  const double size = system.settings[setting::SIZE], unit = std::sqrt(0.5) / size;
+  const double unit = std::sqrt(0.5) / size;
   const bool planar = work.planar();
   double * next = out.data;
   for (Index k = 0; k < row.size; ++k) {
@@ -109,9 +103,16 @@ void fill_terms(
   }
   std::fill(next, out.end(), 0.0);
 }
+}  // namespace
 
-/// Write multipliers without joint forces, a row each, from the factors of J, of which so many rows
-/// are independent.
+void spread_multipliers(const System & system, Values lam)
+{
+  Index next = 0;
+  for (Index n = 0; n < lam.size; ++n) {
+    lam[n] = system.whole.kept[n] ? system.lam[next++] : 0.0;
+  }
+}
+
 void fill_unfelt(Table factor, Indices order, Index rank, Table out)
 {
   out.fill(0.0);
@@ -127,15 +128,6 @@ void fill_unfelt(Table factor, Indices order, Index rank, Table out)
     }
   }
 }
-}  // namespace
-
-void spread_multipliers(const System & system, Values lam)
-{
-  Index next = 0;
-  for (Index n = 0; n < lam.size; ++n) {
-    lam[n] = system.whole.kept[n] ? system.lam[next++] : 0.0;
-  }
-}
 
 void minimise_joint_wrenches(
   const System & system, const Model & model, const Workspace & work, Table jac, Table wrench,
@@ -147,56 +139,63 @@ void minimise_joint_wrenches(
   {
     return;
   }
-  const Index nc = jac.rows, joints = system.joints.body.rows;
+  const Index nc = jac.rows;
   Scratch<Index, COUNTS> counts(nc + jac.columns);
   const Indices order = counts.take(nc);
-  Scratch<double, NUMBERS> factors(nc * jac.columns);
-  const Table factor = factors.take(nc, jac.columns);
+  Scratch<double, NUMBERS> scratch(nc * (jac.columns + nc));
+  const Table factor = scratch.take(nc, jac.columns);
   copy(jac.all(), factor.all());
   const Index rank = std::min(
     independent, factorize_fully(factor, order, counts.take(jac.columns), REPEATED));
-  const Index idle = nc - rank, count = number_of_terms(work.planar(), joints, nc);
+  const Table unfelt = scratch.take(nc - rank, nc);
+  fill_unfelt(factor, order, rank, unfelt);
+  minimise_joint_wrenches(system, system.joints, model, work, unfelt, wrench, lam);
+}
+
+void minimise_joint_wrenches(
+  const System & system, const JointPlaces & joints, const Model & model, const Workspace & work,
+  Table unfelt, Table wrench, Values lam)
+{
+  const Index idle = unfelt.rows, nc = unfelt.columns, size = work.size();
   if (idle == 0) {
     return;
   }
-  Scratch<double, NUMBERS> scratch(
-    idle * (nc + count + idle + 1) + count + nc + work.force.rows * work.force.columns);
-  const Table unfelt = scratch.take(idle, nc), response = scratch.take(idle, count);
-  const Table normal = scratch.take(idle, idle);
-  const Values share = scratch.take(idle), now = scratch.take(count), change = scratch.take(nc);
-  const Table felt = scratch.take(work.force.rows, work.force.columns);
-  Scratch<Arms, COUNTS> places(joints);
-  const Vector<Arms> arms = places.take(joints);
-  find_arms(system.joints, work, arms);
-  fill_terms(system, model, work, arms, wrench, lam, now);
-  fill_unfelt(factor, order, rank, unfelt);
+  const Index count = (work.planar() ? 4 : 9) * joints.body.rows + nc;
+  const Index rows = work.force.rows, columns = work.force.columns;
+  const double length = system.settings[setting::SIZE];
+  Scratch<double, NUMBERS> scratch(idle * (count + idle + 1 + rows * columns) + count);
+  const Table response = scratch.take(idle, count), normal = scratch.take(idle, idle);
+  const Table felt = scratch.take(idle, rows * columns);
+  const Values share = scratch.take(idle), now = scratch.take(count);
+  Scratch<Arms, COUNTS> places(joints.body.rows);
+  const Vector<Arms> arms = places.take(joints.body.rows);
+  find_arms(joints, work, arms);
+  fill_terms(joints, model, work, length, arms, wrench, lam, now);
   for (Index k = 0; k < idle; ++k) {
-    wrenches_of_multipliers(model, work, unfelt[k], felt);
-    fill_terms(system, model, work, arms, felt, unfelt[k], response[k]);
-    share[k] = 0.0;
-    for (Index n = 0; n < count; ++n) {
-      share[k] -= response(k, n) * now[n];
+    const Table each{felt.row(k), rows, columns};
+    if (joints.body.rows > 0) {
+      wrenches_of_multipliers(model, work, unfelt[k], each);
+    }
+    fill_terms(joints, model, work, length, arms, each, unfelt[k], response[k]);
+    share[k] = -dot(response[k], now);
+    // The rows are of one size and far from dependent: normal equations do, and cost less.
+    for (Index m = 0; m <= k; ++m) {
+      normal(k, m) = dot(response[k], response[m]);
     }
   }
-  // The rows are of one size and far from dependent: normal equations do, and cost less.
-  fill_products(normal, response, count);
   if (!factorize_positive(normal)) {
     return;
   }
   solve_positive(normal, share);
-  change.fill(0.0);
   for (Index k = 0; k < idle; ++k) {
+    const Table each{felt.row(k), rows, columns};
     for (Index i = 0; i < nc; ++i) {
-      change[i] += share[k] * unfelt(k, i);
+      lam[i] += share[k] * unfelt(k, i);
     }
-  }
-  for (Index i = 0; i < nc; ++i) {
-    lam[i] += change[i];
-  }
-  wrenches_of_multipliers(model, work, change, felt);
-  for (Index i = 0; i < wrench.rows; ++i) {
-    for (Index n = 0; n < work.size(); ++n) {
-      wrench(i, n) += felt(i, n);
+    for (Index i = 0; joints.body.rows > 0 && i < wrench.rows; ++i) {
+      for (Index n = 0; n < size; ++n) {
+        wrench(i, n) += share[k] * each(i, n);
+      }
     }
   }
 }

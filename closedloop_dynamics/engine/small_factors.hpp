@@ -6,6 +6,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
+#include <utility>
 
 #include "array.hpp"
 
@@ -30,13 +32,17 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
     Index at = k, to = k;
     double most = -1.0;
     for (Index i = k; i < rows; ++i) {
+      double largest = 0.0;
       for (Index j = k; j < columns; ++j) {
-        if (std::abs(matrix(i, j)) > most) {
-          most = std::abs(matrix(i, j));
-          at = i;
-          to = j;
-        }
+        largest = std::max(largest, std::abs(matrix(i, j)));
       }
+      if (largest > most) {
+        most = largest;
+        at = i;
+      }
+    }
+    while (to + 1 < columns && std::abs(matrix(at, to)) != most) {
+      ++to;
     }
     first = k == 0 ? most : first;
     if (!(most > share * first)) {
@@ -64,76 +70,152 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
   return rows;
 }
 
-/// Factor a square matrix in place, its pivots in their places, replaced by their inverses; return
-/// the smallest against the largest.
-inline double factorize_in_place(Table matrix)
+/// Call a function with a number of rows: a constant where there are few, so that the compiler sees
+/// all their loops unrolled.
+template<class Function>
+inline void with_rows(Index rows, Function && function)
 {
-  const Index n = matrix.rows;
-  double least = std::numeric_limits<double>::infinity(), most = 0.0;
-  for (Index k = 0; k < n; ++k) {
-    const double pivot = matrix(k, k), inverse = 1.0 / pivot;
-    // Not a number: all comparisons fail.
-    least = std::abs(pivot) >= least ? least : std::abs(pivot);
-    most = std::max(most, std::abs(pivot));
-    matrix(k, k) = inverse;
-    for (Index i = k + 1; i < n; ++i) {
-      if (matrix(i, k) != 0.0) {
-        const double scale = matrix(i, k) *= inverse;
-        for (Index j = k + 1; j < n; ++j) {
-          matrix(i, j) -= scale * matrix(k, j);
-        }
-      }
-    }
+  switch (rows) {
+    case 2:
+      return function(std::integral_constant<Index, 2>());
+    case 3:
+      return function(std::integral_constant<Index, 3>());
+    case 4:
+      return function(std::integral_constant<Index, 4>());
+    case 5:
+      return function(std::integral_constant<Index, 5>());
+    case 6:
+      return function(std::integral_constant<Index, 6>());
+    default:
+      return function(rows);
   }
-  return least / most;
+}
+
+/// Call a function with such numbers of rows.
+template<class Function, Index... ROWS>
+inline void for_each_of(std::integer_sequence<Index, ROWS...>, Function && function)
+{
+  (function(std::integral_constant<Index, ROWS>()), ...);
+}
+
+/// Call a function with the rows of a number of them, in turn, with those after one, or with those
+/// before one.
+template<class Rows, class Function>
+inline void for_each_row(Rows rows, Function && function)
+{
+  if constexpr (std::is_same_v<Rows, Index>) {
+    for (Index i = 0; i < rows; ++i) {
+      function(i);
+    }
+  } else {
+    for_each_of(std::make_integer_sequence<Index, Rows::value>(), function);
+  }
+}
+
+template<class Rows, class Row, class Function>
+inline void for_each_row_after(Row row, Rows rows, Function && function)
+{
+  if constexpr (std::is_same_v<Rows, Index>) {
+    for (Index i = row + 1; i < rows; ++i) {
+      function(i);
+    }
+  } else {
+    for_each_row(rows, [&](auto i) {
+        if (i > row) {
+          function(i);
+        }
+      });
+  }
+}
+
+template<class Rows, class Row, class Function>
+inline void for_each_row_before(Row row, Rows rows, Function && function)
+{
+  if constexpr (std::is_same_v<Rows, Index>) {
+    for_each_row(row, function);
+  } else {
+    for_each_row(rows, [&](auto i) {
+        if (i < row) {
+          function(i);
+        }
+      });
+  }
+}
+
+/// Call a function with all rows, the last one first.
+template<class Rows, class Function>
+inline void for_each_row_back(Rows rows, Function && function)
+{
+  if constexpr (std::is_same_v<Rows, Index>) {
+    for (Index i = rows - 1; i >= 0; --i) {
+      function(i);
+    }
+  } else {
+    for_each_row(rows, [&](auto i) {
+        function(std::integral_constant<Index, Rows::value - 1 - decltype(i)::value>());
+      });
+  }
+}
+
+/// Factor a square matrix in place, its pivots in their places, replaced by their inverses.
+inline void factorize_in_place(Table matrix)
+{
+  with_rows(matrix.rows, [a = matrix.data](auto n) {
+      for_each_row(n, [&](auto k) {
+        const double inverse = 1.0 / a[k * n + k];
+        a[k * n + k] = inverse;
+        for_each_row_after(k, n, [&](auto i) {
+          const double scale = a[i * n + k] *= inverse;
+          for_each_row_after(k, n, [&](auto j) {a[i * n + j] -= scale * a[k * n + j];});
+        });
+      });
+    });
 }
 
 /// Solve with these factors in place.
 inline void solve_in_place(Table factor, Values right)
 {
-  const Index n = factor.rows;
-  for (Index i = 1; i < n; ++i) {
-    for (Index k = 0; k < i; ++k) {
-      right[i] -= factor(i, k) * right[k];
-    }
-  }
-  for (Index i = n - 1; i >= 0; --i) {
-    for (Index k = i + 1; k < n; ++k) {
-      right[i] -= factor(i, k) * right[k];
-    }
-    right[i] *= factor(i, i);
-  }
+  with_rows(factor.rows, [a = factor.data, x = right.data](auto n) {
+      for_each_row(n, [&](auto k) {
+        const double value = x[k];
+        for_each_row_after(k, n, [&](auto i) {x[i] -= a[i * n + k] * value;});
+      });
+      for_each_row_back(n, [&](auto k) {
+        const double value = x[k] *= a[k * n + k];
+        for_each_row_before(k, n, [&](auto i) {x[i] -= a[i * n + k] * value;});
+      });
+    });
 }
 
 /// The same with the transpose of the matrix.
 inline void solve_transposed(Table factor, Values right)
 {
-  const Index n = factor.rows;
-  for (Index i = 0; i < n; ++i) {
-    right[i] *= factor(i, i);
-    for (Index k = i + 1; k < n; ++k) {
-      right[k] -= factor(i, k) * right[i];
-    }
-  }
-  for (Index i = n - 1; i > 0; --i) {
-    for (Index k = 0; k < i; ++k) {
-      right[k] -= factor(i, k) * right[i];
-    }
-  }
+  with_rows(factor.rows, [a = factor.data, x = right.data](auto n) {
+      for_each_row(n, [&](auto i) {
+        const double value = x[i] *= a[i * n + i];
+        for_each_row_after(i, n, [&](auto k) {x[k] -= a[i * n + k] * value;});
+      });
+      for_each_row_back(n, [&](auto i) {
+        const double value = x[i];
+        for_each_row_before(i, n, [&](auto k) {x[k] -= a[i * n + k] * value;});
+      });
+    });
 }
 
-/// Lower triangle of the products of rows, of so many columns, with one another.
-template<class Entry>
-inline void fill_products(Table out, Entry && entry, Index columns)
+/// Sum of products, in four parts that do not wait for one another.
+inline double dot(Values a, Values b)
 {
-  for (Index k = 0; k < out.rows; ++k) {
-    for (Index m = 0; m <= k; ++m) {
-      out(k, m) = 0.0;
-      for (Index j = 0; j < columns; ++j) {
-        out(k, m) += entry(k, j) * entry(m, j);
-      }
+  double sum[4] = {0.0, 0.0, 0.0, 0.0};
+  Index n = 0;
+  for (; n + 4 <= a.size; n += 4) {
+    for (Index k = 0; k < 4; ++k) {
+      sum[k] += a[n + k] * b[n + k];
     }
   }
+  for (; n < a.size; ++n) {
+    sum[0] += a[n] * b[n];
+  }
+  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
 /// Factor a symmetric positive definite matrix in place, lower triangle; false where it is not.
