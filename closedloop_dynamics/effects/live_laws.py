@@ -5,8 +5,9 @@
 Laws of effects on symbols as the engine runs them, within the evaluation of their scene.
 
 Those without jumps (``smooth_laws``), contacts (``contact_laws``), and here those of what follows
-the time, of dry friction, drives and cables. What is searched for (the piece of a course that is
-its turn, whether a contact is there) the engine has found before: it is a load.
+the time, of dry friction, drives and cables. Those ``ALONE`` are compiled by themselves, too
+(``law_code``). What is searched for (the piece of a course that is its turn, whether a contact is
+there) the engine has found before: it is a load.
 """
 
 import math
@@ -97,7 +98,8 @@ class LiveLaws:
         """Return value, rate and acceleration of prescribed motions by row and column."""
         table, found = self._table, {}
         for row in np.flatnonzero(table.kind == PRESCRIBED_MOTION).tolist():
-            value, rate, change = _course(trace, table, row)
+            value, rate, change = _course(
+                trace, row, int(table.index[row, STATE]), shape(table, row))
             offset = trace.at(calls.VALUES, row, 2)
             place = int(table.index[row, FIRST]), int(table.values[row, 3])
             found[place] = offset + value, rate, change
@@ -108,23 +110,18 @@ class LiveLaws:
         table = self._table
         for row, kind in enumerate(table.kind.tolist()):
             forces.row, forces.first = row, int(table.index[row, STATE])
-            values = forces.numbers(row)
-            if kind in smooth_laws.LAWS:
-                LAWS[kind](forces, *table.index[row, [FIRST, SECOND]].tolist(), values,
-                           self._constants(forces, row))
+            forces.begin, forces.count = table.index[row, [DATA, ENTRIES]].tolist()
+            forces.shape, values = shape(table, row), forces.numbers(row)
+            if kind in OF_A_ROW:
+                OF_A_ROW[kind](forces, table, row, values)
             else:
-                LAWS[kind](forces, table, row, values)
+                ALONE[kind](forces, *table.index[row, [FIRST, SECOND]].tolist(), values,
+                            self._constants(forces, row))
 
     def _constants(self, forces, row):
-        """Return what a smooth law takes of entries: symbols, but for those that count or name."""
+        """Return what a law takes of entries: symbols, but for those that count or name."""
         table, kind = self._table, self._table.kind[row]
-        begin, count = int(table.index[row, DATA]), len(entries_of(table, row))
-        if kind in smooth_laws.FORCE_TABLES:
-            length = force_table.COLUMNS * int(table.index[row, ENTRIES])
-            # No step asks for the energy.
-            return lambda stroke: (
-                *forces.call_engine(calls.LOOK_UP, begin, length, 0.0, stroke), 0.0)
-        found = [forces.trace.entry(begin + k) for k in range(count)]
+        found = numbers_of_entries(forces, kind, len(entries_of(table, row)))
         if kind != TENDON:
             return found
         joints = _arms(table, row)
@@ -132,15 +129,43 @@ class LiveLaws:
         return [float(len(joints)), *table.values[row, :2].tolist(), *found]
 
 
-def _course(trace, table, row):
-    """Return the value of a course at the time in the first state, its rate and its change."""
+def numbers_of_entries(forces, kind, count):
+    """
+    Return the numbers of an effect's entries, as its law takes them.
+
+    Parameters
+    ----------
+    forces : core.codegen.live_scene.LiveForces
+        Whose turn is the effect's.
+    kind : int
+        Of the effect.
+    count : int
+        Of these numbers.
+
+    Returns
+    -------
+    list of Symbol, or callable
+        Of a force table the function that looks up force and energy at a stroke.
+
+    """
+    if kind in smooth_laws.FORCE_TABLES:
+        return lambda stroke: forces.call_engine(
+            calls.LOOK_UP, force_table.COLUMNS, 0.0, stroke, results=1)
+    return [forces.entry(k) for k in range(count)]
+
+
+def _course(trace, row, first, terms):
+    """
+    Return the value of a course at the time in the first state, its rate and its change.
+
+    Where its terms are not known, only the value is that of an expression, too.
+    """
     present = [trace.at(calls.PRESENT, row, n) for n in range(PRESENT_COLUMNS)]
-    terms = shape(table, row)
     if terms == ('expression',):
         return present[3:6]
-    high, turns = terms
+    high, turns = terms or (True, True)
     c = present[3:]
-    u = trace.state(int(table.index[row, STATE])) - present[1] - present[2]
+    u = trace.state(first) - present[1] - present[2]
     last = c[3] + u * (c[4] + u * c[5]) if high else c[3]
     value = c[0] + u * (c[1] + u * (c[2] + u * last))
     rate = c[1] + u * (2.0 * c[2] + 3.0 * u * c[3])
@@ -154,26 +179,35 @@ def _course(trace, table, row):
         value = value + size * sine(angle)
         rate = rate + size * turning * cosine(angle)
         change = change - size * turning * turning * sine(angle)
+    if terms is None:
+        value = chosen(trace.at(calls.VALUES, row, 1) > 0.5, c[0], value)
     return value, rate, change
 
 
-def _prescribed_torque(forces, table, row, _):
-    joint = int(table.index[row, FIRST])
-    torque = _course(forces.trace, table, row)[0]
+def _present(forces):
+    """Return the value of the course of the effect whose turn it is, its rate and its change."""
+    return _course(forces.trace, forces.row, forces.first, forces.shape)
+
+
+def _prescribed_torque(forces, joint, _, __, ___):
+    torque = _present(forces)[0]
     forces.twist(joint, torque)
-    forces.flow(1.0, 0.0, torque * forces.rate(joint))
+    power = torque * forces.rate(joint)
+    forces.flow(1.0, 0.0, power)
+    forces.read(torque, power)
 
 
 def _prescribed_force(size):
-    def law(forces, table, row, values):
-        force = _course(forces.trace, table, row)[0]
-        forces.flow(1.0, 0.0, push_along(
-            forces, size, int(table.index[row, FIRST]), values, force))
+    def law(forces, body, _, values, __):
+        force = _present(forces)[0]
+        power = push_along(forces, size, body, values, force)
+        forces.flow(1.0, 0.0, power)
+        forces.read(force, power)
     return law
 
 
 def _prescribed_motion(forces, table, row, _):
-    rate = _course(forces.trace, table, row)[1]
+    rate = _present(forces)[1]
     forces.flow(1.0, 0.0)
     forces.driven.append((forces.first + 2, int(table.index[row, SECOND]), rate))
 
@@ -212,25 +246,26 @@ def _joint_friction(forces, table, row, values):
     forces.flow(0.0, 0.0, -(torque * rate))
 
 
-def _actuator(forces, table, row, values):
-    joint, limit = int(table.index[row, FIRST]), values[0]
-    rate, given = forces.rate(joint), forces.command(joint)
+def _actuator(forces, joint, _, values, __):
+    limit, rate, given = values[0], forces.rate(joint), forces.command(joint)
 
     def limited(torque):
         return larger(-limit, smaller(limit, torque))
 
     torque = command = limited(given)
-    if table.values[row, 2] > 0.0:
+    lags, = forces.shape or (values[2] > 0.0,)
+    if lags is not False:
         torque = forces.state(0)
-        forces.flow((command - torque) / values[2])
+        forces.flow(chosen(lags, (command - torque) / values[2], 0.0))
         # A limit may have been lowered since.
-        torque = limited(torque)
+        torque = chosen(lags, limited(torque), command)
     speed = abs(rate)
     fading = torque * larger(0.0, 1.0 - speed / values[1]) / FADING
     torque = chosen(torque * rate > 0.0, chosen(
         speed > (1.0 - FADING) * values[1], fading, torque), torque)
     forces.twist(joint, torque - given)
     forces.flow(torque * rate, first=1)
+    forces.read(torque)
 
 
 def _cable(forces, table, row, values):
@@ -269,7 +304,9 @@ def _cable(forces, table, row, values):
         forces.push(bodies[k + 1], offsets[k + 1], scale(pull, -1.0))
 
 
-LAWS = {**smooth_laws.LAWS, **contact_laws.LAWS, ACTUATOR: _actuator, CABLE: _cable,
-        JOINT_FRICTION: _joint_friction, PRESCRIBED_FORCE: _prescribed_force(2),
-        PRESCRIBED_MOTION: _prescribed_motion, PRESCRIBED_TORQUE: _prescribed_torque,
-        SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
+# Laws that read nothing of their row but symbols, and those whose structure is the row's.
+ALONE = {**smooth_laws.LAWS, **contact_laws.LAWS, ACTUATOR: _actuator,
+         PRESCRIBED_FORCE: _prescribed_force(2), PRESCRIBED_TORQUE: _prescribed_torque,
+         SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
+OF_A_ROW = {CABLE: _cable, JOINT_FRICTION: _joint_friction, PRESCRIBED_MOTION: _prescribed_motion}
+LAWS = {**ALONE, **OF_A_ROW}

@@ -5,8 +5,8 @@
 The effects that a scene may list, by their ``type``.
 
 A new effect is one file beside this one, holding a frozen dataclass of its
-parameters that checks itself when built, and one line here; its compiled law, if it
-has one, is one branch of ``engine/dispatch.cpp``.
+parameters that checks itself when built, and one line here; its law, if it has one, is a function
+of ``smooth_laws``, ``contact_laws`` or ``live_laws``.
 """
 
 from .actuator import Actuator

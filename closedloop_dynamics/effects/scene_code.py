@@ -5,7 +5,7 @@
 Which code evaluates a scene: one routine of mechanism and effects, or the engine in parts.
 
 A scene with an effect that has no law on symbols (``live_laws``) is evaluated in parts, its
-effects by the engine's own laws, and so is any while one of them is switched off, several joints
+effects one by one (``law_code``), and so is any while one of them is switched off, several joints
 under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
 """

@@ -4,16 +4,16 @@
 """
 Laws of effects on symbols, of those that are functions of coordinates and rates without jumps.
 
-The same laws as those of the engine (``joint_laws.cpp``, ``point_laws.cpp``, ...), for all code
-that is generated for a whole scene: the evaluation that the engine runs, derivatives and C. Where
-such a law has a corner, as where an end stop is reached, its derivative is that of the branch that
-the engine takes there.
+For all code that is generated for a whole scene (the evaluation that the engine runs, derivatives
+and C), and for each law by itself (``law_code``). Where such a law has a corner, as where an end
+stop is reached, its derivative is that of the branch that the engine takes there.
 
 A law takes the forces (``core.codegen.scene_routines.Forces``), the first and the second index of
 its row of the table of effects, the row's numbers, and the numbers of its entries; of a force
 table in the place of these a function that returns force and energy at a stroke.
 """
 
+from . import bushing, fluid_drag
 from .table import (
     BUSHING, END_STOP, EXTERNAL_FORCE, FLUID_DRAG, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING,
     ORIENTATION_SPRING, POINT_FORCE_TABLE, POINT_SPRING, SPATIAL_BUSHING, SPATIAL_FLUID_DRAG,
@@ -46,12 +46,15 @@ def _joint_damping(forces, joint, _, values, __):
     torque = -(values[0] * forces.rate(joint))
     forces.twist(joint, torque)
     forces.flow(-(torque * forces.rate(joint)))
+    forces.read(torque)
 
 
 def _joint_spring(forces, joint, _, values, __):
     stretch = forces.coordinate(joint) - values[1]
-    forces.twist(joint, -(values[0] * stretch))
+    torque = -(values[0] * stretch)
+    forces.twist(joint, torque)
     forces.store(0.5 * (values[0] * (stretch * stretch)))
+    forces.read(torque)
 
 
 def _orientation_spring(forces, parent, child, values, constants):
@@ -63,7 +66,9 @@ def _orientation_spring(forces, parent, child, values, constants):
         moment = subtract(moment, scale(axis, values[0] * component))
     forces.push(child, ZERO, ZERO, moment)
     forces.push(parent, ZERO, ZERO, scale(moment, -1.0))
-    forces.store(0.5 * (values[0] * dot(turn, turn)))
+    square = dot(turn, turn)
+    forces.store(0.5 * (values[0] * square))
+    forces.read(values[0] * square_root(square))
 
 
 def _turn(matrix):
@@ -92,12 +97,13 @@ def _turn(matrix):
 
 
 def _joint_force_table(forces, joint, _, values, table):
-    rate = forces.rate(joint)
-    force, energy = table(forces.coordinate(joint))
+    stroke, rate = forces.coordinate(joint), forces.rate(joint)
+    force, energy = table(stroke)
     loss = values[0] * rate
     forces.twist(joint, force - loss)
     forces.store(-energy)
     forces.flow(loss * rate)
+    forces.read(force - loss, stroke)
 
 
 def _point_force_table(size):
@@ -106,9 +112,11 @@ def _point_force_table(size):
         offsets, direction, length, rate = line_between(
             forces, bodies, (values[1:1 + size], values[1 + size:1 + 2 * size]))
         force, energy = table(length)
-        push_apart(forces, bodies, offsets, direction, -(force + values[0] * rate))
+        tension = force + values[0] * rate
+        push_apart(forces, bodies, offsets, direction, -tension)
         forces.store(energy)
         forces.flow(values[0] * rate * rate)
+        forces.read(chosen(length > 0.0, tension, 0.0), length)
     return law
 
 
@@ -119,9 +127,11 @@ def _point_spring(size):
         offsets, direction, length, rate = line_between(
             forces, bodies, (values[3:3 + size], values[3 + size:3 + 2 * size]))
         stretch = length - free
-        push_apart(forces, bodies, offsets, direction, -(stiffness * stretch + damping * rate))
+        tension = stiffness * stretch + damping * rate
+        push_apart(forces, bodies, offsets, direction, -tension)
         forces.store(0.5 * (stiffness * (stretch * stretch)))
         forces.flow(damping * rate * rate)
+        forces.read(chosen(length > 0.0, tension, 0.0), length)
     return law
 
 
@@ -158,7 +168,9 @@ def _constant(forces, body, point, force, moment, turns):
     force, moment = (_turned(forces, body, vector, turns) for vector in (force, moment))
     moment = add(moment, ZERO)
     forces.push(body, offset, force, moment)
-    forces.flow(dot(force, forces.place(body, offset)[1]) + dot(moment, forces.spin(body)))
+    power = dot(force, forces.place(body, offset)[1]) + dot(moment, forces.spin(body))
+    forces.flow(power)
+    forces.read(power)
 
 
 def _end_stop(forces, joint, _, values, __):
@@ -167,11 +179,13 @@ def _end_stop(forces, joint, _, values, __):
     low = below > above
     sign, depth = chosen(low, -1.0, 1.0), chosen(low, below, above)
     rate = sign * forces.rate(joint)
-    elastic = stiffness * chosen(forces.touches(-depth, -rate), depth, 0.0)
+    depth = chosen(forces.touches(-depth, -rate), depth, 0.0)
+    elastic = stiffness * depth
     push = elastic * larger(1.0 + damping * rate, 0.0)
     forces.twist(joint, -(sign * push))
     forces.store(0.5 * elastic * depth)
     forces.flow((push - elastic) * rate)
+    forces.read(-(sign * push), depth)
 
 
 def _tendon(forces, _, __, values, constants):
@@ -198,19 +212,26 @@ def _tendon(forces, _, __, values, constants):
 
 def _fluid_drag(forces, body, _, values, __):
     axis = tuple(values[2:4])
-    _drag(forces, body, values[:2], in_space(values[10:12]), (
+    force, moment = _drag(forces, body, values[:2], in_space(values[10:12]), (
         (axis, values[4], values[6], 0.0, 0.0),
         ((-axis[1], axis[0]), values[5], values[7], 0.0, 0.0),
         ((0.0, 0.0, 1.0), 0.0, 0.0, *values[8:10])))
+    forces.read(square_root(dot(force, force)), moment[2])
 
 
 def _spatial_fluid_drag(forces, body, _, values, constants):
-    _drag(forces, body, values[:3], tuple(values[3:6]), [
-        (constants[n:n + 3], *constants[n + 3:n + 7]) for n in (0, 7, 14)])
+    forces.read(*(square_root(dot(one, one)) for one in _drag(
+        forces, body, values[:3], tuple(values[3:6]), [
+            (constants[n:n + 3], *constants[n + 3:n + fluid_drag.COLUMNS])
+            for n in range(0, 3 * fluid_drag.COLUMNS, fluid_drag.COLUMNS)])))
 
 
 def _drag(forces, body, point, flow, entries):
-    """Apply a fluid's drag along axes of a body and about them, with two coefficients of each."""
+    """
+    Apply a fluid's drag along axes of a body and about them, with two coefficients of each.
+
+    Returns force and moment.
+    """
     offset = forces.turned(body, point)
     velocity, spin = subtract(forces.place(body, offset)[1], flow), forces.spin(body)
     force, moment = ZERO, ZERO
@@ -222,41 +243,44 @@ def _drag(forces, body, point, flow, entries):
         force, moment = add(force, scale(axis, along)), add(moment, scale(axis, about))
     forces.push(body, offset, force, moment)
     forces.flow(-dot(force, velocity) - dot(moment, spin), dot(force, flow))
+    return force, moment
 
 
 def _bushing(forces, first, second, values, constants):
-    axis, (stiffness_1, stiffness_2, damping_1, damping_2) = tuple(values[3:5]), constants[4:]
+    axis, (stiffness_1, stiffness_2, damping_1, damping_2) = tuple(values[3:5]), constants[4:8]
     turn = forces.angle(second) - forces.angle(first) - values[2]
     spin = subtract(forces.spin(second), forces.spin(first))[2]
     moment = 0.0, 0.0, -(values[0] * turn + values[1] * spin)
     forces.store(0.5 * (values[0] * (turn * turn)))
-    lost = _hold(forces, (first, second), (constants[:2], constants[2:4]), (
+    lost, along = _hold(forces, (first, second), (constants[:2], constants[2:4]), (
         (forces.turned(first, axis), stiffness_1, damping_1),
         (forces.turned(first, (-axis[1], axis[0])), stiffness_2, damping_2)), moment)
     forces.flow(lost + values[1] * spin * spin)
+    forces.read(*along, moment[2])
 
 
 def _spatial_bushing(forces, first, second, values, constants):
-    turning, along, moment = subtract(forces.spin(second), forces.spin(first)), [], ZERO
+    turning, axes, moment = subtract(forces.spin(second), forces.spin(first)), [], ZERO
     lost = 0.0
     for k, (share, loss) in enumerate(zip(values[:3], values[3:6])):
         axis, other = (forces.turned(body, constants[n + 3 * k:n + 3 * k + 3])
-                       for body, n in ((first, 6), (second, 15)))
-        along.append((axis, constants[24 + k], constants[27 + k]))
+                       for body, n in ((first, bushing.AXES_A), (second, bushing.AXES_B)))
+        axes.append((axis, constants[bushing.ALONG + k], constants[bushing.LOSS + k]))
         spin = dot(axis, turning)
         moment = add(moment, subtract(scale(cross(other, axis), share),
                                       scale(axis, loss * spin)))
         lost = lost + loss * spin * spin
         forces.store(share * (1.0 - dot(axis, other)))
-    forces.flow(lost + _hold(
-        forces, (first, second), (constants[:3], constants[3:6]), along, moment))
+    more, along = _hold(forces, (first, second), (constants[:3], constants[3:6]), axes, moment)
+    forces.flow(lost + more)
+    forces.read(*along, square_root(dot(moment, moment)))
 
 
 def _hold(forces, bodies, places, axes, moment):
     """
     Join points of two bodies by springs and dampers along axes of the first; and a moment.
 
-    Returns the power dissipated by the dampers [W].
+    Returns the power dissipated by the dampers [W], and the force along each axis [N].
     """
     start, end = (forces.turned(body, place) for body, place in zip(bodies, places))
     (place_a, _), (place_b, rate_b) = (
@@ -265,15 +289,16 @@ def _hold(forces, bodies, places, axes, moment):
     # Relative to the first body's point that coincides with the second point, so as to include
     # the rotation of the axes.
     lever = add(start, apart)
-    rate, lost = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0
+    rate, lost, along = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0, []
     for axis, stiffness, damping in axes:
-        along, speed = dot(axis, apart), dot(axis, rate)
-        force = subtract(force, scale(axis, stiffness * along + damping * speed))
+        stretch, speed = dot(axis, apart), dot(axis, rate)
+        along.append(-(stiffness * stretch + damping * speed))
+        force = add(force, scale(axis, along[-1]))
         lost = lost + damping * speed * speed
-        forces.store(0.5 * stiffness * (along * along))
+        forces.store(0.5 * stiffness * (stretch * stretch))
     forces.push(bodies[1], end, force, moment)
     forces.push(bodies[0], lever, scale(force, -1.0), scale(moment, -1.0))
-    return lost
+    return lost, along
 
 
 LAWS = {BUSHING: _bushing, END_STOP: _end_stop, EXTERNAL_FORCE: _external_force,

@@ -4,7 +4,8 @@
 """
 The table of effects for the engine: flat arrays, one row for each listed effect.
 
-The kind of a row chooses its law in ``engine/dispatch.cpp``; which rows there are is data.
+The kind of a row chooses its law (``law_code``, ``engine/dispatch.cpp``); which rows there are is
+data.
 """
 
 from typing import NamedTuple, Tuple
@@ -25,9 +26,10 @@ from ..core.codegen.function_table import PRESENT_COLUMNS
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; of a traced law how many coordinates it measures and the address of its
 # routine; whether the law wants the reaction in its joint, as its second state;
-# where its numbers begin among those of all effects, and how many entries they are.
-STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
-INDEX_COLUMNS = 6
+# where its numbers begin among those of all effects, and how many entries they are; the address of
+# the routine of its law (``law_code``), zero where the engine has the law.
+STATE, FIRST, SECOND, LOADED, DATA, ENTRIES, LAW = range(7)
+INDEX_COLUMNS = 7
 # Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
 # tells.
 UNDECIDED, FREE, TOUCHING = range(3)

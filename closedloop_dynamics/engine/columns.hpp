@@ -112,6 +112,12 @@ enum Array : Index
 };
 }
 
+/// Of the table of a law's row what that of a mechanism does not have.
+namespace law_routine
+{
+enum : Index {OTHER_BODY = 42, STATES, OUTPUT, COUNT, LAW_COLUMNS};
+}
+
 /// Responses to unit cut forces that `update` computes.
 enum class Responses {NONE, REDUCED, LEVERS, CARRIED};
 

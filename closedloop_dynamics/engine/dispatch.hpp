@@ -4,12 +4,16 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__DISPATCH_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__DISPATCH_HPP_
 
-#include "effect_table.hpp"
+#include "laws.hpp"
 
 // From a row of the table to its law.
 
 namespace closedloop
 {
+
+/// The engine's own law of a kind of effect; null where it is generated code, which a row has the
+/// address of.
+Law * law_of(Index kind);
 
 /// Apply all effects that are switched on to bodies after `outward`: forces at points reduce their
 /// bias forces. EffectTable.states is read; `applied` (commands and joint torques), `rates`,

@@ -15,7 +15,7 @@ namespace closedloop
 /// Columns of EffectTable.index.
 namespace effect
 {
-enum : Index {STATE, FIRST, SECOND, LOADED, DATA, ENTRIES};
+enum : Index {STATE, FIRST, SECOND, LOADED, DATA, ENTRIES, LAW};
 /// Column of EffectTable.values where a law is LOADED, and of EffectTable.output.
 enum Column : Index {STORED = 0, LOAD_TIME = 11};
 /// Values of EffectTable.kind.

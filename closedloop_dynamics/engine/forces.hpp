@@ -49,8 +49,7 @@ inline Vector3 operator/(Vector3 a, double divisor)
   return {a.x / divisor, a.y / divisor, a.z / divisor};
 }
 
-/// Scalar products; of turning in the plane, which is a number, too.
-inline double dot(double a, double b) {return a * b;}
+/// Scalar products.
 inline double dot(Vector2 a, Vector2 b) {return a.x * b.x + a.y * b.y;}
 inline double dot(Vector3 a, Vector3 b) {return a.x * b.x + a.y * b.y + a.z * b.z;}
 
@@ -66,14 +65,6 @@ inline Vector2 vector2(const double * at) {return {at[0], at[1]};}
 inline Vector3 vector3(const double * at) {return {at[0], at[1], at[2]};}
 inline Vector2 vector_at(const double * at, Vector2) {return vector2(at);}
 inline Vector3 vector_at(const double * at, Vector3) {return vector3(at);}
-/// Rotational part of a motion or wrench: a number in the plane.
-inline double turning_at(const double * at, Vector2) {return at[0];}
-inline Vector3 turning_at(const double * at, Vector3) {return vector3(at);}
-/// Dimensions of a vector and of a rotation.
-constexpr Index size_of(Vector2) {return 2;}
-constexpr Index size_of(Vector3) {return 3;}
-constexpr Index turning_size(Vector2) {return 1;}
-constexpr Index turning_size(Vector3) {return 3;}
 
 /// Place of a body's origin [m].
 inline Vector2 origin_in_plane(Table body, Index row)
@@ -92,11 +83,8 @@ inline Vector3 spin_in_space(Table body, Index row)
 {
   return vector3(body.row(row) + space::SPIN);
 }
-inline double spin(Table body, Index row, Vector2) {return body(row, plane::OMEGA);}
-inline Vector3 spin(Table body, Index row, Vector3) {return spin_in_space(body, row);}
 
-/// Rotate a vector from a body's axes to those of the world; turning in the plane stays the same.
-inline double to_world(Table, Index, double a) {return a;}
+/// Rotate a vector from a body's axes to those of the world.
 inline Vector2 to_world(Table body, Index row, Vector2 a)
 {
   const double cosine = body(row, plane::COS), sine = body(row, plane::SIN);
@@ -210,17 +198,6 @@ bool update_contact(const Contacts &, Index row, double gap, double rate);
 /// Store the path of a roller beside a body of finite extent that it may pass: the place of its
 /// center, in axes in which the body rests, and its speed relative to the body [m, m/s].
 void store_path(const Contacts &, Index row, Vector3 place, double speed);
-
-/// Elastic force of a contact, k d^n [N]. Beyond its end, until the step is cut there, a contact
-/// pulls: so the motion is smooth, and the end is located to rounding.
-double elastic_force(double stiffness, double exponent, double gap);
-
-/// Forces of a contact [N]: that which pushes apart, and along the sliding.
-struct ContactForces
-{
-  double normal;
-  double along;
-};
 
 }  // namespace closedloop
 

@@ -17,64 +17,27 @@ namespace closedloop
 
 using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd, Values tau);
 
+/// Generated code, from the laws on symbols (generated_law.cpp).
+Law apply_generated;
+
 // In joints (joint_laws.cpp).
-Law apply_joint_damping;
-Law apply_joint_spring;
-/// Spring of a joint with an orientation, about the axis that it is turned by.
-Law apply_orientation_spring;
 /// Spring and damper along a weighted sum of coordinates.
 Law apply_tendon;
-Law apply_end_stop;
 /// Friction of a joint or tendon that slides; one at rest is listed in EffectTable.sticking.
 Law apply_joint_friction;
-/// A drive with limits and lag, in the place of the command.
-Law apply_actuator;
 /// List inertia reflected at a cut joint or along a tendon in EffectTable.sticking: its force
 /// follows from accelerations.
 Law apply_reflected_inertia;
-
-// At points (point_laws.cpp).
-Law apply_point_spring;
-Law apply_spatial_point_spring;
-Law apply_external_force;
-Law apply_spatial_external_force;
-
-// Springs whose force over the stroke is a table (force_table_laws.cpp).
-Law apply_joint_force_table;
-Law apply_point_force_table;
-Law apply_spatial_force_table;
-
-// Drag of fluids (drag_laws.cpp).
-Law apply_fluid_drag;
-Law apply_spatial_fluid_drag;
 
 // Laws that were traced on symbols, as generated code (traced_laws.cpp).
 Law apply_traced;
 Law apply_spatial_traced;
 
-// Bushings (bushing_laws.cpp).
-Law apply_bushing;
-Law apply_spatial_bushing;
-
-// Contacts of a point with the world (contact_laws.cpp).
-Law apply_contact;
-Law apply_spatial_contact;
-
-// Contacts of a roller with another body (body_contact_laws.cpp).
-Law apply_line_contact;
-Law apply_circle_contact;
-Law apply_curve_contact;
-Law apply_face_contact;
-Law apply_spatial_body_contact;
-
 // Cables over guides and pulleys (cable_laws.cpp).
 Law apply_cable;
 Law apply_spatial_cable;
 
-// Given over time (prescribed_laws.cpp).
-Law apply_prescribed_torque;
-Law apply_prescribed_force;
-Law apply_spatial_prescribed_force;
+// Given over time (prescribed_motion.cpp).
 Law apply_prescribed_motion;
 
 /// Set the right-hand sides of all prescribed motions to the time in their states.

@@ -4,7 +4,6 @@
 #include "library.hpp"
 
 #include "curve.hpp"
-#include "force_table.hpp"
 
 namespace closedloop
 {
@@ -23,11 +22,27 @@ Values as_values(const double * entries, double length)
   return {const_cast<double *>(entries), static_cast<Index>(length)};
 }
 
-/// Force at a stroke, x.
+// Numbers of an entry of a force table: stroke at which a piece begins, coefficients, energy there.
+constexpr Index COLUMNS = 6;
+
+/// Force [N; N m] at a stroke, x [m; rad], and energy there [J].
 double look_up(
-  const double * entries, double *, double length, double, double x, double, double *)
+  const double * entries, double *, double length, double, double x, double, double * results)
 {
-  return look_up_force(as_values(entries, length), x).force;
+  // The piece before the table begins where its first one does.
+  Index low = 0, high = x < entries[0] ? 0 : static_cast<Index>(length) / COLUMNS - 1;
+  while (high - low > 0) {
+    const Index middle = (low + high + 1) / 2;
+    if (entries[COLUMNS * middle] <= x) {
+      low = middle;
+    } else {
+      high = middle - 1;
+    }
+  }
+  const double * c = entries + COLUMNS * low;
+  const double u = x - c[0];
+  results[0] = c[5] + u * (c[1] + u * (c[2] / 2.0 + u * (c[3] / 3.0 + u * c[4] / 4.0)));
+  return c[1] + u * (c[2] + u * (c[3] + u * c[4]));
 }
 
 /// Distance of a point (x, y) from a curve, closed where the flag is one, and the normal.

@@ -46,20 +46,10 @@ void store_sides(const EffectTable & table)
   }
 }
 
-Index prepare_code(const EffectTable & table)
+void take_pieces(const EffectTable & table)
 {
-  if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
-    return -1;
-  }
-  Index resting = 0;
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.enabled[row] != 1) {
-      return -1;
-    }
     switch (table.kind[row]) {
-      case effect::JOINT_FRICTION:
-        resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
-        break;
       case effect::PRESCRIBED_TORQUE:
       case effect::PRESCRIBED_FORCE:
       case effect::SPATIAL_PRESCRIBED_FORCE:
@@ -70,9 +60,26 @@ Index prepare_code(const EffectTable & table)
         break;
     }
   }
+}
+
+Index prepare_code(const EffectTable & table)
+{
+  if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
+    return -1;
+  }
+  Index resting = 0;
+  for (Index row = 0; row < table.count(); ++row) {
+    if (table.enabled[row] != 1) {
+      return -1;
+    }
+    if (table.kind[row] == effect::JOINT_FRICTION) {
+      resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
+    }
+  }
   if (resting > 1) {
     return -1;
   }
+  take_pieces(table);
   store_sides(table);
   table.sticking.rows[0] = 0;
   return resting == 1 ? routine::AT_REST : routine::EVALUATION;

@@ -19,6 +19,9 @@ Index prepare_code(const EffectTable &);
 /// Hand the modes of contacts over to generated code.
 void store_sides(const EffectTable &);
 
+/// Bring the present pieces of all courses up to the time.
+void take_pieces(const EffectTable &);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__SCENE_CODE_HPP_

@@ -16,7 +16,7 @@ from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
 from ..core.types import KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT, Workspace
-from ..effects import scene_code
+from ..effects import law_code, scene_code
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
 
@@ -231,6 +231,7 @@ def _linked(system, routines, scene=None):
     if effects is not None:
         # In a copy, too, routines read the arrays that laws write.
         system = system._replace(applied=effects.applied[:len(system.qdd)])
+        law_code.link(effects)
     whole = all_equations(model, work, system.whole)
     table = calls.connect(
         {calls.BODY: model.body, calls.GRAVITY: model.gravity,

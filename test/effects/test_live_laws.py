@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The evaluation of a scene as one routine, beside the one in parts with the engine's own laws."""
+"""Laws of effects: in the routine of a scene as one by one, and by the energies that they tell."""
 
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.registry import EFFECTS
-from closedloop_dynamics.effects.table import FASTEST, GAP, PLACE, RATE, SPEED, WRONG
+from closedloop_dynamics.effects.table import (
+    DISSIPATED, FASTEST, GAP, PLACE, RATE, SPEED, STORED, WORK, WRONG)
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.mechanism import Point
@@ -41,6 +42,11 @@ IN_PLANE = {
         ('prescribed_force', {'joint': 'CUT', 'shape': 'expression', 'expression': 'sin(3 * t)'}),
         ('prescribed_force', {'point': 'ONE', 'direction': (0.6, 0.8), 'axes': 'body',
                               'shape': 'table', 'times': TIMES, 'values': VALUES})],
+    'force tables': [
+        ('force_table', {'joint': CRANK, 'strokes': (-1.0, 0.0, 1.0), 'forces': (3.0, 0.0, -4.0),
+                         'damping': 0.3}),
+        ('force_table', {'point_a': 'ONE', 'anchor': (0.3, 0.4), 'strokes': (0.0, 0.2, 0.7),
+                         'forces': (0.0, 2.0, 9.0), 'damping': 0.2, 'interpolation': 'cubic'})],
     'motion': [
         ('prescribed_motion', {'joint': CRANK, 'shape': 'sine', 'amplitude': 0.2,
                                'frequency': 1.0, 'offset': 0.3})],
@@ -147,7 +153,7 @@ def found(system, state):
 
 
 def in_parts(system, state):
-    """Return the same where the engine's own laws act between two routines."""
+    """Return the same where laws act one by one between two routines."""
     fits = system.effects.code.fits
     fits[0] = 0
     expected = found(system, state)
@@ -177,6 +183,53 @@ def test_one_routine_does_what_the_parts_do(name):
         for one, other in zip(ours, theirs):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
                 1.0 + np.abs(other).max(initial=0.0)))
+    # Contacts were there and not.
+    assert not kinds or len(kinds) == 2
+
+
+def generalised_forces(system, q, qd):
+    """Return what is exerted along the coordinates of the tree at rest [N m; N]."""
+    need, effects, work = np.zeros(len(qd)), system.effects, system.work
+    native.outward(system.model, q, qd, work)
+    native.apply_effects(effects, work.body, q, qd, np.zeros(len(system.tau)))
+    native.bias_forces(work, effects.reaction)
+    native.tree_torque(system.model, work, np.zeros(len(qd)), need)
+    return effects.applied[:len(qd)] - need
+
+
+@pytest.mark.parametrize('name', [*IN_PLANE, *IN_SPACE])
+def test_forces_do_the_power_that_energies_tell(name):
+    """Whatever the mechanism's loops: along any motion of the tree."""
+    simulation = simulated(name)
+    system, roles, random = simulation.system, simulation.effect_set.roles, (
+        np.random.default_rng(5))
+    effects, step, kinds = system.effects, 1e-6, set()
+    for _ in range(12):
+        state = simulation.integrated.copy()
+        places, rates, own, _ = parts_of_state(system)
+        q, qd = state[places], state[rates]
+        # In space the first joints are revolute ones, and quaternions behind.
+        count = len(q) if system.manifold is None else 2
+        q[:count] += random.normal(scale=0.2, size=count)
+        qd[:count] += random.normal(scale=2.0, size=count)
+        qd[count:] = 0.0
+        simulation.effect_set.initialise_states(
+            effects.states, simulation.effect_set.rates(q, qd))
+        stored = []
+        for sign in (-1.0, 1.0):
+            there = q.copy()
+            there[:count] += sign * step * qd[:count]
+            generalised_forces(system, there, qd)
+            stored.append(effects.output[:, STORED].sum())
+        forces = generalised_forces(system, q, qd)
+        kinds.update((effects.contacts.now[effects.contacts.rows, GAP] < 0.0).tolist())
+        flow = effects.rates[roles == WORK].sum() - effects.rates[roles == DISSIPATED].sum()
+        scale = np.abs(effects.rates).max() + np.abs(np.diff(stored))[0] / step
+        effects.enabled[:] = 0
+        power = qd @ (forces - generalised_forces(system, q, qd))
+        effects.enabled[:] = 1
+        assert power == pytest.approx(
+            flow - np.diff(stored)[0] / (2.0 * step), abs=1e-7 * (1.0 + scale))
     # Contacts were there and not.
     assert not kinds or len(kinds) == 2
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from closedloop_dynamics.core.codegen.space import WORK_COLUMNS
+from closedloop_dynamics.effects import law_code
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.cable import Cable
@@ -48,6 +49,7 @@ def accelerations(mechanism, q, qd, tau, effects):
     chosen = EffectSet(effects, built.model, Machine(mechanism, built.placements))
     numbers = Numbers(built.model)
     table = build_table(chosen.elements, tau, numbers.nv, numbers.nc)
+    law_code.link(table)
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
     numbers.write(body)

@@ -11,8 +11,8 @@ from closedloop_dynamics.core import formulations, independent, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
-    actuator, body_contact, bushing, cable, course, curve, energy_balance, expression, fluid_drag,
-    force_table, stick_slip, table, traced_effect)
+    cable, course, curve, energy_balance, expression, force_table, stick_slip, table,
+    traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, guarded_run, left_out, recorded_run, registry, stepped_run,
     steppers, system, tableau)
@@ -51,6 +51,7 @@ ENUMS = {
     'cut_coordinate': (table, {}),
     'present': (table, {}),
     'library.Function': (function_table, {}),
+    'law_routine': (function_table, {}),
     'cut_coordinate.Value': (table, {}),
     'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
     'switching': (control, {'COLUMNS': 'SWITCHING_COLUMNS'}),
@@ -95,11 +96,7 @@ CONSTANTS = {
     'course.hpp': (course, ('SAME_TIME', 'COLUMNS')),
     'curve.hpp': (curve, ('COLUMNS',)),
     'cable_laws.cpp': (cable, ('COLUMNS', 'SPATIAL_COLUMNS', 'CARRIER', 'AXIS')),
-    'force_table_laws.cpp': (force_table, ('COLUMNS',)),
-    'body_contact_laws.cpp': (body_contact, ('PLACE_B', 'DIRECTION', 'FLAT', 'ROUND')),
-    'bushing_laws.cpp': (bushing, ('AXES_A', 'AXES_B', 'ALONG', 'LOSS')),
-    'drag_laws.cpp': (fluid_drag, ('COLUMNS',)),
-    'joint_laws.cpp': (actuator, ('FADING',)),
+    'library.cpp': (force_table, ('COLUMNS',)),
     'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),
     'sticking.hpp': (stick_slip, ('REST',)),
     'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_KERNELS')),

@@ -7,7 +7,7 @@ from . import arctangent, sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
-from .function_table import ENTRIES, PRESENT, PRESENT_COLUMNS
+from .function_table import BODY, ENTRIES, OTHER_BODY, PRESENT, PRESENT_COLUMNS, TAU
 from .llvm_text import CONTRACT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
 # Functions of the C library, of laws of force.
@@ -31,6 +31,8 @@ class Writer:
     """
 
     ARGUMENTS, ROOT = (WORDS, DOUBLES, DOUBLES), 'llvm.sqrt.f64'
+    # Outputs that are added to what is there.
+    ADDED = ()
 
     def __init__(self, routine, declared):
         self.routine = routine
@@ -75,7 +77,10 @@ class Writer:
         """Store the outputs, and return whether the traced branches were the right ones."""
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
-            self.function.store(self.number(known), self.address(source, place))
+            result, address = self.number(known), self.address(source, place)
+            if source in self.ADDED:
+                result = self.function.binary('fadd', self.function.load(address), result)
+            self.function.store(result, address)
         guard = self.routine.graph.guard
         self.function.end(integer(1) if guard is None else self.function.convert(
             'zext', self.number(guard.place), WORD))
@@ -109,14 +114,14 @@ class Writer:
         if kind == LOAD:
             return self.function.load(self.address(*operands))
         if kind == CALL:
-            return self.call_engine(*map(int, operands[:4]), *map(self.number, operands[4:]))
+            return self.call_engine(*map(int, operands[:3]), *map(self.number, operands[3:]))
         if kind == TAKE:
             call, place = operands
             return self.function.load(self.function.address(
                 self.engine_results[self.values[call]], int(place)))
         return self.arithmetic(kind, *(self.number(operand) for operand in operands))
 
-    def call_engine(self, entry, effect, begin, length, *numbers):
+    def call_engine(self, entry, effect, begin, *numbers):
         """Return the result of a function of the engine on entries of an effect."""
         function = self.function
         results = function.room(DOUBLE, _MOST_RESULTS)
@@ -124,7 +129,7 @@ class Writer:
         address = function.load(function.address(function.arguments[0], entry))
         found = function.call_address(address, [
             self.address(ENTRIES, begin), self.address(PRESENT, effect * PRESENT_COLUMNS),
-            number(float(length)), *numbers, results])
+            *numbers, results])
         self.engine_results[found] = results
         return found
 
@@ -149,6 +154,12 @@ class Writer:
     def call(self, name, *numbers):
         """Return the result of a function of LLVM or the C library."""
         return self.function.call(name, numbers)
+
+
+class RowWriter(Writer):
+    """Writes a law of force for any row of the table of effects."""
+
+    ADDED = TAU, BODY, OTHER_BODY
 
 
 class KernelWriter(Writer):

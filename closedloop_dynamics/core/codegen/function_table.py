@@ -37,6 +37,11 @@ WRENCH, JOINT_POINT, LAM_OF_ALL = range(37, 40)
 # Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
 BIAS, JACOBIAN = range(40, 42)
 TABLE_COLUMNS = 42
+# What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
+# which BODY is the row of its first body and TAU the effort in its joint: the row of its second
+# body, its states, its row of ``EffectTable.output``, and how many entries it has.
+OTHER_BODY, STATES, OUTPUT, COUNT = range(42, 46)
+LAW_COLUMNS = 46
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

@@ -27,7 +27,7 @@ from ..types import (
 CONSTANT, OWN, OTHER, FIRST, SECOND = range(5)
 # Bodies of a recursion of one body: the ground, the parent, the body itself.
 _PARENT, _BODY = 1, 2
-_NO_JOINT = Body(0.0, 0.0, Z, False, None, None, 0.0, None, None, None, None)
+NO_JOINT = Body(0.0, 0.0, Z, False, None, None, 0.0, None, None, None, None)
 
 
 def arrays_of(model):
@@ -338,7 +338,7 @@ class _Cut:
         tracer = _Tracer(arrays, self.model.cut_point.shape[1])
         cut, = arrays.cuts(self.model, tracer.constant[np.newaxis])
         recursion = Recursion([], [], 3 * (0.0,))
-        recursion.motion = [arrays.motion_of(row, _NO_JOINT, recursion.ground)
+        recursion.motion = [arrays.motion_of(row, NO_JOINT, recursion.ground)
                             for row in (tracer.own, tracer.other)]
         # Couplings of joints do not depend on the bodies' motion: ``loop_closure`` has them.
         closures = [] if cut.coupling is not None and not cut.between else cut.left(

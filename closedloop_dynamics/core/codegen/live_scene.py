@@ -7,7 +7,7 @@ The evaluation of a scene as the engine runs it: a mechanism with the laws of it
 Laws are traced into the one routine between the motion of the bodies and their accelerations.
 Their numbers, states and what was decided about them are loads, so that a change of these compiles
 nothing. What the laws say of themselves beside the rates of their states, such as what they store,
-is left to the engine's own laws (``engine/laws.hpp``): no step asks for it.
+is left to the laws by themselves (``law_routine``): no step asks for it.
 """
 
 import math
@@ -135,11 +135,16 @@ class LiveForces(Forces):
         As of ``LiveTrace.held``.
     outputs : list
         As of ``Routine``.
+    begin, count : number
+        Where the entries of the effect whose turn it is begin, and how many they are.
+    shape : tuple or None
+        Which terms its law has; where that is not known all of them.
 
     """
 
     def __init__(self, trace):
-        trace.values = None
+        trace.values = self.shape = None
+        self.begin = self.count = 0
         super().__init__(trace)
         self.trace, self.nv = trace, trace.nv
         self.efforts = zeros(len(trace.laws.cuts))
@@ -204,11 +209,16 @@ class LiveForces(Forces):
         first = self.row * self.trace.laws.columns[source] + column
         self.outputs += [(source, first + n, value) for n, value in enumerate(values)]
 
-    def call_engine(self, function, begin, length, flag, x, y=0.0, results=0):
-        """Call a function of the engine on entries of the effect; see ``expression_graph``."""
+    def entry(self, number):
+        """Return a number of the effect's entries."""
+        return self.trace.entry(self.begin + number)
+
+    def call_engine(self, function, columns, flag, x, y=0.0, results=0):
+        """Call a function of the engine on the effect's entries of so many numbers each."""
         graph = self.trace.graph
-        found = graph.put(CALL, *map(float, (function, self.row, begin, length)), *(
-            one.place if hasattr(one, 'place') else float(one) for one in (flag, x, y)))
+        found = graph.put(CALL, *map(float, (function, self.row, self.begin)), *(
+            one.place if hasattr(one, 'place') else float(one)
+            for one in (columns * self.count, flag, x, y)))
         return [found, *(graph.put(TAKE, found.place, float(n)) for n in range(results))]
 
     def exert(self):

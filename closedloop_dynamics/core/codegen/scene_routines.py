@@ -189,6 +189,9 @@ class Forces:
         for place, rate in enumerate(rates, start=self.first + first):
             self.rates[place] = rate
 
+    def read(self, *values):
+        """Take the readings of the effect, which nothing asks for here."""
+
     def touches(self, gap, rate):
         """Return whether a contact of a given gap, and its rate, acts."""
         if not self._unrolling.decided:

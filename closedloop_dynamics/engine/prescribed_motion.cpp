@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 
 #include "course.hpp"
-#include "forces.hpp"
 #include "laws.hpp"
 
 namespace closedloop
@@ -10,42 +9,6 @@ namespace closedloop
 
 namespace
 {
-/// Present value of the course of a force.
-double prescribed_value(const EffectTable & table, Index row)
-{
-  const Values values = table.values[row];
-  if (values[1] == 1.0) {
-    return expression_value(
-      table, table.index(row, effect::DATA), table.states[table.index(row, effect::STATE)]);
-  }
-  return course_value(table, row, values[0]);
-}
-
-void write_readings(const EffectTable & table, Index row, double force, double power)
-{
-  const Index state = table.index(row, effect::STATE);
-  table.rates[state] = 1.0;
-  table.rates[state + 2] = power;
-  table.output(row, 1) = force;
-  table.output(row, 2) = power;
-}
-
-/// Apply a force at a point along a direction, which turns with the body or is one of the world.
-template<class V>
-void apply_at_point(
-  const EffectTable & table, Index row, Table body, V point, V direction, bool turns)
-{
-  const Index i = table.index(row, effect::FIRST);
-  const V offset = to_world(body, i, point);
-  const double force = prescribed_value(table, row);
-  if (turns) {
-    direction = to_world(body, i, direction);
-  }
-  apply_force(body, i, offset, force * direction);
-  write_readings(
-    table, row, force, force * dot(direction, velocity_at_offset(body, i, offset)));
-}
-
 /// Position, rate and acceleration that the closure equation of a prescribed motion is to have.
 double * right_sides(const EffectTable & table, Index row)
 {
@@ -76,31 +39,6 @@ void update_driven_motion(const EffectTable & table, Index row)
   right[2] = change;
 }
 }  // namespace
-
-void apply_prescribed_torque(
-  const EffectTable & table, Index row, Table, Values, Values qd, Values)
-{
-  const Index joint = table.index(row, effect::FIRST);
-  const double torque = prescribed_value(table, row);
-  table.applied[joint] += torque;
-  write_readings(table, row, torque, torque * qd[joint]);
-}
-
-void apply_prescribed_force(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
-{
-  const double * values = table.values.row(row);
-  apply_at_point(
-    table, row, body, vector2(values + 2), vector2(values + 4), values[6] == 1.0);
-}
-
-void apply_spatial_prescribed_force(
-  const EffectTable & table, Index row, Table body, Values, Values, Values)
-{
-  const double * values = table.values.row(row);
-  apply_at_point(
-    table, row, body, vector3(values + 2), vector3(values + 5), values[8] == 1.0);
-}
 
 void apply_prescribed_motion(
   const EffectTable & table, Index row, Table, Values, Values, Values)
