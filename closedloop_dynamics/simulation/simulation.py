@@ -6,9 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-import math
 from pathlib import Path
-from time import perf_counter_ns, thread_time_ns
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 import warnings
 
@@ -16,52 +14,34 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .assembly import angle_notes
-from .budget import Budget, INTERVAL
-from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY, explain, leapt
-from .data import Numbers, vector
-from .derivative_code import DerivativeCode
-from .errors import (
-    AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
-from .guards import (
-    CLOSING, CLOSURE_CHECK_EVERY, EnergyGuard, EQUATIONS_CHECK_EVERY, EQUATIONS_FIRST_CHECK,
-    LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
+from .data import Numbers
+from .errors import AssemblyError, ClosureError, StiffnessError
+from .guards import LARGEST_MOTION, StiffnessGuard
 from .model import Model
-from .modeling import extent
 from .monitor import Monitor, RunReport
 from .motions import moving
-from .readings import Readings
 from .rollout import Rollout, rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
 from .state import State
-from .traced_scene import refusals
+from .stepping import Stepping
 from ..core import types as t
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Effect
-from ..effects.energy_balance import Energies, EnergyBalance
+from ..effects.energy_balance import Energies
 from ..engine import native
 from ..integration import guarded_run
 from ..integration.control import (
-    CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
-    RANK_REVEALING_WORK, TOO_MUCH_WORK)
+    CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
-from ..integration.guarded_run import COMMAND
-from ..integration.left_out import LENIENT, OPENED
-from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
-from ..integration.system import (
-    AccelerationDerivatives, BAUMGARTE_GAIN, CLOSURE_LIMIT, System, with_derivatives,
-    with_equations, with_partition)
+from ..integration.system import BAUMGARTE_GAIN, CLOSURE_LIMIT, with_equations, with_partition
 from ..mechanism.fields import at, FieldError
 
-# How much further from dependent equations must be to be exchanged for others.
-BETTER = 3.0
-# Times closer than this share of a step are the same.
-SAME_TIME = 1e-9
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
 
 
-class Simulation(Readings):
+class Simulation(Stepping):
     """
     A mechanism in motion: a state, and the method that advances it.
 
@@ -103,11 +83,6 @@ class Simulation(Readings):
 
     def __init__(self, model: Union[Model, Scene], state: Optional[State] = None,
                  method: Union[None, str, Mapping[str, Any], Method] = None) -> None:
-        self._numbers = np.zeros(guarded_run.NUMBERS)
-        self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
-        self._set_time(0.0, 0)
-        self.pace = 1.0
-        self._measured = np.zeros(5)
         if not isinstance(model, (Model, Scene)):
             raise TypeError(f'Simulation: expected a Model or a Scene, got {model!r}; '
                             'Simulation.from_scene takes names and paths')
@@ -118,30 +93,7 @@ class Simulation(Readings):
             self.require_state(state)
             if state.is_batch:
                 raise ValueError(f'state: expected a single one, got a batch of q {state.q.shape}')
-        self._differentiate_steps()
-        self._balance = EnergyBalance(self._effects.roles, len(self.system.tau))
-        self._bind_balance()
-        method = self.scene.method
-        self._require_known_steps(method)
-        self._driver = Monitor(build_driver(self.system, method), self.system, method,
-                               self._numbers, self._counts)
-        self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
-        self._set_run()
-        self.exchanges = 0
         self.reset()
-
-    def _differentiate_steps(self) -> None:
-        """Generate the Jacobian of the stiff method, where that is the scene's."""
-        self._derivatives: Optional[DerivativeCode] = None
-        system, method = self.system, self.scene.method
-        # The generated code has no forces over time, quaternions or Baumgarte's terms.
-        if (INTEGRATORS[method.integrator].family == ROSENBROCK and not refusals(self)
-                and system.manifold is None and not self._effects.follows_time
-                and method.stabilisation not in ('baumgarte', 'independent')):
-            self._derivatives = code = DerivativeCode(
-                self, system.qdd, system.lam, len(self._own))
-            self.system = with_derivatives(system, AccelerationDerivatives(
-                code.table, code.columns, code.found, code.flows))
 
     def vary(self, scene: Scene) -> bool:
         """As ``Data.vary``: become a simulation of another scene."""
@@ -153,20 +105,6 @@ class Simulation(Readings):
         self._numbers[guarded_run.MASS] = self._mass
         self.reset()
         return True
-
-    def _bind_balance(self) -> None:
-        """Bind the energy balance to the present system."""
-        account, engine = self._balance.account, self.system.native
-        self._balance_found = np.empty(5)
-        # The work of the torques held up to here.
-        self._add_work = native.bind('add_held_work', engine, account, self._state)
-        self._draw_balance = native.bind(
-            'fill_balance', engine, account, self._state, self._balance_found)
-
-    def _rebind(self, system: System) -> None:
-        """Evaluate, and draw the energy balance, by another system."""
-        super()._rebind(system)
-        self._bind_balance()
 
     @classmethod
     def from_scene(
@@ -209,78 +147,6 @@ class Simulation(Readings):
             warnings.warn(note, RuntimeWarning, stacklevel=2)
         return simulation
 
-    @property
-    def step_size(self) -> float:
-        """Step size [s]."""
-        return self.scene.method.step_size
-
-    @property
-    def time(self) -> float:
-        """Time since the start or the last reset [s]."""
-        # Counted, not summed: an hour of steps adds up to an hour.
-        return (self._numbers.item(guarded_run.TIME_BASE)
-                + self._counts.item(guarded_run.STEPS) * self.scene.method.step_size)
-
-    def _set_time(self, base: float, steps: int) -> None:
-        """Set the time to so many steps after another one [s]."""
-        self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS] = base, steps
-
-    @property
-    def state(self) -> np.ndarray:
-        """
-        Whole state: joint coordinates, joint rates, the effects' own states, the method's memory.
-
-        A run that is started from it by ``restore`` goes on in the same way to the last bit, with
-        error control from where a command changes.
-        """
-        return np.concatenate((self._state, *self._driver.memory))
-
-    @property
-    def energy_balance(self) -> Energies:
-        """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
-        self._start_balance()
-        self._draw_balance()
-        self._fresh = True
-        return Energies(*self._balance_found.tolist())
-
-    @property
-    def run(self) -> Any:
-        """Return the run that the engine advances, a ``guarded_run.GuardedRun``."""
-        return self._run
-
-    @property
-    def at_start(self) -> bool:
-        """Whether nothing has moved or been changed since the start or the last reset."""
-        return self._balance.at_start is None and self.time == 0.0
-
-    def _by_freedom(self) -> np.ndarray:
-        """Return the coordinate of each freedom, behind them those of ``torque_names``."""
-        own, manifold = self._q, self.system.manifold
-        if manifold is not None:
-            native.fill_numbers(manifold, own)
-            own = manifold.number
-        if not len(self._cuts.acted):
-            return own
-        # Nor are these to be believed where only states beside the present one were looked at.
-        self._fresh = False
-        self._evaluate()
-        self._fresh = False
-        return np.concatenate((own, self._table.cuts.q[len(own):]))
-
-    def _start_balance(self) -> None:
-        """Find the energy at the start, when it is needed for the first time."""
-        if self._balance.at_start is not None:
-            return
-        present = self._state.copy()
-        self._q[:], self._qd[:] = self._initial
-        self._own[:] = self._effects.initial
-        moved = not np.array_equal(self._state, present)
-        self._fresh = self._fresh and not moved
-        self._balance.start(*self._energies())
-        if moved:
-            self._state[:] = present
-            self._fresh = False
-
     def start_notes(self) -> List[str]:
         """
         Return notes of the start: its ``assembly_notes``, angles beyond 2 pi, effects.
@@ -295,511 +161,6 @@ class Simulation(Readings):
                    record.start_notes(name, partial(self.effect_readings, name), weight)]
         return (angle_notes(self.mechanism, self.scene.initial.position) + self._motions.notes()
                 + self.assembly_notes() + effects + self.load_notes())
-
-    def _require_known_steps(self, method: Method) -> None:
-        """Refuse solvers and coordinates that the effects leave no room for."""
-        if self._motions and method.stabilisation == 'independent':
-            raise SimulationError(
-                f'The scene prescribes motions ({", ".join(self.motion_names)}): '
-                'stabilisation: independent knows none. Take stabilisation: projection.')
-        names = self._effects.ending_steps
-        if names and INTEGRATORS[method.integrator].family == SCIPY:
-            own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
-            raise SimulationError(
-                f'The scene lists dry friction, or forces whose course over time has corners '
-                f'({", ".join(names)}): steps must end where a joint comes to rest and at '
-                f'corners, and {method.integrator} does not choose where its steps end. Take '
-                f'another integrator ({", ".join(own)}), or leave them out.')
-
-    def step(
-            self, torque: Optional[Numbers] = None,
-            duration: Optional[float] = None) -> None:
-        """
-        Advance by ``duration`` under constant torques.
-
-        Parameters
-        ----------
-        torque : mapping, sequence or None
-            Joint torques [N m or N]: by joint name, or for all actuated joints in their
-            order; joints that are not named get none.
-        duration : float, optional
-            [s]; one step when not given. Covered by whole steps, and one shorter step at the
-            end where it is no multiple of the step size.
-
-        Raises
-        ------
-        NumericalError, ClosureError
-            The state before the failing step is kept.
-        ValueError
-            For a torque or duration that makes no sense.
-
-        """
-        if duration is None:
-            tau = self._spread if self._spread_torques(torque) else self.joint_torques(torque)
-            return self.advance(tau, 1)
-        tau, size = self.joint_torques(torque), self.step_size
-        if not (math.isfinite(duration) and duration >= 0.0):
-            raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
-        whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
-        left = whole
-        if self._budget is not None:
-            most = max(1, round(INTERVAL / size))
-            for _ in range((whole - 1) // most):
-                self.keep_budget()
-                self._order(tau, most)
-            left -= max(0, (whole - 1) // most) * most
-            self.keep_budget()
-        rest = duration - whole * size
-        self._order(tau, left, rest if rest > SAME_TIME * size else 0.0)
-        self._make(size, 0, whole + 1)
-
-    def advance(self, tau: np.ndarray, steps: int) -> None:
-        """
-        Advance by whole steps under constant joint torques; the fast path of ``step``.
-
-        Parameters
-        ----------
-        tau : ndarray, shape (number of ``torque_names``,)
-            Joint torques [N m or N], finite.
-        steps : int
-            Number of steps.
-
-        Raises
-        ------
-        NumericalError, ClosureError
-            The state before the failing step is kept.
-
-        """
-        if self._budget is not None:
-            self.keep_budget()
-        if self._effects.attends or self._delay_line.pending:
-            self._order(tau, steps)
-            self._make(self.step_size, 0, steps)
-            return
-        self._fresh = False
-        pause = self._advance_run(tau, steps)
-        if pause == COMMAND:
-            self._command(tau)
-        if pause:
-            self._go_on(pause)
-
-    @property
-    def accuracy(self) -> float:
-        """Accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of other methods."""
-        return self._driver.accuracy
-
-    def keep_budget(self) -> None:
-        """
-        Choose the accuracy that the method's budget allows from now on, by measurements.
-
-        ``advance`` and ``step`` do so before they make steps; without a budget nothing is done.
-        """
-        if self._budget is None:
-            return
-        before = self._measured
-        self._measured = self._driver.measured
-        simulated, spent, elapsed, *work = (self._measured - before).tolist()
-        if not simulated > 0.0:
-            # Nothing, or a reset.
-            return
-        present = self.accuracy
-        # As if the error were looked at all the time: the budget holds while it is.
-        checked = max(2.0 * work[0] / sum(work) if sum(work) > 0.0 else 1.0, 1.0)
-        accuracy = self._budget.choose(
-            present, simulated / self.pace, checked * spent, checked * elapsed)
-        if accuracy != present:
-            self._driver.driver.aim(accuracy)
-
-    def adopt_accuracy(self, state: ArrayLike) -> None:
-        """
-        Keep the accuracy that another run of ``integrator: auto`` kept from a state on.
-
-        Parameters
-        ----------
-        state : sequence
-            From ``state``; nothing else is taken of it.
-
-        """
-        accuracy = self._driver.accuracy_in(np.asarray(state)[len(self._state):])
-        if accuracy != self.accuracy:
-            self._driver.driver.aim(accuracy)
-
-    def _set_budget(self, method: Method) -> None:
-        """Make the accuracy follow the budget of a method, if it has one."""
-        self._budget = (
-            Budget(method.budget, method.accuracy)
-            if method.budget is not None and method.by_budget else None)
-        self._measured = self._driver.measured
-
-    def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
-        """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
-        if self._delay_line.pending or self._effects.delays:
-            self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
-        else:
-            self._command(tau)
-        while steps > 0:
-            # Whole steps up to the one in which a command is due.
-            wait = self._commanded()
-            whole = math.floor(wait / self.step_size + SAME_TIME) if math.isfinite(wait) else steps
-            if whole > 0:
-                self._make_all(min(whole, steps))
-                steps -= min(whole, steps)
-            else:
-                base, count = self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS]
-                self._make_in_parts(self.step_size)
-                self._set_time(base, count + 1)
-                steps -= 1
-        if rest > 0.0:
-            self._make_in_parts(rest)
-        self._commanded()
-
-    def _commanded(self) -> float:
-        """Apply commands that are due; return the time until the next one [s]."""
-        line, close = self._delay_line, SAME_TIME * self.step_size
-        if line.pending:
-            self._command(line.due(self.time, close, self.system.tau))
-        return line.wait(self.time)
-
-    def _make_in_parts(self, size: float) -> None:
-        """Make a step of at most the usual size [s] in parts that end where commands are due."""
-        end = self.time + size
-        left = size
-        while left > SAME_TIME * self.step_size:
-            wait = self._commanded()
-            part = wait if wait < left - SAME_TIME * self.step_size else left
-            self._make(part, 1)
-            left = 0.0 if part == left else end - self.time
-        if self._effects.remembers:
-            self._sample_sensors()
-
-    def _command(self, tau: np.ndarray) -> None:
-        """Apply joint torques from now on."""
-        if (tau == self.system.tau).all():
-            return
-        self.require_bearable(tau)
-        self._add_work()
-        self._driver.restart()
-        self.system.tau[:] = tau
-        self._fresh = False
-
-    def _make_all(self, steps: int) -> None:
-        """Make whole steps; sensors that remember see every state."""
-        if not self._effects.remembers:
-            self._make(self.step_size, steps)
-            return
-        self._sample_sensors()
-        for _ in range(steps):
-            self._make(self.step_size, 1)
-            self._sample_sensors()
-
-    def _sample_sensors(self) -> None:
-        """Record the present state in sensors with a memory."""
-        self.measured()
-        self.measured_cut_joints()
-
-    def _make(self, size: float, steps: int, call: int = 0) -> None:
-        """Make steps of one size [s], up to the end of a call where its length is known."""
-        counts = self._counts
-        counts[guarded_run.DUE] = counts[guarded_run.HANDED] = 0
-        counts[guarded_run.LEFT], counts[guarded_run.CALL] = steps, call
-        self._numbers[guarded_run.SIZE] = size
-        self._go_on(COMMAND)
-
-    def _go_on(self, pause: int) -> None:
-        """Handle the engine's pauses, and resume it, until all steps are made."""
-        while pause:
-            if pause == guarded_run.START_ENERGY:
-                self._start_balance()
-            elif pause == guarded_run.SAMPLE:
-                self._driver.sample(self._state, self.step_size)
-            elif pause == guarded_run.FAILURE or pause == guarded_run.HAND_OVER:
-                self._make_portion(pause == guarded_run.FAILURE)
-            elif pause == guarded_run.CHOICE:
-                if self.leave_out_again():
-                    self._counts[guarded_run.EQUATIONS_BETWEEN] = min(
-                        2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_CHECK_EVERY)
-            elif pause != COMMAND:
-                self._report_pause(pause)
-            self._fresh = False
-            pause = self._resume_run()
-
-    def _report_pause(self, pause: int) -> None:
-        """Warn of, or raise, findings of the guards; the latest good state is kept."""
-        numbers, guard = self._numbers, self.energy_guard
-        if pause == guarded_run.INACCURATE:
-            guard.warn()
-        elif pause == guarded_run.ENERGY_LOST:
-            problem = guard.problem(self)
-            self.restore(self._run.kept, *numbers[
-                [guarded_run.CHECK_TIME, guarded_run.PRESENT - 1]].tolist())
-            raise problem
-        elif pause == guarded_run.CABLE_LEAPT:
-            before = dict(zip(self._effects.winding_places(), self._run.windings.tolist()))
-            place = max(before, key=lambda each: abs(self.windings()[each] - before[each]))
-            self.restore(self._run.kept_by_cables, *numbers[
-                [guarded_run.CABLE_TIME, guarded_run.CABLE_RESIDUAL]].tolist())
-            raise leapt(place, before[place], self.time)
-        else:
-            raise opened_loops(self)
-
-    def check_energy(self) -> None:
-        """
-        Check the energy balance now: warn of a small error.
-
-        Raises
-        ------
-        NumericalError, StiffnessError
-            Where it is far off; the latest state that was well is kept.
-
-        """
-        self._start_balance()
-        pause = self._check_energy()
-        if pause:
-            self._report_pause(pause)
-
-    def _set_guards(self, stiffness: StiffnessGuard, method: Method) -> None:
-        """Set the guards of a run by a method."""
-        self._stiffness = stiffness
-        self.energy_guard = EnergyGuard(
-            method, stiffness.rate, self._numbers, self._counts, stiffness.limit,
-            stiffness.among_laws, self._geometry.may_leave_out)
-        self._restart_guards()
-
-    def _restart_guards(self) -> None:
-        """Restart the guards."""
-        self.energy_guard.restart()
-        counts = self._counts
-        counts[guarded_run.CABLES_CHECKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
-        counts[guarded_run.EQUATIONS_BETWEEN] = EQUATIONS_FIRST_CHECK
-
-    def _watch(self) -> Any:
-        """Return the numbers by which the engine watches the run."""
-        guard, method = self.energy_guard, self.scene.method
-        places, size = self._effects.winding_places().values(), extent(self.mechanism)
-        drifts = method.stabilisation not in CLOSING
-        return guarded_run.Watch(
-            guard.first, guard.rarely, guard.call, guard.whole, self._geometry.may_leave_out,
-            min(CABLE_CHECK_EVERY if places else guarded_run.NEVER,
-                CLOSURE_CHECK_EVERY if drifts else guarded_run.NEVER),
-            OPEN * size if drifts else math.inf, method.stabilisation == 'none', size,
-            USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
-
-    def _set_run(self) -> None:
-        """Build the engine's run from the present method, system and guards."""
-        before = getattr(self, '_run', None)
-        self._numbers[guarded_run.STEP_SIZE] = self.step_size
-        self._numbers[guarded_run.MASS] = self._mass
-        run = guarded_run.guarded_run(
-            self._driver.driver.stepper, self._watch(), self._balance.account, self._state,
-            sum(map(np.size, self._driver.memory)), self._numbers, self._counts)
-        if before is not None and len(before.kept) == len(run.kept) and (
-                np.array_equal(before.watch.windings, run.watch.windings)):
-            # Where the guards have seen it.
-            run = run._replace(kept=before.kept, kept_by_cables=before.kept_by_cables,
-                               windings=before.windings)
-        self._run, engine = run, self.system.native
-        self._advance_run, self._resume_run, self._check_energy, self.run_samples = (
-            native.bind(name, engine, run)
-            for name in ('advance_run', 'resume_run', 'check_energy', 'run_samples'))
-
-    def choose_equations(self, status: int) -> bool:
-        """
-        Choose the equations that the elimination works on again, after a step that failed.
-
-        Parameters
-        ----------
-        status : int
-            Of ``integration.advance``.
-
-        Returns
-        -------
-        bool
-            Whether to go on from the present state; not where no equations are left out, so that
-            it failed for another reason.
-
-        """
-        if (not self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING
-                or status == CONTACT_PASSED):
-            return False
-        whole: Any = self.system.whole
-        numbers = whole.numbers
-        opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
-        model = self._geometry.reselected(self._q, BETTER, opened)
-        if model is None:
-            if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
-                    opened and not self._geometry.is_valid(self._q)):
-                numbers[LENIENT] = 1.0
-                return True
-            # An equation left out may be the one that closes the loop.
-            model = self._geometry.select(None)
-        self.exchange(model)
-        return True
-
-    def leave_out_again(self) -> bool:
-        """
-        Leave out equations that repeat others, where all were taken again.
-
-        Returns
-        -------
-        bool
-            Whether some are left out from now on that were not.
-
-        """
-        if self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING:
-            return False
-        model = self._geometry.choose(self._q)
-        if not self.has_redundant_constraints:
-            return False
-        self.exchange(model)
-        return True
-
-    def exchange(self, model: t.Model) -> None:
-        """Make method and guards work on other closure equations, too."""
-        super().exchange(model)
-        self._driver.rebind(self.system)
-        self._stiffness.move(self.system)
-        self._set_run()
-        self.exchanges += 1
-
-    @property
-    def fastest_rate(self) -> float:
-        """Estimate of the fastest rate of the motion in the present state [1/s]."""
-        return self._stiffness.rate(self._state)
-
-    def judge(self) -> None:
-        """
-        Check the energy balance of the run so far, as is done from time to time during a run.
-
-        Raises
-        ------
-        NumericalError, StiffnessError
-            Where the motion is none; the latest state that was well is kept.
-
-        """
-        self._start_balance()
-        pause = self._check_energy()
-        if pause == guarded_run.ENERGY_LOST:
-            self._report_pause(pause)
-
-    def _make_portion(self, failed: bool) -> None:
-        """Make steps that the engine does not: those of other solvers, or after a failure."""
-        numbers, counts, driver = self._numbers, self._counts, self._driver.driver
-        size, portion = float(numbers[guarded_run.SIZE]), int(counts[guarded_run.HANDED])
-        grid = self.time, 0
-        if size == self.step_size:
-            grid = float(numbers[guarded_run.TIME_BASE]), int(counts[guarded_run.STEPS])
-        status, elapsed = None, 0.0
-        if failed:
-            status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
-            driver.made = int(counts[guarded_run.MADE])
-        begin, worked = perf_counter_ns(), thread_time_ns()
-        try:
-            while status != DONE:
-                if status == INTERRUPTED:
-                    # Another thread was.
-                    raise KeyboardInterrupt
-                if status is not None:
-                    if not self.choose_equations(status):
-                        break
-                    driver.go_on()
-                status, elapsed = driver.advance(self._state, *grid, size, portion)
-        except BaseException:
-            # Ctrl-C, within steps that count as not made.
-            self._state[:] = self._run.before
-            self._driver.restart(moved=True)
-            raise
-        numbers[guarded_run.COST_NANOSECONDS] += perf_counter_ns() - begin
-        numbers[guarded_run.COST_CPU_NANOSECONDS] += thread_time_ns() - worked
-        if status == DONE:
-            return
-        self._driver.count(elapsed, size)
-        numbers[guarded_run.TIME_BASE] += elapsed
-        self._fresh = False
-        beyond = self._motions.advice_on_stopping(
-            self._assembler, self._q, self.time, self.step_size)
-        if beyond:
-            raise MotionError(
-                f'The motion cannot go on at t = {self.time:.9g} s; the state before is kept. '
-                f'{beyond}')
-        # What stopped it may be a cable at its limit, or steps that cannot be stable.
-        explain(self)
-        self._stiffness.check(self._state, size)
-        raise self._stopped(status, size)
-
-    def _stopped(self, status: int, size: float) -> SimulationError:
-        """Return the error to raise where a step [s] could not be made."""
-        if status == NOT_FINITE:
-            return NumericalError(
-                f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
-                f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
-                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
-        if status == OPEN_LOOP:
-            error = self.system.work.health[t.CLOSURE]
-            advice = self._assembler.advice_on_opening(self._q) or (
-                f'Take a smaller step than {size:g} s: the motion in one step is too large.')
-            return ClosureError(
-                f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
-                f'{error:.3g}); the state before it is kept. {advice}')
-        if status == TOO_MUCH_WORK:
-            return NumericalError(
-                f'The motion at t = {self.time:.9g} s takes more than {MOST_EVALUATIONS} '
-                f'evaluations for {size:g} s; the last good state is kept. '
-                + self._advice_on_work())
-        if status == CONTACT_PASSED:
-            return NumericalError(
-                f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
-                f't = {self.time:.9g} s, undetected between evaluations; the state before is '
-                'kept. Take a smaller step, or a method with error control, such as '
-                'integrator: auto.')
-        return NumericalError(
-            f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
-            'allowed; the last good state is kept. The motion is not smooth there: allow '
-            'more, or take a fixed step.')
-
-    def _advice_on_work(self) -> str:
-        """Return a remedy where a step takes too many evaluations."""
-        count = self.system.work.health[t.RANK_REVEALING_COUNT]
-        self._present.evaluate()
-        if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
-            return ('Take smaller torques (largest now '
-                    f'{np.abs(self.system.tau).max(initial=0.0):g}), allow a larger error, or '
-                    'leave out the effect that is so fast.')
-        return ('Closure equations depend on others next to this position, where an evaluation '
-                f'counts as {RANK_REVEALING_WORK}. ' + (
-                    'No independent coordinates describe the motion through it: take '
-                    'stabilisation: projection.'
-                    if self.scene.method.stabilisation == 'independent' else
-                    'Allow a larger error, or keep away from it by stops or another start.'))
-
-    def require_bearable(self, tau: np.ndarray) -> None:
-        """
-        Refuse joint torques that no step from the present state can follow.
-
-        Parameters
-        ----------
-        tau : ndarray, shape (number of ``torque_names``,)
-            From ``joint_torques``.
-
-        Raises
-        ------
-        NumericalError
-            Where a joint would move by more than LARGEST_MOTION within a step; nothing is changed.
-
-        """
-        largest_torque = np.abs(tau).max(initial=0.0)
-        if largest_torque <= USUAL_TORQUE:
-            return
-        system, before = self.system, self.system.tau.copy()
-        system.tau[:] = tau
-        self._present.evaluate()
-        system.tau[:], self._fresh = before, False
-        motion = np.abs(system.qdd).max(initial=0.0) * self.step_size ** 2
-        if not (motion <= LARGEST_MOTION and np.isfinite(self._table.rates).all()):
-            raise NumericalError(
-                f'torque: expected torques that a step of {self.step_size:g} s can follow, got '
-                f'up to {largest_torque:.3g} (N m or N), by which a joint would move by '
-                f'{motion:.3g} rad or m; at most {LARGEST_MOTION:g} can be followed. The state '
-                'and the torques before are kept.')
 
     def reset(self) -> None:
         """Return to the initial state, time zero and no torque."""
@@ -947,12 +308,6 @@ class Simulation(Readings):
             self._fresh = False
             self._assembler.require_independent(self._q)
 
-    def _jump(self) -> None:
-        """Reset the guards after a discontinuity of the state."""
-        self._fresh = False
-        self.energy_guard.jump()
-        self._counts[guarded_run.CABLES_CHECKED] = 0
-
     def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
         self._set_time(self.time, 0)
         self.scene = replace(self.scene, method=method)
@@ -1008,10 +363,6 @@ class Simulation(Readings):
         self._begin_loads()
         self._jump_balance(self.energy - before)
 
-    def _jump_balance(self, energy: float) -> None:
-        """Leave the energy of a change from outside out of the balance."""
-        self._balance.jump(self._by_freedom(), energy)
-
     def _require_step_from(self, position: np.ndarray, velocity: np.ndarray) -> None:
         """Refuse a state from which a step cannot be made."""
         fastest = np.abs(velocity).max(initial=0.0)
@@ -1038,45 +389,6 @@ class Simulation(Readings):
                 + f'. Take smaller velocities (largest now {fastest:.3g} rad/s or m/s), or a '
                 'smaller step.')
 
-    def restore(
-            self, state: ArrayLike, time: float,
-            residual: Optional[float] = None) -> None:
-        """
-        Restore a state of another run of the same scene, bit for bit; torques stay.
-
-        Parameters
-        ----------
-        state : sequence
-            From ``state``; not assembled.
-        time : float
-            Of that state [s].
-        residual : float, optional
-            Of the energy balance in that state [J]; the present one when not given.
-
-        Raises
-        ------
-        ValueError
-            Where it is no state of this scene.
-
-        """
-        state = vector('state', state, len(self.state))
-        if residual is None:
-            residual = self.energy_balance.residual
-        self._start_balance()
-        steps = round(time / self.step_size)
-        exact = steps * self.step_size == time
-        self._set_time(*((0.0, steps) if exact else (time, 0)))
-        self._effects.restart()
-        self._recall(state)
-        self._driver.restart()
-        self._jump()
-        self._jump_balance(self.energy_balance.residual - residual)
-
-    def _recall(self, state: np.ndarray) -> None:
-        """Restore a value of ``state``."""
-        self._state[:] = state[:len(self._state)]
-        self._driver.recall(state[len(self._state):])
-
     def _try_step(self, state: np.ndarray, size: float) -> int:
         """Make a step from a copy of a state, leaving all else as it is; return its status."""
         before = self.state
@@ -1086,11 +398,6 @@ class Simulation(Readings):
         self._driver.restart()
         self._fresh = False
         return DONE if status in (POOR_EQUATIONS, CONTACT_PASSED) else status
-
-    @property
-    def monitor(self) -> Monitor:
-        """Return the account of cost and local error, a ``monitor.Monitor``."""
-        return self._driver
 
     def report(self) -> RunReport:
         """
