@@ -59,6 +59,9 @@ ELEMENTS = {
     'force table': ('four_bar', {**TABLE, 'joint': 'crank_joint'}),
     'force table, cut joint': ('four_bar', {**TABLE, 'joint': 'CUT'}),
     'spring': ('four_bar', {'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 1.0}),
+    'law of a user': ('four_bar', {
+        'type': 'law', 'joints': {'x': 'crank_joint'}, 'rates': {'v': 'x'},
+        'forces': {'x': '-x - 0.1*v*abs(v)'}}),
     'spring, cut joint': ('four_bar', {'type': 'joint_spring', 'joint': 'CUT', 'stiffness': 1.0}),
     'cam with roller': ('cam_follower', 'body_contact'),
     'Geneva drive': ('geneva_drive', 'body_contact'),

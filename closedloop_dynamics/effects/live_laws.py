@@ -15,15 +15,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from . import cable, contact_laws, course, force_table, smooth_laws
+from . import cable, contact_laws, course, force_table, smooth_laws, traced_effect, user_laws
 from .actuator import FADING
 from .smooth_laws import push_along
 from .table import (
     ACROSS_B, ACTUATOR, AXIS, CABLE, CUT_VALUE_COLUMNS, DATA, ENTRIES, entries_of, FIRST, FOLLOWED,
     IN_PLANE, JOINT_FRICTION, NODE_COLUMNS, POINT_A, POINT_B, PRESCRIBED_FORCE,
     PRESCRIBED_MOTION, PRESCRIBED_TORQUE, PRESENT_COLUMNS, RATE_ONLY, ROW_A, ROW_B, SCALE, SECOND,
-    SIDE_A, SIDE_B, SLIDES, SPATIAL_PRESCRIBED_FORCE, STATE, TENDON, TRIAL_COLUMNS, VALUE_COLUMNS,
-    ZERO)
+    SIDE_A, SIDE_B, SLIDES, SPATIAL_PRESCRIBED_FORCE, SPATIAL_TRACED, STATE, TENDON, TRACED,
+    TRIAL_COLUMNS, VALUE_COLUMNS, ZERO)
 from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, larger, sine, smaller, square_root)
@@ -33,6 +33,7 @@ _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': 
                 'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
 # As of ``engine/sticking.hpp`` [rad/s; m/s].
 REST = 1e-6
+USER_LAWS = TRACED, SPATIAL_TRACED
 COURSES = (PRESCRIBED_TORQUE, PRESCRIBED_FORCE, SPATIAL_PRESCRIBED_FORCE, PRESCRIBED_MOTION)
 
 
@@ -68,7 +69,16 @@ def shape(table, row):
         entries = entries_of(table, row).reshape(-1, cable.COLUMNS)
         return (*entries[:, 0].tolist(), *(entries[:, 3] != 0.0).tolist(),
                 *np.sign(entries[:, 3]).tolist())
+    if kind in USER_LAWS:
+        measured = user_laws.measured_entries(table, row)
+        return (law_of(table, row).arithmetic,
+                *measured[:, :user_laws.STRUCTURE].ravel().tolist())
     return ()
+
+
+def law_of(table, row):
+    """Return the law of a user in a row; None of one that another process has traced."""
+    return traced_effect.laws.get(int(table.index[row, SECOND]))
 
 
 class LiveLaws:
@@ -246,6 +256,17 @@ def _joint_friction(forces, table, row, values):
     forces.flow(0.0, 0.0, -(torque * rate))
 
 
+def _law(forces, table, row, values):
+    width = traced_effect.COLUMNS
+    entries = [[*one[:user_laws.STRUCTURE], *(
+        forces.entry(width * k + n) for n in range(user_laws.STRUCTURE, width))]
+        for k, one in enumerate(user_laws.measured_entries(table, row).tolist(), 1)]
+    law = law_of(table, row)
+    clock = int(law.follows_time)
+    user_laws.apply(forces, law, entries, values, forces.state(0) if clock else None, [
+        forces.state(clock + n) for n in range(len(law.states))])
+
+
 def _actuator(forces, joint, _, values, __):
     limit, rate, given = values[0], forces.rate(joint), forces.command(joint)
 
@@ -308,5 +329,6 @@ def _cable(forces, table, row, values):
 ALONE = {**smooth_laws.LAWS, **contact_laws.LAWS, ACTUATOR: _actuator,
          PRESCRIBED_FORCE: _prescribed_force(2), PRESCRIBED_TORQUE: _prescribed_torque,
          SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
-OF_A_ROW = {CABLE: _cable, JOINT_FRICTION: _joint_friction, PRESCRIBED_MOTION: _prescribed_motion}
+OF_A_ROW = {CABLE: _cable, JOINT_FRICTION: _joint_friction, PRESCRIBED_MOTION: _prescribed_motion,
+            SPATIAL_TRACED: _law, TRACED: _law}
 LAWS = {**ALONE, **OF_A_ROW}

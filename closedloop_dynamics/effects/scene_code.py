@@ -10,7 +10,7 @@ under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
 """
 
-from .live_laws import COURSES, joints_of, LAWS, LiveLaws, shape
+from .live_laws import COURSES, joints_of, law_of, LAWS, LiveLaws, shape, USER_LAWS
 from .smooth_laws import FORCE_TABLES
 from .table import (
     ACTUATOR, CABLE, CURVE_CONTACT, DATA, END_STOP, ENTRIES, FACE_CONTACT, FIRST,
@@ -38,9 +38,12 @@ def structure(model, table):
     kinds = table.kind.tolist()
     balls = set(model.tree[model.tree[:, TYPE] == BALL, DOF].tolist())
     for row, kind in enumerate(kinds):
-        if kind not in LAWS or (kind in _IN_JOINTS and balls & set(joints_of(table, row))):
+        if kind not in LAWS or (kind in _IN_JOINTS and balls & set(joints_of(table, row))) or (
+                kind in USER_LAWS and law_of(table, row) is None):
             return None
-    rows = tuple((kind, *table.index[row, [STATE, FIRST, SECOND, DATA, ENTRIES]].tolist(),
+    # An address is another one in the next process.
+    rows = tuple((kind, *table.index[row, [STATE, FIRST, DATA, ENTRIES]].tolist(),
+                  0 if kind in USER_LAWS else int(table.index[row, SECOND]),
                   *table.values[row, list(_CONSTANT.get(kind, ()))].tolist(),
                   *shape(table, row)) for row, kind in enumerate(kinds))
     return rows, len(table.states), table.cuts.index.tobytes()

@@ -20,7 +20,7 @@ from .table import (
 from .user_code import defined, definition
 from ..core.codegen.differentiation import differentiated
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD, needed_for, Routine, Symbol
-from ..core.codegen.machine_code import LAW, machine_code
+from ..core.codegen.machine_code import KERNEL, machine_code
 from ..mechanism.checks import name as name_check
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, shown
@@ -37,8 +37,8 @@ AXES = ('x', 'y', 'z')
 MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
 # Numbers of an entry of the law's data.
 COLUMNS = 9
-# Addresses of compiled code, by what it computes.
-compiled = {}
+# Addresses of compiled code, by what it computes, and laws, by these addresses.
+compiled, laws = {}, {}
 
 
 class Coordinate:
@@ -375,5 +375,6 @@ def _address(law):
     if key not in compiled:
         outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
         compiled[key] = machine_code(
-            ('law', key), lambda: [Routine('law', law.graph, outputs)], LAW)('law')
+            ('law', key), lambda: [Routine('law', law.graph, outputs)], KERNEL)('law')
+        laws[compiled[key]] = law
     return compiled[key]

@@ -13,16 +13,13 @@ from functools import partial
 
 import numpy as np
 
-from . import force_table
+from . import force_table, user_laws
 from .registry import effect_type
-from .smooth_laws import FORCE_TABLES, LAWS, line_between, push_along, push_apart
+from .smooth_laws import FORCE_TABLES, LAWS, push_along
 from .table import (
     ENTRIES, entries_of, FIRST, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SECOND,
     SPATIAL_PRESCRIBED_FORCE, SPATIAL_TRACED, STATE, TENDON, TRACED, VALUE_COLUMNS)
-from .traced_effect import (
-    COLUMNS, COMPONENT, FIRST_COORDINATE, JOINT, MEASURED, PARAMETERS, TIME)
-from ..core.codegen.expression_graph import chosen, replayed
-from ..core.codegen.vectors import dot
+from ..core.codegen.expression_graph import chosen
 
 # Why other effects have no law here, by the name of their type.
 _REASONS = {
@@ -87,8 +84,9 @@ def act(table, forces, laws=None):
         forces.row, forces.first = int(row), int(table.index[row, STATE])
         kind, values, constants = table.kind[row], forces.numbers(row), constants_of(table, row)
         if laws and row in laws:
-            _of_user(forces, laws[row], _measured(table, row), values,
-                     _present(forces, table, row) if laws[row].follows_time else None)
+            user_laws.apply(
+                forces, laws[row], user_laws.measured_entries(table, row).tolist(), values,
+                _present(forces, table, row) if laws[row].follows_time else None)
             continue
         last = constants
         if kind in FORCE_TABLES:
@@ -115,44 +113,6 @@ def constants_of(table, row):
     if table.kind[row] != TENDON:
         return found
     return [float(table.index[row, ENTRIES] - 2), *table.values[row, :2].tolist(), *found]
-
-
-def _measured(table, row):
-    """Return the coordinates that a user's law measures, shape (coordinates, COLUMNS)."""
-    return entries_of(table, row).reshape(-1, COLUMNS)[1:1 + table.index[row, FIRST]]
-
-
-def _of_user(forces, law, entries, values, time):
-    measured, pushes = FIRST_COORDINATE * [None], []
-    measured[TIME] = time
-    for kind, first, second, *places in entries.tolist():
-        first, second = int(first), int(second)
-        if kind == JOINT:
-            measured += [forces.coordinate(first), forces.rate(first)]
-            pushes.append(partial(forces.twist, first))
-        elif kind == COMPONENT:
-            offset = forces.turned(first, places[:3])
-            measured += [each[second] for each in forces.place(first, offset)]
-            pushes.append(partial(_push_along, forces, second, first, offset))
-        else:
-            offsets, direction, length, rate = line_between(
-                forces, (first, second), (places[:3], places[3:]))
-            measured += [length, rate]
-            pushes.append(partial(push_apart, forces, (first, second), offsets, direction))
-    inputs = {PARAMETERS: values, MEASURED: measured}
-    results = replayed(law.graph, law.results, lambda source, place: inputs[source][place])
-    for push, force in zip(pushes, results):
-        push(force)
-    # After forces and rates of states: stored energy and dissipated power, where they are given.
-    stored, lost = results[len(entries) + len(law.states):][:2]
-    forces.store(stored)
-    rates = measured[FIRST_COORDINATE + 1::2]
-    forces.flow(lost if law.energy is not None or law.dissipation is not None else dot(
-        results[:len(rates)], rates))
-
-
-def _push_along(forces, axis, body, offset, force):
-    forces.push(body, offset, tuple(force if k == axis else 0.0 for k in range(3)))
 
 
 def _look_up(constants, stroke):

@@ -74,6 +74,16 @@ IN_PLANE = {
         ('body_contact', {'point': 'ONE', 'other': 'TWO', 'shape': 'circle', 'radius': 0.03,
                           'other_radius': 0.2, 'stiffness': 200.0, 'exponent': 1.3,
                           'damping': 0.1})],
+    'laws of users': [
+        ('law', {'joints': {'x': CRANK}, 'rates': {'v': 'x'}, 'distances': {
+            'd': ('ONE', (0.5, 0.3))}, 'components': {'y': ('ONE', 'y')},
+            'parameters': {'k': 1.3, 'c': 0.2}, 'states': {'z': '(v - z)/0.1 + c*t'},
+            'forces': {'x': '-c*z*abs(v) + sin(3*y)*cos(x)', 'd': '-k/(d**2 + 0.1)',
+                       'y': '-k*atan2(y, d)*exp(-x*x)'}}),
+        ('law', {'joints': {'x': CRANK}, 'rates': {'v': 'x'}, 'components': {'y': ('ONE', 'y')},
+                 'event': {'below': 'y - 0.1'}, 'dissipation': '0.3*v*v*(1 - below)',
+                 'energy': 'x*x + (25*(0.1 - y) + 2)*(0.1 - y)*below',
+                 'forces': {'x': '-2*x - 0.3*v*(1 - below)', 'y': '(50*(0.1 - y) + 2)*below'}})],
     'cable': [
         ('cable', {'points': ('ONE', 'TWO', 'THREE'), 'radii': (0.0, -0.02, 0.0),
                    'stiffness': 80.0, 'free_length': 0.4, 'damping': 0.2})]}
@@ -100,6 +110,11 @@ IN_SPACE = {
                           'other_radius': 0.6, 'stiffness': 200.0, 'damping': 0.1,
                           'friction': 0.2}),
         ('joint_friction', {'joint': 'crank', 'coulomb': 0.3})],
+    'law in space': [
+        ('law', {'joints': {'x': 'crank'}, 'distances': {'d': ('ONE', (0.5, 0.3, 0.2))},
+                 'components': {'u': ('ONE', 'z')}, 'rates': {'v': 'x', 'w': 'd'},
+                 'forces': {'x': '-0.2*v*abs(v)', 'd': '-3*sin(d) - w', 'u': '-2*u'},
+                 'energy': '-3*cos(d) + u*u', 'dissipation': '0.2*abs(v)**3 + w*w'})],
     'motion in space': [
         ('prescribed_motion', {'joint': 'crank', 'shape': 'constant_speed', 'speed': 2.0})]}
 # A cut joint that turns, whose angle is followed, in space.

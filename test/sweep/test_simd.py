@@ -243,6 +243,13 @@ WITH_EFFECTS = {
                                     exponent=1.5, damping=0.1, friction=0.2),
         'stop': EFFECTS['end_stop'](**CRANK, stiffness=50.0, lower=-1.0, upper=2.0,
                                     damping=0.1)},
+    'law': {
+        'law': EFFECTS['law'](
+            joints={'x': 'crank_joint'}, rates={'v': 'x'},
+            components={'y': ('coupler_point', 'y')}, parameters={'k': 3.0},
+            states={'z': '(v - z)/0.1'}, event={'below': 'y - 0.1'},
+            forces={'x': '-0.05*z*abs(v) + 0.2*exp(-v*v)*sin(cos(x) + t)',
+                    'y': 'k*(0.1 - y)*below'})},
     'all': {'friction': EFFECTS['joint_friction'](**CRANK, coulomb=0.3),
             'spring': EFFECTS['joint_spring'](**CRANK, stiffness=1.3),
             'floor': EFFECTS['contact'](point='coupler_point', origin=(0.0, 0.1),

@@ -8,10 +8,10 @@ from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
 from .function_table import BODY, ENTRIES, OTHER_BODY, PRESENT, PRESENT_COLUMNS, TAU
-from .llvm_text import CONTRACT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
+from .llvm_text import BIT, CONTRACT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
 # Functions of the C library, of laws of force.
-_LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
+_LIBRARY = {EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
 _MOST_RESULTS = 3
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 _COMPARISONS = {LESS: 'fcmp olt', GREATER_EQUAL: 'fcmp oge'}
@@ -31,13 +31,15 @@ class Writer:
     """
 
     ARGUMENTS, ROOT = (WORDS, DOUBLES, DOUBLES), 'llvm.sqrt.f64'
-    # Outputs that are added to what is there.
-    ADDED = ()
+    # Outputs that are added to what is there; and whether it is asked if the results are good.
+    ADDED, ANSWERS = (), True
 
     def __init__(self, routine, declared):
         self.routine = routine
         self.function = Function(routine.name, self.ARGUMENTS, declared)
         self.values, self.pointers, self.engine_results = {}, {}, {}
+        # What must hold for the results to be right.
+        self.conditions = []
 
     def number(self, operand):
         """Return the value of an operand."""
@@ -59,19 +61,41 @@ class Writer:
 
     def write(self):
         """Write the function."""
-        operations, use = self.routine.graph.operations, self.routine.needed()
-        angles = sorted({operation[1] for place, operation in enumerate(operations)
-                         if place in use and operation[0] in (SINE, COSINE)})
-        for place in sorted(needed_for(operations, angles)):
-            self.values[place] = self.operation(*operations[place])
-        self.turn(operations, angles)
-        for place, operation in enumerate(operations):
-            if place in use and place not in self.values:
-                if operation[0] == ARCTANGENT:
-                    self.turn_back(operations, use)
-                else:
-                    self.values[place] = self.operation(*operation)
+        self.turn_first()
+        for place in sorted(self.routine.needed()):
+            self.compute(place)
         self.finish()
+
+    def compute(self, place):
+        """Compute an operation, unless that is done, after those that it takes."""
+        if place not in self.values:
+            kind, *operands = self.routine.graph.operations[place]
+            if kind in (SINE, COSINE):
+                self.turn_later(*operands)
+            elif kind == ARCTANGENT:
+                self.turn_back(place)
+            else:
+                self.values[place] = self.operation(kind, *operands)
+
+    def turn_first(self):
+        """Compute all sines and cosines that depend on no others of these."""
+        angles = self.first_angles()
+        for place in sorted(needed_for(self.routine.graph.operations, angles)):
+            self.compute(place)
+        if angles:
+            self.turn(angles)
+
+    def first_angles(self):
+        """Return the places of the angles of these."""
+        operations, behind, found = self.routine.graph.operations, set(), set()
+        for place in sorted(self.routine.needed()):
+            kind, *operands = operations[place]
+            if kind != LOAD and any(isinstance(one, int) and one in behind for one in operands):
+                behind.add(place)
+            elif kind in (SINE, COSINE):
+                behind.add(place)
+                found.update(operands)
+        return sorted(found)
 
     def finish(self):
         """Store the outputs, and return whether the traced branches were the right ones."""
@@ -82,29 +106,49 @@ class Writer:
                 result = self.function.binary('fadd', self.function.load(address), result)
             self.function.store(result, address)
         guard = self.routine.graph.guard
-        self.function.end(integer(1) if guard is None else self.function.convert(
-            'zext', self.number(guard.place), WORD))
+        if guard is not None:
+            self.conditions.append(self.number(guard.place))
+        good = integer(1, BIT)
+        for condition in self.conditions:
+            good = self.function.binary('and', good, condition)
+        self.function.end(self.function.convert('zext', good, WORD))
 
-    def turn(self, operations, angles):
-        """Compute all sines and cosines at once, in vectors."""
-        if not angles:
+    def turn(self, angles):
+        """Compute the sines and cosines of angles, at their places, at once, in vectors."""
+        self.keep(angles, *sincos.write(self.function, list(map(self.number, angles))))
+
+    def turn_later(self, angle):
+        """
+        Compute the sine and cosine of an angle that depends on others of these.
+
+        Without a branch: products before it and sums behind are rounded once, as in lanes. Where
+        the angle is too large for that, the results are not to be used.
+        """
+        if not self.ANSWERS:
+            self.turn([angle])
             return
-        sines, cosines = sincos.write(
-            self.function, [self.values[angle] for angle in angles])
+        function = self.function
+        packed = function.gather([self.number(angle)])
+        self.conditions.append(function.take(sincos.within(function, packed, 1), 0))
+        self.keep([angle], *(
+            [function.take(one, 0)] for one in sincos.polynomials(function, packed, 1)))
+
+    def keep(self, angles, sines, cosines):
+        """Store sines and cosines as the values of their operations."""
         by_angle = {angle: n for n, angle in enumerate(angles)}
-        for place, operation in enumerate(operations):
+        for place, operation in enumerate(self.routine.graph.operations):
             if operation[0] in (SINE, COSINE) and operation[1] in by_angle:
                 values = sines if operation[0] == SINE else cosines
                 self.values[place] = values[by_angle[operation[1]]]
 
-    def turn_back(self, operations, use):
+    def turn_back(self, _):
         """Compute all arctangents that are left and depend on none of these, in one vector."""
-        left = {place for place in use
+        operations = self.routine.graph.operations
+        left = {place for place in self.routine.needed()
                 if operations[place][0] == ARCTANGENT and place not in self.values}
         ready = sorted(one for one in left if needed_for(operations, [one]) & left == {one})
-        for place in sorted(needed_for(operations, ready)):
-            if place not in self.values and place not in left:
-                self.values[place] = self.operation(*operations[place])
+        for place in sorted(needed_for(operations, ready) - left):
+            self.compute(place)
         angles = arctangent.write(self.function, *(self.function.gather(
             [self.number(operations[place][n]) for place in ready]) for n in (1, 2)))
         self.values.update((place, self.function.take(angles, n)) for n, place in enumerate(ready))
@@ -159,24 +203,17 @@ class Writer:
 class RowWriter(Writer):
     """Writes a law of force for any row of the table of effects."""
 
-    ADDED = TAU, BODY, OTHER_BODY
+    ADDED, ANSWERS = (TAU, BODY, OTHER_BODY), False
 
 
 class KernelWriter(Writer):
     """Writes a joint kernel: a function of the rows that it reads and writes."""
 
-    ARGUMENTS = 5 * (DOUBLES,)
+    ARGUMENTS, ANSWERS = 5 * (DOUBLES,), False
 
     def address(self, source, place):
         """Return the address of a number of a row."""
         return self.function.address(self.function.arguments[source], place)
-
-
-class LawWriter(KernelWriter):
-    """Writes a law of force; its few sines are computed one by one."""
-
-    def turn(self, operations, angles):
-        """Compute sines and cosines one by one, as one may be within another."""
 
 
 def intermediate_code(routines, writer):

@@ -166,6 +166,11 @@ class Function:
         _, function = self.convert('inttoptr', address, kind)
         return self.result(DOUBLE, f'call {DOUBLE} {function}({", ".join(map(_typed, values))})')
 
+    def blocks(self, *names):
+        """Return names of new blocks."""
+        self._count += 1
+        return [f'{name}{self._count}' for name in names]
+
     def begin(self, block):
         """Begin a block."""
         self._lines.append(f'{block}:')
@@ -178,8 +183,8 @@ class Function:
         """End a block, to go on with one of two."""
         self._lines.append(f'br {_typed(condition)}, label %{yes}, label %{no}')
 
-    def joined(self, **values):
-        """Write the value that is that of the block from which this one was reached."""
+    def joined(self, values):
+        """Write the value of the block from which this one was reached, of values by block."""
         kind, _ = next(iter(values.values()))
         return self.result(kind, f'phi {kind} ' + ', '.join(
             f'[{name}, %{block}]' for block, (_, name) in values.items()))

@@ -15,8 +15,8 @@ from importlib import import_module
 from .. import cache
 
 # How routines are written: module and class.
-SCALAR, ROW, KERNEL, LAW, LANES, PACKED = (
-    ('.emit', 'Writer'), ('.emit', 'RowWriter'), ('.emit', 'KernelWriter'), ('.emit', 'LawWriter'),
+SCALAR, ROW, KERNEL, LANES, PACKED = (
+    ('.emit', 'Writer'), ('.emit', 'RowWriter'), ('.emit', 'KernelWriter'),
     ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
@@ -43,7 +43,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
 
     ``key``: structure of the mechanism and all else that the routines depend on; ``routines``
     returns the list of Routine, called only where nothing is stored; ``form``: ``SCALAR``,
-    ``ROW``, ``KERNEL``, ``LAW``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code
+    ``ROW``, ``KERNEL``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code
     is, at most as many as there are routines; ``seconds``: approximate limit of the compile time.
     """
     from llvmlite import binding

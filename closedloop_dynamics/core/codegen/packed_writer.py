@@ -4,7 +4,6 @@
 """From unrolled arithmetic to LLVM vectors, where branches of a mechanism do the same."""
 
 from .emit import Writer
-from .expression_graph import COSINE, needed_for, SINE
 from .llvm_text import DOUBLE, numbers, vector_of
 from .packing import packing_of
 
@@ -14,25 +13,23 @@ class PackedWriter(Writer):
 
     def write(self):
         """Write the function."""
-        operations, use = self.routine.graph.operations, self.routine.needed()
-        angles = sorted({operation[1] for place, operation in enumerate(operations)
-                         if place in use and operation[0] in (SINE, COSINE)})
-        self.packing = packing_of(self.routine, angles)
+        operations = self.routine.graph.operations
+        self.packing = packing_of(self.routine, self.first_angles())
         if self.packing is None:
             super().write()
             return
         self.vectors, self.gathered = {}, {}
-        for place in sorted(needed_for(operations, angles)):
-            self.values[place] = self.operation(*operations[place])
-        self.turn(operations, angles)
+        self.turn_first()
         for members in self.packing.ordered():
             if len(members) == 1:
-                place, = members
-                if place not in self.values:
-                    self.values[place] = self.operation(*operations[place])
+                self.compute(*members)
             else:
                 self._compute(operations, members)
         self.finish()
+
+    def turn_back(self, place):
+        """Compute an arctangent; what others take may not be computed yet."""
+        self.values[place] = self.operation(*self.routine.graph.operations[place])
 
     def number(self, operand):
         """Return the value of an operand, out of its lane where it is in one."""

@@ -32,20 +32,21 @@ def write(function, angles):
     """
     count = len(angles)
     packed, bits = function.gather(angles), f'i{count}'
+    quick, slow, known = function.blocks('quick', 'slow', 'known')
     function.branch_if(
         function.compare('icmp eq', function.convert(
             'bitcast', within(function, packed, count), bits), integer(-1, bits)),
-        'quick', 'slow')
-    function.begin('quick')
-    quick = polynomials(function, packed, count)
-    function.branch('known')
-    function.begin('slow')
-    slow = [function.gather([function.call(f'llvm.{name}.f64', [angle]) for angle in angles])
-            for name in ('sin', 'cos')]
-    function.branch('known')
-    function.begin('known')
+        quick, slow)
+    function.begin(quick)
+    fast = polynomials(function, packed, count)
+    function.branch(known)
+    function.begin(slow)
+    exact = [function.gather([function.call(f'llvm.{name}.f64', [angle]) for angle in angles])
+             for name in ('sin', 'cos')]
+    function.branch(known)
+    function.begin(known)
     return [[function.take(result, n) for n in range(count)] for result in [
-        function.joined(quick=fast, slow=exact) for fast, exact in zip(quick, slow)]]
+        function.joined({quick: one, slow: other}) for one, other in zip(fast, exact)]]
 
 
 def within(function, angle, count):
