@@ -46,16 +46,7 @@ def _allocate_runs(tableau, states, weight):
 
 
 class FixedSteps:
-    """
-    Steps of one size.
-
-    Attributes
-    ----------
-    tableau : Tableau
-    stabilisation : int
-    scratch : ndarray, shape (stages + 3, ns)
-
-    """
+    """Steps of one size, by a tableau, with ``scratch`` of shape (stages + 3, ns)."""
 
     def __init__(self, system, integrator, stabilisation):
         self.tableau, self.stabilisation = integrator.tableau, stabilisation
@@ -194,15 +185,8 @@ class Switching(_Adaptive):
     """
     Error control that changes between an explicit and a stiff method (``engine/switching.cpp``).
 
-    ``accuracy``: float; global error of coordinates within a second [rad or m].
-
-    Attributes
-    ----------
-    control : ndarray, shape (SWITCHING_COLUMNS,)
-        Of the run.
-    watch : ndarray, shape (MONITOR_COLUMNS,)
-        Of its error.
-
+    ``accuracy``: global error of coordinates within a second [rad or m]; ``control``, shape
+    (SWITCHING_COLUMNS,): of the run; ``watch``, shape (MONITOR_COLUMNS,): of its error.
     """
 
     def __init__(self, system, integrator, stabilisation, accuracy):

@@ -29,14 +29,13 @@ class Runs(NamedTuple):
 
 
 # How a stepper of the engine makes its steps.
-STEPPERS = (FIXED_STEPS, EXPLICIT_STEPS, SWITCHING_STEPS, FIXED_STIFF_STEPS, STIFF_STEPS,
-            HOST_STEPS) = range(6)
+FIXED_STEPS, EXPLICIT_STEPS, SWITCHING_STEPS, FIXED_STIFF_STEPS, STIFF_STEPS, HOST_STEPS = range(6)
 
 
 class Stepper(NamedTuple):
     """A method with its memory, for runs that the engine makes as a whole."""
 
-    kind: int  # One of ``STEPPERS``
+    kind: int  # ``FIXED_STEPS``, ...
     stabilisation: int
     tableau: Optional[Tableau]
     # Shape (2, ns): tolerances of the default method for a tolerance of 1.

@@ -116,11 +116,6 @@ class System(NamedTuple):
         return self.corrections.size > 0
 
     @property
-    def is_force_free(self):
-        """Whether one such routine makes a whole evaluation: without effects."""
-        return self.is_unrolled and self.effects is None
-
-    @property
     def is_independent(self):
         """Whether independent coordinates are integrated."""
         return self.partition.order.size > 0
@@ -345,13 +340,8 @@ class Probe:
     """
     Evaluations from Python, one at a time, with the arguments bound.
 
-    Attributes
-    ----------
-    q, qd, own : ndarray, shape (nq,), (nv,), (nz,)
-        Coordinates, rates and effects' states that are evaluated: views of a state vector.
-    evaluate : callable
-        As ``evaluate_with_poses`` of the engine.
-
+    ``q``, ``qd``, ``own``: coordinates, rates and effects' states that are evaluated: views of a
+    state vector; ``evaluate``: as ``evaluate_with_poses`` of the engine.
     """
 
     def __init__(self, system, state=None):

@@ -54,14 +54,9 @@ _WORD = re.compile(r'[A-Za-z_][A-Za-z0-9_. -]*(?<! )')
 
 class Document:
     """
-    The data of one YAML file, and the line of every key in it.
+    The data of one YAML file, its path, and the line of every key in it.
 
-    Attributes
-    ----------
-    path : pathlib.Path
-    data : object
-        Mappings as dict, lists as list, scalars as YAML 1.2 has them.
-
+    Mappings are dicts, sequences lists, scalars as YAML 1.2 has them.
     """
 
     def __init__(self, path, error_type, text=None):

@@ -41,13 +41,8 @@ class Parameters:
     """
     Named numbers, for expressions of them.
 
-    Attributes
-    ----------
-    values : dict of str to float
-        By name, in the order in which they were given.
-    used : set of str
-        Names that an expression has used.
-
+    ``values`` by name, in the order in which they were given; ``used``: names that an expression
+    has used.
     """
 
     def __init__(self, values=()):

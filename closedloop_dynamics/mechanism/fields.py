@@ -21,16 +21,9 @@ MOST_SHOWN = 30
 
 class FieldError(ValueError):
     """
-    A value that does not fit its key.
+    A value that does not fit its key: what was expected, what was got, and a remedy or ''.
 
-    Attributes
-    ----------
-    path : tuple of str and int
-        Keys and list indices that lead to the value, outermost first.
-    expected, got : str
-    note : str
-        A remedy; may be empty.
-
+    ``path``: keys and list indices that lead to the value, outermost first.
     """
 
     def __init__(self, expected, got, note='', path=()):

@@ -31,8 +31,6 @@ from .coordinates import (
 
 GROUND = 'ground'
 BOX, CYLINDER, SPHERE, MESH = 'box', 'cylinder', 'sphere', 'mesh'
-# How many lengths, or factors, the shapes have that bodies are drawn as.
-VISUAL_SIZES = {BOX: 3, CYLINDER: 2, SPHERE: 1, MESH: 3}
 DISTANCE = 'distance'
 POINT_ON_PLANE = 'point_on_plane'
 # Joints of trees in the plane, and cut joints with their closure equations.
@@ -80,7 +78,7 @@ class Visual:
     Attributes
     ----------
     kind : str
-        One of ``VISUAL_SIZES``.
+        ``'box'``, ``'cylinder'``, ``'sphere'`` or ``'mesh'``.
     size : tuple of floats
         Of a box its three lengths [m], of a cylinder along its z axis radius and length [m], of
         a sphere its radius [m], of a mesh what its coordinates are multiplied with.

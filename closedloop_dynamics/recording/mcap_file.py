@@ -47,30 +47,14 @@ CHUNK_HEAD = re.compile(b'\x06.{5}\0\0\0', re.DOTALL)
 
 class McapFile:
     """
-    One MCAP file being written.
+    One MCAP file being written, which must not exist.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Must not exist.
-    compression : str
-        Of the chunks, one of ``COMPRESSIONS``.
-    make_room : callable
-        Called where the disk is full, before a second and last attempt.
+    ``compression``: of the chunks, one of ``COMPRESSIONS``; ``make_room`` is called where the disk
+    is full, before a second and last attempt. ``counts``: messages in the file by channel;
+    ``span``: times of the first and last of them [ns].
 
-    Attributes
-    ----------
-    counts : Counter
-        Messages in the file by channel.
-    span : (int, int)
-        Times of the first and last message in the file [ns].
-
-    Raises
-    ------
-    OSError
-        Here and in every method: the file ends with a whole chunk then. It can still be
-        finished where there was room for that; otherwise it stays without an index.
-
+    OSError, here and in every method: the file ends with a whole chunk then. It can still be
+    finished where there was room for that; otherwise it stays without an index.
     """
 
     def __init__(self, path, compression, make_room):

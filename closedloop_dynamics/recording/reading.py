@@ -36,20 +36,10 @@ class BagReadError(OSError):
 
 class Bag:
     """
-    A bag opened for reading.
+    A bag opened for reading; BagReadError if there is none.
 
-    Attributes
-    ----------
-    finished : bool
-        Whether the recording came to its end in order.
-    damages : list of Damage
-        Damages found while reading; complete when all messages have been read.
-
-    Raises
-    ------
-    BagReadError
-        If there is no bag.
-
+    ``finished``: whether the recording came to its end in order; ``damages`` found while reading;
+    complete when all messages have been read.
     """
 
     def __init__(self, path):

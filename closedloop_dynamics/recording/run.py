@@ -53,18 +53,9 @@ class ErrorEstimate:
     """
     A second, finer run of the same scene, which estimates the error of the first.
 
-    Attributes
-    ----------
-    simulation : Simulation
-        The second one.
-    method : str
-        How it differs, in words.
-
-    Notes
-    -----
-    With half the step a method of order p leaves 2^-p of the error (Richardson); with a tolerance
-    or an accuracy 30 times as small what is left does not count.
-
+    ``simulation`` is the second one, ``method`` says how it differs. With half the step a method
+    of order p leaves 2^-p of the error (Richardson); with a tolerance or an accuracy 30 times as
+    small what is left does not count.
     """
 
     def __init__(self, simulation):

@@ -49,18 +49,9 @@ class SqliteFile:
     """
     One database file being written; to be used from one thread.
 
-    Attributes
-    ----------
-    counts : Counter
-        Messages in the file by channel; what was not committed goes when it is closed.
-    span : (int, int)
-        Times of the first and last message in the file [ns].
-
-    Raises
-    ------
-    OSError
-        Here and in every method. What was committed before stays.
-
+    ``counts``: messages in the file by channel; what was not committed goes when it is closed;
+    ``span``: times of the first and last of them [ns]. OSError, here and in every method; what was
+    committed before stays.
     """
 
     def __init__(self, path, compression, distribution):

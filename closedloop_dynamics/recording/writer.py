@@ -22,24 +22,12 @@ RESERVE_FILE, RESERVE = '.reserve', 4 * CHUNK_SIZE
 
 class BagFiles:
     """
-    Write messages into the files of one bag.
+    Write messages into the files of one bag, a directory that must not exist.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Directory of the bag; must not exist.
-    storage : str
-        ``'mcap'`` or ``'sqlite3'``.
-    compression : str
-        One of ``COMPRESSIONS[storage]``. Of whole chunks in MCAP, of single messages in sqlite3.
-    max_size : float
-        A file that has become larger is followed by another one [bytes]; 0: never.
-
-    Raises
-    ------
-    OSError
-        Here and in every method. After it, ``close()`` keeps what is in the files.
-
+    ``storage``: ``'mcap'`` or ``'sqlite3'``; ``compression``: one of ``COMPRESSIONS[storage]``, of
+    whole chunks in MCAP, of single messages in sqlite3; a file that has become larger than
+    ``max_size`` is followed by another one [bytes]; 0: never. OSError, here and in every method;
+    after it, ``close()`` keeps what is in the files.
     """
 
     def __init__(self, path, storage, compression='none', max_size=0.0):

@@ -34,31 +34,10 @@ class BagWriter:
     """
     Write serialised messages into a bag without keeping the caller waiting.
 
-    Parameters
-    ----------
-    path : path-like
-        Directory of the bag; must not exist.
-    storage : str
-        ``'mcap'`` or ``'sqlite3'``.
-    typestore : rosbags.typesys.store.Typestore
-        Where the definitions of the types are taken from.
-    compression : str
-        One of ``recording.writer.COMPRESSIONS[storage]``.
-    max_size : float
-        A file that has become larger is followed by another one [bytes]; 0: never.
-
-    Attributes
-    ----------
-    written : Counter
-        Messages in the bag, by topic; known when it is closed.
-    error : BagError or None
-        What ended the writing early; from then on nothing is written.
-
-    Raises
-    ------
-    BagError
-        If the bag exists or cannot be created.
-
+    Arguments are those of ``recording.writer.BagFiles``, and the ``typestore`` that the
+    definitions of the types are taken from. ``written``: messages in the bag, by topic; known when
+    it is closed; ``error``: what ended the writing early, a BagError or None; from then on nothing
+    is written. BagError if the bag exists or cannot be created.
     """
 
     def __init__(self, path, storage, typestore, compression='none', max_size=0.0):
@@ -166,16 +145,10 @@ class UnknownTypeError(LookupError):
 
 class MessageTypes:
     """
-    Message types by name: their Python classes and their definitions.
+    Message types by name: their Python classes and their definitions, in a ``typestore``.
 
-    The definitions of Jazzy's own messages come with ``rosbags``; others are
-    read from the ``.msg`` files installed with their package.
-
-    Attributes
-    ----------
-    typestore : rosbags.typesys.store.Typestore
-        Holds every type that ``message_class`` returned.
-
+    The definitions of Jazzy's own messages come with ``rosbags``; others are read from the
+    ``.msg`` files installed with their package.
     """
 
     def __init__(self):

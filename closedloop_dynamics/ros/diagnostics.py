@@ -55,13 +55,9 @@ class Diagnostics:
     """
     Checks a simulator on request, and its health after every published state.
 
-    ``node`` publishes; a ``LiveSimulation`` and the mode that advances it are looked at.
-
-    Attributes
-    ----------
-    summary : str
-        Closure, error and energy balance of the latest period in a few lines; empty before.
-
+    ``node`` publishes; a ``LiveSimulation`` and the mode that advances it are checked.
+    ``summary``: closure, error and energy balance of the latest period in a few lines; empty
+    before.
     """
 
     def __init__(self, node, live, mode):

@@ -21,15 +21,8 @@ class ExternalWrench:
     Applies wrenches on bodies of a simulation as equivalent joint torques.
 
     These are found again whenever the simulation advances, and constant in between. As long as
-    there are none, nothing is computed.
-
-    Attributes
-    ----------
-    torques : ndarray, shape (nv,)
-        Joint torques that the wrenches were in the latest steps [N m or N].
-    counts : dict of str to int
-        Wrenches taken and refused.
-
+    there are none, nothing is computed. ``torques``, shape (nv,): what the wrenches were in the
+    latest steps [N m or N]; ``counts`` of those taken and refused.
     """
 
     def __init__(self, simulation):

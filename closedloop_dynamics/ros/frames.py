@@ -43,20 +43,9 @@ class Frames:
     """
     Broadcasts frames with every state, while ``/tf`` has subscribers.
 
-    ``node`` broadcasts and is given ``FRAME_PARAMETERS``.
-
-    Attributes
-    ----------
-    of_cuts : list of str
-        ``frame_id`` of the force at each cut joint.
-    any : bool
-        Whether there are frames to broadcast.
-
-    Raises
-    ------
-    StartError
-        If frames of links are asked for and there is no message type for them.
-
+    ``node`` broadcasts and is given ``FRAME_PARAMETERS``. ``of_cuts``: ``frame_id`` of the force
+    at each cut joint; ``any``: whether there are frames to broadcast. StartError if frames of
+    links are asked for and there is no message type for them.
     """
 
     def __init__(self, node, simulation):

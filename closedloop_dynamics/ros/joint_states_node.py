@@ -61,14 +61,8 @@ class JointStatesNode(Node):
     """
     Publish all joints of a mechanism, passive and cut ones included, from measured ones.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the node wants to go on.
-    completion : simulation.completion.Completion
-    counts : dict of str to int
-        Messages completed, not usable, and those whose positions close no loops.
-
+    ``exit_code``: None while the node wants to go on; ``counts``: messages completed, not usable,
+    and those whose positions close no loops.
     """
 
     def __init__(self, **options):

@@ -16,13 +16,8 @@ class MotionCommand:
     Has commanded motions follow trajectories; a faulty trajectory is refused as a whole.
 
     A trajectory may name the ``commanded_motions`` of the simulation; its stamp is of ``stamps``,
-    which simulated time follows as fast as ``pacer`` says.
-
-    Attributes
-    ----------
-    counts : dict of str to int
-        Trajectories followed, refused, and lost on the way, counted by who receives them.
-
+    which simulated time follows as fast as ``pacer`` says. ``counts``: trajectories followed,
+    refused, and lost on the way, counted by who receives them.
     """
 
     def __init__(self, simulation, stamps, pacer):

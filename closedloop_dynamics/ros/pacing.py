@@ -58,15 +58,9 @@ class RealTime:
     Simulated time, which a Pacer counts, follows the steady clock times a factor.
 
     A tick that was missed is made up for in the next one: every state is that of the time at which
-    it was due, however late the process was woken for it.
-
-    Attributes
-    ----------
-    tick_period : float
-        [s] of the steady clock.
-    missed_ticks, left_out : int
-        Ticks that came so late that the next one was due; those that were not made up for.
-
+    it was due, however late the process was woken for it. ``missed_ticks`` came so late that the
+    next one was due; ``left_out`` of them were not made up for; ``tick_period`` is in s of the
+    steady clock.
     """
 
     name = REALTIME

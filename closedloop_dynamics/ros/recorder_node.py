@@ -58,13 +58,8 @@ class RecorderNode(Node):
     """
     Record every message of the chosen topics, as it came over the wire.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the node wants to go on.
-    received, lost : Counter
-        Messages by full topic name; lost: what DDS says could not be delivered.
-
+    ``exit_code``: None while the node wants to go on; ``received``, ``lost``: messages by full
+    topic name; lost: what DDS says could not be delivered.
     """
 
     def __init__(self, **options):

@@ -130,15 +130,8 @@ class TorqueSourceNode(Node):
     """
     Publish torques for the actuated joints of a simulator.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the node wants to go on.
-    joints : tuple of str
-        Empty until known.
-    published : int
-        Commands published so far.
-
+    ``exit_code``: None while the node wants to go on; ``joints``: empty until known;
+    ``published``: commands so far.
     """
 
     def __init__(self, **options):

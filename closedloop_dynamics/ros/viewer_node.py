@@ -487,13 +487,8 @@ class ViewerNode(Node):
     """
     Show running simulators in a browser.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the node wants to go on.
-    server : view.server.Server or None
-        None until the simulators are known.
-
+    ``exit_code``: None while the node wants to go on; ``server``: None until the simulators are
+    known.
     """
 
     def __init__(self, **options):

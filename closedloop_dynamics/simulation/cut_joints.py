@@ -88,22 +88,9 @@ class CutJoints:
     """
     The coordinates of all cut joints that have some.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    model, placements
-        As for ``coordinate_arrays``.
-    acted : sequence of str
-        Names of those that anything acts along.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of all freedoms.
-    acted : ndarray of int
-        Places among them of those that anything acts along.
-
+    ``model`` and ``placements`` are as for ``coordinate_arrays``. ``names`` are those of all
+    freedoms; ``acted``, given by name, are the places among them of those that anything acts
+    along.
     """
 
     def __init__(self, mechanism, model, placements, acted):

@@ -29,23 +29,9 @@ class CutRows:
     """
     Rows of the loop closures, one by one, in the order of elimination.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    decomposition : Decomposition
-        Of it.
-    tree : tree_rows.TreeRows
-        Which joints couplings read is noted there, in the plane.
-
-    Attributes
-    ----------
-    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-        ``Model.cut``, of which the equations are neither chosen nor numbered.
-    cut_point : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
-    path_body : ndarray of int
-        As ``Model`` has them.
-
+    Which joints couplings read is noted in ``tree``, in the plane. ``cut``, ``cut_point`` and
+    ``path_body`` are as ``Model`` has them, but for the equations, which are neither chosen nor
+    numbered.
     """
 
     def __init__(self, mechanism, decomposition, tree):

@@ -19,28 +19,14 @@ class DerivativeCode:
     """
     Code for the derivatives of accelerations and multipliers, compiled once for a mechanism.
 
-    Parameters
-    ----------
-    simulation : data.Data
-        Of a scene that has derivatives.
-    qdd, lam : ndarray, shape (nv,), (nc,)
-        Accelerations and multipliers of the state: read by the code.
-    states : int
-        nz: of the effects, whose rates are differentiated, too; all of them, or none.
-    scene : TracedScene, optional
-        Of that simulation.
+    ``qdd``, ``lam``, those of the state, are read by the code; ``states``, nz: of the effects,
+    whose rates are differentiated, too; all of them, or none; ``scene``: that of the simulation,
+    where it was traced before.
 
-    Attributes
-    ----------
-    table : ndarray of int
-        As ``engine.native.call_for_columns`` takes it.
-    columns, found : ndarray, shape (blocks, LANES (nv + nc))
-        LANES columns side by side: changes of the residuals, and the derivatives.
-    rates : ndarray, shape (2 nv, nc)
-        Derivatives of J qd by coordinates and rates.
-    flows : ndarray, shape (2 nv, nz)
-        Derivatives of the rates of the effects' states.
-
+    ``table`` is as ``engine.native.call_for_columns`` takes it; ``columns``, ``found``, shape
+    (blocks, LANES (nv + nc)): LANES columns side by side: changes of the residuals, and the
+    derivatives; ``rates``, shape (2 nv, nc): derivatives of J qd by coordinates and rates;
+    ``flows``, shape (2 nv, nz): derivatives of the rates of the effects' states.
     """
 
     def __init__(self, simulation, qdd, lam, states=0, scene=None):

@@ -264,13 +264,8 @@ class StiffnessGuard:
     """
     Refuses explicit steps that cannot be stable, before they are made.
 
-    Attributes
-    ----------
-    limit : float
-        Step size times fastest rate up to which the method is stable.
-    among_laws : bool
-        Whether fixed explicit steps are taken among effects with force laws.
-
+    ``limit``: step size times fastest rate up to which the method is stable; ``among_laws``:
+    whether fixed explicit steps are taken among effects with force laws.
     """
 
     def __init__(self, system, method, own=()):

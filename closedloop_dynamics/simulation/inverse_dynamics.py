@@ -18,14 +18,9 @@ class InverseDynamics:
     """
     Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive.
 
-    Attributes
-    ----------
-    find : callable
-        Of coordinates, rates and accelerations, as for ``solve`` but not checked yet: solves at
-        once, where arrays are given and nothing is refused, and returns whether it did.
-    torque, lam : ndarray
-        What ``find`` has found, until it is called again.
-
+    ``find``, of coordinates, rates and accelerations, as for ``solve`` but not checked yet, solves
+    at once, where arrays are given and nothing is refused, and returns whether it did; ``torque``
+    and ``lam`` are its results, until it is called again.
     """
 
     def __init__(self, mechanism, system, effects, table, equations, cuts, actuated, own):

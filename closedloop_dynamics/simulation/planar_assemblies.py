@@ -45,18 +45,8 @@ class PlanarEquations:
     """
     The equations of a driven planar mechanism in isotropic coordinates.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Planar; its ``motions`` are the driving equations.
-    values : sequence of float, shape (m,)
-        Of these [rad or m].
-
-    Raises
-    ------
-    NotProved
-        For couplings, and loops that hold an angle twice.
-
+    Its ``motions`` are the driving equations, of ``values`` [rad or m]. NotProved for couplings,
+    and loops that hold an angle twice.
     """
 
     def __init__(self, mechanism, values):

@@ -338,16 +338,7 @@ def fits_simd(simulation, schedule):
 
 
 class SimdRuns:
-    """
-    Several runs at a time in vector lanes, with their results.
-
-    Attributes
-    ----------
-    schedule : TimeGrid
-    quantities : sequence of str
-        What to keep, of ``QUANTITIES``.
-
-    """
+    """Several runs at a time in vector lanes, with ``quantities`` of ``QUANTITIES`` as results."""
 
     def __init__(self, schedule=None, quantities=()):
         self.schedule, self.quantities = schedule, quantities

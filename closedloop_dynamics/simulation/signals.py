@@ -24,13 +24,7 @@ class SignalWatch:
     """
     The reaction of this process to signals: the latest one that was set up and is not over.
 
-    Parameters
-    ----------
-    leave : callable
-        The first reaction: ``leave(number)`` ends the process, which has nothing to close yet.
-    numbers : sequence of signal.Signals
-        Signals to handle.
-
+    The first one, ``leave(number)``, ends the process, which has nothing to close yet.
     """
 
     def __init__(self, leave, numbers=STOP_SIGNALS):

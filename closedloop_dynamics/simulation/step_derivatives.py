@@ -20,22 +20,10 @@ from ..integration.stepped_run import StepRoutines
 
 class StepDerivatives:
     """
-    The routines that derivatives of steps are made of.
+    The ``routines`` that derivatives of steps are made of, by ``parameters``.
 
-    They are compiled when they are first asked for, unless an earlier process has.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Of a scene that has derivatives; its state stays as it is.
-    parameters : parameters.ParameterArrays
-    scene : TracedScene, optional
-        Of that simulation.
-
-    Attributes
-    ----------
-    routines : integration.stepped_run.StepRoutines
-
+    They are compiled when they are first asked for, unless an earlier process has. The simulation,
+    of a scene that has derivatives, stays as it is; ``scene``: where it was traced before.
     """
 
     def __init__(self, simulation, parameters, scene=None):

@@ -41,19 +41,9 @@ class TracedScene:
     """
     Mechanism and effects of a scene as inputs of generated code.
 
-    Parameters
-    ----------
-    simulation : Simulation
-    instant : bool
-        Whether the time is held, so that forces over time are numbers.
-
-    Attributes
-    ----------
-    values : ndarray, shape (rows, VALUE_COLUMNS)
-        Numbers of the effects; where the time is held, and any follows it, with more rows.
-    key : tuple
-        Dependences of the code beside the mechanism.
-
+    ``instant``: whether the time is held, so that forces over time are numbers. ``values``, shape
+    (rows, VALUE_COLUMNS): numbers of the effects; where the time is held, and any follows it, with
+    more rows; ``key``: dependences of the code beside the mechanism.
     """
 
     def __init__(self, simulation, instant=False):

@@ -72,22 +72,8 @@ class TreeRows:
     """
     Rows of a tree in the plane, joint by joint; in space a subclass overrides them.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        To be described.
-    decomposition : Decomposition
-        Of it.
-
-    Attributes
-    ----------
-    tree, body : ndarray
-        As ``core.types.Model`` has them.
-    placements : dict of str to Placement
-        By body, the ground among them.
-    rows : dict of str to list of int
-        Rows of the tree by joint.
-
+    ``tree`` and ``body`` are as ``core.types.Model`` has them; ``placements`` by body, the ground
+    among them; ``rows`` of the tree by joint.
     """
 
     COLUMNS = t.BODY_COLUMNS

@@ -37,14 +37,8 @@ class RateControl:
     Computed torque for constant rates.
 
     The model is the scene without drives, so that their lags and limits show in the result.
-
-    ``rates``: dict of str to float; wanted rate of every actuated joint [rad/s, m/s].
-
-    Raises
-    ------
-    ValueError
-        Where a joint is not actuated, or an actuated one has no rate.
-
+    ``rates``: wanted rate of every actuated joint [rad/s, m/s]. ValueError where a joint is not
+    actuated, or an actuated one has no rate.
     """
 
     def __init__(self, scene, rates):

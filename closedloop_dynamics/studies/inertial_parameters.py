@@ -42,22 +42,9 @@ class BodyParameters:
     """
     The linear parameters of one body.
 
-    Parameters
-    ----------
-    body : mechanism.mechanism.Body
-    keys : sequence of str
-        Those that vary, below the body: ``mass``, ``center_of_mass.0``, ``inertia``,
-        ``inertia.3``.
-
-    Attributes
-    ----------
-    name : str
-    parameters : tuple of Parameter
-    nonlinear : tuple of str
-        Keys that are no linear parameters.
-    depends : dict of str to tuple of str
-        Which parameters a key follows from.
-
+    ``keys``, those that vary, are below the body: ``mass``, ``center_of_mass.0``, ``inertia``,
+    ``inertia.3``; those that are no linear parameters become ``nonlinear``; ``depends``: which
+    parameters a key follows from.
     """
 
     def __init__(self, body, keys):

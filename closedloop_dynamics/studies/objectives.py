@@ -42,23 +42,11 @@ def places_named(text):
 
 class Expression:
     """
-    An expression of quantities.
+    An expression of quantities, of a text as users write it; FieldError where it is none.
 
-    Parameters
-    ----------
-    text : str
-        As users write it.
-    scene : scene_records.Scene
-        Whose quantities and numbers it names.
-    drives : sequence of str
-        Names of the driven joints and coordinates of points.
-    paths : mapping of str to ndarray, shape (m, 2), in space (m, 3)
-        Places by the names that ``distance`` has for them [m].
-
-    Raises
-    ------
-    FieldError
-
+    It names quantities and numbers of a scene, driven joints and coordinates of points
+    (``drives``), and ``paths``, places [m] by the names that ``distance`` has for them, shape (m,
+    2), in space (m, 3).
     """
 
     def __init__(self, text, scene, drives, paths=()):
@@ -181,20 +169,7 @@ def _root(root, text):
 
 
 class Requirement:
-    """
-    ``EXPRESSION >= EXPRESSION``, or ``<=``.
-
-    Parameters
-    ----------
-    text : str
-    scene, drives, paths
-        As for ``Expression``.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """``EXPRESSION >= EXPRESSION``, or ``<=``; arguments and errors are as for ``Expression``."""
 
     def __init__(self, text, scene, drives, paths=()):
         self.text = text
@@ -231,15 +206,7 @@ class Requirement:
 
 
 class Bound:
-    """
-    An upper bound of an expression.
-
-    Parameters
-    ----------
-    expression : Expression
-    most : float
-
-    """
+    """An upper bound of an expression."""
 
     def __init__(self, expression, most):
         self._expression, self._most = expression, most

@@ -115,22 +115,9 @@ class Quantities:
     """
     Quantities of one machine, each computed at first use.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        The machine.
-    driven : Driven
-        How it is driven.
-    variables : sequence of Variable
-        By which derivatives are asked for; none: values alone.
-    run : DrivenRun, optional
-        Of this machine, where it is known.
-
-    Raises
-    ------
-    Infeasible
-        Here, and whenever a quantity is asked for.
-
+    ``variables`` are those by which derivatives are asked for; none: values alone; ``run``, a
+    DrivenRun of this machine, where it is known. Infeasible, here and whenever a quantity is asked
+    for.
     """
 
     def __init__(self, scene, driven, variables=(), run=None):

@@ -36,13 +36,8 @@ class Slope:
     """
     Numbers and their derivatives.
 
-    Attributes
-    ----------
-    value : ndarray, shape S
-        One number, (), or one at each pose, (n,).
-    slope : ndarray, shape (*S, k)
-        By k numbers that are varied.
-
+    ``value``, shape S: one number, (), or one at each pose, (n,); ``slope``, shape (*S, k): by k
+    numbers that are varied.
     """
 
     __slots__ = ('value', 'slope')
@@ -101,11 +96,7 @@ class Magnitude(Slope):
     """
     Lengths of vectors, which are not smooth where these are zero, as the components are.
 
-    Attributes
-    ----------
-    parts : Slope
-        Of shape (n, number of components).
-
+    ``parts``, of shape (n, number of components).
     """
 
     __slots__ = ('parts',)
@@ -125,15 +116,7 @@ class Magnitude(Slope):
 
 
 class Path:
-    """
-    Where a point is at each pose; no number.
-
-    Attributes
-    ----------
-    places : Slope
-        Of shape (n, 2), in space (n, 3) [m].
-
-    """
+    """Where a point is at each pose, shape (n, 2), in space (n, 3) [m]; no number."""
 
     __slots__ = ('places',)
 

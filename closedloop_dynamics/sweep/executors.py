@@ -233,15 +233,7 @@ class ExternalExecutor:
 
 
 class Cluster(ExternalExecutor):
-    """
-    A cluster of Dask.
-
-    Parameters
-    ----------
-    address : str
-        Of its scheduler, such as ``tcp://192.0.2.1:8786``.
-
-    """
+    """A cluster of Dask, by its scheduler's address, such as ``tcp://192.0.2.1:8786``."""
 
     def __init__(self, address):
         """Connect."""

@@ -76,20 +76,9 @@ class Layout:
     """
     The variables of a sweep, and the sizes and names of their dimensions.
 
-    Attributes
-    ----------
-    plan : Plan
-    batch : int
-        Samples that are written at once.
-    identity : dict of str to str
-        Attributes in which a file and the plan must agree to be continued.
-    samples : int
-    variables : tuple of Variable
-    results : tuple of str
-        Names of those that a batch brings.
-    sizes : dict of str to int
-        Of all dimensions but the sample.
-
+    ``batch``: samples that are written at once; ``identity``: attributes in which a file and the
+    plan must agree to be continued; ``results``: names of the variables that a batch brings;
+    ``sizes``: of all dimensions but the sample.
     """
 
     def __init__(self, plan: Plan, batch):

@@ -14,11 +14,7 @@ class Background:
     """
     Compute one thing at a time on a thread of its own, while a machine moves.
 
-    Attributes
-    ----------
-    busy : bool
-        Whether something is computed, or waits to be taken.
-
+    ``busy``: whether something is computed, or waits to be taken.
     """
 
     def __init__(self):

@@ -14,16 +14,7 @@ from ..mechanism.rotations import of_quaternion
 
 
 class BodyFrames:
-    """
-    Where bodies are in one position; what is asked of others raises FieldError.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-    position : ndarray, shape (nq,)
-        [rad or m].
-
-    """
+    """Where bodies are at a position, shape (nq,); questions about others raise FieldError."""
 
     def __init__(self, mechanism, position):
         poses = poses_in_space(body_poses(mechanism, np.array(position)))

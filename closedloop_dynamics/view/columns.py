@@ -169,17 +169,10 @@ def motion_rows(motion):
 
 class SimulationRows:
     """
-    The rows of a running simulation.
+    The rows of a running simulation, which is read, not advanced.
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        Read, not advanced.
-    hidden : sequence of str
-        Names of effects whose arrows are not shown.
-    points : int
-        Number of the first named points whose paths are drawn.
-
+    ``hidden``: names of effects whose arrows are not shown; ``points``: number of the first named
+    points whose paths are drawn.
     """
 
     def __init__(self, simulation, hidden=(), points=0):

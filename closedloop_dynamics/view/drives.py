@@ -17,25 +17,12 @@ DRIVE_RATE = 50.0
 
 class Drive:
     """
-    Drive of one joint.
+    Drive of one joint, named by its freedom; ``slides``: whether that is a length.
 
-    Parameters
-    ----------
-    joint : str
-        The name of its freedom.
-    inertia : float
-        That the drive feels; to be renewed as the machine moves [kg m^2; kg].
-    slides : bool
-        Whether the freedom is a length.
-
-    Attributes
-    ----------
-    mode : str
-        ``torque``, ``position``, ``speed``, ``expression``, or ``own``: a controller knows.
-    value : float or str
-        Torque [N m; N], position [rad; m], speed [rad/s; m/s], or expression in the time ``t``
-        for the position; name of the controller.
-
+    ``inertia``: that the drive feels; to be renewed as the machine moves [kg m^2; kg]; ``mode``:
+    ``torque``, ``position``, ``speed``, ``expression``, or ``own``: a controller knows; ``value``:
+    torque [N m; N], position [rad; m], speed [rad/s; m/s], or expression in the time ``t`` for the
+    position; name of the controller.
     """
 
     def __init__(self, joint, inertia, slides):

@@ -29,19 +29,9 @@ REACH = {False: 60.0, True: 20.0}
 
 class Driving:
     """
-    The drives of a simulation.
+    The drives of a simulation, by the name of a driven freedom.
 
-    Parameters
-    ----------
-    own : own_motion.OwnMotion
-        How the machine moves by itself.
-
-    Attributes
-    ----------
-    own : own_motion.OwnMotion
-    drives : dict of str to drives.Drive
-        By the name of a driven freedom.
-
+    ``own``: how the machine moves by itself.
     """
 
     def __init__(self, own):

@@ -39,20 +39,9 @@ JOINT, CUT, POINT = 'joint', 'cut', 'point'
 
 class Editor:
     """
-    A scene, and how it came to be.
+    A scene as it was read, and as it is now, edited.
 
-    Parameters
-    ----------
-    scene : simulation.scene_records.Scene
-        As it was read.
-
-    Attributes
-    ----------
-    scene : simulation.scene_records.Scene
-        As it is now.
-    words_kept : bool
-        Whether what is saved is in the words of the author of the file.
-
+    ``words_kept``: whether what is saved is in the words of the author of the file.
     """
 
     def __init__(self, scene):

@@ -32,26 +32,9 @@ class Feed:
     that paths and plots need reach every page as samples: those between frames, and those of the
     frames that it has missed.
 
-    Parameters
-    ----------
-    description : dict
-        Of JSON types; sent first.
-
-    Attributes
-    ----------
-    description, controls : str
-        JSON; both change.
-    described : int
-        How often there was another description.
-    number : int
-        Of the newest frame.
-    version : int
-        Of the controls.
-    pages : int
-        How many are open.
-    refused : int
-        Messages that were not followed.
-
+    ``description`` and ``controls`` are JSON, which change, counted by ``described`` and
+    ``version``; ``number`` is that of the newest frame; ``pages`` are open, ``refused`` messages
+    were not followed.
     """
 
     def __init__(self, description):

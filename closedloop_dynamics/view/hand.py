@@ -21,24 +21,10 @@ FARTHEST = 1e3
 
 class Hand:
     """
-    The spring that a page pulls with: an effect that is added to the scene, switched off.
+    The spring that a page pulls with: an effect that is added to a scene, switched off.
 
-    Parameters
-    ----------
-    scene : simulation.scene_records.Scene
-        As it was read.
-
-    Attributes
-    ----------
-    scene : simulation.scene_records.Scene
-        With the spring, the places it can be fixed to, and gravity, switched off, if it has none.
-    spring : str
-        Name of the spring.
-    gravity : str
-        Name of gravity.
-    size : float
-        Of the mechanism [m].
-
+    ``scene``: with the spring, the places it can be fixed to, and gravity, switched off, if it has
+    none; ``spring`` and ``gravity`` are their names; ``size``: of the mechanism [m].
     """
 
     def __init__(self, scene, size):

@@ -34,11 +34,7 @@ class Library:
     """
     Shipped scenes, and those in one folder.
 
-    Parameters
-    ----------
-    folder : path-like, optional
-        Where files are opened and saved, and nowhere else; by default nothing is.
-
+    Files are opened and saved there, and nowhere else; by default nothing is.
     """
 
     def __init__(self, folder=None):

@@ -38,19 +38,9 @@ CLOSED = 1e-9
 
 class MachineShapes:
     """
-    Characteristic shapes of a mechanism.
+    Characteristic shapes of a mechanism, and of effects whose outlines are filled.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-    effects : mapping of str to effect
-        Whose outlines are filled.
-
-    Attributes
-    ----------
-    wheels, racks, belts : lists
-        As ``transmissions.transmissions`` has them.
-
+    ``wheels``, ``racks``, ``belts`` are as ``transmissions.transmissions`` has them.
     """
 
     def __init__(self, mechanism, effects):

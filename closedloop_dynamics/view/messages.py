@@ -8,7 +8,7 @@ import json
 
 from .adding import NEEDED
 from ..effects.registry import effect_type
-from ..mechanism.checks import boolean, list_of, name, number, one_of
+from ..mechanism.checks import boolean, list_of, name, number, one_of, text
 from ..mechanism.fields import at, FieldError, mapping, shown
 
 # Where machines come from.
@@ -57,12 +57,6 @@ def _index(value):
     return value
 
 
-def _text(value):
-    if not isinstance(value, str):
-        raise FieldError('text', shown(value))
-    return value
-
-
 def _place(value):
     found = list_of(number)(value)
     if len(found) != 3:
@@ -99,7 +93,7 @@ ASKED = {
     'pose': {'joint': _word, 'value': number},
     # What is edited.
     'edit': {'on': boolean},
-    'set': {'key': _text, 'value': number},
+    'set': {'key': text, 'value': number},
     'move': {'kind': _word, 'name': _word, 'at': _place},
     'add': {'what': one_of(tuple(NEEDED)), 'joint': _word, 'body_a': _word, 'a': _place,
             'body_b': _word, 'b': _place},
@@ -107,7 +101,7 @@ ASKED = {
     'undo': {}, 'redo': {},
     # Files.
     'open': {'name': name, 'kind': one_of((SHIPPED, YOURS))},
-    'load': {'name': name, 'text': _text},
+    'load': {'name': name, 'text': text},
     'save': {'name': name},
     # How far the page has got with the frames it was sent.
     'seen': {'frame': _index},

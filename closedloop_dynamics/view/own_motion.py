@@ -18,21 +18,9 @@ MODES = TORQUE, POSITION, SPEED, EXPRESSION
 
 class OwnMotion:
     """
-    The drives of a machine from the start.
+    The drives of a machine from the start: those of a controller, if any, or others in its place.
 
-    Parameters
-    ----------
-    controller : control.files.Controller, optional
-        Drives its joints.
-    drives : mapping of str to tuple, optional
-        Mode and value of drives, by joint; in place of the controller.
-
-    Attributes
-    ----------
-    controller : control.files.Controller or None
-    starts : dict of str to tuple
-        Mode and value of all drives that do something, by joint.
-
+    ``starts``: mode and value of all drives that do something, by joint.
     """
 
     def __init__(self, controller=None, drives=None):

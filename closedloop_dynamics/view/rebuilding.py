@@ -20,23 +20,10 @@ class Rebuilding:
     """
     A scene that is edited, and the machines built from it.
 
-    Parameters
-    ----------
-    method : callable
-        Returns the method of the next machine.
-    adopt : callable
-        Goes on with a machine: a hand and a simulation, as ``built`` returns them.
-    refuse : callable
-        Is called with the error when a scene went back that gave no machine.
-
-    Attributes
-    ----------
-    editor : editing.Editor
-    lock : threading.Lock
-        Of the editor.
-    busy : bool
-        Whether a machine is being built beside the one before.
-
+    ``method`` returns the method of the next machine, ``adopt`` goes on with one: a hand and a
+    simulation, as ``built`` returns them; ``refuse`` is called with the error when a scene went
+    back that gave no machine. ``lock`` is that of the ``editor``; ``busy``: whether a machine is
+    being built beside the one before.
     """
 
     def __init__(self, method, adopt, refuse):

@@ -38,31 +38,11 @@ class Runner(Shown):
     """
     Runs a simulation, shows it to a feed and carries out the requests of its pages.
 
-    Parameters
-    ----------
-    scene : simulation.scene_records.Scene
-        What is simulated.
-    clock : callable
-        Returns seconds; steady.
-    own : callable, optional
-        Returns what drives a scene from the start, given also what a controller is to know of it:
-        ``own_motion.own_motion``; by default nothing.
-    library : library.Library, optional
-        Of machines that pages can open, and where they can save.
-
-    Attributes
-    ----------
-    simulation : simulation.simulation.Simulation
-    feed : feed.Feed
-    described : dict
-        By ``description.describe``.
-    editor : editing.Editor
-        Of the scene.
-    playing : bool
-    renewing : bool
-        Whether a machine that was edited, or a controller for it, is being made while the one
-        before moves.
-
+    ``clock`` returns seconds, steady; ``own`` returns what drives a scene from the start, given
+    also what a controller is to know of it: ``own_motion.own_motion``; by default nothing;
+    ``library``: machines that pages can open, and where they can save. ``described`` is by
+    ``description.describe``; ``renewing``: whether a machine that was edited, or a controller for
+    it, is being made while the one before moves.
     """
 
     def __init__(self, scene, clock=time.monotonic, own=lambda scene, model: OwnMotion(),

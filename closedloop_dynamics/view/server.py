@@ -40,33 +40,11 @@ class Server:
     """
     Serves one page for each feed: ``/``, ``/1``, ...
 
-    Parameters
-    ----------
-    pages : list of str
-        HTML.
-    feeds : list of feed.Feed
-        As many, or none where the pages have all that they show.
-    host : str
-        Address to listen on; with any but those of this host a token is needed.
-    port : int
-        0: any that is free.
-    resource : callable, optional
-        Returns the kind and the bytes of what else can be asked for, by its path; None where
-        there is nothing.
-
-    Attributes
-    ----------
-    url : str
-        Of the first page, with the token if there is one.
-    port : int
-        That is listened on.
-    token : str or None
-
-    Raises
-    ------
-    OSError, OverflowError
-        Where the port cannot be had.
-
+    ``pages`` are HTML; there are no ``feeds`` where they have all that they show. With any
+    ``host`` but those of this host a token is needed; ``port`` 0: any that is free; ``resource``
+    returns the kind and the bytes of what else can be asked for, by its path; None where there is
+    nothing. ``url``: of the first page, with the token if there is one. OSError, OverflowError
+    where the port cannot be had.
     """
 
     def __init__(self, pages, feeds, host=LOCAL, port=0, resource=lambda path: None):

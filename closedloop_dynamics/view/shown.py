@@ -17,16 +17,8 @@ class Shown:
     """
     A machine that pages show, drive, take hold of and pose by hand.
 
-    What a page asks for under a name is done by ``_do_NAME(page, ...)``.
-
-    Attributes
-    ----------
-    feed : feed.Feed or None
-    drives : dict
-        By joint.
-    holder : object or None
-        The page that has taken hold of something.
-
+    What a page asks for under a name is done by ``_do_NAME(page, ...)``. ``drives`` are by joint;
+    ``holder``: the page that has taken hold of something, or None.
     """
 
     def __init__(self):

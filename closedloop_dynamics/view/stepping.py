@@ -29,24 +29,10 @@ class Stepper:
     """
     Advances a simulation by a clock, or by steps that a page requests.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns seconds; steady.
-    frame : float
-        Time between frames [s].
-    sample : callable
-        Is called with time, row and thinning values of states between frames.
-
-    Attributes
-    ----------
-    playing : bool
-        Whether the simulation follows the clock.
-    speed : float
-        Simulated seconds per second of the clock that are asked for.
-    watchdog : watchdog.Watchdog or None
-        Stops what takes longer than LONGEST_WAIT.
-
+    ``clock`` returns seconds, steady; ``frame``: time between frames [s]; ``sample`` is called
+    with time, row and thinning values of states between frames. ``playing``: whether the
+    simulation follows the clock; ``speed``: simulated seconds per second of the clock that are
+    asked for; ``watchdog``: stops what takes longer than LONGEST_WAIT, or None.
     """
 
     def __init__(self, clock, frame, sample):

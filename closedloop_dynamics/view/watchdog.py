@@ -16,15 +16,9 @@ class Watchdog:
     """
     Context that monitors a computation from a thread of its own.
 
-    Attributes
-    ----------
-    limit : float
-        How long a computation may take [s].
-    wanted : callable
-        Whether somebody waits for something else: then one stops that may take longer, too.
-    waiting : callable
-        Is called, in the thread, with the time that one takes longer than the limit [s].
-
+    ``limit``: how long a computation may take [s]; ``wanted``: whether somebody waits for
+    something else: then one stops that may take longer, too; ``waiting`` is called, in the thread,
+    with the time that one takes longer than the limit [s].
     """
 
     def __init__(self, limit, wanted, waiting):

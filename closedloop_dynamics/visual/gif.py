@@ -21,17 +21,10 @@ TICKS, SHORTEST = 100, 2
 
 class Gif:
     """
-    A GIF that goes round without end.
+    A GIF that goes round without end, written into a binary file.
 
-    Parameters
-    ----------
-    file : file object
-        Binary, to be written.
-    sample : ndarray of uint8, shape (height, width, 4)
-        A picture with all colours that will come; of any size.
-    rate : float
-        Frames per second [Hz], to the nearest hundredth of a second.
-
+    ``sample``, uint8 of shape (height, width, 4): a picture with all colours that will come, of
+    any size; ``rate``: frames per second [Hz], to the nearest hundredth of a second.
     """
 
     def __init__(self, file, sample, rate):

@@ -31,14 +31,7 @@ class PlacementError(ValueError):
 
 
 class Placement:
-    """
-    Velocities, accelerations and inverse kinematics of the bodies of a mechanism.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-
-    """
+    """Velocities, accelerations and inverse kinematics of the bodies of a mechanism."""
 
     def __init__(self, mechanism):
         self._mechanism = mechanism

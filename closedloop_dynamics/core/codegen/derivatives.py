@@ -43,15 +43,9 @@ _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
 
 class DerivativeTrace(SceneTrace):
     """
-    A mechanism with its effects, traced for derivatives.
+    A mechanism with its effects, traced for derivatives; arguments are those of ``SceneTrace``.
 
     Accelerations and multipliers of the state are inputs, as an evaluation leaves them.
-
-    Parameters
-    ----------
-    model, act, values
-        As for ``SceneTrace``.
-
     """
 
     def __init__(self, model, act, values):

@@ -63,18 +63,10 @@ def closing_bodies(recursion, model):
 
 class _Loops:
     """
-    Loops that are eliminated together on one body.
+    Loops that are eliminated together on one body, the row ``closing``; 0 for the ground.
 
-    Parameters
-    ----------
-    recursion, model, work
-        As for ``accelerate``.
-    closing : int
-        Row of the body; 0 for the ground.
-    rows : list of (int, Closure, int, int)
-        Place in the elimination order of each equation, the equation and the bodies that it acts
-        on.
-
+    ``rows``: place in the elimination order of each equation, the equation and the bodies that it
+    acts on; all else is as for ``accelerate``.
     """
 
     def __init__(self, recursion, model, work, closing, rows):

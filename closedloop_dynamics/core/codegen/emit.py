@@ -21,13 +21,7 @@ class Writer:
     """
     Writes one routine as LLVM's intermediate representation.
 
-    Parameters
-    ----------
-    routine : Routine
-        What it computes.
-    declared : dict of str to str
-        Declarations of functions that it calls; more are added.
-
+    ``declared``: declarations of functions that it calls; more are added.
     """
 
     ARGUMENTS, ROOT = (WORDS, DOUBLES, DOUBLES), 'llvm.sqrt.f64'

@@ -28,13 +28,9 @@ class ExpressionGraph:
     """
     Recorded arithmetic, each operation once.
 
-    Attributes
-    ----------
-    operations : list of tuple
-        (operation, operands...); an operand is the place of an earlier operation or a float.
-    guard : Symbol or None
-        What must hold for the results to be right: the branches that were taken.
-
+    ``operations`` are (operation, operands...); an operand is the place of an earlier operation or
+    a float. ``guard``, a Symbol or None: what must hold for the results to be right: the branches
+    that were taken.
     """
 
     def __init__(self):
@@ -52,22 +48,10 @@ class ExpressionGraph:
 
 class Routine:
     """
-    Arithmetic with its inputs and outputs.
+    Arithmetic of a graph with its inputs and outputs, and the name of its machine code's symbol.
 
-    Parameters
-    ----------
-    name : str
-        Of the machine code's symbol.
-    graph : ExpressionGraph
-        The arithmetic.
-    outputs : sequence of (input, place, value)
-        What is stored where.
-
-    Notes
-    -----
-    An input is the place of an array's address in the function table, Q or QD, or a row of a
-    kernel.
-
+    ``outputs``: (input, place, value): what is stored where. An input is the place of an array's
+    address in the function table, Q or QD, or a row of a kernel.
     """
 
     def __init__(self, name, graph, outputs):
@@ -112,17 +96,7 @@ def _is(value, number):
 
 
 class Symbol:
-    """
-    The result of an operation of an expression graph.
-
-    Parameters
-    ----------
-    graph : ExpressionGraph
-        Where its operation is kept.
-    place : int
-        Of the operation.
-
-    """
+    """The result of an operation of an expression graph, at a place."""
 
     __slots__ = ('place', 'graph')
 

@@ -94,11 +94,8 @@ class _Passage:
     """
     Path of the multipliers of one cut joint, or of another equation, through the tree.
 
-    Attributes
-    ----------
-    joint : int
-        Which of the joints it is, cut joints behind those of the tree and others behind these.
-
+    ``joint``: which of the joints it is, cut joints behind those of the tree and others behind
+    these.
     """
 
     def __init__(self, trace, a):
@@ -145,11 +142,7 @@ class _Joint:
     """
     Points on the two bodies of a joint at which its wrench is measured.
 
-    Attributes
-    ----------
-    place : int or tuple of int
-        Of one of the tree the row that it carries, of a cut joint its number in a tuple.
-
+    ``place``: of one of the tree the row that it carries, of a cut joint its number in a tuple.
     """
 
     def __init__(self, trace, k):

@@ -94,19 +94,7 @@ class _Tracer:
 
 
 class _Body:
-    """
-    The kernels of one kind of body.
-
-    Parameters
-    ----------
-    arrays : module
-        ``plane`` or ``space``.
-    model : Model
-        Of which a row is of this kind.
-    row : int
-        That row.
-
-    """
+    """The kernels of one kind of body, as a row of a model is, in ``plane`` or ``space``."""
 
     NAMES = tuple(f'kernel_{n}' for n in range(BODY_KERNELS))
 

@@ -60,13 +60,7 @@ class RowTrace:
     """
     One joint and two bodies, as ``live_scene.LiveTrace`` has those of a mechanism.
 
-    Parameters
-    ----------
-    arrays : module
-        ``plane`` or ``space``.
-    numbers : int
-        Of a row of the table.
-
+    In ``plane`` or ``space``, with so many numbers of a row of the table.
     """
 
     nv = 1

@@ -127,19 +127,10 @@ class LiveForces(Forces):
     """
     Inputs and outputs of laws of force that are traced for the engine.
 
-    Attributes
-    ----------
-    driven : list of (int, int, Symbol)
-        States whose rates are multipliers times something.
-    resting : list of (Symbol, list of (int, Symbol))
-        As of ``LiveTrace.held``.
-    outputs : list
-        As of ``Routine``.
-    begin, count : number
-        Where the entries of the effect whose turn it is begin, and how many they are.
-    shape : tuple or None
-        Which terms its law has; where that is not known all of them.
-
+    ``driven``: states whose rates are multipliers times something; ``resting``: as of
+    ``LiveTrace.held``; ``outputs``: as of ``Routine``; ``begin``, ``count``: where the entries of
+    the effect whose turn it is begin, and how many they are; ``shape``: which terms its law has,
+    None: all of them.
     """
 
     def __init__(self, trace):
@@ -232,15 +223,9 @@ class LiveForces(Forces):
 
 class CutFreedom:
     """
-    One coordinate of a cut joint, as of ``engine/cut_coordinates.cpp``.
+    One coordinate of a cut joint, as of ``engine/cut_coordinates.cpp``, in a row of their table.
 
-    Parameters
-    ----------
-    forces : LiveForces
-        After the outward recursion.
-    k : int
-        Its row of the table of cut joints.
-
+    ``forces``: after the outward recursion.
     """
 
     def __init__(self, forces, k):

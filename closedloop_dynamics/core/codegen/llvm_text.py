@@ -50,17 +50,10 @@ def repeated(value, kind, count):
 
 class Function:
     """
-    A function in the making.
+    A function in the making, which returns an integer.
 
-    Parameters
-    ----------
-    name : str
-        Of the function.
-    arguments : sequence of str
-        Their types. It returns an integer.
-    declared : dict of str to str
-        Declarations of other functions by their names; those that are called are added.
-
+    ``arguments`` are their types; ``declared``: declarations of other functions by their names;
+    those that are called are added.
     """
 
     def __init__(self, name, arguments, declared):

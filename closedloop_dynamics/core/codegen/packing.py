@@ -75,24 +75,11 @@ def alike(operations, use, apart):
 
 class Packing:
     """
-    Which operations go together, but for those that would be rounded otherwise.
+    Which operations of a routine go together, but for those that would be rounded otherwise.
 
-    Parameters
-    ----------
-    routine : Routine
-        What is computed.
-    angles : sequence of int
-        Places of what sines and cosines are taken of.
-
-    Attributes
-    ----------
-    use : list of int
-        Places of the operations that are needed, in their order.
-    bundles : dict of int to tuple of int
-        Places of operations, by number.
-    at : dict of int to (int, int)
-        Number of the bundle, and the lane, of an operation.
-
+    ``angles``: places of what sines and cosines are taken of. ``use``: places of the operations
+    that are needed, in their order; ``bundles``: places of operations, by number; ``at``: number
+    of the bundle, and the lane, of an operation.
     """
 
     def __init__(self, routine, angles):

@@ -109,13 +109,7 @@ class MechanismTrace:
     """
     One mechanism with symbols in the place of all numbers that may change.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    joints : integration.system.JointPlaces, optional
-        Of which ``least_forces`` are found, and what is ``left_out``.
-
+    ``joints``: of which ``least_forces`` are found, and what is ``left_out``.
     """
 
     def __init__(self, model, joints=None):

@@ -26,21 +26,9 @@ class SceneTrace(MechanismTrace):
     """
     One mechanism with its effects, with symbols in the place of all numbers that may change.
 
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    act : callable
-        Takes a ``Forces`` and lets the effects act.
-    values : tuple of 2 int
-        Shape of the array of the effects' numbers.
-
-    Attributes
-    ----------
-    decided : bool
-        Whether contacts are on the sides that the engine has decided on, not on those of their
-        gaps.
-
+    ``act`` takes a ``Forces`` and applies the effects; ``values``: shape of the array of their
+    numbers. ``decided``: whether contacts are on the sides that the engine has decided on, not on
+    those of their gaps.
     """
 
     def __init__(self, model, act, values):
@@ -108,24 +96,11 @@ class SceneTrace(MechanismTrace):
 
 class Forces:
     """
-    Inputs and outputs of laws of force while they are traced.
+    Inputs and outputs of laws of force while they are traced, after the outward recursion.
 
-    Parameters
-    ----------
-    unrolling : SceneTrace
-        After the outward recursion.
-
-    Attributes
-    ----------
-    torque : ndarray, shape (nv,)
-        Of effects in the joints.
-    stored : number
-        Energy.
-    row, first : int
-        Of the effect whose turn it is, in the table, and the place of its first state.
-    rates : dict of int to number
-        Of the effects' states, such as losses, by their places.
-
+    ``torque``, shape (nv,): of effects in the joints; ``stored``: energy; ``row``, ``first``: of
+    the effect whose turn it is, in the table, and the place of its first state; ``rates``: of the
+    effects' states, such as losses, by their places.
     """
 
     def __init__(self, unrolling):

@@ -47,19 +47,11 @@ CLOSURE, WRENCH = (CLOSURE_FORWARD,), (WRENCH_FORWARD,)
 
 class SensitivityTrace(DerivativeTrace):
     """
-    A mechanism with its effects, traced for the derivatives of steps.
+    A mechanism with its effects, as of ``SceneTrace``, traced for the derivatives of steps.
 
-    Parameters
-    ----------
-    model, act, values
-        As for ``SceneTrace``.
-    entries : sequence of (int, int)
-        Parameters: arrays, such as BODY, and places in them.
-    rows : sequence of int
-        Of the bodies that the joints carry, 0 for those without a wrench.
-    cuts : sequence of tuples of int
-        As for ``cut_wrench``, of the cut joints.
-
+    ``entries``: parameters: arrays, such as BODY, and places in them; ``rows``: of the bodies that
+    the joints carry, 0 for those without a wrench; ``cuts``: as for ``cut_wrench``, of the cut
+    joints.
     """
 
     def __init__(self, model, act, values, entries, rows, cuts):
