@@ -48,11 +48,11 @@ FORCES_OVER_TIME = {
     SPATIAL_PRESCRIBED_FORCE: _prescribed_force(3)}
 
 
-def refused(effects, instant=False):
+def refused(effects, instant=False, along=False):
     """
     Return which effects have no law here, and why, by the names of those switched on.
 
-    ``instant``: whether the time is held.
+    ``instant``: whether the time is held; ``along``: whether derivatives are those of a motion.
     """
     found = {}
     for name, element in effects.by_name.items():
@@ -61,7 +61,8 @@ def refused(effects, instant=False):
             continue
         if element.kind in (TRACED, SPATIAL_TRACED):
             law = effects.records[name].traced
-            reason = ('it has an event' if law.gap is not None else
+            reason = ('its force may jump at its event, within a step' if along and (
+                law.gap is not None) else
                       'it follows the time' if law.follows_time and not instant else
                       'it has states of its own' if law.states else None)
             if reason is not None:

@@ -149,7 +149,7 @@ class Sensitivity:
         _require_differentiable(scene.method)
         self.model = model
         self._simulation = simulation = Simulation(model, None, method)
-        require_derivatives(simulation)
+        require_derivatives(simulation, along=True)
         self._names, self._asked = simulation.joint_names, places_of(
             simulation.joint_names, independent)
         self._inputs = [self._names.index(name) for name in simulation.actuated_joints]

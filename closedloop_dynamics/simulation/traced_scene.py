@@ -11,14 +11,15 @@ from ..effects.table import ENTRIES, FIRST, SECOND, VALUE_COLUMNS
 from ..effects.traced_laws import act, constants_of, FORCES_OVER_TIME, refused
 
 
-def refusals(simulation, instant=False):
+def refusals(simulation, instant=False, along=False):
     """
     Return the parts of a simulation without derivatives, and the reasons.
 
-    Empty where there are derivatives, and C (``c_source``). ``instant``: whether the time is held.
+    Empty where there are derivatives, and C (``c_source``). ``instant``: whether the time is held;
+    ``along``: whether they are those of a motion.
     """
     found = {f'effects.{name}': reason
-             for name, reason in refused(simulation.effect_set, instant).items()}
+             for name, reason in refused(simulation.effect_set, instant, along).items()}
     for name in simulation.torque_names[len(simulation.joint_names):]:
         found[name] = 'a joint that closes a loop, in which something acts'
     if not simulation.system.is_unrolled:
@@ -28,9 +29,9 @@ def refusals(simulation, instant=False):
     return found
 
 
-def require_derivatives(simulation, instant=False):
-    """Refuse a scene that has no derivatives, or none while the time is held."""
-    reasons = refusals(simulation, instant)
+def require_derivatives(simulation, instant=False, along=False):
+    """Refuse a scene that has no derivatives, as ``refusals`` has it."""
+    reasons = refusals(simulation, instant, along)
     if reasons:
         raise SimulationError(
             f'{simulation.scene.name} has no derivatives: ' + '; '.join(

@@ -11,6 +11,7 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
 from closedloop_dynamics.effects.traced_laws import refused
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.simulation.derivatives import Differentiator
 import pytest
 
 from .machines import assert_balanced, block, flyer, simulated, spatial_block
@@ -124,6 +125,19 @@ def test_what_is_no_event_is_refused(changes, expected):
         Law({'x': '1'}, **X, **changes)
 
 
-def test_laws_with_an_event_have_no_derivatives():
+@pytest.mark.parametrize('x', [0.15, 0.25])
+def test_the_derivatives_are_those_of_the_side(x):
+    law = Law({'x': '-k*(x - u)*(1 + c*v)*pressed'}, event={'pressed': 'u - x'},
+              parameters={'k': 2000.0, 'u': 0.2, 'c': 0.3}, **X)
+    for effect in (law, EndStop('slide', upper=0.2, stiffness=2000.0, damping=0.3)):
+        found = Differentiator(simulated(block(), {'it': effect}, [x]))([x], [0.5])
+        pressed = x > 0.2
+        assert found.by_position[0, 0] == pytest.approx(-2000.0 * 1.15 * pressed, rel=1e-12)
+        assert found.by_velocity[0, 0] == pytest.approx(-2000.0 * 0.3 * 0.05 * pressed, rel=1e-9)
+
+
+def test_a_motion_through_an_event_has_no_derivatives():
     one = simulated(block(), {'it': FIELD}, [-0.1])
-    assert refused(one.effect_set) == {'it': 'law: it has an event'}
+    assert refused(one.effect_set) == {}
+    assert refused(one.effect_set, along=True) == {
+        'it': 'law: its force may jump at its event, within a step'}

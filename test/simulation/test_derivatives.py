@@ -111,7 +111,11 @@ IN_PLANE = {
     'hinge': ForceTable((0.0, 4.0, 7.0), (2.0, -1.0, 0.5), 'theta_2', damping=0.1),
     'drag': FluidDrag('corner_1', (0.3, 0.2), (1.0, 2.0), 0.1, 0.2, (0.5, -0.3), 0.4),
     'mount': Bushing('platform_center', None, (0.1, 0.7), (20.0, 30.0), (0.2, 0.3), 2.0, 0.1,
-                     0.3, 0.2)}
+                     0.3, 0.2),
+    'pressed': Law({'q': '-9*(q - 0.8)*on - 0.1*(1 - on)'}, joints={'q': 'theta_1'},
+                   event={'on': '0.8 - q'}, energy='4.5*(q - 0.8)**2*on + 0.1*q*(1 - on)'),
+    'apart': Law({'q': '-9*(q - 8)*on - 0.1*v*(1 - on)'}, joints={'q': 'theta_2'},
+                 rates={'v': 'q'}, event={'on': '8 - q'})}
 IN_SPACE = {
     'tendon': Tendon({'crank': 0.3, 'rocker': -0.2}, (5.0, 2.0), (0.1, 0.05), (-0.1, 0.05)),
     'gas': ForceTable((0.1, 0.4, 0.7, 1.1), (5.0, 3.0, -4.0, 2.0), point_a='rocker_end',
