@@ -95,7 +95,7 @@ def read_controller(path):
     """
     Return the settings in a file of parameters, those not given at their defaults.
 
-    StartError where the file is none of a controller.
+    StartError where the file is not that of a controller.
     """
     document = Document(path, StartError)
     with document.errors():

@@ -4,8 +4,8 @@
 """
 Laws of contacts on symbols, for what the engine runs: a whole scene, or each law by itself.
 
-Whether a contact acts the engine has decided before: it is a load. Where on a curve it acts the
-engine is asked. A law takes what a smooth one does (``smooth_laws``), the forces as
+Whether a contact acts the engine has decided before: it is a load. The engine finds where on a
+curve it acts. A law takes what a smooth one does (``smooth_laws``), the forces as
 ``core.codegen.live_scene.LiveForces``.
 """
 

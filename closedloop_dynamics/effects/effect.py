@@ -328,7 +328,7 @@ class Effect:
         Parameters
         ----------
         sequence : tuple of int
-            Numbers that tell noises of one seed.
+            Numbers that distinguish noises of one seed.
 
         Returns
         -------

@@ -4,7 +4,7 @@
 """
 The effects of one scene, put together: model constants, table of force elements, energies.
 
-Nothing here knows a type of effect: each is asked what an ``effect.Effect`` can be asked.
+Nothing here knows a type of effect: each answers what an ``effect.Effect`` can be asked.
 """
 
 from dataclasses import replace

@@ -83,7 +83,7 @@ class Chain:
     records : sequence of Effect
         Those that do not measure are passed over; without any the true state is measured.
     sequence : tuple of int
-        Numbers that tell noises of one seed.
+        Numbers that distinguish noises of one seed.
 
     """
 

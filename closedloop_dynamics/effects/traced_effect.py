@@ -213,7 +213,7 @@ class TracedEffect(Effect):
     """
     An effect whose law is a method ``trace``; a frozen dataclass.
 
-    Where the law tells neither ``store`` nor ``dissipate``, its power is work from outside.
+    Where the law states neither ``store`` nor ``dissipate``, its power is work from outside.
     Otherwise these two are all of it, and the energy balance shows whether that is so.
     """
 

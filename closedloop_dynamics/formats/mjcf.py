@@ -58,7 +58,7 @@ def read_mjcf(path, options=ReadOptions()):
     """
     Return the Model in an MJCF file.
 
-    Raises MechanismError with file, line and element, as far as MuJoCo tells them.
+    Raises MechanismError with file, line and element, as far as MuJoCo gives them.
     """
     path = Path(path)
     root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], options)

@@ -61,7 +61,7 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options)
     MechanismError
         With file, line and element.
     FieldError
-        Where one of the loops given is none.
+        Where one of the loops given is invalid.
 
     """
     path = Path(path)

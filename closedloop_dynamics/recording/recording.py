@@ -49,7 +49,7 @@ class Log:
 class Recording:
     """The states of one simulator."""
 
-    # Its times are simulated ones where the log tells them, otherwise those of the stamps
+    # Its times are simulated ones where the log has them, otherwise those of the stamps
     # since the first; forces that were not recorded are NaN.
     motion: Trajectory
     scene: object = None  # Or None: as it was at the beginning; None where unknown

@@ -123,7 +123,7 @@ def read_database(path, name, damages):
     """
     Yield the sound messages of a database, in the order in which they were written.
 
-    sqlite3.Error where it is none, or its topics cannot be read.
+    sqlite3.Error where it is no database, or its topics cannot be read.
     """
     database = sqlite3.connect(f'file:{quote(str(path))}?mode=rw', uri=True)
     try:

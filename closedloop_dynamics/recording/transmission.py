@@ -23,7 +23,7 @@ class _Joint(NamedTuple):
     axis: Optional[Tuple[str, tuple]]
 
     def end_in(self, body):
-        """Return the point in a body, None where it is none of its two."""
+        """Return the point in a body, None where it is neither of its two."""
         return dict(self.ends).get(body)
 
     def other_than(self, body):

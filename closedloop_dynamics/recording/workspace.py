@@ -605,7 +605,7 @@ def _curves(platform, state, jacobian):
 
 
 def read(file):
-    """Return the arrays of a map's file by name; WorkspaceFileError where it is none."""
+    """Return the arrays of a map's file by name; WorkspaceFileError where it is no map."""
     try:
         with netcdf_file(file, 'r', mmap=False) as found:
             return {name: np.array(each.data) for name, each in found.variables.items()}

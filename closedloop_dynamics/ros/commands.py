@@ -13,7 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 
 # Of services and their clients. The answers of a service share one topic: with rclpy's ten, those
-# to calls that are not read in time are lost, whoever called.
+# to calls that are not read in time are lost, whichever node called.
 SERVICE_QOS = QoSProfile(depth=1000)
 NOT_ACTUATED = 'efforts of joints not actuated'
 
@@ -45,12 +45,12 @@ class TorqueCommand:
         In force now [N m, or N for prismatic joints].
     counts : dict of str to int
         Commands accepted, rejected, timed out (how often the torques fell to zero) and lost on
-        the way, counted by who receives them; efforts of joints that are not actuated, ignored.
+        the way, counted by the receiver; efforts of joints that are not actuated, ignored.
     expired : bool
         Whether the torques are zero because no command came in time.
     held : float
         How long the simulation has advanced under the last command [s of the clock that time
-        follows]; counted by who advances it.
+        follows]; counted by the mode that advances it.
 
     """
 
@@ -253,7 +253,7 @@ class SequenceGaps:
         Return how many messages are missing before one of a number.
 
         Numbers are consecutive for each publisher; ``publishers()`` returns how many there are,
-        and is asked where it matters.
+        and is called where it matters.
         """
         latest = self._latest
         if number - 1 in latest:

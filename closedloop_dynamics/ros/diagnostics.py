@@ -94,7 +94,7 @@ class Diagnostics:
             self._graph = graph.message, False
         if len(sources) > 1 and sources != self._sources:
             self._logger.warning(f'{len(sources)} sources of commands ({", ".join(sources)}): '
-                                 'the last command counts, whoever sent it')
+                                 'the last command counts, whichever node sent it')
         self._sources = sources
         simulation = self._live.simulation
         report = simulation.report()
@@ -311,7 +311,7 @@ def commands_finding(counts, before, sources, zero_after_timeout):
         level, message = WARN, f'{lost} commands lost in the last second'
     elif len(sources) > 1:
         level, message = WARN, (f'{len(sources)} sources of commands ({", ".join(sources)}): the '
-                                'last command counts, whoever sent it')
+                                'last command counts, whichever node sent it')
     elif zero_after_timeout:
         level, message = WARN, 'torques are zero: no command came in time'
     return Finding(level, message, {**counts, 'sources': ', '.join(sources)})

@@ -17,7 +17,7 @@ class MotionCommand:
 
     A trajectory may name the ``commanded_motions`` of the simulation; its stamp is of ``stamps``,
     which simulated time follows as fast as ``pacer`` says. ``counts``: trajectories followed,
-    refused, and lost on the way, counted by who receives them.
+    refused, and lost on the way, counted by the receiver.
     """
 
     def __init__(self, simulation, stamps, pacer):

@@ -231,7 +231,7 @@ def spin(executor, over, beat=None):
     """
     Run callbacks as they become due.
 
-    ``over()`` is asked after every callback whether to end. ``beat`` is something to be done in
+    ``over()`` is called after every callback: whether to end. ``beat`` is something to be done in
     time: ``take_over()`` is called once where this is possible, ``due()`` gives when (of the
     steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long,
     callbacks run in another thread.

@@ -4,7 +4,7 @@
 """
 The node ``closedloop_simulator``: a scene simulated live, driven by torque commands.
 
-The node has the topics, services and timers. It checks what comes in, and lets a mode of
+The node has the topics, services and timers. It checks what comes in, and has a mode of
 ``pacing`` advance a ``live.LiveSimulation``, which publishes its states. None of these knows the
 node.
 """
@@ -346,7 +346,7 @@ class SimulatorNode(Node):
     def tick(self):
         """Advance the simulation by its mode, and do the work that depends on the clock."""
         if self._expected and self.states.subscribers >= self._expected:
-            # Once begun, it goes on whoever leaves.
+            # Once begun, it goes on whichever node leaves.
             self._expected = 0
             self._go_on()
         if self.mode.name != LOCKSTEP:

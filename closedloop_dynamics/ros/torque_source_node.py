@@ -243,7 +243,7 @@ class TorqueSourceNode(Node):
                         f"'{self.publisher.topic_name}', there are {count} "
                         '(wait_for_subscribers)')
                 return False
-            # Once begun, it goes on whoever leaves.
+            # Once begun, it goes on whichever node leaves.
             self._expected = 0
         return True
 

@@ -76,7 +76,7 @@ MODES = TORQUE, POSITION
 PERIODS = 9
 # So does the spring that a hand pulls with, for the mass that the point feels, which is updated
 # so often in simulated time [s]. In shares of the machine's size: how far it stretches at most,
-# and how far the point may move in a period before it is let go.
+# and how far the point may move in a period before it is released.
 HAND_RATE, HAND_SHARE, FEEL_PERIOD, STRETCH, SWING = 30.0, 0.12, 0.02, 0.2, 0.25
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
@@ -346,7 +346,7 @@ class RemoteSimulator(Shown):
 
     @property
     def _period(self):
-        """Time between states [s], the longest of late: a quicker answer would oscillate."""
+        """Time between states [s], the longest recently: a quicker answer would oscillate."""
         # Stamps may be those of the clock, which simulated time outruns.
         return max(1.0, self._speed) * max(self._passed, default=1.0)
 

@@ -568,7 +568,7 @@ def _least_change(jac, error, metric, damping=0.0):
     """
     Return the x with ``jac`` x = ``error`` that is least in a metric.
 
-    ``metric`` returns L of the metric L L^T, and is asked where there is a choice.
+    ``metric`` returns L of the metric L L^T, and is called where there is a choice.
     With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
 
     Which equations depend on others is decided on levers alone: in the mass metric those that

@@ -711,5 +711,5 @@ def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:
 
 def _are_finite(array: np.ndarray) -> bool:
     """Return whether all numbers are finite."""
-    # Their sum is where all are, and quicker to tell; it may overflow alone.
+    # Their sum is where all are, and quicker to find; it may overflow alone.
     return math.isfinite(array.sum()) or np.isfinite(array).all()

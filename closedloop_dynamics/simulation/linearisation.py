@@ -102,7 +102,7 @@ class Equilibrium:
     growth : float
         Largest real part of the eigenvalues there [1/s]; -inf without degrees of freedom.
     stable : bool or None
-        Whether small motions die away; None where the first order does not tell: some neither
+        Whether small motions die away; None where the first order does not decide: some neither
         grow nor die away.
 
     """

@@ -208,7 +208,7 @@ class LoopModel:
 
     def reselected(self, q, better, nearby):
         """
-        Choose the equations that the elimination works on again, where the present ones serve ill.
+        Choose other equations for the elimination where the present ones are ill-conditioned.
 
         ``better``: how much further from dependent another choice must be; ``nearby``: whether to
         consider positions nearby where this one is singular, which takes long. Returns the model

@@ -85,7 +85,7 @@ def _at_rest(mechanism, q):
 
 def assembled(imported):
     """
-    Close the loops of a model with drives held and limits kept, or as well as it goes.
+    Close the loops of a model with drives held and limits kept, or as well as possible.
 
     Returns what was read, with the anchors of loops moved where the last digits of a file keep
     them open; the result of ``find_closed``; and notes about it, none where nothing moved.

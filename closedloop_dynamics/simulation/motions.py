@@ -210,7 +210,7 @@ class DrivingConstraints:
 
     def require_continued(self, name, record, enabled, time):
         """
-        Refuse, with FieldError, a change of a motion that is none, or that jumps.
+        Refuse, with FieldError, a change of a motion that is invalid, or jumps.
 
         ``record`` is the effect as it is to become; ``enabled`` as for ``Simulation.set_effect``.
         """

@@ -231,7 +231,7 @@ class Readings(Data):
         Torques and forces that the prescribed motions take, by the names of these effects.
 
         In a joint what its drive exerts [N m; N], at a point the force along the direction [N];
-        ``effect_readings`` tells their power and work, too.
+        ``effect_readings`` gives their power and work, too.
         """
         self._evaluate()
         count = len(self.mechanism.motions)

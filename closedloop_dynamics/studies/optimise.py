@@ -50,7 +50,7 @@ FORMAT = 1
 
 
 class OptimumFileError(ValueError):
-    """A file of results that is none, or that of another problem."""
+    """A file without results, or with those of another problem."""
 
 
 @dataclass(frozen=True)

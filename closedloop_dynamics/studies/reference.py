@@ -6,7 +6,7 @@ Simulated motions as arrays, and the one that errors are measured against.
 
 The motions that prove the reference share as little as possible with it: another integrator with
 another formulation, which beside singular configurations looks at other places of the branch; and
-independent coordinates, where they get through. What a small difference at the start becomes tells
+independent coordinates, where they get through. What a small difference at the start becomes shows
 how many digits there are to know.
 """
 

@@ -171,5 +171,5 @@ class Feed:
         try:
             self._inbox.put_nowait((page, {'do': 'release'}))
         except Full:
-            # What holds on is let go of when the page that holds is looked for.
+            # What is held is released when the page that holds it is found missing.
             pass

@@ -100,7 +100,7 @@ def test_nothing_is_sent_until_all_that_are_to_hear_it_do(make_source, monkeypat
     look(3.0)
     # The reference begins where the joint is when the first command goes out.
     assert source.sent == [[0.0]] or source.sent == [[3.0]]
-    # Once begun, it goes on whoever leaves.
+    # Once begun, it goes on whichever node leaves.
     count[0] = 0
     look(4.0)
     assert len(source.sent) == 2

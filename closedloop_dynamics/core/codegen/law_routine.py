@@ -38,7 +38,7 @@ def addresses_of_laws(laws, numbers):
     ----------
     laws : dict of int to tuple
         By kind of effect ``plane`` or ``space``, whose bodies it acts on, and the law, which takes
-        a ``RowForces`` and lets the effect act.
+        a ``RowForces`` and applies the effect.
     numbers : int
         Of a row of the table.
 
@@ -100,7 +100,7 @@ class RowTrace:
         name : str
             Of the machine code's symbol.
         law : callable
-            Takes a ``RowForces`` and lets the effect act.
+            Takes a ``RowForces`` and applies the effect.
 
         Returns
         -------

@@ -52,9 +52,9 @@ class LiveTrace(MechanismTrace):
     model : Model
         Constant arrays of the mechanism.
     laws : object
-        ``effects.live_laws.LiveLaws``: ``act(forces)`` lets the effects act, ``motions(trace)``
+        ``effects.live_laws.LiveLaws``: ``act(forces)`` applies the effects, ``motions(trace)``
         returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
-        tells how many numbers the rows of arrays have, by their places; ``states`` how many states
+        gives how many numbers the rows of arrays have, by their places; ``states`` how many states
         the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``
         whether one joint under dry friction may be at rest.
 

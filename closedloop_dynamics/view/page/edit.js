@@ -128,7 +128,7 @@ class Editing {
       }));
   }
 
-  // What the server tells.
+  // What the server sends.
 
   describe(scene) {
     if (this.title !== scene.title) {

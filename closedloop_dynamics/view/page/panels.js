@@ -53,7 +53,7 @@ class Slider {
     if (document.activeElement !== this.entry) this.entry.value = short(value, 4);
   }
 
-  // Take what the server tells, unless a hand is on it.
+  // Take what the server sends, unless a hand is on it.
   follow(value) {
     if (document.activeElement === this.range && this.range.matches(':active')) return;
     this.value = value;

@@ -13,7 +13,7 @@ class Parts {
     this.described = described;
     this.meshes = meshes;
     this.size = described.thick;
-    // By body, -1: the ground, what it is drawn as; by all that tells it from others.
+    // By body, -1: the ground, what it is drawn as; by all that distinguishes it.
     this.items = new Map();
     // Places on each body that the picture has to show; -1: the ground.
     this.reach = [];

@@ -37,7 +37,7 @@ function drawnByProcessor() {
   return /swiftshader|llvmpipe|softpipe|software/i.test(name);
 }
 
-// Of meshes that are stretched anew in each frame: the colours that they come in.
+// Of meshes that are stretched again in each frame: the colours that they come in.
 const STRETCHED = {cylinder: ['force', 'load', 'loose', 'rod'], cone: ['force', 'load', 'loose'],
                    spring: ['load'], pulley: ['wheel'], spokes: ['wheel']};
 
@@ -353,7 +353,7 @@ class Scene extends Camera {
     if (open) gl.drawElements(kind, open, gl.UNSIGNED_INT, 4 * mesh.closed);
   }
 
-  // Lines behind everything, which fade with the distance; made anew where the camera has moved far.
+  // Lines behind everything, which fade with the distance; made again where the camera has moved far.
   grid(theme) {
     const gl = this.gl, step = this.gridStep = roundDown(0.3 * this.size);
     const [x, y] = [0, 1].map((k) => Math.round(this.target[k] / step) * step);
