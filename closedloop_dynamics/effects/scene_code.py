@@ -105,6 +105,26 @@ def addresses_in_lanes(model, tables):
     return _addresses(model, first, key, LANES)
 
 
+def energies_in_lanes(model, table):
+    """
+    Return the address of the routine that finds the energies of states in the lanes of a vector.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of one of the mechanisms.
+    table : EffectTable
+        That ``fit_lanes``.
+
+    Returns
+    -------
+    int
+
+    """
+    return address_of_scene(model, structure(model, table), lambda: LiveLaws(
+        table, at_rest=True), LANES, calls.ENERGIES)
+
+
 def _addresses(model, table, key, form=SCALAR):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}

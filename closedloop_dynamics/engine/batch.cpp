@@ -156,23 +156,34 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
 class GuardedLanes
 {
 public:
-  GuardedLanes(const std::vector<Lane> & lanes, Values state, Indices status)
-  : lanes_(lanes), status_(status)
+  GuardedLanes(
+    const Batch & batch, const std::vector<Lane> & lanes, Values state, Indices status)
+  : batch_(batch), lanes_(lanes), status_(status)
   {
     status_.fill(static_cast<Index>(Status::DONE));
     for (const Lane & lane : lanes) {
       runs_.push_back(std::make_unique<CopiedRun>(lane.run));
-      own_.resize(static_cast<std::size_t>(lane.system->ns()));
-      runs_.back()->begin(*lane.system, state_of(state, runs_.size() - 1));
+      load(state, runs_.size() - 1);
+      runs_.back()->begin(*lane.system);
     }
   }
   /// Check all lanes after so many steps, and the work of their torques up to then.
   void check(Values state, const double (&work)[LANES], Index done, bool at_energy)
   {
+    const Index first = LANES * batch_.nq();
+    const bool known = at_energy && batch_.table[routine::ENERGIES] != 0 && call(
+      batch_.table, routine::ENERGIES, state.part(0, first), state.from(first));
     for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
       const System & system = *lanes_[lane].system;
-      if (status_[lane] == static_cast<Index>(Status::DONE) && !(
-          runs_[lane]->check_state(system, state_of(state, lane), done, work[lane], at_energy)))
+      const double * energy = batch_.energies.data + lane;
+      const Stored stored = known ?
+        Stored{energy[0], energy[LANES], energy[2 * LANES]} : Stored{};
+      if (status_[lane] != static_cast<Index>(Status::DONE)) {
+        continue;
+      }
+      load(state, lane);
+      if (!runs_[lane]->check_state(
+          system, done, work[lane], known ? &stored : nullptr, at_energy))
       {
         status_[lane] = static_cast<Index>(Status::DOUBTFUL);
       }
@@ -186,18 +197,20 @@ public:
   }
 
 private:
-  Values state_of(Values state, std::size_t lane)
+  /// Copy the state of a lane to its run.
+  void load(Values state, std::size_t lane)
   {
-    for (std::size_t k = 0; k < own_.size(); ++k) {
-      own_[k] = state[LANES * k + lane];
+    const double * from = state.data + lane;
+    for (double & each : runs_[lane]->state()) {
+      each = *from;
+      from += LANES;
     }
-    return {own_.data(), static_cast<Index>(own_.size())};
   }
 
+  const Batch & batch_;
   const std::vector<Lane> & lanes_;
   Indices status_;
   std::vector<std::unique_ptr<CopiedRun>> runs_;
-  std::vector<double> own_;
 };
 
 /// Whether the generated routines are there and work on these very arrays.
@@ -212,7 +225,9 @@ bool is_linked(const Batch & batch)
          is_at(routine::TRIALS, batch.trials) &&
          (batch.rates.size + batch.gaps.size == 0 || is_at(routine::COMMAND, batch.tau)) &&
          is_at(routine::QDD, batch.qdd) && is_at(routine::CLOSURE, batch.closure) &&
-         is_at(routine::CORRECTIONS, batch.corrections.all());
+         is_at(routine::CORRECTIONS, batch.corrections.all()) &&
+         (batch.table[routine::ENERGIES] == 0 || batch.energies.size > 0) &&
+         is_at(routine::ENERGY, batch.energies);
 }
 
 bool fits(const Batch & batch)
@@ -222,7 +237,8 @@ bool fits(const Batch & batch)
          batch.closure.size % LANES == 0 && batch.corrections.rows == 2 &&
          batch.corrections.columns == width && batch.tolerance.size == LANES &&
          batch.limit.size == LANES && batch.error.size == LANES &&
-         batch.rates.size % LANES == 0 && misfit(batch.manifold, batch.nq(), nv) == nullptr;
+         batch.rates.size % LANES == 0 &&
+         (batch.energies.size == 0 || batch.energies.size == 3 * LANES) && misfit(batch.manifold, batch.nq(), nv) == nullptr;
 }
 
 bool lists(const EffectTable & effects, Index kind)
@@ -293,7 +309,7 @@ Status run_batch(
       copy(state, since);
     };
   LaneEvents events(batch, lanes);
-  GuardedLanes guarded(lanes, state, status);
+  GuardedLanes guarded(batch, lanes, state, status);
   const auto check = [&](Index done, bool at_energy) {
       add_work_since();
       guarded.check(state, worked, done, at_energy);

@@ -32,6 +32,8 @@ struct Batch
   /// Of effects, shape (LANES * rows * columns,): as Contacts.now and Contacts.trial.
   Values gaps;
   Values trials;
+  /// Shape (LANES * 3,): results of the routine of energies, where there is one: as of Stored.
+  Values energies;
 
   Index nv() const {return qdd.size / LANES;}
   Index nq() const {return nv() + manifold.balls.rows;}
@@ -40,7 +42,7 @@ struct Batch
   void fields(Visitor && visit)
   {
     visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold, rates, gaps,
-      trials);
+      trials, energies);
   }
 };
 

@@ -67,6 +67,27 @@ void add_held_work(const System & system, const EnergyAccount & account, Values 
   add_work_up_to(system, account, state);
 }
 
+Energies balance_of(
+  const System & system, const EnergyAccount & account, Values state, double kinetic,
+  double stored)
+{
+  Energies present;
+  present.kinetic = kinetic;
+  present.stored = stored;
+  double done = 0.0;
+  for (Index place = 0; place < account.roles.size; ++place) {
+    const double value = state[system.own() + place];
+    present.dissipated += account.roles[place] == DISSIPATED ? value : 0.0;
+    done += account.roles[place] == WORK ? value : 0.0;
+  }
+  // Of torques on rotations, which the state has behind all others.
+  const double turned = system.manifold.empty() ? 0.0 : state[state.size - 1];
+  present.work = account.numbers[account::HELD_WORK] + done + turned;
+  present.residual = present.kinetic + present.stored + present.dissipated - present.work -
+    account.numbers[account::REFERENCE];
+  return present;
+}
+
 namespace
 {
 /// Draw the balance of a state that was measured.
@@ -83,21 +104,8 @@ Energies draw(const System & system, const EnergyAccount & account, Values state
       rotors += effects.output(row, effect::STORED);
     }
   }
-  Energies present;
-  present.kinetic = found[0] + rotors;
-  present.stored = found[1] + (stored - rotors);
-  double done = 0.0;
-  for (Index place = 0; place < account.roles.size; ++place) {
-    const double value = state[system.own() + place];
-    present.dissipated += account.roles[place] == DISSIPATED ? value : 0.0;
-    done += account.roles[place] == WORK ? value : 0.0;
-  }
-  // Of torques on rotations, which the state has behind all others.
-  const double turned = system.manifold.empty() ? 0.0 : state[state.size - 1];
-  present.work = account.numbers[account::HELD_WORK] + done + turned;
-  present.residual = present.kinetic + present.stored + present.dissipated - present.work -
-    account.numbers[account::REFERENCE];
-  return present;
+  return balance_of(
+    system, account, state, found[0] + rotors, found[1] + (stored - rotors));
 }
 }  // namespace
 

@@ -56,6 +56,10 @@ struct Energies
 /// spherical joints, whose work is no function of coordinates.
 void add_held_work(const System &, const EnergyAccount &, Values state);
 
+/// The balance of a state whose energies are known [J], with the work that was added last.
+Energies balance_of(
+  const System &, const EnergyAccount &, Values state, double kinetic, double stored);
+
 /// Measure a state, add the work up to it, and draw the balance.
 Energies draw_balance(const System &, const EnergyAccount &, Values state);
 

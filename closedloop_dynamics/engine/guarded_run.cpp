@@ -98,7 +98,8 @@ bool knows_start(const GuardedRun & run)
   return !std::isnan(run.account.numbers[account::REFERENCE]);
 }
 
-double energy_scale(const System & system, const GuardedRun & run)
+/// Of a run in which joints feel so much force, by size.
+double energy_scale(const System & system, const GuardedRun & run, double felt)
 {
   const double extent = run.watch.extent;
   const Values & gravity = system.model.gravity;
@@ -106,7 +107,7 @@ double energy_scale(const System & system, const GuardedRun & run)
     std::hypot(gravity[0], gravity[1]) : std::hypot(gravity[0], gravity[1], gravity[2]);
   // With the energy of a rate: at rest without weight there is no other scale.
   return run.numbers[MASS] * (extent * weight + extent * extent) +
-         std::max(extent, 1.0) * sum_of_sizes(system.applied);
+         std::max(extent, 1.0) * felt;
 }
 
 /// How far a cable is wound round a pulley [rad].
@@ -130,9 +131,8 @@ void accept_windings(const System & system, const GuardedRun & run, const Energi
 }
 
 /// Store a good balance.
-void accept_balance(const System & system, const GuardedRun & run, const Energies & balance)
+void accept_balance(const GuardedRun & run, const Energies & balance)
 {
-  keep(system, run, run.kept);
   write(balance, at(run, CHECK));
   run.numbers[CHECK_TIME] = run.time();
   run.counts[CHECKED] = AT_BALANCE;
@@ -162,7 +162,8 @@ Pause begin(const System & system, const GuardedRun & run)
   }
   const Energies balance = draw_balance(system, run.account, run.state);
   if (run.counts[CHECKED] == NOT) {
-    accept_balance(system, run, balance);
+    keep(system, run, run.kept);
+    accept_balance(run, balance);
   }
   if (cables) {
     accept_windings(system, run, balance);
@@ -182,8 +183,9 @@ Pause check_cables(const System & system, const GuardedRun & run)
   return Pause::NONE;
 }
 
-/// Record the energy exchanged and the error of a balance; return the negligible part of it [J].
-double record_balance(const System & system, const GuardedRun & run, const Energies & present)
+/// Record the energy exchanged and the error of a balance, whose scale is given; return the
+/// negligible part of it [J].
+double record_balance(const GuardedRun & run, const Energies & present, double scale)
 {
   if (run.counts[CHECKED] == AT_STATE) {
     const Values & numbers = run.account.numbers;
@@ -196,12 +198,37 @@ double record_balance(const System & system, const GuardedRun & run, const Energ
   }
   // A step in which a motion begins may lose all of a tiny energy.
   const double little = ROUNDING * (present.kinetic + std::abs(present.stored)) +
-    (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * energy_scale(system, run);
+    (run.counts[SINCE] < run.watch.first ? LITTLE : NOTHING) * scale;
   const Energies start = run.counts[BEGUN] != 0 ? read(at(run, BEGIN)) : present;
   record_loss(
     run.numbers, std::abs(present.residual - start.residual),
     present.kinetic + present.apart(start), little, run.time());
   return little;
+}
+
+/// Compare a balance with the latest good one, and accept it unless too much is lost.
+Pause compare_balance(const GuardedRun & run, const Energies & present, double scale)
+{
+  const Values & numbers = run.numbers;
+  write(present, at(run, PRESENT));
+  const bool compares = run.counts[CHECKED] != NOT;
+  const double little = record_balance(run, present, scale);
+  run.counts[SINCE] = 0;
+  if (compares) {
+    const Energies before = read(at(run, CHECK));
+    const double moving = before.kinetic + present.apart(before);
+    const double lost = std::abs(present.residual - before.residual);
+    numbers[LOST] = lost;
+    numbers[MOVING] = moving;
+    const double allowed = ENERGY_ERROR * moving + LITTLE * numbers[MOVED] + little;
+    if (!(lost <= allowed) || numbers[WORST] > ENERGY_ERROR) {
+      run.counts[FAILED] = 1;
+      return Pause::ENERGY_LOST;
+    }
+  }
+  accept_balance(run, present);
+  return numbers[WORST] > ENERGY_WARN && run.counts[WARNED] == 0 ?
+         Pause::INACCURATE : Pause::NONE;
 }
 
 Pause check_loops(const System & system, const GuardedRun & run)
@@ -442,7 +469,7 @@ void record_energy(const System & system, const GuardedRun & run, Values out)
     throw std::invalid_argument("record_energy: 5 numbers, of a run whose start is known");
   }
   const Energies present = draw_balance(system, run.account, run.state);
-  record_balance(system, run, present);
+  record_balance(run, present, energy_scale(system, run, sum_of_sizes(system.applied)));
   write(present, out);
 }
 
@@ -452,27 +479,13 @@ Pause check_energy(const System & system, const GuardedRun & run)
   if (!knows_start(run)) {
     return Pause::START_ENERGY;
   }
-  const Values & numbers = run.numbers;
   const Energies present = draw_balance(system, run.account, run.state);
-  write(present, at(run, PRESENT));
-  const bool compares = run.counts[CHECKED] != NOT;
-  const double little = record_balance(system, run, present);
-  run.counts[SINCE] = 0;
-  if (compares) {
-    const Energies before = read(at(run, CHECK));
-    const double moving = before.kinetic + present.apart(before);
-    const double lost = std::abs(present.residual - before.residual);
-    numbers[LOST] = lost;
-    numbers[MOVING] = moving;
-    const double allowed = ENERGY_ERROR * moving + LITTLE * numbers[MOVED] + little;
-    if (!(lost <= allowed) || numbers[WORST] > ENERGY_ERROR) {
-      run.counts[FAILED] = 1;
-      return Pause::ENERGY_LOST;
-    }
+  const Pause found = compare_balance(
+    run, present, energy_scale(system, run, sum_of_sizes(system.applied)));
+  if (found != Pause::ENERGY_LOST) {
+    keep(system, run, run.kept);
   }
-  accept_balance(system, run, present);
-  return numbers[WORST] > ENERGY_WARN && run.counts[WARNED] == 0 ?
-         Pause::INACCURATE : Pause::NONE;
+  return found;
 }
 
 CopiedRun::CopiedRun(const GuardedRun & like)
@@ -492,13 +505,12 @@ CopiedRun::CopiedRun(const GuardedRun & like)
   run_.counts.data = counts_.data();
 }
 
-void CopiedRun::begin(const System & system, Values start)
+void CopiedRun::begin(const System & system)
 {
   require_fitting(system, run_);
   const std::vector<double> health(system.work.health.begin(), system.work.health.end());
   const Values & balances = run_.account.numbers, & numbers = run_.numbers;
   const Indices & counts = run_.counts;
-  copy(start, run_.state);
   balances[account::REFERENCE] = 0.0;
   const Energies balance = draw_balance(system, run_.account, run_.state);
   balances[account::HELD_WORK] = 0.0;
@@ -545,13 +557,21 @@ bool CopiedRun::keeps_energy(const System & system)
 }
 
 bool CopiedRun::check_state(
-  const System & system, Values state, Index steps, double work, bool at_energy)
+  const System & system, Index steps, double work, const Stored * stored, bool at_energy)
 {
-  copy(state, run_.state);
   run_.counts[STEPS] = steps;
   run_.account.numbers[account::HELD_WORK] = work;
-  return (!at_energy || keeps_energy(system)) && (
-    std::isinf(run_.watch.closure) || check_loops(system, run_) == Pause::NONE);
+  if (at_energy && stored != nullptr) {
+    const Energies present = balance_of(
+      system, run_.account, run_.state, stored->kinetic, stored->potential);
+    const Pause found = compare_balance(run_, present, energy_scale(system, run_, stored->felt));
+    if (!(found == Pause::NONE || found == Pause::INACCURATE)) {
+      return false;
+    }
+  } else if (at_energy && !keeps_energy(system)) {
+    return false;
+  }
+  return std::isinf(run_.watch.closure) || check_loops(system, run_) == Pause::NONE;
 }
 
 void CopiedRun::report(Values found) const

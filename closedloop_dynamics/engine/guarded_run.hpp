@@ -143,6 +143,14 @@ namespace finding
 enum : Index {SHARE, LOST, MOVED, TIME, COLUMNS};
 }
 
+/// Energies of a state that were found elsewhere [J], and the forces in its joints, by size.
+struct Stored
+{
+  double kinetic;
+  double potential;
+  double felt;
+};
+
 /// A copy of a run, to make others like it.
 class CopiedRun
 {
@@ -151,18 +159,21 @@ public:
   CopiedRun(const CopiedRun &) = delete;
   CopiedRun & operator=(const CopiedRun &) = delete;
 
-  /// Begin at a state, whose energy has been computed.
-  void begin(const System &, Values start);
+  /// To be written before a run begins, and before a state is checked; else to be read.
+  Values state() const {return run_.state;}
+  /// Begin at the state.
+  void begin(const System &);
   /// Apply torques.
   void command(const System &, Values torque);
-  Values state() const {return run_.state;}
   /// Make steps; DOUBTFUL where the host has to decide how the run ends.
   Status advance(const System &, Index steps);
   /// Check the energy; return whether the run continues.
   bool keeps_energy(const System &);
-  /// Check a state after steps made elsewhere, with the work of its torques [J]: its loops and, if
-  /// requested, its energy; return whether the run continues.
-  bool check_state(const System &, Values state, Index steps, double work, bool at_energy);
+  /// Check the state after steps made elsewhere, with the work of its torques [J]: its loops and,
+  /// if requested, its energy, which `stored` tells unless it is nullptr; return whether the run
+  /// continues.
+  bool check_state(
+    const System &, Index steps, double work, const Stored * stored, bool at_energy);
   /// Write the energy columns of a result.
   void report(Values found) const;
 

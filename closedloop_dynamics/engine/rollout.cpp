@@ -100,7 +100,8 @@ Status make(
   const System & system, CopiedRun & run, Values start, Table torque, Index zero_order_hold,
   Index decimation, Index steps, Table states)
 {
-  run.begin(system, start);
+  copy(start, run.state());
+  run.begin(system);
   copy(start, states[0]);
   for (Index done = 0; done < steps; ) {
     run.command(system, torque[done / zero_order_hold]);

@@ -43,6 +43,8 @@ class Batch(NamedTuple):
     # Of effects, shape (LANES * rows * columns,): as ``Contacts.now`` and ``Contacts.trial``.
     gaps: np.ndarray
     trials: np.ndarray
+    # Shape (LANES * 3,): what ``find_energies`` finds; of no length without effects.
+    energies: np.ndarray
     kept: tuple  # Tuple of ndarrays that only the routines read and write
 
 
@@ -91,7 +93,8 @@ def build_batch(systems):
         tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
         error=np.zeros(LANES), manifold=first.manifold,
         **{name: arrays.get(place, nothing) for name, place in (
-            ('rates', calls.RATES), ('gaps', calls.GAPS), ('trials', calls.TRIALS))},
+            ('rates', calls.RATES), ('gaps', calls.GAPS), ('trials', calls.TRIALS),
+            ('energies', calls.ENERGY))},
         kept=tuple(arrays.values()))
 
 
@@ -105,7 +108,24 @@ def _arrays_of_effects(tables):
         calls.SIDES: np.zeros(LANES * len(first.kind)),
         calls.GAPS: np.zeros(LANES * first.contacts.now.size),
         calls.TRIALS: np.zeros(LANES * first.contacts.trial.size),
-        calls.RATES: np.zeros(LANES * len(first.rates))}
+        calls.RATES: np.zeros(LANES * len(first.rates)),
+        calls.ENERGY: np.zeros(LANES * 3)}
+
+
+def find_energies(batch, system):
+    """
+    Have the energies of all lanes found together, which takes code of its own.
+
+    Parameters
+    ----------
+    batch : Batch
+        Of systems with effects, unless nothing is to be done.
+    system : System
+        One of them.
+
+    """
+    if len(batch.energies) and not batch.table[calls.ENERGIES]:
+        batch.table[calls.ENERGIES] = scene_code.energies_in_lanes(system.model, system.effects)
 
 
 def filled(items):

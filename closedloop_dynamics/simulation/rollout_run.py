@@ -20,7 +20,7 @@ from .errors import SimulationError
 from .guards import CLOSING, ENERGY_WARN, LARGEST_MOTION, USUAL_TORQUE
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
-from ..integration.batch import build_batch, filled, fits, Lane
+from ..integration.batch import build_batch, filled, find_energies, fits, Lane
 from ..integration.control import DONE, INTERRUPTED
 from ..integration.drivers import FixedSteps
 from ..integration.recorded_run import (
@@ -32,6 +32,8 @@ from ..mechanism.fields import at, FieldError
 STATE = ('position', 'velocity')
 QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
               'closure', 'energy')
+# Where energy balances are checked after so many steps or less, lanes have code for them.
+OFTEN = 20
 # So many runs at least, and at most, are made together in the lanes of a vector.
 FEWEST, MOST = 3, LANES
 # A time counts as a multiple of the step up to this share of the step.
@@ -374,6 +376,9 @@ class SimdRuns:
         if pack is None:
             return None
         driver, steps = first.monitor.driver, schedule.steps(first.step_size)
+        *calls, _ = schedule.in_steps(steps)
+        if first.run.watch.call <= min(calls) <= OFTEN:
+            find_energies(pack, first.system)
         if any(np.abs(start.torques).max(initial=0.0) > USUAL_TORQUE for start in starts):
             return None
         torques = filled([start.torques for start in starts])

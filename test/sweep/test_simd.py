@@ -4,14 +4,16 @@
 """Rollouts side by side in vectors: the numbers of rollouts of one sample, bit for bit."""
 
 from dataclasses import replace
+from functools import partial
 import math
 import tracemalloc
 
 from closedloop_dynamics.core.codegen import lanes
+from closedloop_dynamics.core.codegen.function_table import ENERGIES
 from closedloop_dynamics.core.codegen.lanes import LANES
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.batch import build_batch, Lane
+from closedloop_dynamics.integration.batch import build_batch, find_energies, Lane
 from closedloop_dynamics.integration.control import DONE, SINGULAR
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns, STATE
 from closedloop_dynamics.simulation.scene import load_scene
@@ -276,6 +278,50 @@ def test_lanes_carry_effects(packs, name):
                 getattr(result, quantity)[sample], getattr(alone, quantity)[0])
     resting = (np.abs(result.velocity[:, 1:, 0]) < 1e-9).mean()
     assert resting > 0.01 if 'friction' in WITH_EFFECTS[name] else resting == 0.0
+
+
+# So coarse that the energy balance misses more than a thousandth of what moves.
+@pytest.mark.parametrize('name, step_size', [('springs', 0.02), ('contact', 0.01), ('all', 0.02)])
+def test_lanes_find_the_same_errors_of_energy_after_every_step(packs, name, step_size):
+    simulation = with_effects(name, step_size=step_size)
+    torques = 0.3 * torques_for(simulation, LANES, 40)
+    result = simulation.rollout(torques, threads=1)
+    assert packs == [LANES] and result.failures
+    for sample, rows in enumerate(torques):
+        alone = simulation.rollout(rows).failures
+        assert alone.get(0) == result.failures.get(sample)
+
+
+def spatial_with_effects():
+    """Return a linkage in space with effects."""
+    scene = load_scene('rssr_four_bar')
+    return Simulation(replace(scene, effects={
+        'gravity': EFFECTS['gravity'](acceleration=(0.3, -1.0, -9.81)),
+        'rotor': EFFECTS['rotor'](joint='crank', inertia=0.01, gear_ratio=3.0),
+        'ground': EFFECTS['contact'](point='rocker_end', origin=(0.0, 0.0, 0.35),
+                                     normal=(0.0, 0.0, 1.0), stiffness=400.0),
+        'spring': EFFECTS['point_spring'](point_a='rocker_end', anchor=(0.3, 0.4, 0.1),
+                                          stiffness=21.0, damping=1.3, free_length=0.1)},
+        method=replace(scene.method, integrator='rk4')))
+
+
+@pytest.mark.parametrize('build', [
+    *(partial(with_effects, name) for name in ('springs', 'all')), spatial_with_effects])
+def test_energies_of_lanes_are_those_of_each_state(build):
+    simulation, states, expected = build(), [], []
+    for _ in range(LANES):
+        simulation.step([1.0], 0.1)
+        states.append(simulation.integrated.copy())
+        balance = simulation.energy_balance
+        expected.append((balance.kinetic, balance.stored))
+    batch = build_batch([simulation.system])
+    find_energies(batch, simulation.system)
+    # Behind the rates are the states of effects.
+    q, rest = np.split(lanes.spread(states), [LANES * simulation.coordinates.nq])
+    assert native.call(batch.table, ENERGIES, q, rest)
+    kinetic, stored, _ = batch.energies.reshape(3, LANES)
+    np.testing.assert_allclose(np.transpose((kinetic, stored)), expected, rtol=1e-12, atol=1e-14)
+    assert np.ptp(stored) > 0.01 * np.abs(stored).max()
 
 
 def test_lanes_differ_in_numbers_of_effects(packs):

@@ -17,11 +17,11 @@ import numpy as np
 # and what follows it; the corrections that close the loops; the latter two with refinement. After
 # them the forces in joints, or the wrenches; before that, where equations are left out, the
 # multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest.
-# Last the closure equations alone, for places around a singular position, and whether
-# accelerations fulfil the equations that are left out.
+# Last the closure equations alone, for places around a singular position, whether accelerations
+# fulfil the equations that are left out, and of a scene its energies.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
  REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, LOOP_EQUATIONS,
- LEFT_OUT) = range(12)
+ LEFT_OUT, ENERGIES) = range(13)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
@@ -29,19 +29,21 @@ OF_SCENE = (EVALUATION, AT_REST)
 # Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
- RATES) = range(12, 34)
+ RATES) = range(13, 35)
 # Addresses of functions of the engine (``engine/library.hpp``).
-LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(34, 37)
+LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(35, 38)
 # Addresses of the arrays that the routines of forces read and write.
-WRENCH, JOINT_POINT, LAM_OF_ALL = range(37, 40)
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(38, 41)
 # Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
-BIAS, JACOBIAN = range(40, 42)
-TABLE_COLUMNS = 42
+BIAS, JACOBIAN = range(41, 43)
+# Address of results of ENERGIES.
+ENERGY = 43
+TABLE_COLUMNS = 44
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
 # which BODY is the row of its first body and TAU the effort in its joint: the row of its second
 # body, its states, its row of ``EffectTable.output``, and how many entries it has.
-OTHER_BODY, STATES, OUTPUT, COUNT = range(42, 46)
-LAW_COLUMNS = 46
+OTHER_BODY, STATES, OUTPUT, COUNT = range(44, 48)
+LAW_COLUMNS = 48
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

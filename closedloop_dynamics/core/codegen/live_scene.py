@@ -6,18 +6,19 @@ The evaluation of a scene as the engine runs it: a mechanism with the laws of it
 
 Laws are traced into the one routine between the motion of the bodies and their accelerations.
 Their numbers, states and what was decided about them are loads, so that a change of these compiles
-nothing. What the laws say of themselves beside the rates of their states, such as what they store,
-is left to the laws by themselves (``law_routine``): no step asks for it.
+nothing. What the laws say of themselves beside the rates of their states is left to the laws by
+themselves (``law_routine``): no step asks for it. What they store is traced for the energies of
+states in the lanes of a vector.
 """
 
 import math
 
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smaller, TAKE
 from .function_table import (
-    ALWAYS, COMMAND, CUT_VALUES, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
+    ALWAYS, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
-from .routines import A_SECOND, form_for, MechanismTrace, topology, unrolled_size, zeros
-from .scene_routines import Forces
+from .routines import A_SECOND, form_for, MechanismTrace, NAMES, topology, unrolled_size, zeros
+from .scene_routines import energies_of_bodies, Forces
 from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 
 # Addresses of compiled code, by its dependences.
@@ -26,20 +27,20 @@ _addresses = {}
 _ROUNDER = 6755399441055744.0
 
 
-def address_of_scene(model, structure, laws, form=SCALAR):
+def address_of_scene(model, structure, laws, form=SCALAR, which=EVALUATION):
     """
-    Return the address of the evaluation of a scene, compiled unless it is stored.
+    Return the address of a scene's evaluation, or energies, compiled unless it is stored.
 
     ``structure``: dependences of the code beside the mechanism; ``laws`` returns the laws for
-    ``LiveTrace``; ``form`` is that of ``machine_code``.
+    ``LiveTrace``; ``form`` is that of ``machine_code``; ``which``: ENERGIES for that routine.
     """
     form = form_for(model, form)
-    key = topology(model), structure, form
+    key = topology(model), structure, form, which
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [LiveTrace(model, laws()).routine(EVALUATION)], form, 1,
+            key, lambda: [LiveTrace(model, laws()).routine(which)], form, 1,
             unrolled_size(model) / (A_SECOND * len(ALWAYS)))
-        _addresses[key] = find('evaluation')
+        _addresses[key] = find(NAMES[which])
     return _addresses[key]
 
 
@@ -98,6 +99,16 @@ class LiveTrace(MechanismTrace):
             forces.rates[place] = lam[multiplier] * factor
         self.store(RATES, forces.rates)
         self.outputs += forces.outputs
+
+    def energies(self):
+        """Kinetic energy, what gravity and effects store, and all torques in joints by size."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        forces = LiveForces(self)
+        self.laws.act(forces)
+        kinetic, weight = energies_of_bodies(self)
+        torques = self.symbols(COMMAND, (self.nv,)) + forces.torque
+        for place, value in enumerate((kinetic, weight + forces.stored, sum(map(abs, torques)))):
+            self.outputs.append((ENERGY, place, value))
 
     def held(self, resting, qdd, lam):
         """

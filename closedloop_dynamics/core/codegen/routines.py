@@ -11,9 +11,9 @@ from .expression_graph import (
     POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, LEFT_OUT,
-    LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION,
-    TAU, WORK_BODY, WRENCH, WRENCHES)
+    ENERGIES, EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
+    LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
+    REFINED_CORRECTION, TAU, WORK_BODY, WRENCH, WRENCHES)
 from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
@@ -27,7 +27,7 @@ NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'accelerati
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
          WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
-         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out'}
+         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies'}
 
 
 def topology(model):

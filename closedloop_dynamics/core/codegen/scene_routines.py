@@ -10,15 +10,14 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 
 from . import forward_dynamics
 from .expression_graph import chosen, LOAD, Routine
-from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, SIDES, TAU, VALUES
+from .function_table import CLOSURE, CORRECTIONS, ENERGY, LAM, QDD, SIDES, TAU, VALUES
 from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
-# Inputs and outputs beside those of a function table: numbers of points; energies, places and
-# their rates.
-POINT, ENERGY, PLACE = range(42, 45)
+# Inputs and outputs beside those of a function table: numbers of points; places and their rates.
+POINT, PLACE = range(44, 46)
 PLACE_RATE = 47
 
 
@@ -60,21 +59,9 @@ class SceneTrace(MechanismTrace):
 
     def energies(self):
         """Kinetic energy, that of gravity, and that stored in effects [J]."""
-        one, kinetic, weight = self.recursion, 0.0, 0.0
         forces = self.moved()
-        for i, row in list(enumerate(self.constant.tree))[1:]:
-            body, motion, rate = one.bodies[i], one.motion[i], self.qd[row[DOF]]
-            inertia, _ = rigid(body, motion)
-            rates = motion.spin + motion.velocity
-            kinetic = kinetic + dot(rates, times(inertia, rates))
-            if body.armature is not None:
-                kinetic = kinetic + body.armature * rate * rate
-            if not is_zero(body.rotor):
-                kinetic = kinetic + 2.0 * rate * dot(one.rotor[i], one.motion[row[PARENT]].spin)
-            moment = add(scale(motion.origin, body.mass), times(motion.frame, body.moment))
-            weight = weight - dot(self.model.gravity, moment)
-        self.outputs += [(ENERGY, 0, 0.5 * kinetic), (ENERGY, 1, weight),
-                         (ENERGY, 2, forces.stored)]
+        for place, energy in enumerate((*energies_of_bodies(self), forces.stored)):
+            self.outputs.append((ENERGY, place, energy))
 
     def places(self, rows):
         """Places of points of bodies, and their velocities."""
@@ -92,6 +79,31 @@ class SceneTrace(MechanismTrace):
     def named(self, name):
         """Return the trace as a routine."""
         return Routine(name, self.graph, self.outputs)
+
+
+def energies_of_bodies(trace):
+    """
+    Return the kinetic energy of all bodies, and their potential energy in gravity [J].
+
+    Parameters
+    ----------
+    trace : routines.MechanismTrace
+        After the outward recursion.
+
+    """
+    one, kinetic, weight = trace.recursion, 0.0, 0.0
+    for i, row in list(enumerate(trace.constant.tree))[1:]:
+        body, motion, rate = one.bodies[i], one.motion[i], trace.qd[row[DOF]]
+        inertia, _ = rigid(body, motion)
+        rates = motion.spin + motion.velocity
+        kinetic = kinetic + dot(rates, times(inertia, rates))
+        if body.armature is not None:
+            kinetic = kinetic + body.armature * rate * rate
+        if not is_zero(body.rotor):
+            kinetic = kinetic + 2.0 * rate * dot(one.rotor[i], one.motion[row[PARENT]].spin)
+        moment = add(scale(motion.origin, body.mass), times(motion.frame, body.moment))
+        weight = weight - dot(trace.model.gravity, moment)
+    return 0.5 * kinetic, weight
 
 
 class Forces:
