@@ -19,38 +19,100 @@ constexpr Index COLUMNS = 5, SPATIAL_COLUMNS = 6;
 // guides only; the axis in the frame of that row.
 constexpr Index CARRIER = 3, AXIS = 4;
 
-/// Row of the body of an entry's point.
-Index body_row(const double * entry) {return static_cast<Index>(entry[0]);}
-
-/// A straight piece in the plane, tangent to the pulleys at both its ends.
-Line<Vector2> straight(Table body, const double * entry)
+/// The axis that all pulleys lie across; in the plane its normal.
+template<class V>
+struct Pulleys
 {
-  const double * next = entry + COLUMNS;
-  const Vector2 start = position(body, body_row(entry), vector2(entry + 1));
-  const Vector2 end = position(body, body_row(next), vector2(next + 1));
-  const Vector2 velocity =
-    velocity_at(body, body_row(next), end) - velocity_at(body, body_row(entry), start);
-  const Vector2 apart = end - start;
+  /// Component along the axis, and a vector along it.
+  double height(V) const {return 0.0;}
+  V raised(double) const {return {0.0, 0.0};}
+  /// A vector across the axis, turned by a right angle to the right.
+  V turned(V a) const {return {a.y, -a.x};}
+  /// Vector product as seen along the axis.
+  double product(V a, V b) const {return cross(a, b);}
+  /// Rate of the length by the turning of the axis, and the moment that this makes, of a piece from
+  /// end to end and its force.
+  double turning(Table, V, V) const {return 0.0;}
+  void twist(Table, V, V) const {}
+};
+
+template<>
+struct Pulleys<Vector3>
+{
+  /// Zero where no pulley has a radius.
+  Vector3 axis;
+  /// Row of the body that it turns with; negative likewise.
+  Index carrier;
+
+  double height(Vector3 a) const {return dot(a, axis);}
+  Vector3 raised(double height) const {return height * axis;}
+  Vector3 turned(Vector3 a) const {return cross(a, axis);}
+  double product(Vector3 a, Vector3 b) const {return dot(cross(a, b), axis);}
+  double turning(Table body, Vector3 apart, Vector3 force) const
+  {
+    return carrier < 0 ? 0.0 : -dot(spin_in_space(body, carrier), cross(apart, force));
+  }
+  void twist(Table body, Vector3 apart, Vector3 force) const
+  {
+    if (carrier >= 0) {
+      apply_torque(body, carrier, cross(apart, force));
+    }
+  }
+};
+
+/// A straight piece of cable between points, or centers of pulleys (doc/theory.md).
+template<class V>
+struct Piece
+{
+  /// Rows of the bodies at both ends, and the places there [m].
+  Index first;
+  Index second;
+  V start;
+  V end;
+  /// Direction as seen along the axis, and f: the gradient of the length.
+  V tangent;
+  V force;
+  /// Length as seen along the axis, along the axis, and in all: a, h, L [m].
+  double seen;
+  double high;
+  double length;
+};
+
+template<class V, Index columns>
+Piece<V> piece_at(Table body, const double * entry, const Pulleys<V> & pulleys)
+{
+  const double * next = entry + columns;
+  const Index first = static_cast<Index>(entry[0]), second = static_cast<Index>(next[0]);
+  const V start = position(body, first, vector_at(entry + 1, V()));
+  const V end = position(body, second, vector_at(next + 1, V()));
+  const double high = pulleys.height(end - start);
+  const V apart = end - start - pulleys.raised(high);
   // The line of centers has a component along the tangent, and one across: the difference of the
   // radii.
-  const double between = dot(apart, apart), across = next[3] - entry[3];
-  const double length = std::sqrt(std::max(0.0, between - across * across));
-  Line<Vector2> line = {start, end, apart, length, 0.0};
+  const double between = dot(apart, apart), across = next[columns - 2] - entry[columns - 2];
+  const double seen = std::sqrt(std::max(0.0, between - across * across));
+  V tangent = {}, force = {};
   if (between > 0.0) {
-    line.direction = {
-      (length * apart.x + across * apart.y) / between,
-      (length * apart.y - across * apart.x) / between};
-    line.rate = dot(line.direction, velocity);
+    force = tangent = (seen * apart + across * pulleys.turned(apart)) / between;
   }
-  return line;
+  double length = seen;
+  if (high != 0.0) {
+    length = std::sqrt(seen * seen + high * high);
+    if (seen > 0.0) {
+      // (a / L - 1) / a without a difference.
+      const double less = high * high / (length * seen * (length + seen));
+      force = tangent - less * apart + pulleys.raised(high / length);
+    }
+  }
+  return {first, second, start, end, tangent, force, seen, high, length};
 }
 
-/// Length of cable on a pulley between two directions [m].
-double wrapped_length(double radius, Vector2 before, Vector2 after)
+/// Length of cable on a pulley, of the scalar and the vector product of the directions before and
+/// after it [m].
+double wrapped_length(double radius, double cosine, double sine)
 {
   // A quarter turn from -180 to 180 degrees: -90 to 270.
-  const double turn = 0.5 * M_PI +
-    std::atan2(-dot(before, after), std::copysign(1.0, radius) * cross(before, after));
+  const double turn = 0.5 * M_PI + std::atan2(-cosine, std::copysign(1.0, radius) * sine);
   return std::fabs(radius) * turn;
 }
 
@@ -71,111 +133,41 @@ double cable_tension(const EffectTable & table, Index row, double length, double
   return tension;
 }
 
-/// A straight piece in space where no pulley has a radius.
-Line<Vector3> straight_in_space(Table body, const double * entry)
+template<class V, Index columns>
+void apply_over(
+  const EffectTable & table, Index row, Table body, const Pulleys<V> & pulleys)
 {
-  const double * next = entry + SPATIAL_COLUMNS;
-  return line_between(
-    body, body_row(entry), vector3(entry + 1), body_row(next), vector3(next + 1));
-}
-
-/// Forces in space where no pulley has a radius.
-void apply_over_guides(const EffectTable & table, Index row, Table body)
-{
-  const double * entries = table.data.data + table.index(row, effect::DATA);
-  const Index pieces = table.index(row, effect::ENTRIES) - 1;
-  double length = 0.0, rate = 0.0;
-  for (Index k = 0; k < pieces; ++k) {
-    const Line<Vector3> line = straight_in_space(body, entries + SPATIAL_COLUMNS * k);
-    length += line.length;
-    rate += line.rate;
-  }
-  const double tension = cable_tension(table, row, length, rate);
-  if (tension != 0.0) {
-    for (Index k = 0; k < pieces; ++k) {
-      const double * entry = entries + SPATIAL_COLUMNS * k;
-      const Line<Vector3> line = straight_in_space(body, entry);
-      apply_force_at(body, body_row(entry), line.start, tension * line.direction);
-      apply_force_at(
-        body, body_row(entry + SPATIAL_COLUMNS), line.end, -tension * line.direction);
-    }
-  }
-}
-
-/// A straight piece in space between pulleys that lie across one axis (doc/theory.md).
-struct PulleyPiece
-{
-  /// Positions of both centers [m].
-  Vector3 start;
-  Vector3 end;
-  /// Direction as seen along the axis, and f: the gradient of the length.
-  Vector3 tangent;
-  Vector3 force;
-  /// Length as seen along the axis, along the axis, and in all: a, h, L [m].
-  double seen;
-  double high;
-  double length;
-};
-
-PulleyPiece tangent_in_space(Table body, const double * entry, Vector3 axis)
-{
-  const double * next = entry + SPATIAL_COLUMNS;
-  const Vector3 start = position(body, body_row(entry), vector3(entry + 1));
-  const Vector3 end = position(body, body_row(next), vector3(next + 1));
-  const double high = dot(end - start, axis);
-  const Vector3 apart = end - start - high * axis;
-  const double between = dot(apart, apart), across = next[4] - entry[4];
-  const double seen = std::sqrt(std::max(0.0, between - across * across));
-  const double length = std::sqrt(seen * seen + high * high);
-  Vector3 tangent = {0.0, 0.0, 0.0}, force = {0.0, 0.0, 0.0};
-  if (between > 0.0 && seen > 0.0) {
-    tangent = (seen * apart + across * cross(apart, axis)) / between;
-    // (a / L - 1) / a without a difference.
-    const double less = high * high / (length * seen * (length + seen)), up = high / length;
-    force = tangent - less * apart + up * axis;
-  }
-  return {start, end, tangent, force, seen, high, length};
-}
-
-/// Forces in space where pulleys have a radius.
-void apply_over_pulleys(const EffectTable & table, Index row, Table body)
-{
-  const double * values = table.values.row(row);
   double * entries = table.data.data + table.index(row, effect::DATA);
-  const Index pieces = table.index(row, effect::ENTRIES) - 1;
-  const Index carrier = static_cast<Index>(values[CARRIER]);
-  const Vector3 axis = to_world(body, carrier, vector3(values + AXIS));
-  const Vector3 spin = spin_in_space(body, carrier);
+  const double * last = entries + columns * (table.index(row, effect::ENTRIES) - 1);
   double length = 0.0, rate = 0.0, fleet = 0.0;
-  Vector3 before = {0.0, 0.0, 0.0};
-  for (Index k = 0; k < pieces; ++k) {
-    double * entry = entries + SPATIAL_COLUMNS * k;
-    const PulleyPiece piece = tangent_in_space(body, entry, axis);
-    const Vector3 velocity =
-      velocity_at(body, body_row(entry + SPATIAL_COLUMNS), piece.end) -
-      velocity_at(body, body_row(entry), piece.start);
+  V before = {};
+  for (double * entry = entries; entry < last; entry += columns) {
+    const Piece<V> piece = piece_at<V, columns>(body, entry, pulleys);
+    const V velocity = velocity_at(body, piece.second, piece.end) -
+      velocity_at(body, piece.first, piece.start);
     length += piece.length;
-    rate += dot(piece.force, velocity) - dot(spin, cross(piece.end - piece.start, piece.force));
-    fleet = std::max(fleet, std::atan2(std::fabs(piece.high), piece.seen));
-    if (k > 0 && entry[4] != 0.0) {
-      // Seen along the axis: the turn from one tangent to the next.
-      entry[5] = wrapped_length(
-        entry[4], {1.0, 0.0},
-        {dot(before, piece.tangent), dot(cross(before, piece.tangent), axis)});
-      length += entry[5];
+    rate += dot(piece.force, velocity) +
+      pulleys.turning(body, piece.end - piece.start, piece.force);
+    if (piece.high != 0.0) {
+      fleet = std::max(fleet, std::atan2(std::fabs(piece.high), piece.seen));
+    }
+    const double radius = entry[columns - 2];
+    if (entry > entries && radius != 0.0) {
+      entry[columns - 1] = wrapped_length(
+        radius, dot(before, piece.tangent), pulleys.product(before, piece.tangent));
+      length += entry[columns - 1];
     }
     before = piece.tangent;
   }
   const double tension = cable_tension(table, row, length, rate);
   table.output(row, 3) = fleet;
   if (tension != 0.0) {
-    for (Index k = 0; k < pieces; ++k) {
-      const double * entry = entries + SPATIAL_COLUMNS * k;
-      const PulleyPiece piece = tangent_in_space(body, entry, axis);
-      const Vector3 force = tension * piece.force;
-      apply_force_at(body, body_row(entry), piece.start, force);
-      apply_force_at(body, body_row(entry + SPATIAL_COLUMNS), piece.end, -force);
-      apply_torque(body, carrier, cross(piece.end - piece.start, force));
+    for (const double * entry = entries; entry < last; entry += columns) {
+      const Piece<V> piece = piece_at<V, columns>(body, entry, pulleys);
+      const V force = tension * piece.force;
+      apply_force_at(body, piece.first, piece.start, force);
+      apply_force_at(body, piece.second, piece.end, -force);
+      pulleys.twist(body, piece.end - piece.start, force);
     }
   }
 }
@@ -183,40 +175,19 @@ void apply_over_pulleys(const EffectTable & table, Index row, Table body)
 
 void apply_cable(const EffectTable & table, Index row, Table body, Values, Values, Values)
 {
-  double * entries = table.data.data + table.index(row, effect::DATA);
-  const Index pieces = table.index(row, effect::ENTRIES) - 1;
-  double length = 0.0, rate = 0.0;
-  Vector2 before = {0.0, 0.0};
-  for (Index k = 0; k < pieces; ++k) {
-    double * entry = entries + COLUMNS * k;
-    const Line<Vector2> line = straight(body, entry);
-    length += line.length;
-    rate += line.rate;
-    if (k > 0 && entry[3] != 0.0) {
-      entry[4] = wrapped_length(entry[3], before, line.direction);
-      length += entry[4];
-    }
-    before = line.direction;
-  }
-  const double tension = cable_tension(table, row, length, rate);
-  if (tension != 0.0) {
-    for (Index k = 0; k < pieces; ++k) {
-      const double * entry = entries + COLUMNS * k;
-      const Line<Vector2> line = straight(body, entry);
-      apply_force_at(body, body_row(entry), line.start, tension * line.direction);
-      apply_force_at(body, body_row(entry + COLUMNS), line.end, -tension * line.direction);
-    }
-  }
+  apply_over<Vector2, COLUMNS>(table, row, body, {});
 }
 
 void apply_spatial_cable(
   const EffectTable & table, Index row, Table body, Values, Values, Values)
 {
-  if (table.values(row, CARRIER) >= 0.0) {
-    apply_over_pulleys(table, row, body);
-  } else {
-    apply_over_guides(table, row, body);
+  const double * values = table.values.row(row);
+  const Index carrier = static_cast<Index>(values[CARRIER]);
+  Vector3 axis = {0.0, 0.0, 0.0};
+  if (carrier >= 0) {
+    axis = to_world(body, carrier, vector3(values + AXIS));
   }
+  apply_over<Vector3, SPATIAL_COLUMNS>(table, row, body, {axis, carrier});
 }
 
 }  // namespace closedloop
