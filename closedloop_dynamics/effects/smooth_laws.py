@@ -292,8 +292,9 @@ def _hold(forces, bodies, places, axes, moment):
     rate, lost, along = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0, []
     for axis, stiffness, damping in axes:
         stretch, speed = dot(axis, apart), dot(axis, rate)
-        along.append(-(stiffness * stretch + damping * speed))
-        force = add(force, scale(axis, along[-1]))
+        pull = stiffness * stretch + damping * speed
+        along.append(-pull)
+        force = subtract(force, scale(axis, pull))
         lost = lost + damping * speed * speed
         forces.store(0.5 * stiffness * (stretch * stretch))
     forces.push(bodies[1], end, force, moment)

@@ -151,7 +151,8 @@ def test_effects_are_carried_in_the_plane(tmp_path):
         'own': Law({'q': '-k*atan2(q, 2)*exp(-q)', 'd': 'log(d)**k'}, joints={'q': 'theta_3'},
                    distances={'d': (points[0], (3.0, 3.0))}, parameters={'k': 3.0}),
         'tool': Payload(bodies[-1], 0.3, (0.02, 0.01), 1e-4)})
-    require_same_run(tmp_path, simulation)
+    # Later rounding decides whether an error of 1e-12 is corrected, here or there.
+    require_same_run(tmp_path, simulation, 100)
     assert simulation.effect_readings('strut')['stored_energy'] > 0.0
 
 
