@@ -29,23 +29,10 @@ class Impedance:
     rotation vector [rad] in world axes, v their velocity, tau_0 what holds the mechanism at rest
     in its present position, against gravity and springs. Inertia is left as it is.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The model; its position is where the point is to be.
-    name : str
-        Of a named point.
-    stiffness, damping : ndarray, shape (3,), in space (6,)
-        Along x and y, in space z [N/m; N s/m], then about z, in space about x, y and z
-        [N m/rad; N m s/rad].
-    feedforward, limit : ndarray, shape (number of driven joints,)
-        Torque added, largest magnitude of the torque (infinite: none) [N m].
-
-    Raises
-    ------
-    StartError
-        Where there is no such point.
-
+    The point, by name, is to stay where the simulation has it. ``stiffness``, ``damping``, shape
+    (3,), in space (6,): along x and y, in space z [N/m; N s/m], then about z, in space about x, y
+    and z [N m/rad; N m s/rad]; ``feedforward``, ``limit``, by driven joint: torque added, largest
+    magnitude of the torque (infinite: none) [N m]. StartError where there is no such point.
     """
 
     def __init__(self, simulation, name, stiffness, damping, feedforward, limit):

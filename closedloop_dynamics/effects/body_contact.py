@@ -263,5 +263,4 @@ class BodyContact(Effect):
 
 
 def _shapes_with(key):
-    """Return the shapes that have a key."""
     return [shape for shape, keys in SHAPES.items() if key in keys[0] + keys[1]]

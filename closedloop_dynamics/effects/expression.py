@@ -142,7 +142,6 @@ def _append(term, steps):
 
 
 def _derivative(term, text):
-    """Return the derivative by t."""
     if not isinstance(term, Term) or term.code == TIME:
         return float(isinstance(term, Term))
     code, operands = term.code, term.operands

@@ -116,7 +116,6 @@ class Rotor(Effect):
                 model.tree[row, TYPE] = REVOLUTE_ARMATURE
 
     def change(self, model, machine):
-        """Add the rotor to the model."""
         planar = machine.mechanism.planar
         for row in self._rows(model, machine):
             model.body[row, ARMATURE if planar else space.ARMATURE] += (

@@ -133,7 +133,6 @@ def _refuse_infinite(element):
 
 
 def _included(element, folder, files, options):
-    """Return an element with the files in it that it includes."""
     children = []
     for child in element.children:
         if child.tag != 'include':

@@ -254,7 +254,6 @@ def _moments(body):
 
 
 def _attributes_of(single, joint_effects):
-    """Return attributes of the effects in a joint."""
     found = {}
     for kind, attribute in ATTRIBUTES.items():
         values = joint_effects.same(single.name, kind)

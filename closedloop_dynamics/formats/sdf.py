@@ -245,7 +245,6 @@ class _Reader:
         self.found[WORLD] = self._in(frame) @ world.inverse
 
     def _visuals(self, link):
-        """Return the visuals of a link."""
         return visuals(
             link, Path(link.source).parent, lambda visual: self._pose(visual.child('pose')),
             _child, _color, self.model.ignored)
@@ -313,7 +312,6 @@ class _Reader:
         return self.found[name]
 
     def _joint(self, element):
-        """Return a joint."""
         kind = TYPES[element.word('type', (*TYPES, GEARBOX))]
         ends = [self._end(element, tag) for tag in ('parent', 'child')]
         place = self._in(element.attributes['name'])

@@ -172,7 +172,6 @@ def _properties(kind, found, spatial):
 
 
 def _visual(kind, found):
-    """Return the Visual of a shape."""
     center = tuple(found['center'].tolist()) + (0.0,) * (3 - len(found['center']))
     turned, color = found.get('orientation', UNTURNED), found.get('color')
     if kind == 'box':

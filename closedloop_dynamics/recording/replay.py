@@ -280,7 +280,6 @@ class _Stamped(_Player):
             self.notes.append('torques at cut joints are left out')
 
     def states(self):
-        """Go from stamp to stamp; yield at each."""
         motion, simulation = self._motion, self.simulation
         simulation.set_state(motion.position[0], motion.velocity[0])
         self._start(simulation.state, 0.0)

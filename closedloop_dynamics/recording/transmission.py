@@ -27,7 +27,6 @@ class _Joint(NamedTuple):
         return dict(self.ends).get(body)
 
     def other_than(self, body):
-        """Return the other body."""
         return next(name for name, _ in self.ends if name != body)
 
 
@@ -96,7 +95,6 @@ def _across(vectors):
 
 
 def _joints(mechanism):
-    """Return all joints of a mechanism."""
     for joint in mechanism.joints:
         # In the plane, a slider moves along the x axis of its own frame.
         axis = joint.axis if not mechanism.planar else (1.0, 0.0)

@@ -240,7 +240,6 @@ class _State:
 
     @classmethod
     def read(cls, file, identity):
-        """Return the state in a file."""
         try:
             with netcdf_file(file, 'r', mmap=False) as found:
                 if getattr(found, 'format', None) != FORMAT or found.identity.decode() != identity:

@@ -26,32 +26,16 @@ class TorqueCommand:
     """
     The torques in force, and the counts of the commands that set them.
 
-    A command that is refused changes nothing: the last good one stays. Times are those of a
-    steady clock [s].
+    A command that is refused changes nothing: the last good one stays. Times are those of a steady
+    clock [s]. Torques are in the order of ``actuated_joints``; they fall to zero when no command
+    came, or the last one acted, for a ``timeout``; 0: the last one holds for ever.
+    ``require_bearable`` raises SimulationError where torques are far too large.
 
-    Parameters
-    ----------
-    joint_names, actuated_joints : sequence of str
-        All joints, and those that a command drives, in the order of ``torque``.
-    timeout : float
-        Torques fall to zero when no command came, or the last one acted, for so long [s];
-        0: the last command holds for ever.
-    require_bearable : callable, optional
-        Takes torques in that order, and raises SimulationError where they are far too large.
-
-    Attributes
-    ----------
-    torque : ndarray, shape (number of actuated joints,)
-        In force now [N m, or N for prismatic joints].
-    counts : dict of str to int
-        Commands accepted, rejected, timed out (how often the torques fell to zero) and lost on
-        the way, counted by the receiver; efforts of joints that are not actuated, ignored.
-    expired : bool
-        Whether the torques are zero because no command came in time.
-    held : float
-        How long the simulation has advanced under the last command [s of the clock that time
-        follows]; counted by the mode that advances it.
-
+    ``torque``: in force now [N m, or N for prismatic joints]; ``counts``: commands accepted,
+    rejected, timed out (how often the torques fell to zero) and lost on the way, counted by the
+    receiver; efforts of joints that are not actuated, ignored; ``expired``: whether the torques
+    are zero because no command came in time; ``held``: how long the simulation has advanced under
+    the last command [s of the clock that time follows], counted by the mode that advances it.
     """
 
     def __init__(self, joint_names, actuated_joints, timeout=0.0, require_bearable=None):

@@ -180,7 +180,6 @@ class JointStatesNode(Node):
             self.get_logger().warning(problem)
 
     def publish_diagnostics(self):
-        """Publish diagnostics."""
         news = {key: count - self._before[key] for key, count in self.counts.items()}
         self._before = dict(self.counts)
         finding = pose_finding(

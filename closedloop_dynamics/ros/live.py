@@ -19,20 +19,12 @@ class LiveSimulation:
 
     ``stamps`` are the time that messages carry, ``states`` publishes them; a command grows old by
     the simulated time of ``pacer``, where it is not None, which is reported to ``logger``.
+    ``torque``, by ``torque_names``: command, and what external wrenches (``wrench``) are in
+    joints, in the latest steps [N m or N].
 
-    Attributes
-    ----------
-    torque : ndarray, shape (number of the simulation's ``torque_names``,)
-        Command, and what external wrenches are in joints, in the latest steps [N m or N].
-    wrench : external_wrench.ExternalWrench
-        What acts from outside.
-    on_published : list of callables
-        Each is called with the stamp, a Time message, after a state was published.
-    on_advance : list of callables
-        Each is called with ``torque`` before steps are made under it.
-    on_jump : list of callables
-        Called when the next state does not follow from the last by simulating.
-
+    Functions in ``on_published`` are called with the stamp, a Time message, after a state was
+    published, those in ``on_advance`` with ``torque`` before steps are made under it, those in
+    ``on_jump`` when the next state does not follow from the last by simulating.
     """
 
     def __init__(self, simulation, command, stamps, states, pacer, logger):

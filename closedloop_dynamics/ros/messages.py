@@ -147,37 +147,14 @@ class StatePublisher:
     """
     Publishes one JointState and one WrenchStamped per cut joint, and others, with one stamp.
 
-    Joints with an orientation go into a MultiDOFJointState, where there are such.
+    Joints with an orientation go into a MultiDOFJointState, where there are such. ``wrenches``:
+    topics of wrenches, in their order: ``constraint_forces/CUT``; ``frames`` that these refer to;
+    ``cuts``: coordinates of cut joints, which follow those of the tree; ``prefix`` of the names of
+    the topics of joints; ``others``, by topic: what a JointState beside those of the joints names,
+    with efforts.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        By which they are published.
-    coordinates : mechanism.coordinates.Coordinates
-        Names and places of the joints.
-    wrenches : sequence of str
-        Topics of wrenches, in their order: ``constraint_forces/CUT``.
-    frames : sequence of str
-        Frames that these refer to.
-    cuts : mechanism.coordinates.Coordinates, optional
-        Names and places of the coordinates of cut joints, which follow those of the tree.
-    prefix : str, optional
-        Of the names of the topics of joints.
-    others : mapping of str to sequence of str
-        By topic, a JointState beside those of the joints: what is named in it, and has efforts.
-
-    Attributes
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        Of the latest messages.
-    published : int
-        Messages published so far.
-
-    Raises
-    ------
-    StartError
-        If the name of a joint cannot be part of a topic's name.
-
+    ``stamp``: of the latest messages; ``published``: messages so far. StartError if the name of a
+    joint cannot be part of a topic's name.
     """
 
     def __init__(self, node, coordinates, wrenches, frames, cuts=None, others=None, prefix=''):

@@ -51,7 +51,6 @@ class Parameter(Setting):
                           subsequent_indent='      ')))
 
     def descriptor(self):
-        """Return the ParameterDescriptor."""
         descriptor = ParameterDescriptor(
             description=self.description, read_only=self.read_only)
         if self.limits is not None:

@@ -66,26 +66,10 @@ class SimulatorNode(Node):
     """
     Advance a simulation and publish its state.
 
-    Attributes
-    ----------
-    exit_code : int or None
-        None while the node wants to go on.
-    simulation : Simulation
-    command : commands.TorqueCommand
-    motion : motion_command.MotionCommand
-    states : messages.StatePublisher
-        Joint states and constraint forces.
-    live : live.LiveSimulation
-        The simulation under the command, with its publishers.
-    pacer : simulation.pacer.Pacer
-        Simulated and elapsed time.
-    mode : pacing.RealTime, pacing.AsFastAsPossible or pacing.Lockstep
-        When to advance.
-    paused, waiting : bool
-        By the service ``~/pause``; for a command.
-    counts : dict of str to int
-        States taken from ``~/set_state``, and those that were not.
-
+    ``exit_code``: None while the node wants to go on; ``live``: the ``simulation`` under the
+    ``command``, with its publishers (``states``); ``pacer``: simulated and elapsed time; ``mode``:
+    when to advance; ``paused``, ``waiting``: by the service ``~/pause``; for a command;
+    ``counts``: states taken from ``~/set_state``, and those that were not.
     """
 
     def __init__(self, **options):
@@ -373,7 +357,6 @@ class SimulatorNode(Node):
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
 
     def publish_diagnostics(self):
-        """Publish diagnostics."""
         busy = self.busy
         if busy:
             self.diagnostics.stall(busy)

@@ -76,14 +76,7 @@ class StandardInterfaces:
     """
     Answers the requests of ``simulation_interfaces`` for a simulator node.
 
-    ``node`` creates the services, ``control`` does what is asked of ``live``.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    live : live.LiveSimulation
-    control : RunControl
-
+    ``node`` creates the services, ``control``, a RunControl, does what is asked of ``live``.
     """
 
     def __init__(self, node, live, control):

@@ -280,7 +280,6 @@ class MechanismVectorEnv(VectorEnv):
                     raise
 
     def _observations(self, states):
-        """Return the observations of states."""
         of_q, of_qd = self._places
         return np.concatenate((states.q[..., of_q], states.qd[..., of_qd]), axis=-1)
 

@@ -15,22 +15,7 @@ from ..mechanism.rotations import quaternions_of
 
 
 class Geometry(LoopModel):
-    """
-    A model, on numbers and by name.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In the plane or in space.
-    decomposition : Decomposition, optional
-        Found here when not given.
-
-    Attributes
-    ----------
-    model, equations, placements, rows
-        As ``LoopModel`` has them.
-
-    """
+    """A model, on numbers and by name; see ``LoopModel``."""
 
     def __init__(self, mechanism, decomposition=None):
         super().__init__(mechanism, decomposition)

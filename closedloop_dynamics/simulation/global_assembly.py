@@ -60,24 +60,9 @@ class ClosureProblem:
     """
     The loops of a mechanism in space as points and directions that are to coincide.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In space.
-    size : float
-        Of the mechanism [m], by which lengths are measured.
-    limits : dict of str to tuple of 2
-        Least and largest coordinate of joints of one degree of freedom, None where there is none.
-
-    Attributes
-    ----------
-    nv, nq : int
-        Rates and coordinates.
-    coordinates : mechanism.coordinates.Coordinates
-        Of the mechanism.
-    scale : ndarray, shape (nv,)
-        Unit of each rate: the size, or 1 for angles.
-
+    ``size``, of the mechanism [m], measures lengths; ``limits``: least and largest coordinate of
+    joints of one degree of freedom, None where there is none; ``scale``, shape (nv,): unit of each
+    rate: the size, or 1 for angles.
     """
 
     def __init__(self, mechanism, size, limits=None):

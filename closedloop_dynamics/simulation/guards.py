@@ -82,32 +82,15 @@ class EnergyGuard:
     """
     Checks the energy balance, from the first steps on; more seldom while it holds.
 
-    Parameters
-    ----------
-    method : Method
-        Of the scene.
-    rate : callable
-        Returns the fastest rate of the motion in a state [1/s].
-    numbers, counts : ndarray
-        Of the ``GuardedRun`` that is watched.
-    limit : float
-        Step size times rate up to which the method is stable; infinite where it always is.
-    among_laws : bool
-        Whether fixed steps are taken among effects with force laws.
-    every_call : bool
-        Whether to check after every call, however few steps it makes.
+    ``rate`` returns the fastest rate of the motion in a state [1/s]; ``numbers``, ``counts`` are
+    those of the ``GuardedRun`` that is watched; ``limit``: step size times rate up to which the
+    method is stable, infinite where it always is; ``among_laws``: whether fixed steps are taken
+    among effects with force laws; ``every_call``: whether to check after every call, however few
+    steps it makes.
 
-    Attributes
-    ----------
-    among_laws : bool
-        As given.
-    first, rarely : int
-        Steps before the first check, and the most between two.
-    call : int
-        Least steps of a call after which there is a check.
-    whole : bool
-        Whether checks wait for the end of a call.
-
+    ``first``, ``rarely``: steps before the first check, and the most between two; ``call``: least
+    steps of a call after which there is a check; ``whole``: whether checks wait for the end of a
+    call.
     """
 
     def __init__(self, method, rate, numbers, counts, limit=math.inf, among_laws=False,

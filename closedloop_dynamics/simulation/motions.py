@@ -85,26 +85,10 @@ class DrivingConstraints:
     """
     The prescribed motions of a scene.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its effects.
-    mechanism : Mechanism
-        As ``with_motions`` returns it.
-    model : core.types.Model
-        Of that; the right-hand sides in ``cut_point`` are written.
-    place : callable
-        Returns the world place of a named point at coordinates.
-    cut_place : callable
-        Returns the coordinate of a freedom of a cut joint at coordinates.
-
-    Attributes
-    ----------
-    records : dict of str to Effect
-        Those of the scene, by name; may be replaced by others of the same equations.
-    rows : dict of Motion to tuple
-        For ``effects.effect.Machine``.
-
+    ``mechanism`` is as ``with_motions`` returns it; right-hand sides in ``cut_point`` of its model
+    are written; ``place`` returns the world place of a named point, ``cut_place`` the coordinate
+    of a freedom of a cut joint, at coordinates. ``records``: effects of the scene, by name; may be
+    replaced by others of the same equations; ``rows``: for ``effects.effect.Machine``.
     """
 
     def __init__(self, scene, mechanism, model, place, cut_place):

@@ -54,36 +54,13 @@ class Axis(NamedTuple):
 
 class Platform:
     """
-    A point of a body, and its orientation, to be driven.
+    A point of a body, and its orientation, to be driven from a scene's start.
 
-    Parameters
-    ----------
-    scene : scene_records.Scene
-        Its start is on the branch.
-    point : str
-        Name of a point.
-
-    Attributes
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-    start : ndarray, shape (nq,)
-        The scene's start, assembled.
-    place : ndarray, shape (2,) or (3,)
-        Of the point there [m].
-    turned : bool
-        Whether the orientation is driven, too.
-    orientation : ndarray, shape (2, 2) or (3, 3)
-        Of the body in the world, at the start.
-    actuated : ndarray of int
-        Places of the actuated coordinates among the rates.
-
-    Raises
-    ------
-    AssemblyError
-    ValueError
-        For unknown points, and mechanisms whose degrees of freedom are not those of a point or a
-        body.
-
+    ``start``, shape (nq,): that start, assembled; ``place`` of the point there [m]; ``turned``:
+    whether the orientation is driven, too; ``orientation`` of the body in the world there, shape
+    (2, 2) or (3, 3); ``actuated``: places of the actuated coordinates among the rates.
+    AssemblyError; ValueError for unknown points, and mechanisms whose degrees of freedom are not
+    those of a point or a body.
     """
 
     def __init__(self, scene, point):
@@ -175,33 +152,17 @@ class Platform:
 
 class PoseGrid:
     """
-    The nodes of a grid that are reached in one orientation.
+    The nodes of a grid that are reached in one orientation of a platform.
 
-    Parameters
-    ----------
-    platform : Platform
-    axes : sequence of Axis
-        One for each axis of the world, in their order.
-    orientation : ndarray, shape (2, 2) or (3, 3), optional
-        Of the body in the world; that of the start when not given. Unused where it is not driven.
-    workers : int, optional
-        Threads; as many as there are processors when not given.
+    ``axes``: one for each axis of the world, in their order; ``orientation`` of the body in the
+    world, shape (2, 2) or (3, 3), that of the start when None, unused where it is not driven;
+    ``workers``: threads, as many as there are processors when None.
 
-    Attributes
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        With its driving equations.
-    shape : tuple of int
-        Nodes along each axis.
-    places : ndarray, shape (n, 2) or (n, 3)
-        Of the point in all nodes, the last axis changing first [m].
-    reached : ndarray of int, shape (n,)
-        Whether a node was reached.
-    position : ndarray, shape (n, nq)
-        Joint coordinates where it was [rad or m].
-    rates : ndarray, shape (n, number of actuated, m)
-        Derivatives of the actuated coordinates by the driven values.
-
+    ``mechanism`` has its driving equations; ``shape``: nodes along each axis; ``places``, shape
+    (n, 2) or (n, 3), of the point in all nodes, the last axis changing first [m]; ``reached``,
+    (n,): whether a node was reached; ``position``, (n, nq), joint coordinates where it was;
+    ``rates``, (n, number of actuated, m): derivatives of the actuated coordinates by the driven
+    values.
     """
 
     def __init__(self, platform, axes, orientation=None, workers=None):

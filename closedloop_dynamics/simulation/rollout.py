@@ -417,7 +417,6 @@ class RolloutArguments:
         return _of(self.position, 1, sample), _of(self.velocity, 1, sample)
 
     def parameters_of(self, sample):
-        """Return the parameters of a sample."""
         return {key: float(_of(values, 0, sample)) for key, values in self.parameters.items()}
 
 

@@ -319,7 +319,6 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
 
 
 def _write_instant(simulation, values, instant):
-    """Write one instant."""
     for name, rows in values.items():
         rows[instant] = getattr(simulation, name)
 

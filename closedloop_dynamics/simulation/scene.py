@@ -125,7 +125,6 @@ def _is_name(name_or_path: Any) -> bool:
 
 
 def _scene_path(name_or_path: Union[str, Path]) -> Path:
-    """Return the path of a scene given by name or path."""
     if not _is_name(name_or_path):
         return Path(name_or_path)
     try:
@@ -423,7 +422,6 @@ def _with_columns(
 
 
 def _method(values: Mapping[str, Any]) -> Method:
-    """Return the method of a scene."""
     method = Method(**mapping(values, *keys_of(Method)))
     for key, need in method.unused.items():
         if key in values:

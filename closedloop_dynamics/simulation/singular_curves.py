@@ -42,26 +42,12 @@ class SingularCurve(NamedTuple):
 
 class SingularCurves:
     """
-    Continuation of singular curves of one kind.
+    Continuation of singular curves of one kind, ``TYPE_1`` or ``TYPE_2``, of a platform.
 
-    Parameters
-    ----------
-    kinematics : driven.DrivenKinematics
-        Of the platform.
-    moved : ndarray of float, shape (m, 2)
-        Driven values by both coordinates of the grid.
-    held : ndarray, shape (m,)
-        Driven values where both are zero [rad or m].
-    kind : str
-        ``TYPE_1`` or ``TYPE_2``.
-    actuated : ndarray of int
-        Places of the actuated coordinates among the rates.
-    coordinates : mechanism.coordinates.Coordinates
-    box : ndarray, shape (2, 2)
-        Least and largest coordinates of the grid [m]: curves end beyond.
-    step : float
-        From point to point, at most [m].
-
+    ``moved``, shape (m, 2): driven values by both coordinates of the grid; ``held``, (m,): where
+    both are zero [rad or m]; ``actuated``: places of the actuated coordinates among the rates;
+    ``box``, (2, 2): least and largest coordinates of the grid [m]: curves end beyond; ``step``:
+    from point to point, at most [m].
     """
 
     def __init__(self, kinematics, moved, held, kind, actuated, coordinates, box, step):

@@ -278,15 +278,7 @@ class Stepping(Readings):
             self._driver.driver.aim(accuracy)
 
     def adopt_accuracy(self, state: ArrayLike) -> None:
-        """
-        Keep the accuracy that another run of ``integrator: auto`` kept from a state on.
-
-        Parameters
-        ----------
-        state : sequence
-            From ``state``; nothing else is taken of it.
-
-        """
+        """Keep the accuracy that another run of ``integrator: auto`` kept from a ``state`` on."""
         accuracy = self._driver.accuracy_in(np.asarray(state)[len(self._state):])
         if accuracy != self.accuracy:
             self._driver.driver.aim(accuracy)
@@ -433,7 +425,6 @@ class Stepping(Readings):
         self._restart_guards()
 
     def _restart_guards(self) -> None:
-        """Restart the guards."""
         self.energy_guard.restart()
         counts = self._counts
         counts[guarded_run.CABLES_CHECKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
@@ -473,17 +464,8 @@ class Stepping(Readings):
         """
         Choose the equations that the elimination works on again, after a step that failed.
 
-        Parameters
-        ----------
-        status : int
-            Of ``integration.advance``.
-
-        Returns
-        -------
-        bool
-            Whether to go on from the present state; not where no equations are left out, so that
-            it failed for another reason.
-
+        Returns whether to go on from the present state; not where no equations are left out, so
+        that the step failed for another reason, by its status of ``integration.advance``.
         """
         if (not self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING
                 or status == CONTACT_PASSED):
@@ -632,18 +614,10 @@ class Stepping(Readings):
 
     def require_bearable(self, tau: np.ndarray) -> None:
         """
-        Refuse joint torques that no step from the present state can follow.
+        Refuse joint torques, of ``joint_torques``, that no step from the present state can follow.
 
-        Parameters
-        ----------
-        tau : ndarray, shape (number of ``torque_names``,)
-            From ``joint_torques``.
-
-        Raises
-        ------
-        NumericalError
-            Where a joint would move by more than LARGEST_MOTION within a step; nothing is changed.
-
+        NumericalError where a joint would move by more than LARGEST_MOTION within a step; nothing
+        is changed.
         """
         largest_torque = np.abs(tau).max(initial=0.0)
         if largest_torque <= USUAL_TORQUE:

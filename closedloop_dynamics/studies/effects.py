@@ -295,7 +295,6 @@ def _row(simulation):
 
 
 def scene_with(scene, names):
-    """Return the scene with these of its effects."""
     names = tuple(names)
     return replace(scene, effects={name: scene.effects[name] for name in names},
                    switched_off=tuple(name for name in scene.switched_off if name in names))
@@ -307,7 +306,6 @@ def _forces(simulation):
 
 
 def _without(scene, names):
-    """Return the scene without some of its effects."""
     return scene_with(scene, (name for name in scene.effects if name not in names))
 
 

@@ -122,7 +122,6 @@ class Driving:
                 drive.set(mode, position if value is None else value, time, position)
 
     def restart_controller(self):
-        """Restart the controller."""
         self._held = math.inf, {}
         if self.own.controller is not None:
             self.own.controller.restart()
@@ -144,7 +143,6 @@ class Driving:
     # What pages ask for, and see.
 
     def modes(self, name):
-        """Return the modes of a drive."""
         controller = self.own.controller
         known = controller is not None and name in controller.joints
         return (*MODES, OWN) if known else MODES

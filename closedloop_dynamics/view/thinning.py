@@ -22,22 +22,12 @@ class Thinning:
     """
     Finds the states that straight lines between their neighbours would miss.
 
-    Parameters
-    ----------
-    plots : sequence of columns.Plot
-        Quantities that are plotted; those drawn by their logarithms decide nothing.
-    points : int
-        Number of the points whose places are before them.
-    size : float
-        Of the mechanism [m].
-    coarse : float
-        Factor of the tolerances.
+    ``plots``: quantities that are plotted; those drawn by their logarithms decide nothing;
+    ``points``: number of the points whose places are before them; ``size``: of the mechanism [m];
+    ``coarse``: factor of the tolerances.
 
-    Notes
-    -----
     From the last state kept, the line to a new one is allowed where its slopes lie between those
     that pass by all states since within the tolerance (swinging doors; E. H. Bristol, 1990).
-
     """
 
     def __init__(self, plots, points, size, coarse=1.0):

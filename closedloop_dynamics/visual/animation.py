@@ -89,7 +89,6 @@ class _Trail(Artist):
         self._index = index
 
     def draw(self, renderer):
-        """Draw it."""
         reached = self._reached[self._index]
         if reached > self._drawn:
             self._line.set_data(*self._path[self._drawn:reached + 1].T)
@@ -104,27 +103,11 @@ class _Trail(Artist):
 
 class Animation:
     """
-    Draws the frames of a motion.
+    Draws the frames of a motion at some times [s], as ``picture``, uint8 (height, width, 4).
 
     What stands still is drawn once; what moves is drawn over it. A mechanism in space is seen in
-    perspective.
-
-    Parameters
-    ----------
-    motion : Trajectory
-        Its times rise; forces may be NaN where none are known.
-    title : str
-        Title of the figure.
-    times : ndarray
-        Of the frames [s].
-    point : str, optional
-        Whose path is drawn; the mechanism's first named point when not given.
-
-    Attributes
-    ----------
-    picture : ndarray of uint8, shape (height, width, 4)
-        The frame that was drawn last: red, green, blue and opacity.
-
+    perspective. Times of the motion rise; forces may be NaN where none are known. The path of a
+    named point is drawn, by default the mechanism's first one.
     """
 
     def __init__(self, motion, title, times, point=None):

@@ -75,24 +75,10 @@ class Part:
 
 class MechanismArtist:
     """
-    Draws one mechanism into one pair of axes.
+    Draws one mechanism into one pair of axes, seen in a view.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    mechanism : mechanism.mechanism.Mechanism
-        The mechanism to draw.
-    poses : ndarray, shape (n, nb, 3), in space (n, nb, 7)
-        All that will be drawn; they fix the extent of the picture.
-    view : View
-        From where.
-
-    Attributes
-    ----------
-    extent : float
-        Largest width or height of all that moves [m].
-
+    ``poses``, shape (n, nb, 3), in space (n, nb, 7): all that will be drawn; they fix the
+    ``extent`` of the picture, the largest width or height of all that moves [m].
     """
 
     def __init__(self, axes, mechanism, poses, view=PLANE):
@@ -132,7 +118,6 @@ class MechanismArtist:
         axes.autoscale_view()
 
     def ground(self):
-        """Draw the ground."""
         if self.mechanism.planar:
             draw_ground(self.axes, self.mechanism, self.poses, self.extent)
         else:

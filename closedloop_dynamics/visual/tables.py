@@ -35,7 +35,6 @@ def text_table(header, rows):
 
 
 def markdown_table(header, rows):
-    """Return a table in Markdown."""
     return '\n'.join(f'| {" | ".join(row)} |' for row in (
         header, ['---'] * len(header), *rows))
 

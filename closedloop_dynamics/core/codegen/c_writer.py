@@ -217,7 +217,6 @@ class _Statements:
         self.lines.append(f'const {_TYPES[width]} w{number} = {right};')
 
     def _vector(self, operands):
-        """Return a vector of operands."""
         if operands not in self._vectors:
             width, padded, number, lanes = self._packing.gathered(operands)
             if number is not None and width == self._widths[number] and (

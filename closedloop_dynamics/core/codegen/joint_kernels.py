@@ -189,7 +189,6 @@ class _Body:
                              **by_column(recursion.force[_PARENT], self.arrays.FORCES)})
 
     def _factored(self, tracer, recursion):
-        """Give a recursion the factors of the joint."""
         recursion.factors[_BODY] = six(tracer.own, self.arrays.SHARES), recursion.alone(_BODY)
 
     def accelerate(self, tracer, recursion):

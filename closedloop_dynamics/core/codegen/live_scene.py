@@ -171,7 +171,6 @@ class LiveForces(Forces):
         return super().coordinate(joint) if joint < self.nv else self._cut(joint - self.nv).value
 
     def rate(self, joint):
-        """Return the rate of a joint."""
         return super().rate(joint) if joint < self.nv else self._cut(joint - self.nv).rate
 
     def twist(self, joint, torque):
@@ -284,7 +283,6 @@ class CutFreedom:
 
     @property
     def rate(self):
-        """Return its rate."""
         forces, one = self._forces, self._one
         a, b = one.row_a, one.row_b
         if not one.slides:

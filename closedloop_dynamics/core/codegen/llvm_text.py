@@ -109,7 +109,6 @@ class Function:
         return self.result(kind, f'load {kind}, {_typed(address)}{options}')
 
     def store(self, value, address, options=''):
-        """Write the storing of a value."""
         self._lines.append(f'store {_typed(value)}, {_typed(address)}{options}')
 
     def room(self, kind, count):
@@ -165,7 +164,6 @@ class Function:
         return [f'{name}{self._count}' for name in names]
 
     def begin(self, block):
-        """Begin a block."""
         self._lines.append(f'{block}:')
 
     def branch(self, block):
@@ -183,7 +181,6 @@ class Function:
             f'[{name}, %{block}]' for block, (_, name) in values.items()))
 
     def end(self, value):
-        """Write the return from the function."""
         self._lines.append(f'ret {_typed(value)}')
 
 

@@ -77,7 +77,6 @@ class SceneTrace(MechanismTrace):
             self.outputs += [(PLACE_RATE, n * size + k, rate[k]) for k in range(size)]
 
     def named(self, name):
-        """Return the trace as a routine."""
         return Routine(name, self.graph, self.outputs)
 
 
@@ -133,7 +132,6 @@ class Forces:
         return self._q[self._row[joint][COORDINATE]]
 
     def rate(self, joint):
-        """Return the rate of a joint."""
         return self._qd[joint]
 
     def twist(self, joint, torque):
@@ -168,7 +166,6 @@ class Forces:
                 self._one.force[body], add(moment, cross(offset, force)) + tuple(force))
 
     def store(self, energy):
-        """Add to the energy stored."""
         self.stored = self.stored + energy
 
     def flow(self, *rates, first=0):

@@ -159,7 +159,6 @@ def group_of(kind, number):
 
 
 def is_spatial(model):
-    """Return whether a model is one in space."""
     return len(model.gravity) == 3
 
 

@@ -19,12 +19,10 @@ def in_space(vector):
 
 
 def add(a, b):
-    """Return a + b."""
     return tuple(x + y for x, y in zip(a, b))
 
 
 def subtract(a, b):
-    """Return a - b."""
     return tuple(x - y for x, y in zip(a, b))
 
 
@@ -52,12 +50,10 @@ def cross(a, b):
 
 
 def times(matrix, vector):
-    """Return a matrix times a vector."""
     return tuple(dot(row, vector) for row in matrix)
 
 
 def transpose(matrix):
-    """Return the transpose."""
     return tuple(zip(*matrix))
 
 

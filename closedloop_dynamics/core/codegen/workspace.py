@@ -12,7 +12,6 @@ from ..types import (
 
 
 def allocate(model):
-    """Allocate the workspace of one model."""
     work = unconnected(model)
     joint_kernels.connect(model, work.kernel, work.cut_kernel)
     return work
