@@ -15,7 +15,7 @@ from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
 from ..recording.rows import write_scene
 from ..visual.progress import announced, progress_to
-from ..visual.tables import text_table, write_csv
+from ..visual.tables import short, text_table, write_csv
 
 PATHS, CURVES, TABLE = 'paths.png', 'curves.png', 'differences.csv'
 
@@ -62,10 +62,11 @@ def _run(arguments):
                for label, (run, table) in runs.items()}
     header, lines = _differences(numbers)
     print('\n'.join(f'{number}: {label}' for number, label in enumerate(numbers, 1)))
-    short = ['', *map(str, range(1, len(numbers) + 1)), *(
+    titles = ['', *map(str, range(1, len(numbers) + 1)), *(
         f'{number} against 1' for number in range(2, len(numbers) + 1))]
-    print(text_table(short, [[name, *map(_short, values[:len(numbers)]),
-                              *map(_percent, values[len(numbers):])] for name, *values in lines]))
+    print(text_table(titles, [[
+        name, *(short(value, '.6g') for value in values[:len(numbers)]),
+        *map(_percent, values[len(numbers):])] for name, *values in lines]))
     if files:
         arguments.output.mkdir(parents=True, exist_ok=True)
         paths, curves, table, *tables = files
@@ -115,10 +116,6 @@ def _differences(numbers):
             (value - values[0]) / abs(values[0]) if values[0] else math.nan
             for value in values[1:])])
     return ['', *numbers, *(f'{label} against {first}' for label in others)], rows
-
-
-def _short(value):
-    return '-' if math.isnan(value) else f'{value:.6g}'
 
 
 def _percent(value):

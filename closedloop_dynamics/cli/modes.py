@@ -16,7 +16,7 @@ from ..recording.rows import write_scene
 from ..simulation.linearisation import Linearisation
 from ..simulation.scene import load_scene
 from ..visual.progress import announced
-from ..visual.tables import text_table, write_csv
+from ..visual.tables import short, text_table, write_csv
 
 # How many joints describe a shape, and how many shapes are drawn.
 MOST_JOINTS, MOST_SHAPES = 4, 12
@@ -69,7 +69,7 @@ def _run(arguments):
     if stability:
         print(stability)
     rows = [[str(number), f'{mode.frequency:.6g}',
-             '-' if math.isnan(mode.damping) else f'{mode.damping:.4g}',
+             short(mode.damping, '.4g'),
              f'{mode.eigenvalue.real:.4g}', _shape(simulation.joint_names, mode.shape)]
             for number, mode in enumerate(modes, 1)]
     print(text_table(('mode', 'frequency [Hz]', 'damping', 'growth [1/s]', 'shape'), rows))

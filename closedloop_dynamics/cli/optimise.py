@@ -26,7 +26,7 @@ from ..studies.optimise import (
     aims_of, FRONT, OptimumFileError, POSES, problem_of, solve, STARTS)
 from ..studies.quantities import Infeasible
 from ..visual.progress import announced, parts_bar
-from ..visual.tables import text_table, write_csv
+from ..visual.tables import short, text_table, write_csv
 
 SCENE, RESULTS, PATHS, TABLE, PICTURE = (
     'optimised.yaml', 'results.jsonl', 'paths.png', 'front.csv', 'front.png')
@@ -35,6 +35,7 @@ AT_END = 1e-6
 # Relative difference between an aim of the file that was written and its optimum.
 SAME = 1e-6
 MOST_REASONS = 5
+DIGITS = '.6g'
 # Poses at least of paths that are drawn.
 FINE = 361
 
@@ -173,13 +174,13 @@ def _summary(optimum):
     shown = optimum.front or [best]
     header = ['', 'before', *(['after'] if len(shown) == 1 else map(str, range(
         1, len(shown) + 1))), 'range']
-    rows = [[one.text, _short(value), *(_short(each.aims[k]) for each in shown), '']
+    rows = [[one.text, short(value, DIGITS), *(short(each.aims[k], DIGITS) for each in shown), '']
             for k, (one, value) in enumerate(zip(problem.aims, before))]
     rows += [[one.text, '', *('met' for _ in shown), ''] for one in problem.requirements]
     for k, one in enumerate(problem.variables):
         values = [each.values[k] for each in shown]
-        rows.append([one.key, _short(known[one.key]), *(
-            _short(value) + _end(value, one) for value in values),
+        rows.append([one.key, short(known[one.key], DIGITS), *(
+            short(value, DIGITS) + _end(value, one) for value in values),
             f'{one.low:.6g} to {one.high:.6g}'])
     lines.append(text_table(header, rows))
     if any('*' in cell for row in rows for cell in row[2:-1]):
@@ -190,10 +191,6 @@ def _summary(optimum):
 def _end(value, variable):
     room = AT_END * (variable.high - variable.low)
     return ' *' if min(value - variable.low, variable.high - value) <= room else ''
-
-
-def _short(value):
-    return '-' if math.isnan(value) else f'{value:.6g}'
 
 
 def _write(arguments, optimum, found, path):

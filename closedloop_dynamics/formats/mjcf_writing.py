@@ -79,7 +79,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     for coupling in mechanism.couplings:
         _gear(sections, coupling.name, coupling.joints, coupling.offset)
     for name, values in (effects or {}).items():
-        if _along(name, values, mechanism, bodies[GROUND], sections['tendon'], joint_effects):
+        if _along(name, values, bodies[GROUND], sections['tendon'], joint_effects):
             del joint_effects.left[name]
     for joint in mechanism.joints:
         if joint.actuated:
@@ -95,7 +95,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     return written(root)
 
 
-def _along(name, values, mechanism, world, section, joint_effects):
+def _along(name, values, world, section, joint_effects):
     """Add the tendon that an effect is; return whether there is one."""
     kind, more = values['type'], {}
     places = [values[key] for key in ('point_a', 'point_b') if values.get(key)]

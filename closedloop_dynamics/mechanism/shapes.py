@@ -58,7 +58,7 @@ def with_shape(values, spatial):
     with at('shape'):
         kind, found = _read(shape, SHAPES, spatial)
         with at(kind):
-            volume, center, inertia = _finite_properties(kind, found, spatial)
+            volume, center, inertia = _finite_properties(kind, found)
     values.setdefault('visual', (_visual(kind, found),))
     if density is not None:
         with at('density'):
@@ -148,11 +148,11 @@ def _rod(found, to, spatial):
             'center': start + 0.5 * along}
 
 
-def _finite_properties(kind, found, spatial):
+def _finite_properties(kind, found):
     """Return ``_properties``; raise for a size whose powers overflow."""
     with np.errstate(over='ignore', invalid='ignore'):
         try:
-            volume, center, inertia = _properties(kind, found, spatial)
+            volume, center, inertia = _properties(kind, found)
         except OverflowError:
             volume = math.inf
     if not (volume < math.inf and np.isfinite(inertia).all()):
@@ -161,7 +161,7 @@ def _finite_properties(kind, found, spatial):
     return volume, center, inertia
 
 
-def _properties(kind, found, spatial):
+def _properties(kind, found):
     """Return a shape's volume, its centre, and its inertia about it for a unit of mass."""
     if kind == 'box':
         return _box(found)

@@ -90,10 +90,8 @@ def read_measurements(path, scene, joints, driven, deviation=0.0, namespace=None
     else:
         time, values, effort = between_states(
             path, read_recording(path, scene, namespace), scene, driven)
-    if deviation > 0.0 or 'acceleration' not in values:
-        if len(time) <= DEGREE + 1:
-            raise RecordingError(
-                f'{path}: expected more than {DEGREE + 1} states, got {len(time)}')
+    if (deviation > 0.0 or 'acceleration' not in values) and len(time) <= DEGREE + 1:
+        raise RecordingError(f'{path}: expected more than {DEGREE + 1} states, got {len(time)}')
     motion = {}
     for name in joints:
         places = values['position'][name]

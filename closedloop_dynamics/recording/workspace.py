@@ -225,15 +225,15 @@ class _State:
             for name, (values, dimensions) in kept.items():
                 shape = tuple(n for d in dimensions for n in (
                     grid if d in ('node', 'single') else (d,)))
-                _variable(out, name, values, shape, sizes, self.shape)
-            _variable(out, 'orientation', self.angles, ('orientation', 'angle'), sizes, ())
+                _variable(out, name, values, shape, sizes)
+            _variable(out, 'orientation', self.angles, ('orientation', 'angle'), sizes)
             out.variables['orientation'].units = 'rad'
             for name, values in ({} if found is None else found.quantities).items():
-                _variable(out, name, values, grid, sizes, self.shape)
+                _variable(out, name, values, grid, sizes)
                 out.variables[name].units, out.variables[name].long_name = QUANTITIES[name]
             for k, curve in enumerate(() if found is None else found.curves):
                 points = {f'curve_{k}_points': len(curve.places), 'curve_axis': 2}
-                _variable(out, f'curve_{k}', curve.places, tuple(points), points, ())
+                _variable(out, f'curve_{k}', curve.places, tuple(points), points)
                 out.variables[f'curve_{k}'].units = 'm'
                 out.variables[f'curve_{k}'].long_name = f'{curve.kind} singularities'
         os.replace(partial, file)
@@ -270,7 +270,7 @@ class _State:
         return self
 
 
-def _variable(out, name, values, dimensions, sizes, grid):
+def _variable(out, name, values, dimensions, sizes):
     """Write an array, with the dimensions that it is the first to have."""
     for dimension in dimensions:
         if dimension not in out.dimensions:

@@ -355,9 +355,9 @@ class DrivenKinematics:
         if motion.point is not None:
             return f'{value:.9g} m'
         for coordinates in (self.coordinates, self._mechanism.cut_coordinates):
-            if motion.freedom in coordinates.names:
-                if coordinates.lengths[coordinates.names.index(motion.freedom)]:
-                    return f'{value:.9g} m'
+            if motion.freedom in coordinates.names and coordinates.lengths[
+                    coordinates.names.index(motion.freedom)]:
+                return f'{value:.9g} m'
         return f'{value:.9g} rad ({math.degrees(value):.6g} deg)'
 
 

@@ -169,8 +169,7 @@ class Model(Names):
         if position is None:
             position, hold = initial.position, hold or initial.hold
             velocity = initial.velocity if velocity is None else velocity
-        samples, (positions, velocities) = _batch(
-            {'position': position, 'velocity': velocity}, self.coordinates.keys)
+        samples, (positions, velocities) = _batch({'position': position, 'velocity': velocity})
         states: List[State] = []
         notes: List[str] = []
         with self._lock:
@@ -561,7 +560,7 @@ class _Workspace(Readings):
             self.begun(0.0, state.q, state.qd).own[places], state.own[places])
 
 
-def _batch(given: Mapping[str, Optional[Numbers]], keys: Sequence[str]) -> Tuple[
+def _batch(given: Mapping[str, Optional[Numbers]]) -> Tuple[
         Optional[int], List[Callable[[int], Any]]]:
     """
     Return the number of states, None for a single one, and a function giving each one.

@@ -39,7 +39,7 @@ def for_target(study, target):
                 break
             holding.append(row)
     if holding:
-        return _advice(wanted, min(holding, key=lambda row: row.cost), study)
+        return _advice(wanted, min(holding, key=lambda row: row.cost))
     if not _succeeding(study):
         return Advice(None, f'{wanted} is reached by no method: none gets through.')
     best = min(_succeeding(study), key=lambda row: row.position_error)
@@ -52,7 +52,7 @@ def for_budget(study, budget):
     wanted = f'For at most {share(budget)} on this machine'
     affordable = [row for row in _succeeding(study) if row.cost <= budget]
     if affordable:
-        return _advice(wanted, min(affordable, key=lambda row: row.position_error), study)
+        return _advice(wanted, min(affordable, key=lambda row: row.position_error))
     if not _succeeding(study):
         return Advice(None, f'{wanted} nothing gets through, nor for more.')
     least = min(_succeeding(study), key=lambda row: row.cost)
@@ -73,7 +73,7 @@ def _succeeding(study):
     return [row for row in study.rows if not row.failure]
 
 
-def _advice(wanted, row, study):
+def _advice(wanted, row):
     return Advice(row, (
         f'{wanted}: error {row.position_error:.1e} rad or m, {seconds(row.cost)} of CPU time per '
         f'simulated second, {share(row.cost)}.\n{yaml_lines(row.method)}'))

@@ -80,12 +80,10 @@ def differences(one, other, coordinates):
     Largest differences of positions, of orientations the angle of the rotation that leads from one
     to the other [rad or m], of velocities [rad/s or m/s] and of constraint forces [N or N m].
     """
-    found = []
-    for k in range(min(len(one), len(other))):
-        found.append([np.abs(apart).max(initial=0.0) for apart in (
-            in_angles(coordinates, one.position[k], other.position[k]),
-            one.velocity[k] - other.velocity[k], one.force[k] - other.force[k])])
-    return np.array(found).reshape(-1, 3)
+    return np.array([[np.abs(apart).max(initial=0.0) for apart in (
+        in_angles(coordinates, one.position[k], other.position[k]),
+        one.velocity[k] - other.velocity[k], one.force[k] - other.force[k])]
+        for k in range(min(len(one), len(other)))]).reshape(-1, 3)
 
 
 def difference(one, other, coordinates):

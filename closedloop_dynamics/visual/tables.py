@@ -7,9 +7,9 @@ import csv
 import math
 
 
-def short(value):
-    """Write a number to two digits; a dash where there is none."""
-    return '-' if math.isnan(value) else f'{value:.2g}'
+def short(value, form='.2g'):
+    """Write a number, to two digits by default; a dash where there is none."""
+    return '-' if math.isnan(value) else f'{value:{form}}'
 
 
 def seconds(value):
