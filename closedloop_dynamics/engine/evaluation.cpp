@@ -70,8 +70,9 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   outward(model, q, qd, work);
   apply_listed(system, q, qd);
   accelerate_rank_revealing(
-    model, work, system.applied, settings[setting::BAUMGARTE_GAIN], settings[setting::ASIDE],
-    system.manifold, q, qd, system.qdd, all.empty() ? system.lam : all.lam);
+    model, work, system.model.equations(), system.applied, settings[setting::BAUMGARTE_GAIN],
+    settings[setting::ASIDE], system.manifold, q, qd, system.qdd,
+    all.empty() ? system.lam : all.lam);
   if (!all.empty()) {
     DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));

@@ -237,8 +237,8 @@ void Decomposition<Most>::decompose(const Model & model, Table jac, Table inerti
 
 template<int Most>
 Rank solve(
-  const Decomposition<Most> & place, const DenseEquations<Most> & equations, double speed,
-  Level level, Values motion_out, Values lam_out)
+  const Decomposition<Most> & place, const DenseEquations<Most> & equations, Index most,
+  double speed, Level level, Values motion_out, Values lam_out)
 {
   using Vector = typename Sized<Most>::Vector;
   Eigen::Map<DenseVector> motion = dense(motion_out), lam = dense(lam_out);
@@ -253,12 +253,13 @@ Rank solve(
   const auto & left = place.singular.matrixU();
   const auto & right = place.singular.matrixV();
   const auto & values = place.singular.singularValues();
-  const Index count = values.size();
+  const Index count = values.size(), independent = std::min(count, most);
   const double strongest = count > 0 ? values[0] : 0.0;
   const Vector wanted = equations.right.cwiseProduct(row_scale);
   Choice<Most> choice;
   choice.wanted = left.transpose() * wanted;
   choice.taken = values.array() > WEAK * strongest;
+  choice.taken.tail(count - independent) = false;
   bool determined = solve_motion(place, choice, equations, motion);
   const Vector psi = equations.psi.cwiseProduct(row_scale);
   const Vector rate = equations.rate.cwiseProduct(row_scale);
@@ -267,7 +268,7 @@ Rank solve(
   const Vector scaled_motion = motion.cwiseQuotient(column_scale);
   const double size = scaled_motion.cwiseAbs().maxCoeff();
   bool added = false;
-  for (Index k = 0; k < count; ++k) {
+  for (Index k = 0; k < independent; ++k) {
     const double singular = values[k];
     if (!(singular > DEPENDENT * strongest)) {
       continue;
@@ -316,10 +317,10 @@ Rank solve(
 template struct Decomposition<FEW>;
 template struct Decomposition<Eigen::Dynamic>;
 template Rank solve(
-  const Decomposition<FEW> &, const DenseEquations<FEW> &, double, Level, Values, Values);
+  const Decomposition<FEW> &, const DenseEquations<FEW> &, Index, double, Level, Values, Values);
 template Rank solve(
-  const Decomposition<Eigen::Dynamic> &, const DenseEquations<Eigen::Dynamic> &, double, Level,
-  Values, Values);
+  const Decomposition<Eigen::Dynamic> &, const DenseEquations<Eigen::Dynamic> &, Index, double,
+  Level, Values, Values);
 
 void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out)
 {

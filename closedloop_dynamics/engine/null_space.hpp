@@ -93,12 +93,12 @@ struct Decomposition
 /// Scales of the rows and columns of J that make its entries comparable lengths.
 void scales(const Model &, Table jac, Values row, Values column);
 
-/// Solve with the distinct equations, with the least multipliers for that motion, which are
-/// computed for accelerations only. NaN where a force acts on a motion without inertia.
+/// Solve with the distinct equations, at most so many, with the least multipliers for that motion,
+/// which are computed for accelerations only. NaN where a force acts on a motion without inertia.
 template<int Most>
 Rank solve(
-  const Decomposition<Most> &, const DenseEquations<Most> &, double speed, Level, Values motion,
-  Values lam);
+  const Decomposition<Most> &, const DenseEquations<Most> &, Index most, double speed, Level,
+  Values motion, Values lam);
 
 /// Least-squares multipliers of the kept equations with the joint forces of all of them.
 void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out);

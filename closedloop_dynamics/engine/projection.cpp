@@ -23,6 +23,9 @@ namespace
 {
 // Closure tolerance near a singular configuration, against the ordinary one.
 constexpr double SHARPER = 1e-3;
+// Smallest singular value of the equations that the elimination works on, against that of all, from
+// which on they close the loops as well.
+constexpr double AS_GOOD = 0.1;
 
 /// The code that computes the corrections of a state.
 enum class Corrector {ROUTINE, LOOPS, RANK};
@@ -56,19 +59,32 @@ Corrector factor_configuration(const System & system, Values q, Values qd)
 }
 
 /// -I^-1 J^T (J I^-1 J^T)^+ times the error into System.qdd: the least change in the mass metric.
-void correction(const System & system, Corrector corrector, Level level, Values q, Values qd)
+void correction(
+  const System & system, Corrector corrector, bool kept, Level level, Values q, Values qd)
 {
   if (corrector == Corrector::LOOPS) {
     correct_by_loops(system, level);
   } else if (corrector == Corrector::ROUTINE) {
     copy(system.corrections[level == Level::POSITION ? 0 : 1], system.qdd);
   } else {
-    const AllEquations & all = system.whole;
-    const Model & model = all.empty() ? system.model : all.model;
-    const Workspace & work = all.empty() ? system.work : all.work;
+    const Model & model = kept ? system.model : system.whole.model;
+    const Workspace & work = kept ? system.work : system.whole.work;
     outward(model, q, qd, work);
-    correct_rank_revealing(model, work, level, system.qdd);
+    correct_rank_revealing(model, work, system.model.equations(), level, system.qdd);
   }
+}
+
+/// Whether the equations that the elimination works on close the loops as well as all of them.
+bool kept_serve(const System & system, Values q, Values qd)
+{
+  const AllEquations & all = system.whole;
+  if (all.empty()) {
+    return true;
+  }
+  const Index independent = system.model.equations();
+  outward(system.model, q, qd, system.work);
+  const double kept = weakest_equation(system.model, system.work, independent);
+  return kept >= AS_GOOD * weakest_equation(all.model, all.work, independent);
 }
 
 /// Correct rates, and positions if requested; return whether the loops are closed, to the tolerance
@@ -80,11 +96,12 @@ bool project(const System & system, Values q, Values qd, bool positions)
   int corrections = 0;
   Corrector corrector = factor_configuration(system, q, qd);
   double error = largest(work.closure);
+  const bool kept = corrector != Corrector::RANK || kept_serve(system, q, qd);
   // Near a singular configuration a small closure error is a large one of the state.
   while (positions && corrections < MOST_POSITION_CORRECTIONS &&
     error > settings[setting::CLOSURE_TOLERANCE] * (corrector == Corrector::RANK ? SHARPER : 1.0))
   {
-    correction(system, corrector, Level::POSITION, q, qd);
+    correction(system, corrector, kept, Level::POSITION, q, qd);
     move(system.manifold, q, out, 1.0);
     ++corrections;
     corrector = factor_configuration(system, q, qd);
@@ -94,7 +111,7 @@ bool project(const System & system, Values q, Values qd, bool positions)
       break;
     }
   }
-  correction(system, corrector, Level::VELOCITY, q, qd);
+  correction(system, corrector, kept, Level::VELOCITY, q, qd);
   for (Index i = 0; i < qd.size; ++i) {
     qd[i] += out[i];
   }

@@ -79,8 +79,8 @@ public:
   using Matrix = typename Sized<Most>::Matrix;
   using Vector = typename Sized<Most>::Vector;
 
-  Solver(const Model & model, const Workspace & work)
-  : model_(model), work_(work), jac_(work.right.size, model.joints()),
+  Solver(const Model & model, const Workspace & work, Index most)
+  : model_(model), work_(work), most_(most), jac_(work.right.size, model.joints()),
     gim_(model.joints(), model.joints())
   {
     const Index nc = jac_.rows(), nv = jac_.cols();
@@ -94,7 +94,16 @@ public:
     measure();
     equations_.right = -(level == Level::POSITION ? equations_.psi : equations_.rate);
     equations_.force.setZero();
-    solve(place_, equations_, fastest(work_), level, out, {});
+    solve(place_, equations_, most_, fastest(work_), level, out, {});
+  }
+
+  /// As `weakest_equation`.
+  double weakest()
+  {
+    decompose();
+    const auto & values = place_.singular.singularValues();
+    const Index count = std::min<Index>(values.size(), most_);
+    return place_.finite && count > 0 ? values[count - 1] : 0.0;
   }
 
   /// As `accelerate_rank_revealing`.
@@ -140,7 +149,7 @@ private:
     to_user_order(model_, work_.right, view(equations_.right));
     equations_.right += beside;
     return solve(
-      place_, equations_, fastest(work_), Level::ACCELERATION, view(qdd), view(lam));
+      place_, equations_, most_, fastest(work_), Level::ACCELERATION, view(qdd), view(lam));
   }
 
   /// Bring a state onto the branch next to it, in place; return the closure error that is left.
@@ -187,6 +196,7 @@ private:
 
   const Model & model_;
   const Workspace & work_;
+  const Index most_;  ///< Independent equations at most
   Matrix jac_, gim_;
   Decomposition<Most> place_;
   DenseEquations<Most> equations_;
@@ -317,29 +327,37 @@ void Solver<Most>::accelerate(
 
 /// Call a function of a solver that is large enough.
 template<class Function>
-void with_solver(const Model & model, const Workspace & work, Function && function)
+void with_solver(const Model & model, const Workspace & work, Index most, Function && function)
 {
   if (std::max(model.joints(), work.right.size) <= FEW) {
-    Solver<FEW> solver(model, work);
+    Solver<FEW> solver(model, work, most);
     function(solver);
   } else {
-    Solver<Eigen::Dynamic> solver(model, work);
+    Solver<Eigen::Dynamic> solver(model, work, most);
     function(solver);
   }
 }
 }  // namespace
 
-void correct_rank_revealing(const Model & model, const Workspace & work, Level level, Values out)
+double weakest_equation(const Model & model, const Workspace & work, Index most)
 {
-  with_solver(model, work, [&](auto & solver) {solver.correct(level, out);});
+  double found = 0.0;
+  with_solver(model, work, most, [&](auto & solver) {found = solver.weakest();});
+  return found;
+}
+
+void correct_rank_revealing(
+  const Model & model, const Workspace & work, Index most, Level level, Values out)
+{
+  with_solver(model, work, most, [&](auto & solver) {solver.correct(level, out);});
 }
 
 void accelerate_rank_revealing(
-  const Model & model, const Workspace & work, Values tau, double baumgarte, double aside,
-  const Manifold & manifold, Values q, Values qd, Values qdd, Values lam)
+  const Model & model, const Workspace & work, Index most, Values tau, double baumgarte,
+  double aside, const Manifold & manifold, Values q, Values qd, Values qdd, Values lam)
 {
   with_solver(
-    model, work, [&](auto & solver) {
+    model, work, most, [&](auto & solver) {
       solver.accelerate(tau, baumgarte, aside, manifold, q, qd, qdd, lam);
     });
 }
