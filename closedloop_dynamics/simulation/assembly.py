@@ -38,11 +38,15 @@ NO_INERTIA = 1e-13
 NO_LEVER = 1e-12
 # Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
 MOST_EQUATIONS = 300
-# How far away neighbours of a position are looked for [rad, and shares of the size], how many.
-NEARBY, NEIGHBOURS = 0.1, 3
+# How far away neighbours of a position are looked for [rad, and shares of the size], how many; and
+# how far open they may be, in sizes, where equations repeat others but for the last digits of
+# lengths, so that the loops close better only far away, or nowhere.
+NEARBY, NEIGHBOURS, MOST_OPEN = 0.1, 3, 5e-6
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
 MOST_GUESSES = 10
+# Gaps, against the largest one, that are due to the same contradiction.
+OF_ONE_KIND = 0.1
 # Larger changes of a guess are reported [rad, and shares of the size; shares of a rate].
 LARGE_MOVE, LARGE_CHANGE_OF_RATE = 0.5, 0.1
 # With relative singular values below this a guess is too near two branches to belong to one.
@@ -120,8 +124,13 @@ class Assembler:
             self._require_inertia(q)
         return q
 
-    def solve_closure(self, q, free):
-        """Return the coordinates where Newton's method ended, and psi there."""
+    def solve_closure(self, q, free, enough=TOLERANCE):
+        """
+        Return the coordinates where Newton's method ended, and psi there.
+
+        ``enough``: float; closure error, in sizes, with which no other method is tried.
+
+        """
         psi, start = self.closure(q), q
         if self._is_closed(psi):
             # As it is, to the last digit.
@@ -144,7 +153,7 @@ class Assembler:
             q, psi, better = self._correct(q, psi, free, metric)
             if not better:
                 break
-        if not self._is_closed(psi) and np.isfinite(psi).all():
+        if not self._is_closed(psi, enough) and np.isfinite(psi).all():
             return self._closed_with_damping(start, free, metric)
         return q, psi
 
@@ -173,8 +182,8 @@ class Assembler:
                 damping *= 4.0
         return q, psi
 
-    def _is_closed(self, psi):
-        return np.abs(psi).max(initial=0.0) <= TOLERANCE * self.extent
+    def _is_closed(self, psi, enough=TOLERANCE):
+        return np.abs(psi).max(initial=0.0) <= enough * self.extent
 
     def velocities(self, q, guess, hold=()):
         """
@@ -280,8 +289,8 @@ class Assembler:
             with suppress(AssemblyError):
                 near, psi = self.solve_closure(
                     self._coordinates.moved(q, NEARBY * size * rng.uniform(-1.0, 1.0, self.nv)),
-                    np.arange(self.nv))
-                if self._is_closed(psi):
+                    np.arange(self.nv), MOST_OPEN)
+                if self._is_closed(psi, MOST_OPEN):
                     yield near
 
     def decided(self, q, derivatives):
@@ -318,6 +327,68 @@ class Assembler:
         return ('The mechanism is at a change point (a singular position), where the loops can '
                 'move on in more than one way, and forces or velocities push it out of all of '
                 f'them. {self._beside(())}')
+
+    def contradiction(self, q, opening):
+        """
+        Return which loops contradict one another near a position, and a remedy.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Nearly closing the loops.
+        opening : float
+            What counts as closed, in sizes of the mechanism.
+
+        Returns
+        -------
+        str
+            Empty where all loops can be closed nearby.
+
+        """
+        near, psi = self.solve_closure(q, np.arange(self.nv), math.inf)
+        if self._is_closed(psi, opening) and (
+                np.abs(self._coordinates.apart(near, q)).max() <= NEARBY):
+            return ''
+        gaps = self._gaps(psi)
+        loops = [cut for cut in self.mechanism.closures
+                 if gaps[cut.name] > OF_ONE_KIND * max(gaps.values())]
+        joints = self._joints_of(loops)
+        names = [f'{cut.name} ({cut.body_a} to {cut.body_b})'
+                 if cut in self.mechanism.cut_joints else cut.name for cut in loops]
+        places = [f'{name} = {q[place]:.4g}' for name, place in zip(
+            self._coordinates.names, self._coordinates.place) if place >= 0 and name in joints]
+        where = f' ({", ".join(places)})' if places else ''
+        return (
+            f'{" and ".join(names)} contradict one another: their equations nearly repeat one '
+            'another, and so far from where the loops were drawn they cannot all be met, whatever '
+            f'the step{where}. Keep these joints nearer to there by end stops (--end-stops makes '
+            'them of the limits in a model file), or make the lengths of these loops agree to '
+            'more digits.')
+
+    def _gaps(self, psi):
+        """Return the largest error of each cut joint, coupling and motion, by name."""
+        found, first = {}, 0
+        for cut, rows in zip(self.mechanism.closures, self._equations.counts):
+            found[cut.name] = float(np.abs(psi[first:first + rows]).max(initial=0.0))
+            first += rows
+        return found
+
+    def _joints_of(self, closures):
+        """Return the names of the joints between the bodies that some closures join."""
+        joints = {joint.child: joint for joint in self.mechanism.joints}
+        found = set()
+        for cut in closures:
+            if cut not in self.mechanism.cut_joints:
+                continue
+            paths = []
+            for body in (cut.body_a, cut.body_b):
+                path = set()
+                while body in joints:
+                    path.add(joints[body].name)
+                    body = joints[body].parent
+                paths.append(path)
+            found |= paths[0] ^ paths[1]
+        return found
 
     def _dependence(self, count):
         return (f'{count} of {self.nc} closure equations depend{"s" if count == 1 else ""} on the '
@@ -505,10 +576,9 @@ class Assembler:
 
     def _open_loops(self, guess, psi, hold):
         """Return a description of the loops that do not close."""
-        worst, first = [], 0
-        for cut, rows in zip(self.mechanism.closures, self._equations.counts):
-            gap = np.abs(psi[first:first + rows]).max(initial=0.0)
-            first += rows
+        worst, gaps = [], self._gaps(psi)
+        for cut in self.mechanism.closures:
+            gap = gaps[cut.name]
             if not gap <= TOLERANCE * self.extent:
                 section = ('cut_joints' if cut in self.mechanism.cut_joints else
                            'couplings' if cut in self.mechanism.couplings else 'effects')
@@ -599,15 +669,15 @@ def _levers(jac):
     return levers
 
 
-def rank_of(jac):
-    """Return the number of independent rows of a matrix."""
-    return rank_from(_singular(jac))
+def rank_of(jac, tolerance=RANK_TOLERANCE):
+    """Return the number of independent rows of a matrix, as ``rank_from``."""
+    return rank_from(_singular(jac), tolerance)
 
 
 def _singular(jac):
     return np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
 
 
-def rank_from(singular):
-    """Return the rank of a matrix by its singular values."""
-    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=1e-300)))
+def rank_from(singular, tolerance=RANK_TOLERANCE):
+    """Return the rank of a matrix by its singular values, relative to the largest."""
+    return int(np.sum(singular > tolerance * singular.max(initial=1e-300)))

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .assembly import Assembler, MOST_EQUATIONS, rank_of, RANK_TOLERANCE
+from .assembly import Assembler, MOST_EQUATIONS, MOST_OPEN, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
 from .modeling import mechanism_arrays
 from ..core.codegen import unrolled_size
@@ -27,9 +27,14 @@ PLAIN, FAR = 1e-3, 10.0
 # How often, farther and farther away, a position without flat loops is looked for.
 MOST_TRIES = 6
 # Equations that repeat others but for the last digits of lengths and axes open as the machine
-# moves: by at most so many times as much as they are off, and never by more than the second, in
-# sizes of the machine. Others are open by rounding, the third.
-FARTHER, MOST_OPEN, AS_GOOD_AS_CLOSED = 30.0, 5e-6, 1e-9
+# moves: by at most so many times as much as they are off, in sizes of the machine. Others are open
+# by rounding, the second.
+FARTHER, AS_GOOD_AS_CLOSED = 30.0, 1e-9
+# Beside a place where a mechanism leaves the branch on which equations repeat others they open by
+# the square of their scaled singular values. With smaller ones than this, times the root of the
+# opening, they repeat others in all but the last digits: as independent ones they would lock the
+# mechanism.
+NEAR_BRANCH = 0.09
 
 
 # Code is made for so many choices of equations at most, as it takes a third of a second each.
@@ -170,10 +175,12 @@ class LoopModel:
         return self._choices
 
     def _independent_choices(self, q):
-        assembler, found = Assembler(self.mechanism, self.equations), []
+        assembler, found, kept = Assembler(self.mechanism, self.equations), [], self.equations.kept
+        most = min(MOST_CHOICES, MOST_UNROLLED_OPERATIONS // unrolled_size(self.model))
+        if not kept.all() and math.comb(len(kept), int(kept.sum())) > most:
+            return found
         jac = assembler.jacobian(assembler.of_largest_rank(q, 0))
         count = int(independent(jac, self.equations.groups)[0].sum())
-        most = min(MOST_CHOICES, MOST_UNROLLED_OPERATIONS // unrolled_size(self.model))
         if count == len(jac) or math.comb(len(jac), count) > most:
             return found
         for rows in combinations(range(len(jac)), count):
@@ -190,7 +197,7 @@ class LoopModel:
         """Return the Jacobian of all equations at a position, or near it where it is singular."""
         assembler = Assembler(self.mechanism, self.equations)
         jac = assembler.jacobian(q)
-        singular = rank_of(jac) < self.equations.kept.sum()
+        singular = rank_of(jac, self._digits) < self.equations.kept.sum()
         return assembler.jacobian_of_largest_rank(q) if singular else jac
 
     def _kept(self):
@@ -200,7 +207,12 @@ class LoopModel:
     def is_valid(self, q):
         """Return whether the equations left out repeat others at or near a closed position."""
         jac = scaled(self._jacobian(q), self.equations.groups)
-        return rank_of(jac) == rank_of(jac[self.equations.kept])
+        return rank_of(jac, self._digits) == rank_of(jac[self.equations.kept], self._digits)
+
+    @property
+    def _digits(self):
+        """Singular value, scaled, up to which an equation repeats others in this machine."""
+        return max(RANK_TOLERANCE, NEAR_BRANCH * math.sqrt(self.opening))
 
     def as_at_first(self):
         """Go back to the equations that were chosen first; return the model."""
@@ -213,21 +225,29 @@ class LoopModel:
         ``better``: how much further from dependent another choice must be; ``nearby``: whether to
         consider positions nearby where this one is singular, which takes long. Returns the model
         of the new choice; None where the present one is as good, there are fewer equations to
-        choose here, or they have been worked on here before, so that it is no progress.
+        choose here, more of them cannot be met, or they have been worked on here before, so that
+        it is no progress.
         """
         if q.tobytes() != self._place:
             self._place, self._tried = q.tobytes(), set()
         self._tried.add(self.equations.kept.tobytes())
         jac = self._jacobian(q) if nearby else Assembler(
             self.mechanism, self.equations).jacobian(q)
-        (kept, _), present = independent(jac, self.equations.groups), self.equations.kept
+        present = self.equations.kept
+        kept, _ = independent(jac, self.equations.groups, self._digits)
         if kept.tobytes() in self._tried:
             return None
         if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
                 distinctness(jac, self.equations.groups, kept)
                 > better * distinctness(jac, self.equations.groups, present)):
             return None
+        if kept.sum() > present.sum() and self.contradiction(q):
+            return None
         return self.select(kept)
+
+    def contradiction(self, q):
+        """Return which loops contradict one another near a position, as ``Assembler`` has it."""
+        return Assembler(self.mechanism, self.equations).contradiction(q, AS_GOOD_AS_CLOSED)
 
     @property
     def may_leave_out(self):
@@ -257,18 +277,19 @@ def largest_of_group(values, groups):
     return largest[groups]
 
 
-def independent(jac, groups):
+def independent(jac, groups, least=RANK_TOLERANCE):
     """
     Choose rows of a Jacobian that do not depend on one another, by pivoting.
 
-    ``groups`` are as for ``scaled``. Which rows are kept, bool of shape (nc,), and how far the
-    others are from depending on these: the length of the longest scaled row.
+    ``groups`` are as for ``scaled``; what is left of a row up to the length ``least`` depends on
+    others. Which rows are kept, bool of shape (nc,), and how far the others are from depending on
+    these: the length of the longest scaled row.
     """
     kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
     while not kept.all():
         length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
         best = int(np.argmax(length))
-        if length[best] <= RANK_TOLERANCE:
+        if length[best] <= least:
             return kept, length[best]
         kept[best] = True
         direction = left[best] / length[best]

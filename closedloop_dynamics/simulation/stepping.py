@@ -35,10 +35,13 @@ from ..integration.drivers import build_driver
 from ..integration.guarded_run import COMMAND
 from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
-from ..integration.system import AccelerationDerivatives, System, with_derivatives
+from ..integration.system import (
+    AccelerationDerivatives, CLOSURE_LIMIT, System, with_derivatives)
 
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
+# Of the closure error at which loops count as open: from here on they may contradict one another.
+CONTRADICTION = 0.1
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
 
@@ -479,6 +482,8 @@ class Stepping(Readings):
                     opened and not self._geometry.is_valid(self._q)):
                 numbers[LENIENT] = 1.0
                 return True
+            if opened and self._geometry.contradiction(self._q):
+                return False
             # An equation left out may be the one that closes the loop.
             model = self._geometry.select(None)
         self.exchange(model)
@@ -574,6 +579,14 @@ class Stepping(Readings):
                 f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
                 f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
+        # Loops that are well closed here opened because of the step, or at a change point.
+        if status == POOR_EQUATIONS or status == OPEN_LOOP and self.has_redundant_constraints and (
+                self.closure > CONTRADICTION * self.system.settings[CLOSURE_LIMIT]):
+            contradiction = self._geometry.contradiction(self._q)
+            if contradiction:
+                return ClosureError(
+                    f'The loops cannot stay closed after t = {self.time:.9g} s; the state before '
+                    f'is kept. {contradiction}')
         if status == OPEN_LOOP:
             error = self.system.work.health[t.CLOSURE]
             advice = self._assembler.advice_on_opening(self._q) or (

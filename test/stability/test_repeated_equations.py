@@ -16,7 +16,7 @@ import math
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE)
-from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.errors import AssemblyError, ClosureError
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -124,6 +124,20 @@ def test_loops_stay_as_closed_as_elsewhere_where_others_pass_a_change_point(spac
     assert 1e-10 < simulation.closure < 1e-6
     assert left < 1e-13
     assert simulation.energy_balance.residual == pytest.approx(0.0, abs=1e-10)
+
+
+@PLANE_AND_SPACE
+def test_loops_that_come_to_contradict_one_another_are_named_at_once(space):
+    simulation = simulate(*neck(space, 3e-3, math.pi, 0.3))
+    with pytest.raises(ClosureError, match='front_pin .*and back_pin .*contradict') as caught:
+        simulation.step({'hip': 0.0}, 1.0)
+    message = str(caught.value)
+    # No smaller step helps; it is where the joints are.
+    assert 'smaller' not in message and 'hip = 0.0' in message and 'end stops' in message
+    assert simulation.health.evaluations < 5000
+    assert 0.0 < simulation.position[0] < 0.1
+    assert simulation.closure < 1e-5 and simulation.health.rank == 3
+    assert simulation.energy_balance.residual == pytest.approx(0.0, abs=1e-8)
 
 
 @PLANE_AND_SPACE
