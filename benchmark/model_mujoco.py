@@ -61,7 +61,7 @@ class MuJoCo:
         """Read or write the file, and leave out what acts beside gravity."""
         self.mechanism, self.own = mechanism, Path(path).suffix.lower() in ('.xml', '.mjcf')
         self._effects = {'gravity': {'type': 'gravity', 'acceleration': tuple(gravity)}}
-        self.model = _compiled(path) if self.own else (
+        self.model = compiled(path) if self.own else (
             mujoco.MjModel.from_xml_string(mjcf(mechanism, self._effects)))
         model = self.model
         for off in OFF:
@@ -179,7 +179,7 @@ class MuJoCo:
         return steps
 
 
-def _compiled(path):
+def compiled(path):
     """Return a file compiled, without what is for pictures and contacts where meshes miss."""
     try:
         return mujoco.MjModel.from_xml_path(str(path))
