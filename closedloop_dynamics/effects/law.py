@@ -159,21 +159,21 @@ class Law(TracedEffect):
         for key, measure in measures.items():
             for each, what in (getattr(self, key) or {}).items():
                 coordinates[each] = measure(what)
-                _take(known, (key, each), coordinates[each].value)
+                _bind(known, (key, each), coordinates[each].value)
         for each, of in (self.rates or {}).items():
             with at('rates', each):
                 one_of(tuple(coordinates), 'one of the coordinates')(of)
-            _take(known, ('rates', each), coordinates[of].rate)
+            _bind(known, ('rates', each), coordinates[of].rate)
         for each in self.numbers():
-            _take(known, ('parameters', each), law.parameter(each))
+            _bind(known, ('parameters', each), law.parameter(each))
         for each in self.start or ():
             with at('start'):
                 one_of(tuple(self.states or ()), 'one of the states')(each)
         for each in self.states or ():
-            _take(known, ('states', each), law.state(each, (self.start or {}).get(each, 0.0)))
+            _bind(known, ('states', each), law.state(each, (self.start or {}).get(each, 0.0)))
         for each, text in (self.event or {}).items():
             law.event(_value(known, text, 'event', each))
-            _take(known, ('event', each), law.side)
+            _bind(known, ('event', each), law.side)
         for each, text in self.forces.items():
             with at('forces'):
                 one_of(tuple(coordinates), 'one of the coordinates')(each)
@@ -188,7 +188,7 @@ class Law(TracedEffect):
             law.dissipate(_value(known, self.dissipation, 'dissipation'))
 
 
-def _take(known, path, symbol):
+def _bind(known, path, symbol):
     """Bind a name to a symbol, unless it is bound already."""
     each = path[-1]
     if each in known or each in CONSTANTS or each in FUNCTIONS:

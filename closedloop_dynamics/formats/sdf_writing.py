@@ -44,14 +44,10 @@ def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=F
     ----------
     mechanism : Mechanism
         With cut joints of types that SDF has, and couplings of two joints.
-    effects : dict of str to dict, optional
-        Keys of effects, of which gravity and those on joints are written.
     start : ndarray, shape (nq,), optional
         Coordinates of the position that is drawn, which closes the loops; zero if not given.
-    left_out : dict, optional
-        Filled with the names of effects that are not written, or in part: ``JointEffects.left``.
-    limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one degree of freedom, None where there is none.
+    effects, left_out, limits
+        As for ``mjcf_writing.mjcf``.
     drake : bool
         Whether loops are closed by Drake's ball constraints, as it refuses loops of joints.
 

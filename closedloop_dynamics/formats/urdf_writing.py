@@ -35,10 +35,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=N
     start : ndarray, shape (nq,), optional
         Coordinates that close the loops; zero if not given. URDF has no place for them: they are
         drawn where loops are of the form ``gazebo``, which count coordinates from there.
-    left_out : dict, optional
-        Filled with the names of effects that are not written, or in part: ``JointEffects.left``.
-    limits : dict of str to tuple of 2, optional
-        Least and largest coordinate of joints of one degree of freedom, None where there is none.
+    left_out, limits
+        As for ``mjcf_writing.mjcf``.
     loops : str
         How they are written: one of ``urdf_loops.FORMS``.
 
