@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_set, Command, comma_separated, complain, not_negative, require_free, UsageError,
+    add_set, comma_separated, Command, complain, not_negative, require_free, UsageError,
     with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.reading import BagReadError

@@ -4,7 +4,7 @@
 """``closedloop identify``: parameters of a mechanism from a recorded motion."""
 
 from .command import (
-    add_picture, add_scene, add_set, Command, comma_separated, complain, FAILED, not_negative,
+    add_picture, add_scene, add_set, comma_separated, Command, complain, FAILED, not_negative,
     positive, require_picture, UsageError, whole, with_numbers)
 from ..recording.measurements import read_measurements
 from ..simulation.completion import CompletionError

@@ -37,7 +37,7 @@ from closedloop_dynamics.view.driving import round_up
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.hand import Hand
 from closedloop_dynamics.view.messages import (
-    drive_of, describe_drives, describe_effects, FREE, HELD, POSITION, require_one_number, TORQUE)
+    describe_drives, describe_effects, drive_of, FREE, HELD, POSITION, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass
 from closedloop_dynamics.view.server import Server

@@ -17,7 +17,7 @@ from .description import CHOICES, describe, described_drive
 from .driving import Driving
 from .feed import Feed
 from .library import Library
-from .messages import drive_of, describe_drives, describe_effects, METHOD_KEYS
+from .messages import describe_drives, describe_effects, drive_of, METHOD_KEYS
 from .own_motion import own_motion, OwnMotion
 from .rebuilding import built, carry_over, Rebuilding
 from .removing import removable

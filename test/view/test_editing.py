@@ -284,7 +284,7 @@ def test_a_machine_is_built_by_hand(tmp_path):
     edited.ask('edit', on=True)
     edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
     controls = edited.ask('add', what='rod', body_a='link_1', a=[1.0, 0.2, 0.0], body_b='rod',
-                      b=[0.3, 0.05, 0.0])
+                          b=[0.3, 0.05, 0.0])
     edited.ask('add', what='damper', joint='pin_1')
     controls = edited.ask('save', name='built')
     assert 'saved as' in controls['notes'][-1]['text']
