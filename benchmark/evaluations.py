@@ -5,7 +5,8 @@
 Evaluations of one state again and again, inside compiled code.
 
 As a command, it prints what an evaluation costs beside and exactly at a singular position, over a
-regular one of the same machine: the distances are angles from flat [rad].
+regular one of the same machine: the distances are angles from flat [rad]. Runs read no forces of
+an evaluation; at the position itself the last column is with the least joint forces.
 
 """
 
@@ -31,6 +32,13 @@ REGULAR, DISTANCES = 0.6, (0.0099, 3e-3, 1e-3, 1e-4, 1e-6, 0.0)
 PORTION, ROUNDS = 5e-3, 15
 
 
+def state_of(system, q, qd):
+    """Return the state vector of coordinates and rates."""
+    state = np.zeros(number_of_states(system))
+    state[:len(q) + len(qd)] = np.concatenate((q, qd))
+    return state
+
+
 def evaluate_again(system, q, qd, count):
     """
     Evaluate a state so many times, each evaluation waiting for the one before.
@@ -45,9 +53,7 @@ def evaluate_again(system, q, qd, count):
         How often.
 
     """
-    state = np.zeros(number_of_states(system))
-    state[:len(q) + len(qd)] = np.concatenate((q, qd))
-    native.evaluate_again(system.native, state, count)
+    native.evaluate_again(system.native, state_of(system, q, qd), count)
 
 
 def ladder(loops, massless=(), lift=lambda mechanism: mechanism):
@@ -105,6 +111,15 @@ def timed(task, count):
     return (time.thread_time() - begin) / count
 
 
+def timed_calls(task, count):
+    """Return the CPU time of one evaluation with forces, called from Python [s]."""
+    system, state = task[0].native, state_of(*task)
+    begin = time.thread_time()
+    for _ in range(count):
+        native.evaluate_state(system, state)
+    return (time.thread_time() - begin) / count
+
+
 def ratios(machine, rounds):
     """
     Measure a machine.
@@ -121,7 +136,7 @@ def ratios(machine, rounds):
     float
         Least time of a regular evaluation [s].
     list of float
-        At each of DISTANCES the least time over that.
+        At each of DISTANCES the least time over that; then with forces at the last one.
 
     """
     mechanism, q, qd = machine(REGULAR)
@@ -130,8 +145,12 @@ def ratios(machine, rounds):
     system = Simulation(machines.scene(mechanism, q, qd, Method(), effects)).system
     tasks = [(system, *machine(distance)[1:]) for distance in (REGULAR, *DISTANCES)]
     counts = [max(1, int(PORTION / timed(task, 100))) for task in tasks]
-    regular, *others = np.min([
-        [timed(task, count) for task, count in zip(tasks, counts)] for _ in range(rounds)], axis=0)
+    regular, *others, called, with_forces = np.min([
+        [timed(task, count) for task, count in zip(tasks, counts)]
+        + [timed_calls(task, counts[-1]) for task in (tasks[0], tasks[-1])]
+        for _ in range(rounds)], axis=0)
+    # Without the call itself.
+    others.append(with_forces - called + regular)
     return regular, [other / regular for other in others]
 
 
@@ -142,7 +161,8 @@ def main(arguments=None):
                         help='this one alone; may be repeated')
     parser.add_argument('--quick', action='store_true', help='few rounds')
     options = parser.parse_args(arguments)
-    print(f'{"machine":24}{"regular":>12}', *(f'{distance:>8g}' for distance in DISTANCES))
+    print(f'{"machine":24}{"regular":>12}', *(f'{distance:>8g}' for distance in DISTANCES),
+          f'{"forces":>8}')
     for name in options.machine or MACHINES:
         regular, found = ratios(MACHINES[name], 3 if options.quick else ROUNDS)
         print(f'{name:24}{1e9 * regular:9.0f} ns', *(f'{ratio:8.1f}' for ratio in found),

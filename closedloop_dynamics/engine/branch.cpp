@@ -36,8 +36,9 @@ constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
 // The same where factors with complete pivoting serve; and pivots of the elimination, against the
 // squares of theirs: of parallelograms and four-bars 0.5 to 10.
 constexpr double NEAR = 2e-3, SQUARED = 3.0;
-// Smallest pivot of equations that are evaluated at the state only, beside singular ones.
-constexpr double REGULAR = 0.02;
+// Smallest pivots of equations that are evaluated at the state only, beside singular ones; and of
+// those that are no rounding there.
+constexpr double REGULAR = 0.02, CHOSEN = 1e-8;
 // Numbers of all arrays that are needed here: at most, and on the stack.
 constexpr Index ROOM = 1024;
 
@@ -109,11 +110,14 @@ bool find_beside(BranchEquations & equations, const BranchPoint & point, double 
 
 /// Find the branch through a state from places around it where components are singular; regular
 /// ones are evaluated at the state, the others being on their branches.
-bool find_through(BranchEquations & equations, Values q, Values qd, const BranchPoint & point)
+bool find_through(
+  BranchEquations & equations, Values q, Values qd, const BranchPoint & point, bool multipliers)
 {
+  bool evaluates = multipliers;
   for (Component & part : equations.components) {
     if (part.pivot > REGULAR) {
       equations.count_moving(part);
+      evaluates = true;
     }
   }
   for (Component & part : equations.components) {
@@ -121,7 +125,9 @@ bool find_through(BranchEquations & equations, Values q, Values qd, const Branch
       return false;
     }
   }
-  equations.evaluate(point.q, point.rate);
+  if (evaluates) {
+    equations.evaluate(point.q, point.rate);
+  }
   for (const Component & part : equations.components) {
     if (part.pivot > REGULAR) {
       equations.factor(part);
@@ -142,7 +148,7 @@ double choose_dependent(BranchEquations & equations, Values q, Values qd)
   }
   double least = 1.0;
   for (Component & part : equations.components) {
-    part.pivot = equations.choose(part, 0.0);
+    part.pivot = equations.choose(part, CHOSEN);
     least = std::min(least, part.pivot);
   }
   return SQUARED * least * least;
@@ -150,7 +156,7 @@ double choose_dependent(BranchEquations & equations, Values q, Values qd)
 
 /// Accelerations by dense factors of the closure equations, at the state or from places around it.
 bool accelerate_by_factors(
-  BranchEquations & equations, Values q, Values qd, Table added, double pivot)
+  BranchEquations & equations, Values q, Values qd, Table added, double pivot, Wanted wanted)
 {
   const System & system = equations.system;
   const bool beside = pivot >= SQUARED * NEAR * NEAR;
@@ -164,13 +170,15 @@ bool accelerate_by_factors(
     scratch.take(qd.size, qd.size)};
   point.bend.fill(0.0);
   point.tangent.fill(0.0);
+  const bool multipliers = wanted >= Wanted::FORCES;
   return (beside ? find_beside(equations, point, pivot) :
-         find_through(equations, q, qd, point)) && accelerate_along(equations, point, added);
+         find_through(equations, q, qd, point, multipliers)) &&
+         accelerate_along(equations, point, added, multipliers);
 }
 }  // namespace
 
 bool accelerate_on_branch(
-  const System & system, Values q, Values qd, bool singular, bool poses)
+  const System & system, Values q, Values qd, bool singular, Wanted wanted)
 {
   const Workspace & work = system.work;
   const Values & health = work.health;
@@ -187,7 +195,7 @@ bool accelerate_on_branch(
   BranchEquations equations(system);
   if (!beside) {
     pivot = choose_dependent(equations, q, qd);
-    if (!(singular ? pivot >= 0.0 : !good(system.model, pivot, POOR_PIVOT))) {
+    if (!(pivot >= 0.0) || (!singular && good(system.model, pivot, POOR_PIVOT))) {
       return false;
     }
     record_pivot(system.model, work, pivot);
@@ -206,13 +214,13 @@ bool accelerate_on_branch(
   }
   if (!(beside ? accelerate_by_loops(
       system, scratch.copy_of(q), scratch.copy_of(qd), added, pivot) :
-    accelerate_by_factors(equations, q, qd, added, pivot)))
+    accelerate_by_factors(equations, q, qd, added, pivot, wanted)))
   {
     return false;
   }
   health[health::RANK_REVEALING_COUNT] += 1.0;
   health[health::SINGULAR_COUNT] += 1.0;
-  if (poses) {
+  if (wanted == Wanted::POSES) {
     place_bodies(system, q, qd);
     add_forces(work, added);
     update(system.model, work, Responses::NONE);

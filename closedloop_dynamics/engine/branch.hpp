@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__BRANCH_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__BRANCH_HPP_
 
+#include "evaluation.hpp"
 #include "system.hpp"
 
 // Accelerations beside a singular position, where the closure equations that the elimination works on
@@ -12,14 +13,13 @@
 namespace closedloop
 {
 
-/// Accelerations and multipliers on the branch next to a state, free of the effect of closure
-/// errors; of all that the equations leave open, those of the least joint forces. The bodies have
-/// poses and forces at the state where there are effects. With `singular`, `accelerate_refined` has
-/// found a small pivot of the geometry; otherwise false where a generated routine does not show the
-/// equations to be nearly dependent. False where they may be dependent everywhere, too: use
-/// `accelerate_rank_revealing` then. With `poses`, those and closure errors are of the state
-/// afterwards.
-bool accelerate_on_branch(const System &, Values q, Values qd, bool singular, bool poses);
+/// Accelerations and, if wanted, multipliers on the branch next to a state, free of the effect of
+/// closure errors; of all multipliers that give this motion, those of the least joint forces. The
+/// bodies have poses and forces at the state where there are effects. With `singular`,
+/// `accelerate_refined` has found a small pivot of the geometry; otherwise false where a generated
+/// routine does not show the equations to be nearly dependent. False where they may be dependent
+/// everywhere, too: use `accelerate_rank_revealing` then.
+bool accelerate_on_branch(const System &, Values q, Values qd, bool singular, Wanted);
 
 }  // namespace closedloop
 

@@ -37,13 +37,13 @@ Index find(Indices root, Index j)
 }  // namespace
 
 BranchEquations::BranchEquations(const System & from)
-: scratch_(2 * from.lam.size * from.qdd.size + 5 * from.lam.size + 2 * from.qdd.size),
+: scratch_(2 * from.lam.size * from.qdd.size + 6 * from.lam.size + 2 * from.qdd.size),
   counts_(2 * from.lam.size + 2 * from.qdd.size), parts_(from.lam.size), system(from),
   nv(from.qdd.size), nc(from.lam.size), jac(scratch_.take(nc, nv)), closure(scratch_.take(nc)),
   bias(scratch_.take(nc)), right(scratch_.take(nc)), row_scale(scratch_.take(nc)),
   column_scale(scratch_.take(nv)), components(parts_.take(nc)), factor_(scratch_.take(nc, nv)),
-  local_(scratch_.take(nc)), change_(scratch_.take(nv)), row_(counts_.take(nc)),
-  order_(counts_.take(nv)), pivot_row_(counts_.take(nc)), column_(counts_.take(nv))
+  local_(scratch_.take(nc)), pivot_scale_(scratch_.take(nc)), change_(scratch_.take(nv)),
+  row_(counts_.take(nc)), order_(counts_.take(nv)), pivot_row_(counts_.take(nc)), column_(counts_.take(nv))
 {
   std::copy(system.table.begin(), system.table.end(), table_.begin());
   table_[routine::CLOSURE] = reinterpret_cast<Index>(closure.data);
@@ -135,6 +135,9 @@ double BranchEquations::choose(Component & part, double share)
     each = row(part, each);
   }
   std::copy(rows.begin(), rows.end(), row_.data + part.row);
+  for (Index k = 0; k < part.rows; ++k) {
+    pivot_scale_[part.row + k] = 1.0 / (row_scale[row(part, k)] * column_scale[column(part, k)]);
+  }
   return !enough ? 0.0 : std::abs(matrix(part.rows - 1, part.rows - 1) / matrix(0, 0));
 }
 
@@ -212,8 +215,7 @@ double BranchEquations::smallest_pivot(const Component & part) const
   double least = 0.0, most = 0.0;
   for (Index k = 0; k < part.rows; ++k) {
     // Inverses of pivots, scaled.
-    const double size = std::abs(
-      matrix(k, k) / (row_scale[row(part, k)] * column_scale[column(part, k)]));
+    const double size = std::abs(matrix(k, k)) * pivot_scale_[part.row + k];
     least = k == 0 || size < least ? size : least;
     // Not a number: all comparisons fail.
     most = size <= most ? most : size;

@@ -23,7 +23,7 @@ struct Component
 {
   Index row = 0, rows = 0, column = 0, columns = 0;
   Index moving = 0;  ///< Number of independent coordinates in the equations
-  double pivot = 0.0;  ///< Smallest pivot at the state itself, against the largest
+  double pivot = 0.0;  ///< Smallest pivot at the state itself, against the largest; 0: rounding
 };
 
 /// A place on the branch, and how it goes on from there.
@@ -102,7 +102,7 @@ public:
 
 private:
   const Table factor_;
-  const Values local_, change_;
+  const Values local_, pivot_scale_, change_;
   // Equations and coordinates, component by component; scratch.
   const Indices row_, order_, pivot_row_, column_;
   // With the addresses of these arrays.

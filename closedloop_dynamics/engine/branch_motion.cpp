@@ -66,8 +66,8 @@ Index find_some_multipliers(
   return rank;
 }
 
-/// Find the multipliers with these joint forces, the least forces where equations vanish; return
-/// the rank of the equations.
+/// Find the multipliers with these joint forces, those of the least forces where equations vanish;
+/// return the rank of the equations.
 Index find_multipliers(BranchEquations & equations, Values force)
 {
   const System & system = equations.system;
@@ -77,8 +77,10 @@ Index find_multipliers(BranchEquations & equations, Values force)
   const Table unfelt = scratch.take(equations.nc, equations.nc);
   Index rank = 0, idle = 0;
   for (const Component & part : equations.components) {
-    equations.factor(part);
-    if (equations.smallest_pivot(part) > VANISHED) {
+    if (part.pivot > 0.0) {
+      equations.factor(part);
+    }
+    if (part.pivot > 0.0 && equations.smallest_pivot(part) > VANISHED) {
       equations.solve_transposed(part, force, system.lam);
       rank += part.rows;
     } else {
@@ -101,7 +103,8 @@ Index find_multipliers(BranchEquations & equations, Values force)
 }
 }  // namespace
 
-bool accelerate_along(BranchEquations & equations, const BranchPoint & point, Table added)
+bool accelerate_along(
+  BranchEquations & equations, const BranchPoint & point, Table added, bool multipliers)
 {
   const System & system = equations.system;
   const Model & model = system.model;
@@ -164,7 +167,9 @@ bool accelerate_along(BranchEquations & equations, const BranchPoint & point, Ta
       force[i] += push[k] * carried(k, i);
     }
   }
-  work.health[health::RANK] = static_cast<double>(find_multipliers(equations, force));
+  if (multipliers) {
+    work.health[health::RANK] = static_cast<double>(find_multipliers(equations, force));
+  }
   return true;
 }
 

@@ -11,10 +11,11 @@
 namespace closedloop
 {
 
-/// Accelerations and multipliers at a place on the branch into System.qdd and System.lam; the
-/// equations have been evaluated there. `added` are the forces of effects on the bodies, shape
-/// (bodies, components) or empty. False where a motion along the branch has no inertia.
-bool accelerate_along(BranchEquations &, const BranchPoint &, Table added);
+/// Accelerations and, if wanted, multipliers at a place on the branch into System.qdd and System.lam;
+/// for the latter the equations have been evaluated there. `added` are the forces of effects on the bodies, shape
+/// (bodies, components) or empty. Where equations vanish, multipliers are those of the least joint
+/// forces. False where a motion along the branch has no inertia.
+bool accelerate_along(BranchEquations &, const BranchPoint &, Table added, bool multipliers);
 
 }  // namespace closedloop
 

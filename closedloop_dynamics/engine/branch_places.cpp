@@ -40,8 +40,6 @@ constexpr double SLOPED_ASIDE = 1.5;
 // Smallest pivot at the first place, against the largest: below the first value the places are
 // moved farther away, by at most the third; below the second the method fails.
 constexpr double ENOUGH = 2e-3, LEAST = 1e-4, FARTHEST = 8.0;
-// Smallest pivot at the state, against the largest, that is no rounding.
-constexpr double CHOSEN = 1e-8;
 // How much smaller a pivot may be at another place: this one is next to a singular position, too.
 constexpr double SMALLER = 0.05;
 // How far the state may be from the branch, against the distance to the first place; its rates,
@@ -77,15 +75,17 @@ public:
   }
 
 private:
-  /// Put a place where the rates lead to.
+  /// Put a place where the rates lead to, with these rates.
   void go_straight(const Component & part, Index n)
   {
-    change_.fill(0.0);
+    const Values rates = rates_[n];
+    rates.fill(0.0);
     for (Index k = 0; k < part.columns; ++k) {
-      change_[equations_.column(part, k)] = qd_[equations_.column(part, k)];
+      const Index j = equations_.column(part, k);
+      rates[j] = step_ * qd_[j];
     }
     copy(q_, places_[n]);
-    move(system_.manifold, places_[n], change_, n == 0 ? step_ : -step_);
+    move(system_.manifold, places_[n], rates, n == 0 ? 1.0 : -1.0);
   }
 
   /// Find the first place, far enough from the state that the equations are independent there.
@@ -105,11 +105,11 @@ private:
     }
     for (int attempt = 0; ; ++attempt) {
       go_straight(part, 0);
-      equations_.evaluate(places_[0], qd_);
+      equations_.evaluate(places_[0], rates_[0]);
       // Pivots that are not rounding are in one order at the state and here.
-      const bool chosen = (attempt == 0 && part.pivot > CHOSEN) ||
+      const bool chosen = (attempt == 0 && part.pivot > 0.0) ||
         equations_.choose(part, LEAST) > 0.0;
-      const double pivot = chosen && equations_.settle(part, places_[0], qd_) ?
+      const double pivot = chosen && equations_.settle(part, places_[0], rates_[0]) ?
         equations_.smallest_pivot(part) : 0.0;
       if (pivot >= ENOUGH || (pivot >= LEAST && attempt > 0)) {
         break;
@@ -131,11 +131,11 @@ private:
     if (part.moving > 1) {
       step_ /= SLOPED_ASIDE;
       go_straight(part, 0);
-      equations_.evaluate(places_[0], qd_);
+      equations_.evaluate(places_[0], rates_[0]);
       for (Index k = 0; k < part.moving; ++k) {
         tangents_of_fewer_[equations_.independent(part, k)].fill(0.0);
       }
-      if (!equations_.settle(part, places_[0], qd_)) {
+      if (!equations_.settle(part, places_[0], rates_[0])) {
         return false;
       }
     }
@@ -160,8 +160,8 @@ private:
         predict(part, n, n < 4 ? 3 - n : n - 4, n - 2);
       }
       move(system_.manifold, places_[n], change_, 1.0);
-      equations_.evaluate(places_[n], qd_);
-      if (!(equations_.settle(part, places_[n], qd_) && keep(part, n))) {
+      equations_.evaluate(places_[n], rates_[n]);
+      if (!(equations_.settle(part, places_[n], rates_[n]) && keep(part, n))) {
         return false;
       }
     }
@@ -178,18 +178,12 @@ private:
     if (!(pivot >= SMALLER * pivot_)) {
       return false;
     }
-    const Values rates = rates_[n], bends = bends_[n];
-    rates.fill(0.0);
-    bends.fill(0.0);
-    for (Index k = 0; k < part.columns - part.rows; ++k) {
-      const Index j = equations_.independent(part, k);
-      rates[j] = step_ * qd_[j];
-    }
+    bends_[n].fill(0.0);
     if (part.moving > 1) {
       equations_.add_tangents(part, point_.tangent, VALUE[n]);
       equations_.add_tangents(part, tangents_of_fewer_, FEWER_VALUES[n]);
     }
-    equations_.follow(part, places_[n], rates, bends);
+    equations_.follow(part, places_[n], rates_[n], bends_[n]);
     return true;
   }
 
@@ -202,6 +196,7 @@ private:
     const double value = s - s3 - 0.5 * s4, slope = 0.5 * s2 + 2.0 / 3.0 * s3 + 0.25 * s4;
     const double other_value = s3 + 0.5 * s4, other_slope = s3 / 3.0 + 0.25 * s4;
     copy(places_[from], places_[n]);
+    copy(rates_[from], rates_[n]);
     change_.fill(0.0);
     for (Index k = 0; k < part.columns; ++k) {
       const Index j = equations_.column(part, k);

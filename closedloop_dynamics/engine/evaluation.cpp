@@ -83,11 +83,11 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
 }
 
 /// Accelerations next to a singular position, or with equations that depend on others.
-void accelerate_near_singular(const System & system, Values q, Values qd, bool poses)
+void accelerate_near_singular(const System & system, Values q, Values qd, Wanted wanted)
 {
   const double pivot = system.work.health[health::SMALLEST_PIVOT];
   if (good(system.model, pivot, POOR_PIVOT) ||
-    !accelerate_on_branch(system, q, qd, true, poses))
+    !accelerate_on_branch(system, q, qd, true, wanted))
   {
     accelerate_with_all_equations(system, q, qd);
   }
@@ -112,7 +112,7 @@ void accelerate_by_loops(const System & system, Values q, Values qd)
   if (!accelerate_refined(
       system.model, system.work, system.applied, gain, system.qdd, system.lam))
   {
-    accelerate_near_singular(system, q, qd, true);
+    accelerate_near_singular(system, q, qd, Wanted::POSES);
   }
 }
 
@@ -125,15 +125,14 @@ void restore_forces(const System & system, Values q, Values qd)
   }
 }
 
-/// Accelerations where the elimination alone does not suffice: by refinement or decompositions; with
-/// `poses`, those are of the state afterwards.
-void accelerate_beyond_elimination(const System & system, Values q, Values qd, bool poses)
+/// Accelerations where the elimination alone does not suffice: by refinement or decompositions.
+void accelerate_beyond_elimination(const System & system, Values q, Values qd, Wanted wanted)
 {
   if (system.table[routine::REFINED_ACCELERATION] != 0) {
     if (call(system.table, routine::REFINED_ACCELERATION, q, qd)) {
       return;
     }
-  } else if (accelerate_on_branch(system, q, qd, false, poses)) {
+  } else if (accelerate_on_branch(system, q, qd, false, wanted)) {
     restore_forces(system, q, qd);
     return;
   } else {
@@ -146,7 +145,7 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd, b
       return;
     }
   }
-  accelerate_near_singular(system, q, qd, poses);
+  accelerate_near_singular(system, q, qd, wanted);
   restore_forces(system, q, qd);
 }
 
@@ -293,7 +292,7 @@ void evaluate_in_parts(const System & system, Values q, Values qd)
   if (call(system.table, routine::ACCELERATION, q, qd)) {
     written = system.has_cut_coordinates() ? 0.0 : 1.0;
   } else {
-    accelerate_beyond_elimination(system, q, qd, true);
+    accelerate_beyond_elimination(system, q, qd, Wanted::POSES);
   }
 }
 
@@ -332,7 +331,8 @@ bool is_regular(const System & system, Values q, Values qd)
   return call(system.table, routine::ACCELERATION, q, qd);
 }
 
-void evaluate_state(const System & system, Values state)
+/// As `evaluate_state`, for what is wanted of it; with effects, all.
+static void evaluate_for(const System & system, Values state, Wanted wanted)
 {
   const Values q = system.q(state), qd = system.qd(state);
   system.work.health[health::WRITTEN] = 0.0;
@@ -349,35 +349,51 @@ void evaluate_state(const System & system, Values state)
     if (system.table[routine::REFINED_ACCELERATION] != 0) {
       call(system.table, routine::OUTWARD, q, qd);
     }
-    accelerate_beyond_elimination(system, q, qd, false);
+    accelerate_beyond_elimination(system, q, qd, wanted);
   }
+}
+
+void evaluate_state(const System & system, Values state)
+{
+  evaluate_for(system, state, Wanted::FORCES);
 }
 
 void evaluate_again(const System & system, Values state, Index count)
 {
   Interrupt interrupt(system.interrupted, system.nv());
   for (Index n = 0; n < count && !interrupt.after(1); ++n) {
-    evaluate_state(system, state);
+    evaluate_for(system, state, Wanted::MOTION);
     for (Index i = 0; i < system.nv(); ++i) {
       state[i] += 0.0 * system.qdd[i];
     }
   }
 }
 
-void derivative(const System & system, Values state, Values out)
+/// As `derivative`, for what is wanted of the evaluation.
+static void derivative_for(const System & system, Values state, Values out, Wanted wanted)
 {
   if (system.is_independent()) {
     close_by_dependent(
       system.model, system.work, system.partition, system.manifold, system.q(state),
       system.qd(state), system.settings[setting::CLOSURE_TOLERANCE], false);
   }
-  evaluate_state(system, state);
+  evaluate_for(system, state, wanted);
   rates_of_coordinates(system.manifold, state, system.nv(), out);
   copy(system.qdd, out.part(system.nq(), system.nv()));
   if (system.has_effects()) {
     copy(system.effects.rates, out.part(system.own(), system.effects.rates.size));
   }
   power_of_turns(system.manifold, system.tau, state, system.nv(), out);
+}
+
+void derivative(const System & system, Values state, Values out)
+{
+  derivative_for(system, state, out, Wanted::MOTION);
+}
+
+void derivative_with_multipliers(const System & system, Values state, Values out)
+{
+  derivative_for(system, state, out, Wanted::FORCES);
 }
 
 void rates_with_cuts(const System & system, Values state, Values out)

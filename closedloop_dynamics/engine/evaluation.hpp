@@ -11,6 +11,10 @@
 namespace closedloop
 {
 
+/// The results of an evaluation that are read, each with those before: accelerations; multipliers;
+/// poses and closure errors.
+enum class Wanted {MOTION, FORCES, POSES};
+
 /// Accelerations and multipliers of a state into System.qdd and System.lam; System.work then has
 /// poses, velocities and closure errors. Effects' states are read from System.effects.
 void evaluate(const System &, Values q, Values qd);
@@ -32,12 +36,15 @@ bool is_regular(const System &, Values q, Values qd);
 void evaluate_state(const System &, Values state);
 
 /// Evaluate a state repeatedly, to time it without the calls; each evaluation waits for the one
-/// before, as in a simulation.
+/// before, as in a simulation, which reads no forces.
 void evaluate_again(const System &, Values state, Index count);
 
 /// Time derivative of a state, both of shape (ns,). With independent coordinates, the dependent
 /// ones are first guesses, corrected in `state`.
 void derivative(const System &, Values state, Values out);
+
+/// The same with multipliers, which `derivative` leaves undefined next to singular positions.
+void derivative_with_multipliers(const System &, Values state, Values out);
 
 /// Copy the effects' own states from a state vector to EffectTable.states.
 void load_effect_states(const System &, Values state);

@@ -92,7 +92,9 @@ void fill_terms(
   }
   for (Index a = 0; a < model.cut.rows; ++a) {
     const Index k = row.size + model.cut(a, cut::NUMBER), first = model.cut(a, cut::CUT_ROW);
-    if (k < count) {
+    if (k < count && !carries(model.cut, lam, a)) {
+      next = std::fill_n(next, planar ? 4 : 9, 0.0);
+    } else if (k < count) {
       wrenches_of_cut(model.cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
       next = terms_of_wrench(work.share.data, planar, arms[k], unit, next);
     } else {

@@ -3,6 +3,8 @@
 
 #include "recursion.hpp"
 
+#include <algorithm>
+
 #include "loop_closure.hpp"
 #include "routines.hpp"
 
@@ -131,6 +133,12 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
   }
 }
 
+bool carries(Indexes cut, Values lam, Index a)
+{
+  const Values own = lam.part(cut(a, cut::CUT_ROW), cut(a, cut::ROWS));
+  return std::any_of(own.begin(), own.end(), [](double each) {return each != 0.0;});
+}
+
 void wrenches_of_cut(
   Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a)
 {
@@ -171,6 +179,9 @@ static void subtract_cut_wrenches(
   const Indexes & cut = model.cut;
   const Index size = work.size();
   for (Index a = 0; a < cut.rows; ++a) {
+    if (!carries(cut, lam, a)) {
+      continue;
+    }
     wrenches_of_cut(cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
     for (Index n = 0; n < size; ++n) {
       wrench(cut(a, cut::BODY_A), n) -= work.share[size + n];

@@ -42,6 +42,9 @@ void joint_wrenches(
 /// Wrenches in the joints of the tree from multipliers alone, without motion and other forces.
 void wrenches_of_multipliers(const Model &, const Workspace &, Values lam, Table wrench);
 
+/// Whether a multiplier of a cut joint is not zero.
+bool carries(Indexes cut, Values lam, Index a);
+
 /// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and
 /// B.
 void wrenches_of_cut(

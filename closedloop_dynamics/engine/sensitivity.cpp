@@ -342,7 +342,7 @@ std::pair<Status, Index> record_steps(
       } else {
         combine(method.a.row(k), k, state, run.step_size, scratch, stage);
       }
-      derivative(system, stage, scratch[k]);
+      derivative_with_multipliers(system, stage, scratch[k]);
       copy(system.qdd, evaluated[k].part(ns, nv));
       copy(system.lam, evaluated[k].from(ns + nv));
     }

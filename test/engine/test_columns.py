@@ -78,9 +78,9 @@ ENUMS = {
     'step_routine': (sensitivities, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: Corrector', 'rosenbrock.cpp: STAGE',
-         'python_api.hpp: PyGILState_STATE', 'traced.Entry', 'traced.Head',
-         'traced_laws.cpp: Input', 'nearby'}
+INNER = {'Length', 'Level', 'Comparison', 'Wanted', 'projection.cpp: Corrector',
+         'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'traced.Entry',
+         'traced.Head', 'traced_laws.cpp: Input', 'nearby'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
