@@ -378,12 +378,11 @@ class SimdRuns:
         *calls, _ = schedule.in_steps(steps)
         if first.run.watch.call <= min(calls) <= OFTEN:
             find_energies(pack, first.system)
-        if any(np.abs(start.torques).max(initial=0.0) > USUAL_TORQUE for start in starts):
+        torques = np.array(filled([start.torques for start in starts]))
+        if np.abs(torques).max(initial=0.0) > USUAL_TORQUE:
             return None
-        torques = filled([start.torques for start in starts])
-        efforts = np.zeros((len(torques[0]), len(first.torque_names), LANES))
-        for lane, one in enumerate(torques):
-            efforts[:, first.actuated, lane] = one
+        efforts = np.zeros((torques.shape[1], len(first.torque_names), LANES))
+        efforts[:, first.actuated] = np.moveaxis(torques, 0, -1)
         state = spread(filled([start.state for start in starts]))
         if room is None:
             names = first.coordinates
