@@ -106,17 +106,19 @@ digest() {
 }
 
 pip_install() {
-  local output
-  if ! output=$("$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check --log "$log" install \
-      --constraint "$constraints" "$@" 2>&1 </dev/null); then
-    tail -n 20 <<<"$output" >&2
+  # Python compiles what is imported when it first is: a third of all files.
+  if ! "$venv/bin/python" -m pip --no-input --disable-pip-version-check install --no-compile --progress-bar off \
+      --constraint "$constraints" "$@" >>"$log" 2>&1 </dev/null; then
+    tail -n 20 -- "$log" >&2
     fail "pip could not install the above. Most often the network or a proxy is in the way." \
-      "All that pip did is in $log; the next run begins again."
+      "All that pip said is in $log; the next run begins again."
   fi
 }
 
+# With the packages of the kind that is wanted, beside those of runtime.txt.
 make_environment() {
-  local wheels=()
+  local wheels=() building
+  [[ $1 == runtime ]] || wheels=(--requirement "$root/requirements/$1.txt")
   rm -rf -- "$venv"
   mkdir -p -- "$venv"
   touch -- "$venv/.incomplete"
@@ -125,15 +127,24 @@ make_environment() {
     "$base_python" -m venv --system-site-packages "$venv"
     "$venv/bin/python" "$root/scripts/_prefer_installed.py" "$constraints" > "$venv/constraints.txt"
     constraints=$venv/constraints.txt
-    say "Installing what the sourced ROS 2 Jazzy does not bring: llvmlite, rosbags, mcap (60 MB or more, a minute)"
   else
     "$base_python" -m venv "$venv"
-    wheels=(--requirement "$root/requirements/ros.txt")
+    wheels+=(--requirement "$root/requirements/ros.txt")
+  fi
+  # The engine is compiled while the rest is downloaded: it needs no more than these headers.
+  pip_install cmeel-eigen
+  bring_compiler
+  build_engine &
+  building=$!
+  trap 'kill "$building" 2>/dev/null || true' EXIT
+  if [[ $kind == ros ]]; then
+    say "Installing what the sourced ROS 2 Jazzy does not bring: llvmlite, rosbags, mcap (60 MB or more, a minute)"
+  else
     say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
-  bring_compiler
-  say 'Compiling the engine (about a minute)'
+  wait "$building" || fail 'The engine could not be compiled.'
+  trap - EXIT
   # Editable: the code that runs is the checkout's.
   pip_install --no-deps --no-build-isolation --editable "$root"
 }
@@ -163,8 +174,9 @@ update_environment() {
   if [[ -e $venv/.incomplete ]] || [[ $(cat -- "$venv/.runtime" 2>/dev/null) != "$runtime_key" ]] ||
       ! "$venv/bin/python" -c '' &>/dev/null; then
     : > "$log"
-    make_environment
+    make_environment "$wanted"
     printf '%s\n' "$runtime_key" > "$venv/.runtime"
+    [[ $wanted == runtime ]] || printf '%s\n' "$wanted_key" > "$venv/.$wanted"
     rm -- "$venv/.incomplete"
   fi
   if [[ $wanted != runtime && $(cat -- "$venv/.$wanted" 2>/dev/null) != "$wanted_key" ]]; then
@@ -184,6 +196,8 @@ update_environment() {
 export_environment() {
   local cache=$root/.cache
   export VIRTUAL_ENV=$venv PATH=$venv/bin:$PATH PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH}
+  # What Python compiles is kept: many processes import the same sources.
+  unset PYTHONDONTWRITEBYTECODE
   export MPLCONFIGDIR=${MPLCONFIGDIR:-$cache/matplotlib}
   # Generated code goes to the user's cache, whoever generates it; where there is none, here.
   if [[ -z ${CLOSEDLOOP_CACHE_DIR:-} ]] && ! mkdir -p -- "${XDG_CACHE_HOME:-${HOME:-}/.cache}/closedloop_dynamics" 2>/dev/null; then
