@@ -14,7 +14,7 @@ from .mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL,
     UNTURNED)
 from .rotations import (
-    about_z, composed, CONJUGATE, in_three, quaternion_about, rotated, turned)
+    about_z, composed, CONJUGATE, cross, in_three, quaternion_about, rotated, turned)
 
 X, Y, Z = np.eye(3)
 # Numbers of a pose in space.
@@ -155,7 +155,7 @@ def wrench_in_joints(mechanism, position, body, place, wrench):
     arm, force, torque = (rotated(pose[3:], np.asarray(vector)) for vector in (
         place, wrench[:3], wrench[3:]))
     velocities = body_velocities(mechanism, position, rates, (body,))[:, 0]
-    torques[places] = velocities @ np.concatenate([force, torque + np.cross(arm, force)])
+    torques[places] = velocities @ np.concatenate([force, torque + cross(arm, force)])
     return torques
 
 

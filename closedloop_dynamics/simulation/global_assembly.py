@@ -24,7 +24,7 @@ from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
-from ..mechanism.rotations import about, of_quaternion, perpendicular
+from ..mechanism.rotations import about, cross, of_quaternion, perpendicular
 
 # Closed means this, relative to the mechanism's size, or sines of angles.
 CLOSED = 1e-9
@@ -136,7 +136,7 @@ class ClosureProblem:
                 rate, place = rate + 1, place + 1
             frames[joint.child], origins[joint.child] = frame, origin
         # Where arms[k] moves with what its joint slides, the slide has no spin.
-        return frames, origins, spins, slides - np.cross(spins, arms)
+        return frames, origins, spins, slides - cross(spins, arms)
 
     def residual(self, q, wanted=True, size=None):
         """
@@ -154,13 +154,13 @@ class ClosureProblem:
         def velocity(body, point):
             jac = np.zeros((3, self.nv))
             chain = self._chain[body]
-            jac[:, chain] = (moments[chain] + np.cross(spins[chain], point)).T
+            jac[:, chain] = (moments[chain] + cross(spins[chain], point)).T
             return jac
 
         def turn(body, direction):
             jac = np.zeros((3, self.nv))
             chain = self._chain[body]
-            jac[:, chain] = np.cross(spins[chain], direction).T
+            jac[:, chain] = cross(spins[chain], direction).T
             return jac
 
         def spin(body):
@@ -247,7 +247,7 @@ class ClosureProblem:
                 continue
             chain = self._chain[body.name]
             center = origins[body.name] + frames[body.name] @ body.center_of_mass
-            shift = moments[chain] + np.cross(spins[chain], center)
+            shift = moments[chain] + cross(spins[chain], center)
             turn = spins[chain] @ frames[body.name]
             inertia[np.ix_(chain, chain)] += (
                 body.mass * shift @ shift.T + turn @ inertia_matrix(body.inertia) @ turn.T)
@@ -499,7 +499,7 @@ def _ends(cut):
 
 def _across(axis):
     one = perpendicular(axis)
-    return one, np.cross(axis, one)
+    return one, cross(axis, one)
 
 
 def _vector_of(matrix):

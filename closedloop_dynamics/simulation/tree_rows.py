@@ -24,7 +24,7 @@ from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
     FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL)
-from ..mechanism.rotations import of_quaternion
+from ..mechanism.rotations import cross, of_quaternion
 
 UNIT = np.eye(3)
 # Rows of joints that move along or about the axes of their frame: type, axis.
@@ -182,6 +182,6 @@ def frame_along(axis, hint=(0.0, 0.0, 0.0)):
     across = hint - axis * (axis @ hint)
     if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(hint):
         # Perpendicular to the axis and to the present axis that it is the least along.
-        across = np.cross(UNIT[np.argmin(np.abs(axis))], axis)
+        across = cross(UNIT[np.argmin(np.abs(axis))], axis)
     across = snapped(across / np.linalg.norm(across))
-    return snapped(np.column_stack([across, np.cross(axis, across), axis]))
+    return snapped(np.column_stack([across, cross(axis, across), axis]))

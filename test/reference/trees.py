@@ -28,7 +28,8 @@ def turned(vector):
 def placed(frame, point):
     """Return the world place of ``point``, given in the frame (origin, angle)."""
     origin, angle = frame
-    return origin + point[0] * unit(angle) + point[1] * turned(unit(angle))
+    along = unit(angle)
+    return origin + point[0] * along + point[1] * turned(along)
 
 
 def derivative(function, q, direction):
