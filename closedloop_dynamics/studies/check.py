@@ -101,6 +101,8 @@ def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
+    if found is None and simulation is None and not mechanism.planar:
+        found = _closed(mechanism)
     parts += [*_chosen(mechanism), *_repeated(mechanism, simulation, found)]
     return [*parts, _summary(mechanism, decomposition, simulation, found)]
 
@@ -180,10 +182,8 @@ def _repeated(mechanism, simulation, found):
     if not mechanism.closures or mechanism.planar and (
             simulation is None or mechanism.number_of_equations > MOST_EQUATIONS):
         return []
-    if simulation is None:
-        found = found or _closed(mechanism)
-        if not found.closed:
-            return []
+    if simulation is None and not found.closed:
+        return []
     redundancy = find_redundancy(mechanism, found.q if simulation is None else simulation.position)
     if not redundancy.repeated:
         return []
@@ -222,7 +222,6 @@ def _degrees_of_freedom(mechanism, simulation, found):
     elif mechanism.planar:
         freedoms = find_degrees_of_freedom(mechanism)
     else:
-        found = found or _closed(mechanism)
         freedoms = None if not found.closed else (
             joints - ClosureProblem(mechanism, extent(mechanism)).rank(found.q))
     if freedoms is None:
