@@ -100,7 +100,7 @@ def assert_moves(mechanism, q, qd, effects, pushes):
 
 
 @pytest.mark.parametrize('tables', [False, True])
-@pytest.mark.parametrize('seed', cases.first(3, range(8)))
+@pytest.mark.parametrize('seed', cases.first(1, range(8)))
 def test_springs_between_points_pull_as_in_maximal_coordinates(seed, tables):
     _, mechanism, q, qd, bodies, points, _ = drawn(seed)
     (arm_a, a, va), (arm_b, b, vb), (arm_c, c, vc) = points
@@ -129,7 +129,7 @@ def test_springs_between_points_pull_as_in_maximal_coordinates(seed, tables):
     assert_agree(table.rates.sum(), lost, 1e-11, smallest=1.0)
 
 
-@pytest.mark.parametrize('seed', cases.first(2, range(4)))
+@pytest.mark.parametrize('seed', cases.first(1, range(4)))
 @pytest.mark.parametrize('slack', [False, True])
 def test_cables_pull_along_their_way(seed, slack):
     _, mechanism, q, qd, bodies, points, _ = drawn(20 + seed)
@@ -150,7 +150,7 @@ def test_cables_pull_along_their_way(seed, slack):
     assert_agree(table.rates, [(tension - elastic) * rate], 1e-10, smallest=1.0)
 
 
-@pytest.mark.parametrize('seed', cases.first(3, range(6)))
+@pytest.mark.parametrize('seed', cases.first(1, range(6)))
 def test_bushings_push_along_and_turn_about_their_axes(seed):
     rng, mechanism, q, qd, bodies, points, motions = drawn(40 + seed)
     stiffness, damping, turning, loss = rng.uniform(1.0, 3.0, (4, 3))
@@ -211,7 +211,7 @@ def test_a_body_swings_on_a_bushing_about_each_axis():
     assert set(one.effect_readings('mount')) >= {'force_1', 'force_2', 'force_3', 'moment'}
 
 
-@pytest.mark.parametrize('seed', cases.first(3, range(8)))
+@pytest.mark.parametrize('seed', cases.first(1, range(8)))
 def test_forces_and_torques_push_as_in_maximal_coordinates(seed):
     rng, mechanism, q, qd, bodies, points, motions = drawn(100 + seed)
     force, torque = rng.normal(size=(2, 2, 3)) * 5.0
@@ -226,7 +226,7 @@ def test_forces_and_torques_push_as_in_maximal_coordinates(seed):
         for (body, _, f, t), point in zip(pushes, points)], 1e-11, smallest=1.0)
 
 
-@pytest.mark.parametrize('seed', cases.first(2, range(4)))
+@pytest.mark.parametrize('seed', cases.first(1, range(4)))
 def test_forces_over_time_push_as_in_maximal_coordinates(seed):
     rng, mechanism, q, qd, bodies, points, motions = drawn(150 + seed)
     one, other = rng.normal(size=(2, 3))
@@ -243,7 +243,7 @@ def test_forces_over_time_push_as_in_maximal_coordinates(seed):
         pushes, points)], 1e-11, smallest=1.0)
 
 
-@pytest.mark.parametrize('seed', cases.first(3, range(8)))
+@pytest.mark.parametrize('seed', cases.first(1, range(8)))
 def test_planes_push_as_in_maximal_coordinates(seed):
     rng, mechanism, q, qd, bodies, points, _ = drawn(200 + seed)
     normal = rng.normal(size=3)
@@ -270,7 +270,7 @@ def test_planes_push_as_in_maximal_coordinates(seed):
     assert_agree(table.output[:, 0], [stored, 0.0], 1e-9)
 
 
-@pytest.mark.parametrize('seed', cases.first(3, range(8)))
+@pytest.mark.parametrize('seed', cases.first(1, range(8)))
 def test_a_payload_is_a_part_of_its_body(seed):
     rng, mechanism, q, qd, bodies, _, _ = drawn(300 + seed)
     position, mass = rng.normal(size=3), 0.7

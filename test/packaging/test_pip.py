@@ -20,6 +20,8 @@ import pytest
 
 PIP = (sys.executable, '-m', 'pip', '--disable-pip-version-check', '--no-input')
 OFFLINE = ('--no-deps', '--no-index')
+# Python compiles what is imported when it first is.
+INSTALL = ('install', '--no-compile', *OFFLINE)
 # Each argument is a line of arguments to closedloop.
 ALL_COMMANDS = """
 import sys
@@ -60,7 +62,7 @@ def environment(wheel, tmp_path_factory):
     """Return the directory of a new virtual environment with the package installed."""
     directory = tmp_path_factory.mktemp('environment')
     venv.create(directory, system_site_packages=True)
-    run(*PIP, '--python', directory / 'bin' / 'python', 'install', *OFFLINE, wheel, cwd=directory)
+    run(*PIP, '--python', directory / 'bin' / 'python', *INSTALL, wheel, cwd=directory)
     return directory
 
 
@@ -140,7 +142,7 @@ def test_commands_work_in_the_environment_from_another_directory(environment, tm
 
 def test_nodes_without_ros_say_what_is_missing(wheel, tmp_path):
     venv.create(tmp_path / 'bare')
-    run(*PIP, '--python', tmp_path / 'bare' / 'bin' / 'python', 'install', *OFFLINE, wheel,
+    run(*PIP, '--python', tmp_path / 'bare' / 'bin' / 'python', *INSTALL, wheel,
         cwd=tmp_path)
     for program in sorted(PROGRAMS - {'closedloop'}):
         done = subprocess.run(
@@ -157,7 +159,7 @@ def test_config_is_found_in_the_environment(environment):
 
 
 def test_config_is_found_in_a_directory(wheel, tmp_path):
-    run(*PIP, 'install', *OFFLINE, '--target', tmp_path / 'target', wheel, cwd=tmp_path)
+    run(*PIP, *INSTALL, '--target', tmp_path / 'target', wheel, cwd=tmp_path)
     output = run(sys.executable, '-c', SHOW_CONFIG, cwd=tmp_path,
                  env=with_libraries(tmp_path / 'target'))
     assert Path(output.strip()) == tmp_path / 'target' / 'share' / PACKAGE / 'config'

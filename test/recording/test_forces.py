@@ -27,7 +27,8 @@ def recorded(path, scene, torque, count=200, period=0.002):
 
 
 @pytest.mark.parametrize('scene, joints, torque', [
-    ('four_bar', 'crank_joint', [0.5]), ('three_rrr_horizontal', None, [1.0, -2.0, 0.5]),
+    ('four_bar', 'crank_joint', [0.5]),
+    pytest.param('three_rrr_horizontal', None, [1.0, -2.0, 0.5], marks=pytest.mark.slow),
     ('bennett', None, [0.3])])
 def test_torques_and_forces_are_those_that_acted(tmp_path, capsys, scene, joints, torque):
     forces = recorded(tmp_path / 'motion', scene, torque, period=0.001)

@@ -96,7 +96,8 @@ def test_deviations_are_zero(scene):
     assert not result.notes
 
 
-@pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard'])
+@pytest.mark.parametrize('name', [
+    'rssr_four_bar', pytest.param('bricard', marks=pytest.mark.slow)])
 def test_deviations_in_space_are_zero(name):
     mechanism, _ = getattr(spatial_machines, name)()
     mechanism = spatial_machines.with_single_freedoms(mechanism)

@@ -183,7 +183,8 @@ print(problem, files.counts)
 
 
 @pytest.mark.parametrize('storage, compression, size', [
-    ('mcap', 'none', 300_000), ('mcap', 'zstd', 150_001), ('sqlite3', 'none', 200_000)])
+    pytest.param('mcap', 'none', 300_000, marks=pytest.mark.slow), ('mcap', 'zstd', 150_001),
+    ('sqlite3', 'none', 200_000)])
 def test_what_fits_into_a_limited_file_is_readable(tmp_path, storage, compression, size):
     bag = tmp_path / 'bag'
     done = subprocess.run(

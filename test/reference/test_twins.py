@@ -98,16 +98,16 @@ def test_ladder_follows_the_exact_parallel_branch(loops):
 
 
 def test_random_linkages_cover_every_joint_and_come_back_with_their_seed():
-    def joint_types():
+    def joint_types(count):
         return [[joint.type for joint in linkage[0].joints]
                 + [f'cut {cut.type}' for cut in linkage[0].cut_joints]
                 for linkage in (linkages.random_linkage(np.random.default_rng(seed))
-                                for seed in range(20))]
+                                for seed in range(count))]
 
-    first = joint_types()
+    first = joint_types(20)
     assert set(sum(first, [])) == {
         'revolute', 'prismatic', 'cut revolute', 'cut prismatic', 'cut fixed'}
-    assert first == joint_types()
+    assert first[:4] == joint_types(4)
 
 
 @pytest.mark.parametrize('name', machines.MACHINES)

@@ -21,7 +21,8 @@ def set_values(node, **values):
         Parameter(name.replace('__', '.'), value=value) for name, value in values.items()])]
 
 
-@pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'bennett'])
+@pytest.mark.parametrize('scene', [
+    'three_rrr_payload_friction', pytest.param('bennett', marks=pytest.mark.slow)])
 def test_no_request_compiles(scene, make_node, wanted):
     node = make_node(SimulatorNode, scene=scene, mode='lockstep', publish_rate=200.0)
     simulation = node.simulation

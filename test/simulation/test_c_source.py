@@ -107,19 +107,21 @@ def require_same_run(folder, simulation, steps=200, every=50):
 
 @compiled
 @pytest.mark.parametrize('scene', (
-    'carpet_scraper', 'slider_crank', 'rssr_four_bar', 'bricard',
+    'slider_crank', 'bricard',
     *(pytest.param(name, marks=pytest.mark.slow) for name in (
+        'carpet_scraper', 'rssr_four_bar',
         'three_rrr_vertical', 'scissor_lift', 'double_wishbone'))))
 def test_a_run_is_reproduced(scene, tmp_path):
     require_same_run(tmp_path, simulation_of(scene))
 
 
 @compiled
-@pytest.mark.parametrize('compiler, options', (
-    ('plain', ()), pytest.param('gnu', ('-O1',), marks=pytest.mark.slow)))
-def test_versions_for_all_processors_agree(compiler, options, tmp_path):
+@pytest.mark.parametrize('compiler, options, scene', (
+    ('plain', (), 'three_rrr_vertical'),
+    pytest.param('gnu', ('-O1',), 'stewart_platform', marks=pytest.mark.slow)))
+def test_versions_for_all_processors_agree(compiler, options, scene, tmp_path):
     # The former knows no vectors; the latter chooses among three versions as it runs.
-    simulation = simulation_of('stewart_platform')
+    simulation = simulation_of(scene)
     library = ctypes.CDLL(str(build(
         tmp_path, simulation, '-shared', '-fPIC', *options, compiler=compiler)))
     found = [np.zeros_like(simulation.velocity), np.zeros_like(simulation.multipliers)]
@@ -380,6 +382,7 @@ def test_casadi_gets_jacobians(scene, tmp_path):
                     1.0, np.abs(expected).max(initial=0.0)))
 
 
+@pytest.mark.slow
 @compiled
 def test_a_predictive_controller_by_ipopt_reaches_its_goal():
     pytest.importorskip('casadi', reason='needs casadi, from the Python package index')
@@ -390,7 +393,8 @@ def test_a_predictive_controller_by_ipopt_reaches_its_goal():
 
 
 @compiled
-@pytest.mark.parametrize('compiler, options', (('plain', ()), ('gnu', ('-O1',))))
+@pytest.mark.parametrize('compiler, options', (
+    ('plain', ()), pytest.param('gnu', ('-O1',), marks=pytest.mark.slow)))
 def test_derivatives_in_c_are_those_of_the_package(compiler, options, tmp_path):
     simulation = simulation_of('three_rrr_vertical')
     library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC', *options,

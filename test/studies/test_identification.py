@@ -165,7 +165,8 @@ def test_a_whole_body_in_space_is_exact():
     assert found.estimates['mechanism.bodies.piston_1.mass'].value == pytest.approx(0.8, rel=1e-9)
 
 
-@pytest.mark.parametrize('name, torque', [('three_rrr_horizontal', 2.0), ('bennett', 0.3)])
+@pytest.mark.parametrize('name, torque', [
+    ('three_rrr_horizontal', 2.0), pytest.param('bennett', 0.3, marks=pytest.mark.slow)])
 def test_torques_of_the_regressor_are_those_of_other_bodies(name, torque):
     scene = load_scene(name)
     motion, _, states = run(scene, torque, 5)
@@ -182,7 +183,8 @@ def test_torques_of_the_regressor_are_those_of_other_bodies(name, torque):
         np.testing.assert_allclose(rows @ change, after - before, rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.parametrize('name, torque', [('four_bar', 3.0), ('bennett', 0.3)])
+@pytest.mark.parametrize('name, torque', [
+    ('four_bar', 3.0), pytest.param('bennett', 0.3, marks=pytest.mark.slow)])
 def test_a_change_that_keeps_the_sums_changes_no_torque(name, torque):
     scene = load_scene(name)
     motion, effort, _ = run(scene, torque, 40)

@@ -335,7 +335,9 @@ REMOVED = [
     ('bricard', 'point', 'corner', {'corner'})]
 
 
-@pytest.mark.parametrize('name, kind, part, gone', REMOVED)
+@pytest.mark.parametrize('name, kind, part, gone', [
+    pytest.param(*case, marks=pytest.mark.slow) if case[0] in ('rope_hoist', 'bricard') else case
+    for case in REMOVED])
 def test_parts_are_removed_and_undone_to_the_letter(tmp_path, name, kind, part, gone):
     edited = Edited(name, tmp_path)
     edited.ask('edit', on=True)
