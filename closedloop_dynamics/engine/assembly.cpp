@@ -7,6 +7,7 @@
 
 #include <algorithm>
 
+#include "least_squares.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
@@ -44,24 +45,26 @@ bool least_change(const Square & jac, const DenseVector & psi, const Square & ro
   DenseVector lever = jac.cwiseAbs().colwise().maxCoeff();
   const double longest = lever.maxCoeff();
   lever = (lever.array() > NO_LEVER * longest).select(lever, 1.0).eval();
-  const Eigen::ColPivHouseholderQR<Square> factor(
-    (jac * lever.cwiseInverse().asDiagonal()).transpose());
-  const Square & packed = factor.matrixQR();
+  PivotedQr factor;
+  factor.compute((jac * lever.cwiseInverse().asDiagonal()).transpose());
+  const Square & packed = factor.packed();
   if (!(std::abs(packed(rows - 1, rows - 1)) > PLAIN * std::abs(packed(0, 0)))) {
     return false;
   }
   DenseVector share = DenseVector::Zero(columns);
   share.head(rows) = packed.topRows(rows).triangularView<Eigen::Upper>().transpose().solve(
-    factor.colsPermutation().transpose() * psi);
-  x = (factor.householderQ() * share).cwiseQuotient(lever);
+    factor.order().transpose() * psi);
+  factor.turn(share);
+  x = share.cwiseQuotient(lever);
   if (columns > rows) {
     // Inertia in the null space of the equations.
     Square open = Square::Zero(columns, columns - rows);
     open.bottomRows(columns - rows).setIdentity();
-    open.applyOnTheLeft(factor.householderQ());
+    factor.turn(open);
     open = lever.cwiseInverse().asDiagonal() * open;
-    const Square weighed = root.transpose() * open;
-    x -= open * weighed.colPivHouseholderQr().solve(root.transpose() * x);
+    PivotedQr weighed;
+    weighed.compute(root.transpose() * open);
+    x -= open * weighed.solve(root.transpose() * x);
   }
   return x.allFinite();
 }

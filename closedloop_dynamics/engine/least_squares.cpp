@@ -6,6 +6,26 @@
 namespace closedloop
 {
 
+void PivotedQr::compute(const Eigen::MatrixXd & matrix)
+{
+  factors_.compute(matrix);
+}
+
+void PivotedQr::turn(Eigen::MatrixXd & matrix) const
+{
+  matrix.applyOnTheLeft(factors_.householderQ());
+}
+
+void PivotedQr::turn(Eigen::VectorXd & vector) const
+{
+  vector.applyOnTheLeft(factors_.householderQ());
+}
+
+Eigen::VectorXd PivotedQr::solve(const Eigen::VectorXd & wanted) const
+{
+  return factors_.solve(wanted);
+}
+
 void LeastSquares::compute(const Eigen::MatrixXd & matrix, double threshold)
 {
   decomposition_.setThreshold(threshold);

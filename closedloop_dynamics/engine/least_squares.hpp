@@ -9,6 +9,25 @@
 namespace closedloop
 {
 
+/// QR factors of a matrix with its columns in the order of their pivots; compiled once, as it costs
+/// seconds.
+class PivotedQr
+{
+public:
+  void compute(const Eigen::MatrixXd & matrix);
+  /// R in the upper triangle.
+  const Eigen::MatrixXd & packed() const {return factors_.matrixQR();}
+  const auto & order() const {return factors_.colsPermutation();}
+  /// Multiply by Q from the left.
+  void turn(Eigen::MatrixXd & matrix) const;
+  void turn(Eigen::VectorXd & vector) const;
+  /// An x that minimises |matrix x - wanted|.
+  Eigen::VectorXd solve(const Eigen::VectorXd & wanted) const;
+
+private:
+  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> factors_;
+};
+
 /// Least squares of any rank, minimum-norm solution; compiled once, as it costs seconds.
 class LeastSquares
 {

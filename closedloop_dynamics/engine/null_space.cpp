@@ -132,7 +132,9 @@ void make_least(
       idle.col(column++) = place.singular.matrixU().col(k).cwiseProduct(place.row_scale);
     }
   }
-  const typename Sized<Most>::Vector share = idle.colPivHouseholderQr().solve(lam);
+  typename Sized<Most>::Pivoted factor;
+  factor.compute(idle);
+  const typename Sized<Most>::Vector share = factor.solve(lam);
   lam -= idle * share;
 }
 

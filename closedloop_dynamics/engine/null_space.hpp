@@ -8,6 +8,7 @@
 
 #include <type_traits>
 
+#include "least_squares.hpp"
 #include "model.hpp"
 
 // Solution with dependent closure equations, by singular values.
@@ -66,6 +67,8 @@ struct Sized
   // Small matrices: accurate, and without memory of its own; large ones: many times as fast.
   using Singular = std::conditional_t<
     Most == Eigen::Dynamic, LargeSingular, Eigen::JacobiSVD<ByColumn>>;
+  using Pivoted = std::conditional_t<
+    Most == Eigen::Dynamic, PivotedQr, Eigen::ColPivHouseholderQR<ByColumn>>;
 };
 
 /// The dense equations J x = right, I x = force + J^T lambda.
