@@ -9,6 +9,7 @@ LLVM is loaded when it is needed, not with the package: that takes longer than t
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+import functools
 import hashlib
 from importlib import import_module
 
@@ -47,10 +48,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     is, at most as many as there are routines; ``seconds``: approximate limit of the compile time.
     """
     from llvmlite import binding
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    digest = hashlib.sha256(repr((key, form, cpu, features)).encode()).hexdigest()[:32]
+    digest = hashlib.sha256(repr((key, form, *_host())).encode()).hexdigest()[:32]
     # An engine needs a module to start from; the code itself is added as objects.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), _machine(binding))
     names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
@@ -69,11 +67,20 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     return engine.get_function_address
 
 
+@functools.cache
+def _host():
+    """Return the names of this computer's processor and of its features, for LLVM made ready."""
+    from llvmlite import binding
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+
+
 def _machine(binding):
     """Return LLVM's target machine for this computer."""
+    cpu, features = _host()
     return binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(),
-        opt=OPTIMISATION)
+        cpu=cpu, features=features, opt=OPTIMISATION)
 
 
 def _compiled(routines, form, parts):
