@@ -340,6 +340,15 @@ def require_writable(path, option):
         raise UsageError(f'{option}: expected a place that may be written to, got {path}')
 
 
+def add_measured(parser, joints, smoothed):
+    """Add the options of measured joints, given their default, and of how they are smoothed."""
+    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
+                        help=f'measured joints, with commas between them (default: {joints}); '
+                             'the others follow from the loops')
+    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
+                        help=f'standard deviation of a position [rad or m]: {smoothed}')
+
+
 def add_drawing(parser):
     """Add the option of a line drawing, to be checked by ``require_drawing``."""
     parser.add_argument('--drawing', metavar='FILE', type=Path,

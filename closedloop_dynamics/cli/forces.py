@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_set, comma_separated, Command, complain, not_negative, require_free, UsageError,
-    with_numbers)
+    add_measured, add_set, Command, complain, require_free, UsageError, with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.reading import BagReadError
 from ..recording.recording import RecordingError
@@ -31,13 +30,8 @@ def _add_arguments(parser):
     add_set(parser)
     parser.add_argument('--topic', metavar='NAME', default='/joint_states',
                         help='whose positions are taken (default: /joint_states)')
-    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
-                        help='measured joints, with commas between them (default: the actuated '
-                             'ones); the others follow from the loops')
-    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
-                        help='standard deviation of a position [rad or m]: accelerations are '
-                             'those of splines as smooth as it allows (default: 0, through all '
-                             'of them)')
+    add_measured(parser, 'the actuated ones', 'accelerations are those of splines as smooth as it '
+                 'allows (default: 0, through all of them)')
     parser.add_argument('--output', metavar='BAG_OR_CSV', type=Path, required=True,
                         help='a new bag with joint_states, constraint_forces/CUT and '
                              'joint_forces/JOINT, or a file *.csv with the same')

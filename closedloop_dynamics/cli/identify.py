@@ -4,8 +4,8 @@
 """``closedloop identify``: parameters of a mechanism from a recorded motion."""
 
 from .command import (
-    add_picture, add_scene, add_set, comma_separated, Command, complain, FAILED, not_negative,
-    positive, require_picture, UsageError, whole, with_numbers)
+    add_measured, add_picture, add_scene, add_set, Command, complain, FAILED, positive,
+    require_picture, UsageError, whole, with_numbers)
 from ..recording.measurements import read_measurements
 from ..simulation.completion import CompletionError
 from ..simulation.scene import load_scene
@@ -28,13 +28,8 @@ def _add_arguments(parser):
                              'parameters.l; mechanism.bodies.crank: mass, centre of mass and '
                              'inertia; mechanism.bodies: those of all bodies')
     add_set(parser)
-    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
-                        help='measured joints, with commas between them (default: driven ones, '
-                             'where they decide all others); the others follow from the loops')
-    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
-                        help='standard deviation of a position [rad or m]: rates and '
-                             'accelerations are those of splines as smooth as it allows '
-                             '(default: 0, those recorded)')
+    add_measured(parser, 'driven ones, where they decide all others', 'rates and accelerations '
+                 'are those of splines as smooth as it allows (default: 0, those recorded)')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
     add_picture(parser, 'recorded efforts, and what is left of them')

@@ -22,6 +22,18 @@ def inertia_matrix(inertia):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+def second_moments(body):
+    """
+    Return the integral of x x^T dm of a body about its centre of mass, shape (d, d) [kg m^2].
+
+    In space tr(I)/2 1 - I; in the plane, where the sum alone is known, I/2 along both axes.
+    """
+    if len(body.center_of_mass) == 2:
+        return 0.5 * body.inertia * np.eye(2)
+    inertia = inertia_matrix(body.inertia)
+    return 0.5 * np.trace(inertia) * np.eye(3) - inertia
+
+
 def moments_in(matrix):
     """Return xx, yy, zz, xy, xz, yz of a matrix, shape (6,)."""
     return matrix[_PLACES]

@@ -11,7 +11,7 @@ import numpy as np
 from .kinematics import by_name, Drive, DrivenRun
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
-from ..mechanism.inertia import inertia_matrix
+from ..mechanism.inertia import second_moments
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.assembly import Assembler
@@ -196,12 +196,7 @@ def _point_masses(body, size):
     distance on the principal axes, and one mass, which may be negative, at the centre.
     """
     center = np.array(body.center_of_mass)
-    if len(center) == 2:
-        second = 0.5 * body.inertia * np.eye(2)
-    else:
-        inertia = inertia_matrix(body.inertia)
-        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    moments, axes = np.linalg.eigh(second)
+    moments, axes = np.linalg.eigh(second_moments(body))
     pairs = np.repeat(0.5 * moments / size ** 2, 2)
     ends = size * np.repeat(axes.T, 2, axis=0) * np.tile([1.0, -1.0], len(center))[:, np.newaxis]
     return np.append(pairs, body.mass - pairs.sum()), np.vstack([center + ends, center])

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..mechanism.inertia import inertia_matrix
+from ..mechanism.inertia import inertia_matrix, second_moments
 
 AXES = 'xyz'
 # Elements of an inertia in the order of their keys.
@@ -153,18 +153,12 @@ def pseudo_inertia(body) -> np.ndarray:
     Return the pseudo-inertia matrix of a body, positive definite where it can exist.
 
     Shape (3, 3), in space (4, 4): [[S, m c], [m c^T, m]], S the integral of x x^T dm from the
-    origin: tr(I)/2 1 - I about the centre of mass, and m c c^T. In the plane I/2 along both axes
-    stands for the former, of which the sum alone is known: positive definite where mass and
-    inertia are positive.
+    origin: ``second_moments`` and m c c^T; in the plane positive definite where mass and inertia
+    are positive.
     """
     center = np.array(body.center_of_mass)
-    if len(center) == 2:
-        second = 0.5 * body.inertia * np.eye(2)
-    else:
-        about = inertia_matrix(body.inertia)
-        second = 0.5 * np.trace(about) * np.eye(3) - about
     moment = body.mass * center
-    return np.block([[second + np.outer(moment, center), moment[:, np.newaxis]],
+    return np.block([[second_moments(body) + np.outer(moment, center), moment[:, np.newaxis]],
                      [moment[np.newaxis], np.array([[body.mass]])]])
 
 
