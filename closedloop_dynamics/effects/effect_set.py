@@ -464,16 +464,6 @@ class EffectSet:
         rows, joints = self.drive_rows()
         tau[joints] = self._table.output[rows, 1]
 
-    def loaded(self):
-        """
-        Return which effects feel reactions of joints.
-
-        Places of these reactions among the states, and rows in the table, where column 2 of
-        ``output`` has the present ones.
-        """
-        rows = np.flatnonzero(self._table.index[:, LOADED])
-        return self._table.index[rows, STATE] + 1, rows
-
     @property
     def passed(self):
         """Return the name of a contact that a step of fixed size has passed undetected."""

@@ -264,6 +264,9 @@ const Entry entries[] = {
   entry<nearest_to_path>(
     "nearest_to_path",
     "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),
+  entry<feel_loads>(
+    "feel_loads", "feel_loads(system, states, share): whether loads are those felt before"),
+  entry<begin_loads, Length::STATE>("begin_loads", "begin_loads(system, state)"),
   entry<load_joints>("load_joints", "load_joints(system, model, work, qd, qdd, lam)"),
   entry<measure_cut_coordinates>(
     "measure_cut_coordinates",

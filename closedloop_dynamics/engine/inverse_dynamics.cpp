@@ -276,22 +276,6 @@ private:
   Eigen::ColPivHouseholderQR<Sized<FEW>::ByColumn> of_few_;
   std::unique_ptr<LeastTorques> least_;
 };
-
-/// Update the joint loads of friction; return whether they are as before.
-bool settle(const EffectTable & table)
-{
-  double change = 0.0, most = 0.0;
-  for (Index row = 0; row < table.count(); ++row) {
-    if (table.index(row, effect::LOADED) != 0) {
-      double & felt = table.states[table.index(row, effect::STATE) + 1];
-      const double load = table.output(row, 2);
-      change = std::max(change, std::abs(felt - load));
-      most = std::max(most, load);
-      felt = load;
-    }
-  }
-  return !(change > SETTLED * most);
-}
 }  // namespace
 
 bool find_torques(
@@ -338,7 +322,7 @@ bool find_torques(
     // Friction driven by reactions depends on the result: a fixed point, fast because friction is
     // the smaller part.
     load_joints(system, model, work, qd, qdd, out.from(actuated.size));
-    if (settle(system.effects)) {
+    if (feel_loads(system, system.effects.states, SETTLED)) {
       return true;
     }
   }

@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "cut_coordinates.hpp"
+#include "evaluation.hpp"
 #include "forces.hpp"
 #include "least_forces.hpp"
 #include "null_space.hpp"
@@ -20,6 +21,8 @@ namespace
 {
 // Places in a planar wrench.
 constexpr Index FORCE_X = 1, FORCE_Y = 2;
+// Evaluations after which loads at the start count as found.
+constexpr int MOST_ROUNDS = 20;
 
 bool is_loaded(const EffectTable & table, Index row)
 {
@@ -126,6 +129,31 @@ void update_joint_loads(
           cut_load(table, model, work, lam, table.index(row, effect::FIRST) - qd.size));
       }
     }
+  }
+}
+
+bool feel_loads(const System & system, Values states, double share)
+{
+  const EffectTable & table = system.effects;
+  double change = 0.0, most = 0.0;
+  for (Index row = 0; row < table.count(); ++row) {
+    if (table.index(row, effect::LOADED) != 0) {
+      double & felt = states[table.index(row, effect::STATE) + 1];
+      const double load = table.output(row, 2);
+      change = std::max(change, std::abs(felt - load));
+      most = std::max(most, load);
+      felt = load;
+    }
+  }
+  return !(change > share * most);
+}
+
+void begin_loads(const System & system, Values state)
+{
+  bool felt = false;
+  for (int n = 0; n < MOST_ROUNDS && !felt; ++n) {
+    evaluate_with_poses(system, state);
+    felt = feel_loads(system, state.part(system.own(), system.effects.states.size), 0.0);
   }
 }
 

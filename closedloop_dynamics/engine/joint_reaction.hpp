@@ -24,6 +24,14 @@ void load_joints(
 void update_joint_loads(
   const Model &, const Workspace &, const EffectTable &, Values qd, Values lam);
 
+/// Copy the loads that were found to the states in which effects feel them, among all of these,
+/// shape (nz,); return whether none of them changes by more than a share of the largest.
+bool feel_loads(const System &, Values states, double share);
+
+/// Have effects feel the loads of a state, shape (ns,), from the start on: a fixed point, as friction
+/// changes them a little.
+void begin_loads(const System &, Values state);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_

@@ -321,6 +321,12 @@ inline constexpr auto precondition<update_driven_motions> =
   };
 
 template<>
+inline constexpr auto precondition<feel_loads> =
+  [](const System & system, Values states) {
+    return expected::unless(states.size == system.effects.states.size);
+  };
+
+template<>
 inline constexpr auto precondition<load_joints> =
   [](const System & system, const Model & model, const Workspace & work, Values qd, Values qdd,
     Values lam) {

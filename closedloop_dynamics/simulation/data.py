@@ -452,15 +452,7 @@ class Data(Names):
         self._effects.initialise_states(self._own, self._effects.rates(self._q, self._qd))
         self._effects.begin_at_time(self._own, self.time)
         if self._table.loaded[0] > 0:
-            # A fixed point: friction changes the reactions a little.
-            places, rows = self._effects.loaded()
-            for _ in range(20):
-                self._fresh = False
-                self._evaluate()
-                values = self._table.output[rows, 2]
-                if (self._own[places] == values).all():
-                    break
-                self._own[places] = values
+            native.begin_loads(self.system.native, self._state)
             self._fresh = False
         self._require_finite_laws()
 

@@ -12,6 +12,8 @@ from ..engine import native
 
 # Singular values below this share of the largest are rounding; so are parts of a unit below that.
 REPEATS, CLEAR = 1e-12, 1e-9
+# Change of reactions, of the largest, at which friction that depends on them is found.
+SETTLED = 1e-12
 
 
 class InverseDynamics:
@@ -56,11 +58,7 @@ class InverseDynamics:
             # friction is the smaller part.
             native.load_joints(self._system.native, self._equations.model, self._equations.work,
                                qd, qdd, lam)
-            places, rows = self._effects.loaded()
-            values = table.output[rows, 2]
-            change = np.abs(table.states[places] - values).max()
-            table.states[places] = values
-            if not change > 1e-12 * values.max():
+            if native.feel_loads(self._system.native, table.states, SETTLED):
                 return torque, lam
 
     def _jacobian(self, q, qd, qdd):
