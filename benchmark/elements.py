@@ -25,7 +25,8 @@ from machine import description, ROOT
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics import Simulation  # noqa: E402,I100
-from closedloop_dynamics.core.codegen.function_table import EVALUATION  # noqa: E402
+from closedloop_dynamics.core.codegen.function_table import (  # noqa: E402
+    AT_REST as ONE_AT_REST, EVALUATION, RESPONSES)
 from closedloop_dynamics.core.codegen.live_scene import LiveTrace  # noqa: E402
 from closedloop_dynamics.core.codegen.routines import (  # noqa: E402
     count_operations as count, operations)
@@ -74,10 +75,13 @@ SPRING, FRICTION, FLOOR = (
     {'type': 'joint_friction', 'joint': 'crank_joint', 'coulomb': 0.05},
     {'type': 'contact', 'point': 'coupler_point', 'origin': (0.0, 0.05), 'stiffness': 300.0,
      'exponent': 1.5, 'damping': 0.1, 'friction': 0.2})
-AT_REST = 'friction at rest'
+# Of those with joints at rest the routine that evaluates them.
+AT_REST = {'friction at rest': ONE_AT_REST, 'two joints at rest': RESPONSES}
 ROLLOUTS = {'a spring': (SPRING,), 'friction': (FRICTION,), 'contact': (FLOOR,),
             'all three': (SPRING, FRICTION, FLOOR),
-            AT_REST: ({**FRICTION, 'coulomb': 5.0},)}
+            'friction at rest': ({**FRICTION, 'coulomb': 5.0},),
+            'two joints at rest': ({**FRICTION, 'coulomb': 5.0}, {
+                **FRICTION, 'joint': 'rocker_joint', 'coulomb': 5.0})}
 SAMPLES, TORQUE, STEPS, EVERY = 64, 1.0, 2000, 200
 # Of a step that is measured [s]; blocks of steps, and seconds that each takes at least.
 STEP, BLOCKS, SECONDS = 1e-4, 31, 0.05
@@ -136,11 +140,11 @@ def record(scene, element):
         for key, value in element.items() if key != 'type'})
 
 
-def operations_of(simulation, at_rest=False):
-    """Return how many operations the one routine of a scene takes, or that of joints at rest."""
+def operations_of(simulation, which=EVALUATION):
+    """Return how many operations the one routine of a scene takes, or one of joints at rest."""
     model, table = simulation.system.model, simulation.system.effects
     return operations(model) if table is None else count(
-        LiveTrace(model, LiveLaws(table, at_rest)).routine(EVALUATION))
+        LiveTrace(model, LiveLaws(table, which)).routine(EVALUATION))
 
 
 def timed(pair, blocks, seconds):
@@ -194,7 +198,7 @@ def _time(simulation, count):
     return (process_time() - begin) / count
 
 
-def rolled_out(elements, blocks, steps, at_rest=False):
+def rolled_out(elements, blocks, steps, which=EVALUATION):
     """
     Return times of a step of one sample [s] and operations, with effects and without.
 
@@ -206,8 +210,8 @@ def rolled_out(elements, blocks, steps, at_rest=False):
         How often each is made.
     steps : int
         Of each.
-    at_rest : bool
-        Whether a joint under dry friction is at rest.
+    which : int
+        The routine that evaluates a sample, ``EVALUATION`` unless joints are at rest.
 
     Returns
     -------
@@ -228,7 +232,7 @@ def rolled_out(elements, blocks, steps, at_rest=False):
             simulation.rollout(torques, steps=steps, every=EVERY, threads=1)
             found.append((process_time() - begin) / (SAMPLES * steps))
     times = np.array(found).reshape(-1, 2).min(axis=0)
-    return times.tolist(), [operations_of(one, at_rest) for one in sims]
+    return times.tolist(), [operations_of(one, which) for one in sims]
 
 
 def measure(quick=False):
@@ -256,7 +260,8 @@ def measure(quick=False):
     rollouts = []
     for name in QUICK_ROLLOUTS if quick else ROLLOUTS:
         times, counts = rolled_out(
-            ROLLOUTS[name], QUICK_BLOCKS, QUICK_STEPS if quick else STEPS, name == AT_REST)
+            ROLLOUTS[name], QUICK_BLOCKS, QUICK_STEPS if quick else STEPS,
+            AT_REST.get(name, EVALUATION))
         rollouts.append({'effects': name, 'times': times, 'operations': counts})
     return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found,
             'rollouts': rollouts}

@@ -89,12 +89,12 @@ class LiveLaws:
     ----------
     table : EffectTable
         Its structure counts, not its numbers.
-    at_rest : bool
-        Whether one joint under dry friction may be at rest; all slide otherwise.
+    at_rest : int
+        As of ``LiveTrace``: which joints under dry friction may be at rest.
 
     """
 
-    def __init__(self, table, at_rest=False):
+    def __init__(self, table, at_rest=calls.EVALUATION):
         self._table, self.states, self.at_rest = table, len(table.states), at_rest
         self.columns = {calls.VALUES: VALUE_COLUMNS, calls.PRESENT: PRESENT_COLUMNS,
                         calls.GAPS: NODE_COLUMNS, calls.TRIALS: TRIAL_COLUMNS, calls.SIDES: 1,
@@ -238,7 +238,7 @@ def _joint_friction(forces, table, row, values):
         most = most * (1.0 + (values[1] - 1.0) * exponential(-(ratio * ratio)))
     direction = forces.state(0)
     slides = abs(direction) > 0.5
-    if forces.trace.laws.at_rest:
+    if forces.trace.laws.at_rest != calls.EVALUATION:
         # One that breaks away within a step goes on as one that slides.
         breaks_away = abs(rate) > REST
         direction = chosen(slides, direction, rate)

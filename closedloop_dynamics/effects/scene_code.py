@@ -5,10 +5,12 @@
 Which code evaluates a scene: one routine of mechanism and effects, or the engine in parts.
 
 A scene with an effect that has no law on symbols (``live_laws``) is evaluated in parts, its
-effects one by one (``law_code``), and so is any while one of them is switched off, several joints
-under dry friction are at rest, or friction feels the reaction in its joint:
+effects one by one (``law_code``), and so is any while one of them is switched off, several of many
+joints under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
 """
+
+from functools import partial
 
 from .live_laws import COURSES, joints_of, law_of, LAWS, LiveLaws, shape, USER_LAWS
 from .smooth_laws import FORCE_TABLES
@@ -25,6 +27,8 @@ from ..engine import native
 _CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
 _IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, TENDON)
 _NOT_IN_LANES = {*COURSES, *FORCE_TABLES, ACTUATOR, CABLE, CURVE_CONTACT, FACE_CONTACT}
+# With more frictions than these no routine has the responses: each is half an evaluation.
+_MOST_FRICTIONS = 6
 # Structures of the code behind addresses.
 _known = {}
 
@@ -122,15 +126,17 @@ def energies_in_lanes(model, table):
 
     """
     return address_of_scene(model, structure(model, table), lambda: LiveLaws(
-        table, at_rest=True), LANES, calls.ENERGIES)
+        table, calls.AT_REST), LANES, calls.ENERGIES)
 
 
 def _addresses(model, table, key, form=SCALAR):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}
     # Motions and cut joints would respond to friction, too.
-    if JOINT_FRICTION in table.kind and PRESCRIBED_MOTION not in table.kind and not len(
-            table.cuts.index):
-        found[calls.AT_REST] = address_of_scene(
-            model, (*key, 'at rest'), lambda: LiveLaws(table, at_rest=True), form)
+    frictions = table.kind.tolist().count(JOINT_FRICTION)
+    if frictions and PRESCRIBED_MOTION not in table.kind and not len(table.cuts.index):
+        several = (calls.RESPONSES,) if 1 < frictions <= _MOST_FRICTIONS else ()
+        for which in (calls.AT_REST, *several):
+            found[which] = address_of_scene(
+                model, (*key, which), partial(LiveLaws, table, which), form)
     return found

@@ -28,11 +28,12 @@ constexpr double CLEARLY = 0.5;
 /// Time derivatives of all lanes, those of coordinates if requested; return whether the results are
 /// good.
 bool batch_derivative(
-  const Batch & batch, Index which, Values state, bool of_coordinates, Values out)
+  const Batch & batch, LaneEvents & events, Values state, bool of_coordinates, Values out)
 {
   const Index n = batch.qdd.size, first = LANES * batch.nq();
   const bool good =
-    call(batch.table, which, state.part(0, first), state.part(first, n));
+    call(batch.table, events.routine(), state.part(0, first), state.part(first, n));
+  events.hold_joints();
   if (of_coordinates) {
     rates_of_coordinates(batch.manifold, state, batch.nv(), out, LANES);
   }
@@ -48,7 +49,7 @@ bool batch_step(
   Values stage, Values out, LaneEvents & events)
 {
   const Index stages = tableau.steps();
-  if (!batch_derivative(batch, events.routine(), state, stages > 0, slopes[0])) {
+  if (!batch_derivative(batch, events, state, stages > 0, slopes[0])) {
     return false;
   }
   events.store_start();
@@ -58,7 +59,7 @@ bool batch_step(
   }
   for (Index k = 1; k < stages; ++k) {
     combine(tableau.a.row(k), k, state, step_size, slopes, stage);
-    if (!batch_derivative(batch, events.routine(), stage, true, slopes[k])) {
+    if (!batch_derivative(batch, events, stage, true, slopes[k])) {
       return false;
     }
   }
@@ -222,7 +223,8 @@ bool is_linked(const Batch & batch)
   return batch.table.size == routine::TABLE_COLUMNS && batch.table[routine::EVALUATION] != 0 &&
          batch.table[routine::CORRECTION] != 0 && is_at(routine::TAU, batch.tau) &&
          is_at(routine::RATES, batch.rates) && is_at(routine::GAPS, batch.gaps) &&
-         is_at(routine::TRIALS, batch.trials) &&
+         is_at(routine::TRIALS, batch.trials) && is_at(routine::RESPONSE, batch.response) &&
+         is_at(routine::LIMIT, batch.friction) &&
          (batch.rates.size + batch.gaps.size == 0 || is_at(routine::COMMAND, batch.tau)) &&
          is_at(routine::QDD, batch.qdd) && is_at(routine::CLOSURE, batch.closure) &&
          is_at(routine::CORRECTIONS, batch.corrections.all()) &&
@@ -258,6 +260,9 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          LANES * lane.system->effects.states.size == batch.rates.size &&
          LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
          LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
+         LANES * lane.system->effects.sticking.right.size == batch.friction.size &&
+         batch.friction.size / LANES * (batch.qdd.size + batch.closure.size) ==
+         batch.response.size &&
          same(lane.system->effects.kind, first.system->effects.kind) &&
          (batch.table[routine::AT_REST] != 0 ||
          !lists(lane.system->effects, effect::JOINT_FRICTION)) &&

@@ -34,6 +34,10 @@ struct Batch
   Values trials;
   /// Shape (LANES * 3,): results of the routine of energies, where there is one: as of Stored.
   Values energies;
+  /// Shape (LANES * nf * (nv + nc),): what each friction changes of accelerations and multipliers;
+  /// and (LANES * nf,): its limit, zero where its joint slides.
+  Values response;
+  Values friction;
 
   Index nv() const {return qdd.size / LANES;}
   Index nq() const {return nv() + manifold.balls.rows;}
@@ -42,7 +46,7 @@ struct Batch
   void fields(Visitor && visit)
   {
     visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold, rates, gaps,
-      trials, energies);
+      trials, energies, response, friction);
   }
 };
 

@@ -339,9 +339,10 @@ static void evaluate_for(const System & system, Values state, Wanted wanted)
   if (system.has_effects()) {
     load_effect_states(system, state);
     const Index which = system.is_unrolled() ? prepare_code(system.effects) : -1;
-    if (which < 0 || system.table[which] == 0 || !call(system.table, which, q, qd))
-    {
+    if (which < 0 || system.table[which] == 0 || !call(system.table, which, q, qd)) {
       evaluate(system, q, qd);
+    } else if (which == routine::RESPONSES) {
+      hold_by_responses(system.effects, system.qdd, system.lam);
     }
   } else if (!system.is_unrolled()) {
     accelerate_by_loops(system, q, qd);

@@ -41,13 +41,19 @@ Values LaneEvents::begin(Values state)
     const Index first = LANES * contact::TRIAL_COLUMNS * row;
     batch_.trials.part(first, LANES * (contact::WRONG + 1)).fill(0.0);
   }
+  Index count[LANES], one = 0, several = 0;
+  for (Index lane = 0; lane < LANES; ++lane) {
+    count[lane] = resting(state, static_cast<std::size_t>(lane));
+    one += count[lane] == 1 ? 1 : 0;
+    several += count[lane] > 1 ? 1 : 0;
+  }
+  // Joints are held by the same arithmetic as in a run alone.
+  const bool responds = several > 0 && several >= one && batch_.table[routine::RESPONSES] != 0;
+  routine_ = responds ? routine::RESPONSES : one > 0 ? routine::AT_REST : routine::EVALUATION;
   bool any = false;
-  at_rest_ = false;
   Index ready = LANES;
   for (Index lane = LANES - 1; lane >= 0; --lane) {
-    const Index count = resting(state, static_cast<std::size_t>(lane));
-    at_rest_ = at_rest_ || count == 1;
-    alone_[lane] = count > 1;
+    alone_[lane] = responds ? count[lane] == 1 : count[lane] > 1;
     any = any || alone_[lane];
     ready = alone_[lane] ? ready : lane;
   }
@@ -64,6 +70,35 @@ Values LaneEvents::begin(Values state)
     }
   }
   return parked;
+}
+
+void LaneEvents::hold_joints()
+{
+  if (routine_ != routine::RESPONSES) {
+    return;
+  }
+  const Index nv = batch_.nv(), count = batch_.friction.size / LANES;
+  const Index width = batch_.response.size / batch_.friction.size;
+  const Values qdd{own_.data(), nv};
+  for (Index lane = 0; lane < LANES; ++lane) {
+    const std::size_t last = lanes_.size() - 1;
+    const EffectTable & effects =
+      lanes_[std::min(static_cast<std::size_t>(lane), last)].system->effects;
+    for (Index k = 0; k < count; ++k) {
+      effects.sticking.right[k] = batch_.friction[LANES * k + lane];
+      for (Index i = 0; i < nv; ++i) {
+        effects.sticking.response(k, i) = batch_.response[LANES * (k * width + i) + lane];
+      }
+    }
+    for (Index i = 0; i < nv; ++i) {
+      qdd[i] = batch_.qdd[LANES * i + lane];
+    }
+    // No step asks for the multipliers.
+    hold_by_responses(effects, qdd, Values{});
+    for (Index i = 0; i < nv; ++i) {
+      batch_.qdd[LANES * i + lane] = qdd[i];
+    }
+  }
 }
 
 void LaneEvents::store_start()

@@ -9,9 +9,9 @@
 #include "batch.hpp"
 
 // Steps with an event of an effect in one lane. The lanes of a vector make whole steps alike, with
-// one joint under dry friction at rest in each lane, too; a lane where several are at rest, a joint
-// comes to rest or creeps, or a contact may be missed, makes that step alone, as a single run does,
-// and then continues with the others.
+// one joint under dry friction at rest in each lane, or with several in each; a lane where it is
+// otherwise than in most, a joint comes to rest or creeps, or a contact may be missed, makes that
+// step alone, as a single run does, and then continues with the others.
 
 namespace closedloop
 {
@@ -26,7 +26,10 @@ public:
   Values begin(Values state);
 
   /// The routine that evaluates the states of the present step.
-  Index routine() const {return at_rest_ ? routine::AT_REST : routine::EVALUATION;}
+  Index routine() const {return routine_;}
+
+  /// After an evaluation: hold the joints at rest in each lane where its routine has not done so.
+  void hold_joints();
 
   /// Store the gaps at the start of a step, after the evaluation there.
   void store_start();
@@ -49,7 +52,7 @@ private:
   const std::vector<Lane> & lanes_;
   const EffectTable & effects_;
   bool alone_[LANES] = {};
-  bool at_rest_ = false;
+  Index routine_ = routine::EVALUATION;
   /// Rows of effects that are dry friction.
   std::vector<Index> frictions_;
   std::vector<double> parked_;

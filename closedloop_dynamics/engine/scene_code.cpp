@@ -76,13 +76,10 @@ Index prepare_code(const EffectTable & table)
       resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
     }
   }
-  if (resting > 1) {
-    return -1;
-  }
   take_pieces(table);
   store_sides(table);
   table.sticking.rows[0] = 0;
-  return resting == 1 ? routine::AT_REST : routine::EVALUATION;
+  return resting > 1 ? routine::RESPONSES : resting == 1 ? routine::AT_REST : routine::EVALUATION;
 }
 
 }  // namespace closedloop

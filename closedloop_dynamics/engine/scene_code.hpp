@@ -12,8 +12,8 @@ namespace closedloop
 {
 
 /// Index of the routine of that code for the present states of the effects; negative where there is
-/// none: effects have other laws, one is disabled, friction depends on reactions, or several joints
-/// under dry friction are at rest. Finds the pieces of courses and modes of contacts for that code.
+/// none: effects have other laws, one is disabled, or friction depends on reactions. Finds the
+/// pieces of courses and modes of contacts for that code.
 Index prepare_code(const EffectTable &);
 
 /// Hand the modes of contacts over to generated code.

@@ -213,6 +213,32 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
   }
 }
 
+void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
+{
+  const Sticking & sticking = table.sticking;
+  Index & count = sticking.rows[0];
+  Index number = 0;
+  count = 0;
+  for (Index row = 0; row < table.count(); ++row) {
+    if (table.kind[row] == effect::JOINT_FRICTION) {
+      const double limit = sticking.right[number];
+      if (limit > 0.0) {
+        if (count < number) {
+          copy(sticking.response[number], sticking.response[count]);
+        }
+        sticking.rows[++count] = row;
+        table.output(row, 3) = limit;
+      }
+      ++number;
+    }
+  }
+  if (count > 0) {
+    table.applied.fill(0.0);
+    keep_frictionless(table, qdd, lam);
+    balance_friction(table, qdd, lam);
+  }
+}
+
 void stop_sticking_joints(const EffectTable & table, Values qd)
 {
   const Sticking & sticking = table.sticking;

@@ -20,7 +20,8 @@
 // (arms.hpp) the rate, acceleration and force are those of its length.
 //
 // a_0 and W come from one evaluation without that friction and one with the limit of each:
-// `keep_frictionless`, `keep_response`, then `balance_friction`. `qdd`, shape (nv,) or, where
+// `keep_frictionless`, `keep_response`, then `balance_friction`; or from one routine for all, before
+// `hold_by_responses`. `qdd`, shape (nv,) or, where
 // anything acts in cut joints, (nv + nk,); `lam`, shape (nc,).
 
 namespace closedloop
@@ -42,6 +43,10 @@ void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
 /// Find the friction at rest; write the accelerations and multipliers with it, and complete
 /// EffectTable.applied and the readings.
 void balance_friction(const EffectTable &, Values qdd, Values lam);
+
+/// Do the same after the routine that writes the response to each friction and its limit, to
+/// Sticking.response and, in place of the right-hand side, Sticking.right.
+void hold_by_responses(const EffectTable &, Values qdd, Values lam);
 
 /// Set the remaining rates of the joints at rest to zero, by an impulse; `qd` as `qdd`.
 void stop_sticking_joints(const EffectTable &, Values qd);

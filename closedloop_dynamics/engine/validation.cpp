@@ -632,6 +632,9 @@ bool is_linked(const System & system)
     {routine::GAPS, system.effects.contacts.now.data, system.effects.count()},
     {routine::TRIALS, system.effects.contacts.trial.data, system.effects.count()},
     {routine::RATES, system.effects.rates.data, system.effects.rates.size},
+    {routine::RESPONSE, system.effects.sticking.response.data,
+      system.effects.sticking.right.size},
+    {routine::LIMIT, system.effects.sticking.right.data, system.effects.sticking.right.size},
     {routine::WRENCH, system.work.force.data, 1},
     {routine::JOINT_POINT, system.joints.point.data, system.joints.point.rows},
     {routine::LAM_OF_ALL, system.whole.lam.data, system.whole.lam.size}};

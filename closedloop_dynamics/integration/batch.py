@@ -5,10 +5,10 @@
 Whole runs of several mechanisms of one topology at once, one in every lane of a vector (SIMD).
 
 The steps are those of single runs, number by number; only the routines compute all lanes at
-once. A lane in which an effect begins or ceases within a step, or several joints under dry
-friction are at rest, makes that step alone (``engine/lane_events.cpp``). What else a lane alone
-would do otherwise (the rank-revealing path, a failure) ends the run: its mechanisms are then run
-one by one.
+once. A lane in which an effect begins or ceases within a step, or other joints under dry
+friction are at rest than in most, makes that step alone (``engine/lane_events.cpp``). What else a
+lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its mechanisms are
+then run one by one.
 """
 
 from typing import NamedTuple, Optional
@@ -45,6 +45,10 @@ class Batch(NamedTuple):
     trials: np.ndarray
     # Shape (LANES * 3,): what ``find_energies`` finds; of no length without effects.
     energies: np.ndarray
+    # Of frictions, shape (LANES * nf * (nv + nc),) and (LANES * nf,): as ``Sticking.response``,
+    # but for the last row, and the limit, zero where the joint slides.
+    response: np.ndarray
+    friction: np.ndarray
     kept: tuple  # Tuple of ndarrays that only the routines read and write
 
 
@@ -94,7 +98,8 @@ def build_batch(systems):
         error=np.zeros(LANES), manifold=first.manifold,
         **{name: arrays.get(place, nothing) for name, place in (
             ('rates', calls.RATES), ('gaps', calls.GAPS), ('trials', calls.TRIALS),
-            ('energies', calls.ENERGY))},
+            ('energies', calls.ENERGY), ('response', calls.RESPONSE),
+            ('friction', calls.LIMIT))},
         kept=tuple(arrays.values()))
 
 
@@ -108,6 +113,8 @@ def _arrays_of_effects(tables):
         calls.SIDES: np.zeros(LANES * len(first.kind)),
         calls.GAPS: np.zeros(LANES * first.contacts.now.size),
         calls.TRIALS: np.zeros(LANES * first.contacts.trial.size),
+        calls.RESPONSE: np.zeros(LANES * first.sticking.response[:-1].size),
+        calls.LIMIT: np.zeros(LANES * first.sticking.right.size),
         calls.RATES: np.zeros(LANES * len(first.rates)),
         calls.ENERGY: np.zeros(LANES * 3)}
 

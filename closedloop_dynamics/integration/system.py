@@ -242,7 +242,8 @@ def _linked(system, routines, scene=None):
              calls.VALUES: effects.values, calls.ENTRIES: effects.data,
              calls.CUT_VALUES: effects.cuts.values, calls.PRESENT: effects.code.present,
              calls.SIDES: effects.code.sides, calls.GAPS: effects.contacts.now,
-             calls.TRIALS: effects.contacts.trial, calls.RATES: effects.rates})})
+             calls.TRIALS: effects.contacts.trial, calls.RATES: effects.rates,
+             calls.RESPONSE: effects.sticking.response, calls.LIMIT: effects.sticking.right})})
     if system.is_unrolled and effects is None:
         codegen.link(model, table, routines, system.joints)
     elif system.is_unrolled:

@@ -240,6 +240,9 @@ WITH_EFFECTS = {
                                            stiffness=20.0, damping=1.0, free_length=0.1)},
     'friction': {'friction': EFFECTS['joint_friction'](
         **CRANK, coulomb=0.3, static_ratio=1.4, stribeck_velocity=0.5)},
+    'two frictions': {
+        'friction': EFFECTS['joint_friction'](**CRANK, coulomb=0.2),
+        'other': EFFECTS['joint_friction'](joint='rocker_joint', coulomb=0.1)},
     'contact': {
         'floor': EFFECTS['contact'](point='coupler_point', origin=(0.0, 0.1), stiffness=300.0,
                                     exponent=1.5, damping=0.1, friction=0.2),

@@ -16,34 +16,38 @@ import numpy as np
 # Addresses of routines: of a state the accelerations and multipliers; the outward recursion alone,
 # and what follows it; the corrections that close the loops; the latter two with refinement. After
 # them the forces in joints, or the wrenches; before that, where equations are left out, the
-# multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest.
-# Last the closure equations alone, for places around a singular position, whether accelerations
-# fulfil the equations that are left out, and of a scene its energies.
+# multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest,
+# and that without the friction of all that are, with the response to each. Last the closure
+# equations alone, for places around a singular position, whether accelerations fulfil the
+# equations that are left out, and of a scene its energies.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
- REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, LOOP_EQUATIONS,
- LEFT_OUT, ENERGIES) = range(13)
+ REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, RESPONSES, LOOP_EQUATIONS,
+ LEFT_OUT, ENERGIES) = range(14)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
-OF_SCENE = (EVALUATION, AT_REST)
+OF_SCENE = (EVALUATION, AT_REST, RESPONSES)
 # Addresses of arrays; the last ones are of effects (``effects/table.py``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
- RATES) = range(13, 35)
+ RATES) = range(14, 36)
 # Addresses of functions of the engine (``engine/library.hpp``).
-LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(35, 38)
+LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(36, 39)
 # Addresses of the arrays that the routines of forces read and write.
-WRENCH, JOINT_POINT, LAM_OF_ALL = range(38, 41)
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(39, 42)
 # Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
-BIAS, JACOBIAN = range(41, 43)
+BIAS, JACOBIAN = range(42, 44)
 # Address of results of ENERGIES.
-ENERGY = 43
-TABLE_COLUMNS = 44
+ENERGY = 44
+# Addresses of outputs of RESPONSES: accelerations and multipliers by each friction (``Sticking``),
+# and its limit, zero where the joint slides.
+RESPONSE, LIMIT = range(45, 47)
+TABLE_COLUMNS = 47
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
 # which BODY is the row of its first body and TAU the effort in its joint: the row of its second
 # body, its states, its row of ``EffectTable.output``, and how many entries it has.
-OTHER_BODY, STATES, OUTPUT, COUNT = range(44, 48)
-LAW_COLUMNS = 48
+OTHER_BODY, STATES, OUTPUT, COUNT = range(47, 51)
+LAW_COLUMNS = 51
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

@@ -13,9 +13,12 @@ states in the lanes of a vector.
 
 import math
 
+import numpy as np
+
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smaller, TAKE
 from .function_table import (
-    ALWAYS, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, RATES, SIDES, TRIALS, VALUES)
+    ALWAYS, AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, RATES,
+    RESPONSE, RESPONSES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
 from .routines import A_SECOND, form_for, MechanismTrace, NAMES, topology, unrolled_size, zeros
 from .scene_routines import energies_of_bodies, Forces
@@ -57,7 +60,8 @@ class LiveTrace(MechanismTrace):
         returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
         gives how many numbers the rows of arrays have, by their places; ``states`` how many states
         the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``
-        whether one joint under dry friction may be at rest.
+        which routine it is for: ``EVALUATION`` where all joints under dry friction slide,
+        ``AT_REST`` where one may be at rest, or ``RESPONSES``.
 
     """
 
@@ -92,8 +96,10 @@ class LiveTrace(MechanismTrace):
         torque = self.symbols(COMMAND, (self.nv,)) + forces.torque
         forces.exert()
         qdd, lam = self.accelerate(tau=torque)
-        if forces.resting:
+        if self.laws.at_rest == AT_REST:
             qdd, lam = self.held(forces.resting, qdd, lam)
+        elif self.laws.at_rest == RESPONSES:
+            self.store_responses(forces.resting)
         self.store_accelerations(qdd, lam)
         for place, multiplier, factor in forces.driven:
             forces.rates[place] = lam[multiplier] * factor
@@ -117,10 +123,7 @@ class LiveTrace(MechanismTrace):
         ``resting``: limits of the frictions, all zero but one, and the joints that each acts on
         with its moment arms. Returns accelerations and multipliers, given those without it.
         """
-        most = zeros(self.nv)
-        for limit, arms in resting:
-            for joint, arm in arms:
-                most[joint] = most[joint] + limit * arm
+        most = self.torques_of(resting)
         more, added = self.response(most)
         joints = {joint for _, arms in resting for joint, _ in arms}
         pull, give = (sum(most[i] * one[i] for i in sorted(joints)) for one in (qdd, more))
@@ -132,6 +135,21 @@ class LiveTrace(MechanismTrace):
             if arm == 1.0 and not others:
                 qdd[joint] = chosen(stays * limit > 0.0, 0.0, qdd[joint])
         return qdd, lam
+
+    def torques_of(self, resting):
+        """Return the torques of frictions at their limits, in the joints."""
+        found = zeros(self.nv)
+        for limit, arms in resting:
+            for joint, arm in arms:
+                found[joint] = found[joint] + limit * arm
+        return found
+
+    def store_responses(self, resting):
+        """Store the response to each of several frictions, as ``held`` has them, and its limit."""
+        for number, one in enumerate(resting):
+            found = np.concatenate(self.response(self.torques_of([one])))
+            self.store(RESPONSE, found, number * len(found))
+            self.outputs.append((LIMIT, number, one[0]))
 
 
 class LiveForces(Forces):

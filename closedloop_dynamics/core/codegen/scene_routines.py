@@ -17,8 +17,7 @@ from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times,
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
 # Inputs and outputs beside those of a function table: numbers of points; places and their rates.
-POINT, PLACE = range(44, 46)
-PLACE_RATE = 47
+POINT, PLACE, PLACE_RATE = 47, 55, 56
 
 
 class SceneTrace(MechanismTrace):
