@@ -27,30 +27,37 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
   for (Index j = 0; j < columns; ++j) {
     column[j] = j;
   }
-  double first = 0.0;
-  for (Index k = 0; k < rows; ++k) {
-    Index at = k, to = k;
-    double most = -1.0;
-    for (Index i = k; i < rows; ++i) {
-      double largest = 0.0;
-      for (Index j = k; j < columns; ++j) {
-        largest = std::max(largest, std::abs(matrix(i, j)));
-      }
-      if (largest > most) {
-        most = largest;
+  double first = 0.0, most = -1.0, next = -1.0;
+  Index at = 0;
+  // The row with the largest entry is noted while entries are written.
+  const auto note = [&](Index i, double largest) {
+      if (largest > next) {
+        next = largest;
         at = i;
       }
+    };
+  for (Index i = 0; i < rows; ++i) {
+    double largest = 0.0;
+    for (Index j = 0; j < columns; ++j) {
+      largest = std::max(largest, std::abs(matrix(i, j)));
     }
-    while (to + 1 < columns && std::abs(matrix(at, to)) != most) {
-      ++to;
-    }
+    note(i, largest);
+  }
+  for (Index k = 0; k < rows; ++k) {
+    most = next;
+    next = -1.0;
     first = k == 0 ? most : first;
     if (!(most > share * first)) {
       return k;
     }
+    double * pivot = matrix.row(k);
     if (at != k) {
-      std::swap_ranges(matrix.row(k), matrix.row(k) + columns, matrix.row(at));
+      std::swap_ranges(pivot, pivot + columns, matrix.row(at));
       std::swap(row[k], row[at]);
+    }
+    Index to = k;
+    while (to + 1 < columns && std::abs(pivot[to]) != most) {
+      ++to;
     }
     if (to != k) {
       for (Index i = 0; i < rows; ++i) {
@@ -58,13 +65,16 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
       }
       std::swap(column[k], column[to]);
     }
-    const double inverse = 1.0 / matrix(k, k);
+    const double inverse = 1.0 / pivot[k];
     for (Index i = k + 1; i < rows; ++i) {
-      const double scale = matrix(i, k) * inverse;
-      matrix(i, k) = scale;
+      double * other = matrix.row(i);
+      const double scale = other[k] *= inverse;
+      double largest = 0.0;
       for (Index j = k + 1; j < columns; ++j) {
-        matrix(i, j) -= scale * matrix(k, j);
+        other[j] -= scale * pivot[j];
+        largest = std::max(largest, std::abs(other[j]));
       }
+      note(i, largest);
     }
   }
   return rows;
@@ -205,17 +215,18 @@ inline void solve_transposed(Table factor, Values right)
 /// Sum of products, in four parts that do not wait for one another.
 inline double dot(Values a, Values b)
 {
-  double sum[4] = {0.0, 0.0, 0.0, 0.0};
+  double one = 0.0, two = 0.0, three = 0.0, four = 0.0;
   Index n = 0;
   for (; n + 4 <= a.size; n += 4) {
-    for (Index k = 0; k < 4; ++k) {
-      sum[k] += a[n + k] * b[n + k];
-    }
+    one += a[n] * b[n];
+    two += a[n + 1] * b[n + 1];
+    three += a[n + 2] * b[n + 2];
+    four += a[n + 3] * b[n + 3];
   }
   for (; n < a.size; ++n) {
-    sum[0] += a[n] * b[n];
+    one += a[n] * b[n];
   }
-  return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+  return (one + two) + (three + four);
 }
 
 /// Factor a symmetric positive definite matrix in place, lower triangle; false where it is not.
