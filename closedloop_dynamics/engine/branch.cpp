@@ -39,6 +39,8 @@ constexpr double NEAR = 2e-3, SQUARED = 3.0;
 // Smallest pivots of equations that are evaluated at the state only, beside singular ones; and of
 // those that are no rounding there.
 constexpr double REGULAR = 0.02, CHOSEN = 1e-8;
+// Equations whose factors cost less than to ask the elimination of the geometry first.
+constexpr Index FEW_EQUATIONS = 8;
 // Numbers of all arrays that are needed here: at most, and on the stack.
 constexpr Index ROOM = 1024;
 
@@ -185,8 +187,8 @@ bool accelerate_on_branch(
   const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
   const Index numbers = q.size + qd.size + bodies * size;
   const bool by_loops = system.table[routine::LOOP_EQUATIONS] == 0;
-  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && (singular || !by_loops) &&
-    system.lam.size < qd.size && numbers <= ROOM))
+  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && system.lam.size < qd.size &&
+    numbers <= ROOM && (singular || (!by_loops && system.lam.size <= FEW_EQUATIONS))))
   {
     return false;
   }
