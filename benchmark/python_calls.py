@@ -8,8 +8,9 @@ For each scene [us]: an evaluation inside compiled code, and beyond it a call of
 accelerations, of that of multipliers, too, of ``forward_dynamics`` and of ``joint_forces`` in a
 state that is not evaluated yet; ``inverse_dynamics`` as it is, and over ``forward_dynamics``; the
 other readings as they are; one step of ``advance`` beyond a step of many. With ``--rollouts``
-what a sample of a short rollout takes beyond its steps [ms], the same model for all and a mass of
-its own for each.
+what a sample of a short rollout takes beyond its steps [ms], made by the same calls of the
+method: torques are held, and the end is recorded. Once with the same model for all and once with
+a mass of its own for each.
 """
 
 import argparse
@@ -93,7 +94,8 @@ def samples(scene, repeats):
     """Return the numbers of ``SAMPLES`` [s] of a scene, by its own method."""
     one = Simulation.from_scene(scene)
     count, steps = 8, 10
-    torques, tau = np.zeros((count, steps, len(one.actuated_joints))), one.joint_torques(None)
+    torques, tau = np.zeros((count, 1, len(one.actuated_joints))), one.joint_torques(None)
+    kept = {'steps': steps, 'every': steps, 'threads': 1}
     body = one.mechanism.bodies[0]
     masses = {f'mechanism.bodies.{body.name}.mass': body.mass * np.linspace(1.0, 1.1, count)}
 
@@ -103,8 +105,8 @@ def samples(scene, repeats):
 
     found = least({
         'reset': repeated(one.reset), 'stepped': repeated(stepped),
-        'sample +': repeated(lambda: one.rollout(torques, threads=1)),
-        'own mass +': repeated(lambda: one.rollout(torques, parameters=masses, threads=1)),
+        'sample +': repeated(lambda: one.rollout(torques, **kept)),
+        'own mass +': repeated(lambda: one.rollout(torques, parameters=masses, **kept)),
     }, 1, repeats)
     of_steps = found['stepped'] - found['reset']
     return {'step': of_steps / steps, **{
