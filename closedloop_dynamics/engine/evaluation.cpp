@@ -3,6 +3,7 @@
 
 #include "evaluation.hpp"
 
+#include "arms.hpp"
 #include "branch.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
@@ -93,27 +94,31 @@ void accelerate_near_singular(const System & system, Values q, Values qd, Wanted
   }
 }
 
-/// Accelerations by loops over bodies, without generated code for the mechanism.
-void accelerate_by_loops(const System & system, Values q, Values qd)
+/// Accelerations by loops over bodies, without generated code for the mechanism. Return which of
+/// their factors are in the workspace.
+Factors accelerate_by_loops(const System & system, Values q, Values qd)
 {
   const Values & settings = system.settings;
   const double gain = settings[setting::BAUMGARTE_GAIN];
   move_bodies(system, q, qd);
-  const bool good = system.dense.gim.data != nullptr && system.dense.gim.rows > 0 ?
+  const bool is_dense = system.dense.gim.data != nullptr && system.dense.gim.rows > 0;
+  const bool good = is_dense ?
     accelerate_dense(
     system.model, system.work, system.dense,
     static_cast<Index>(settings[setting::FORMULATION]), system.applied, gain, system.qdd,
     system.lam) :
     accelerate(system.model, system.work, system.applied, gain, system.qdd, system.lam);
   if (good) {
-    return;
+    return is_dense ? Factors::NONE : Factors::PLAIN;
   }
   move_bodies(system, q, qd);
-  if (!accelerate_refined(
+  if (accelerate_refined(
       system.model, system.work, system.applied, gain, system.qdd, system.lam))
   {
-    accelerate_near_singular(system, q, qd, Wanted::POSES);
+    return Factors::REFINED;
   }
+  accelerate_near_singular(system, q, qd, Wanted::POSES);
+  return Factors::NONE;
 }
 
 /// Bring back the forces on the bodies for joint loads, which loops over bodies overwrite.
@@ -158,9 +163,28 @@ void accelerations_with_cuts(const System & system, Values q, Values qd)
   accelerations(cuts, system.model, system.work, system.qdd, true, cuts.qdd);
 }
 
+/// Accelerations and multipliers that the limit of a friction at rest adds; false where refinement
+/// does not converge.
+bool respond_to_hold(const System & system, Factors factors, Index row, Values out)
+{
+  const EffectTable & effects = system.effects;
+  const Values qdd = out.part(0, system.nv()), lam = out.part(system.nv(), system.lam.size);
+  Scratch<double, ROOM> scratch(effects.applied.size);
+  const Values others = scratch.copy_of(effects.applied);
+  effects.applied.fill(0.0);
+  exert_along(effects, row, effects.output(row, 3));
+  load_torques(system.model, system.work, system.applied);
+  copy(others, effects.applied);
+  if (factors == Factors::REFINED) {
+    return accelerate_prepared_refined(system.model, system.work, 0.0, qdd, lam);
+  }
+  accelerate_prepared(system.model, system.work, 0.0, qdd, lam);
+  return true;
+}
+
 /// Solve the complementarity problem of static friction by the response to that of each joint at
-/// rest.
-void hold_joints_at_rest(const System & system, Values q, Values qd)
+/// rest; `factors` are those in the workspace.
+void hold_joints_at_rest(const System & system, Values q, Values qd, Factors factors)
 {
   const EffectTable & effects = system.effects;
   const bool with_cuts = system.has_cut_coordinates();
@@ -174,6 +198,12 @@ void hold_joints_at_rest(const System & system, Values q, Values qd)
   keep_frictionless(effects, qdd, system.lam);
   for (Index place = 0; place < count; ++place) {
     const Index row = stuck[place + 1];
+    // Where it acts on joints alone the factors serve: a fraction of an evaluation.
+    if (factors != Factors::NONE && !with_cuts && effects.loaded[0] == 0 &&
+      respond_to_hold(system, factors, row, response_to_hold(effects, place)))
+    {
+      continue;
+    }
     hold[row] = effects.output(row, 3);
     evaluate_in_parts(system, q, qd);
     if (with_cuts) {
@@ -222,13 +252,13 @@ void evaluate_joint_loads(const System & system, Values q, Values qd)
 }
 
 /// Evaluate acceleration-dependent forces: static friction, driving forces, joint loads.
-void complete(const System & system, Values q, Values qd)
+void complete(const System & system, Values q, Values qd, Factors factors)
 {
   if (!system.has_effects()) {
     return;
   }
   if (system.effects.sticking.rows[0] > 0) {
-    hold_joints_at_rest(system, q, qd);
+    hold_joints_at_rest(system, q, qd, factors);
   }
   if (system.effects.motions.rows > 0) {
     output_driving_forces(system.effects, system.lam);
@@ -279,13 +309,12 @@ void apply_listed(const System & system, Values q, Values qd)
   apply_listed_to(system, system.work.body, q, qd);
 }
 
-void evaluate_in_parts(const System & system, Values q, Values qd)
+Factors evaluate_in_parts(const System & system, Values q, Values qd)
 {
   double & written = system.work.health[health::WRITTEN];
   written = 0.0;
   if (!system.is_unrolled()) {
-    accelerate_by_loops(system, q, qd);
-    return;
+    return accelerate_by_loops(system, q, qd);
   }
   call(system.table, routine::OUTWARD, q, qd);
   apply_listed(system, q, qd);
@@ -294,12 +323,12 @@ void evaluate_in_parts(const System & system, Values q, Values qd)
   } else {
     accelerate_beyond_elimination(system, q, qd, Wanted::POSES);
   }
+  return Factors::NONE;
 }
 
 void evaluate(const System & system, Values q, Values qd)
 {
-  evaluate_in_parts(system, q, qd);
-  complete(system, q, qd);
+  complete(system, q, qd, evaluate_in_parts(system, q, qd));
 }
 
 void evaluate_with_poses(const System & system, Values state)

@@ -19,8 +19,11 @@ enum class Wanted {MOTION, FORCES, POSES};
 /// poses, velocities and closure errors. Effects' states are read from System.effects.
 void evaluate(const System &, Values q, Values qd);
 
+/// Factors of the loops over bodies that an evaluation leaves in the workspace.
+enum class Factors {NONE, PLAIN, REFINED};
+
 /// The same without friction at rest, driving forces and joint loads.
-void evaluate_in_parts(const System &, Values q, Values qd);
+Factors evaluate_in_parts(const System &, Values q, Values qd);
 
 /// The same of a state vector, shape (ns,), with the effects' states in it.
 void evaluate_with_poses(const System &, Values state);

@@ -18,6 +18,14 @@ bool prepare(const Model &, Values tau, const Workspace &);
 bool accelerate(
   const Model &, const Workspace &, Values tau, double baumgarte, Values qdd, Values lam);
 
+/// Put torques on the joints in the place of all forces and of the motion, for the factors that
+/// `prepare` or `prepare_refined` has left in the workspace.
+void load_torques(const Model &, const Workspace &, Values tau);
+
+/// Accelerations and multipliers from what is loaded and the factors of `prepare`.
+void accelerate_prepared(
+  const Model &, const Workspace &, double baumgarte, Values qdd, Values lam);
+
 /// Right-hand side of the multipliers from the accelerations of the closure errors in `right`.
 void constraint_right_side(const Workspace &, double baumgarte, Values right);
 

@@ -161,11 +161,15 @@ bool accelerate_refined(
   const Model & model, const Workspace & work, Values tau, double baumgarte, Values qdd,
   Values lam, double limit)
 {
+  return prepare_refined(model, tau, work, limit) &&
+         accelerate_prepared_refined(model, work, baumgarte, qdd, lam);
+}
+
+bool accelerate_prepared_refined(
+  const Model & model, const Workspace & work, double baumgarte, Values qdd, Values lam)
+{
   const Indexes & cut = model.cut;
   const Values & right = work.right, & change = work.change;
-  if (!prepare_refined(model, tau, work, limit)) {
-    return false;
-  }
   qdd.fill(0.0);
   lam.fill(0.0);
   double first = 0.0, error = 0.0, left = 0.0, first_left = 0.0, size = 0.0, load = 0.0;

@@ -23,6 +23,10 @@ bool accelerate_refined(
   const Model &, const Workspace &, Values tau, double baumgarte, Values qdd, Values lam,
   double limit = POOR_PIVOT);
 
+/// The same of what is loaded, with the factors of `prepare_refined`.
+bool accelerate_prepared_refined(
+  const Model &, const Workspace &, double baumgarte, Values qdd, Values lam);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__REFINEMENT_HPP_

@@ -167,6 +167,11 @@ void keep_response(const EffectTable & table, Index place, Values qdd, Values la
   sticking.hold[row] = 0.0;
 }
 
+Values response_to_hold(const EffectTable & table, Index place)
+{
+  return table.sticking.response[place];
+}
+
 void balance_friction(const EffectTable & table, Values qdd, Values lam)
 {
   const Sticking & sticking = table.sticking;

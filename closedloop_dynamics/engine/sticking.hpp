@@ -20,9 +20,9 @@
 // (arms.hpp) the rate, acceleration and force are those of its length.
 //
 // a_0 and W come from one evaluation without that friction and one with the limit of each:
-// `keep_frictionless`, `keep_response`, then `balance_friction`; or from one routine for all, before
-// `hold_by_responses`. `qdd`, shape (nv,) or, where
-// anything acts in cut joints, (nv + nk,); `lam`, shape (nc,).
+// `keep_frictionless`, `keep_response`, then `balance_friction`; or W from the factors of the first,
+// to `response_to_hold`; or from one routine for all, before `hold_by_responses`. `qdd`, shape (nv,)
+// or, where anything acts in cut joints, (nv + nk,); `lam`, shape (nc,).
 
 namespace closedloop
 {
@@ -39,6 +39,9 @@ void keep_frictionless(const EffectTable &, Values qdd, Values lam);
 /// Store the response to the limit of one friction, number `place` of the joints at rest, after an
 /// evaluation with that friction in Sticking.hold; take it back from there.
 void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
+
+/// Where the response to it is stored; shape (nv + nc,).
+Values response_to_hold(const EffectTable &, Index place);
 
 /// Find the friction at rest; write the accelerations and multipliers with it, and complete
 /// EffectTable.applied and the readings.

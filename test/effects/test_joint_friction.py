@@ -11,6 +11,7 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.table import build_table, ForceElement, JOINT_FRICTION
 from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
@@ -352,3 +353,38 @@ def test_friction_holds_a_slider_that_started_at_its_dead_centre():
     simulation.step(duration=0.1)
     assert simulation.position == pytest.approx(start, abs=1e-12)
     assert simulation.effect_readings('friction')['torque'] != 0.0
+
+
+@pytest.mark.parametrize('share', [1.0, 1e-7], ids=['heavy', 'light'])
+@pytest.mark.parametrize('name', ['three_rrr', 'stewart_platform'])
+def test_friction_of_many_joints_at_rest_by_loops_over_bodies_is_that_of_generated_code(
+        name, share, monkeypatch):
+    scene = load_scene(name)
+    bodies = scene.mechanism.bodies
+    # One light body: its equations are refined.
+    light = replace(bodies[0], mass=share * bodies[0].mass, inertia=(
+        share * np.array(bodies[0].inertia)).tolist())
+    mechanism = replace(scene.mechanism, bodies=(light, *bodies[1:]))
+    rubbing = [joint.name for joint in mechanism.joints if joint.type in ('revolute', 'prismatic')]
+    scene = replace(scene, mechanism=mechanism, initial=replace(
+        scene.initial, velocity=tuple(0.0 * np.array(scene.initial.velocity))),
+        method=Method(integrator='rk4'), effects={
+            **scene.effects, **{f'dry_{joint}': JointFriction(joint, 0.5 + 0.1 * number)
+                                for number, joint in enumerate(rubbing)}})
+    found, evaluations = [], []
+    for most in (None, 0):
+        if most is not None:
+            monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', most)
+            monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
+        simulation = Simulation(scene)
+        torques = np.linspace(-3.0, 40.0, len(mechanism.actuated_joints))
+        simulation.step(dict(zip(mechanism.actuated_joints, torques)))
+        evaluations.append(simulation.health.evaluations)
+        found.append((simulation.acceleration, *(
+            simulation.effect_readings(f'dry_{joint}')['torque'] for joint in rubbing)))
+        assert simulation.system.is_unrolled == (most is None)
+    by_code, by_loops = (np.hstack(one) for one in found)
+    assert len(rubbing) > 2 and np.abs(by_code).max() > 1e-3
+    np.testing.assert_allclose(by_loops, by_code, rtol=0, atol=1e-9 * np.abs(by_code).max())
+    # There an evaluation serves for the response to each friction, too.
+    assert evaluations[1] < 4 * len(rubbing)
