@@ -9,7 +9,9 @@ The environment is set here, before anything imports rclpy, for runs without
 engine is compiled elsewhere, as by ``colcon build``, the package installed there is tested.
 """
 
+from contextlib import suppress
 import gc
+from importlib import import_module
 import os
 from pathlib import Path
 import sys
@@ -56,6 +58,25 @@ def in_order(files):
     places = {file: ((k + 0.5) / len(kind), file) for kind in kinds.values()
               for k, file in enumerate(kind)}
     return sorted(files, key=places.get)
+
+
+def pytest_collection(session):
+    """
+    Import the tests, in each process beginning with other ones.
+
+    What pytest makes of assertions takes as long as all else of a first collection. It is kept in
+    files: so each process finds most of it.
+
+    """
+    count = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', 1))
+    asked = [Path(name.split('::')[0]).resolve() for name in session.config.args]
+    files = [file for file in sorted((ROOT / 'test').rglob('test_*.py'))
+             if any(file.is_relative_to(place) for place in asked)]
+    first = len(files) * int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:]) // count
+    for file in files[first:] + files[:first] if count > 1 else ():
+        # What fails, or skips all its tests, says so when it is collected.
+        with suppress(Exception, pytest.skip.Exception):
+            import_module('.'.join(file.relative_to(ROOT).with_suffix('').parts))
 
 
 def pytest_collection_modifyitems(config, items):
