@@ -26,7 +26,7 @@ FOLDER = Path(__file__).resolve().parent
 OBJECTS = FOLDER.parents[1] / 'build' / 'engine'
 MODULE = 'native.abi3.so'
 # Compiled first, as they take longest: templates of dense decompositions.
-SLOW = ('null_space', 'large_singular', 'least_squares', 'bindings', 'assembly')
+SLOW = ('null_space', 'large_singular', 'least_squares', 'bindings', 'driven')
 # The version of the wheel ziglang, a C++ compiler for machines without one.
 ZIG = '0.17.1'
 # No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
