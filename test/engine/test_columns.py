@@ -78,7 +78,7 @@ ENUMS = {
     'step_routine': (sensitivities, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'Comparison', 'Wanted', 'projection.cpp: Corrector',
+INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'traced.Entry',
          'traced.Head', 'traced_laws.cpp: Input', 'nearby'}
 # Constants of the same name.
