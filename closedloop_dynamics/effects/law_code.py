@@ -10,12 +10,13 @@ whatever terms they have: a change of these compiles nothing.
 
 from . import live_laws
 from .table import (
-    ACTUATOR, END_STOP, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING, LAW, ORIENTATION_SPRING,
+    ACTUATOR, END_STOP, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING, ORIENTATION_SPRING,
     PRESCRIBED_TORQUE, SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CONTACT, SPATIAL_FLUID_DRAG,
     SPATIAL_FORCE, SPATIAL_FORCE_TABLE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE, TENDON,
     VALUE_COLUMNS)
 from ..core.codegen import plane, space
 from ..core.codegen.law_routine import addresses_of_laws, FIRST_BODY, JOINT, SECOND_BODY
+from ..engine import native
 
 _IN_JOINTS = (ACTUATOR, END_STOP, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING,
               PRESCRIBED_TORQUE)
@@ -29,20 +30,11 @@ _MOST_ENTRIES = 30
 
 
 def link(table):
-    """
-    Give each row of a table the address of its law.
-
-    Parameters
-    ----------
-    table : EffectTable
-        Written in place.
-
-    """
-    kinds = [kind for kind in set(table.kind.tolist()) if kind in LAWS]
+    """Give the engine the laws of the kinds in a table that it does not have itself."""
     known = addresses_of_laws({kind: (space if kind in _IN_SPACE else plane, _law(kind))
-                               for kind in kinds}, VALUE_COLUMNS)
-    for kind in kinds:
-        table.index[table.kind == kind, LAW] = known[kind]
+                               for kind in set(table.kind.tolist()) & LAWS.keys()}, VALUE_COLUMNS)
+    for kind, address in known.items():
+        native.keep_law(kind, address)
 
 
 def _law(kind):

@@ -14,22 +14,21 @@ import numpy as np
 
 from ..core.codegen.function_table import PRESENT_COLUMNS
 
-# Which law a row of the table obeys.
+# Which law a row of the table obeys; last, how many there are.
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
  REFLECTED_INERTIA, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED,
- SPATIAL_TRACED) = range(34)
+ SPATIAL_TRACED, KINDS) = range(35)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; of a traced law how many coordinates it measures and the address of its
 # routine; whether the law wants the reaction in its joint, as its second state;
-# where its numbers begin among those of all effects, and how many entries they are; the address of
-# the routine of its law (``law_code``), zero where the engine has the law.
-STATE, FIRST, SECOND, LOADED, DATA, ENTRIES, LAW = range(7)
-INDEX_COLUMNS = 7
+# where its numbers begin among those of all effects, and how many entries they are.
+STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
+INDEX_COLUMNS = 6
 # Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
 # tells.
 UNDECIDED, FREE, TOUCHING = range(3)

@@ -256,6 +256,8 @@ const Entry entries[] = {
     "equations_suffice", "equations_suffice(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
+  entry<keep_law>(
+    "keep_law", "keep_law(kind, address): of generated code, for all tables of effects"),
   entry<library_function>(
     "library_function", "library_function(which): address of a function for generated code"),
   entry<curve_distance>(

@@ -16,8 +16,7 @@ void apply_laws(const EffectTable & table, Table body, Values q, Values qd, Valu
 {
   for (Index row = 0; row < table.count(); ++row) {
     if (table.enabled[row] == 1) {
-      Law * law = law_of(table.kind[row]);
-      (law == nullptr ? apply_generated : law)(table, row, body, q, qd, tau);
+      law_of(table.kind[row])(table, row, body, q, qd, tau);
     }
   }
 }
@@ -59,7 +58,7 @@ Law * law_of(Index kind)
     case effect::TENDON: return apply_tendon;
     case effect::TRACED: return apply_traced;
     case effect::SPATIAL_TRACED: return apply_spatial_traced;
-    default: return nullptr;
+    default: return has_generated_law(kind) ? apply_generated : nullptr;
   }
 }
 

@@ -11,8 +11,7 @@
 namespace closedloop
 {
 
-/// The engine's own law of a kind of effect; null where it is generated code, which a row has the
-/// address of.
+/// The law of a kind of effect; null where it is generated code that was not given yet.
 Law * law_of(Index kind);
 
 /// Apply all effects that are switched on to bodies after `outward`: forces at points reduce their

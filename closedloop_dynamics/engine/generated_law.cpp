@@ -1,6 +1,8 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
+#include <atomic>
+
 #include "columns.hpp"
 #include "laws.hpp"
 #include "library.hpp"
@@ -11,6 +13,10 @@ namespace closedloop
 
 namespace
 {
+/// Addresses of the routines, by kind: those of one process, which runs of other threads may read
+/// while one is added.
+std::atomic<Index> routines[effect::KINDS];
+
 /// Address of a number of an array. What a law has no joint or body for is not read, and need not
 /// be there.
 Index address(const double * first, Index place = 0)
@@ -22,6 +28,10 @@ Index address(const double * first, Index place = 0)
 Values at(Index address) {return {reinterpret_cast<double *>(address), 1};}
 }  // namespace
 
+void keep_law(Index kind, Index address) {routines[kind] = address;}
+
+bool has_generated_law(Index kind) {return routines[kind] != 0;}
+
 void apply_generated(
   const EffectTable & table, Index row, Table body, Values q, Values qd, Values tau)
 {
@@ -30,7 +40,7 @@ void apply_generated(
   const Index joint = index[effect::FIRST], state = index[effect::STATE];
   const double count = static_cast<double>(index[effect::ENTRIES]);
   Index places[law_routine::LAW_COLUMNS];
-  places[EVALUATION] = index[effect::LAW];
+  places[EVALUATION] = routines[table.kind[row]];
   places[BODY] = address(body.data, index[effect::FIRST] * body.columns);
   places[law_routine::OTHER_BODY] = address(body.data, index[effect::SECOND] * body.columns);
   places[TAU] = address(table.applied.data, joint);

@@ -17,8 +17,11 @@ namespace closedloop
 
 using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd, Values tau);
 
-/// Generated code, from the laws on symbols (generated_law.cpp).
+// Generated code, from the laws on symbols (generated_law.cpp).
 Law apply_generated;
+/// Keep the address of the routine of a kind, for all tables of effects.
+void keep_law(Index kind, Index address);
+bool has_generated_law(Index kind);
 
 // In joints (joint_laws.cpp).
 /// Spring and damper along a weighted sum of coordinates.

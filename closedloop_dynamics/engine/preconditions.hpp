@@ -499,6 +499,12 @@ inline constexpr auto precondition<spread_torques> =
   };
 
 template<>
+inline constexpr auto precondition<keep_law> =
+  [](Index kind, Index address) {
+    return expected::unless(kind >= 0 && kind < effect::KINDS && address != 0, expected::places);
+  };
+
+template<>
 inline constexpr auto precondition<call> =
   [](Indices table, Index which) {
     return expected::unless(

@@ -18,7 +18,7 @@ namespace
 {
 constexpr Index TREE_COLUMNS = 7, CUT_COLUMNS = 14, HEALTH_COLUMNS = 11;
 constexpr Index BODY_KERNELS = 13;
-constexpr Index INDEX_COLUMNS = 7, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
+constexpr Index INDEX_COLUMNS = 6, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
 constexpr Index CUT_INDEX_COLUMNS = 8, CUT_VALUE_COLUMNS = 20;
 // Among the values of a cable in space: the row of the body that the axis turns with.
 constexpr Index CARRIER = 3;
@@ -507,8 +507,7 @@ bool fits(const EffectTable & effects, Index row, Index nv, Index bodies, bool p
     return states >= 0 && index[effect::SECOND] != 0 && planar == (kind == effect::TRACED) &&
            is_range(index[effect::STATE], index[effect::STATE] + states, effects.states.size);
   }
-  if (!is_place(kind, effect::SPATIAL_TRACED + 1) ||
-    (law_of(kind) == nullptr && index[effect::LAW] == 0) || !is_range(
+  if (!is_place(kind, effect::KINDS) || law_of(kind) == nullptr || !is_range(
       index[effect::STATE], index[effect::STATE] + states_of(kind, loaded), effects.states.size) ||
     !has_data(effects, row, joints, bodies, planar))
   {

@@ -233,7 +233,7 @@ def calls(tmp_path_factory):
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):
         recorder.note('evaluate_request', handle, handle, request)
     # The one takes no arrays, the others addresses of code and what it was generated for.
-    of_code = {'call', 'call_for_columns'}
+    of_code = {'call', 'call_for_columns', 'keep_law'}
     assert set(names) - set(recorder.calls) <= {'bind', 'stop_all', *of_code}
     for name in ('stop_all', *of_code):
         recorder.calls.pop(name, None)
