@@ -53,7 +53,7 @@ class Stepping(Readings):
         self._numbers = np.zeros(guarded_run.NUMBERS)
         self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
         self._set_time(0.0, 0)
-        self.pace = 1.0
+        self.pace, self._lenient_from = 1.0, b''
         self._measured, self._delay_line = np.zeros(5), DelayLine()
         super().__init__(scene)
         self._differentiate_steps()
@@ -480,7 +480,10 @@ class Stepping(Readings):
         if model is None:
             if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
                     opened and not self._geometry.is_valid(self._q)):
-                numbers[LENIENT] = 1.0
+                # Again from the same state: a part of the step was well, and the rest is not.
+                again = self._lenient_from == self._q.tobytes()
+                numbers[LENIENT] = 2.0 if again else 1.0
+                self._lenient_from = self._q.tobytes()
                 return True
             if opened and self._geometry.contradiction(self._q):
                 return False
