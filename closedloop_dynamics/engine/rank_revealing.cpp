@@ -101,9 +101,12 @@ public:
   double weakest()
   {
     decompose();
+    if (!place_.finite) {
+      return 0.0;
+    }
     const auto & values = place_.singular.singularValues();
     const Index count = std::min<Index>(values.size(), most_);
-    return place_.finite && count > 0 ? values[count - 1] : 0.0;
+    return count > 0 ? values[count - 1] : 0.0;
   }
 
   /// As `accelerate_rank_revealing`.
