@@ -33,8 +33,9 @@ constexpr int MOST_CORRECTIONS = 4;
 // Closure error, against the size of the mechanism, that counts as on the branch; and the one,
 // against the smallest pivot, from which the nearest branch is certain to be that of the state.
 constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
-// The same where factors with complete pivoting serve; and pivots of the elimination, against the
-// squares of theirs: of parallelograms and four-bars 0.5 to 10.
+// The least pivots with complete pivoting that serve beside a state without places around it; and
+// pivots of the elimination, against the squares of theirs: of parallelograms and four-bars 0.5 to
+// 10.
 constexpr double NEAR = 2e-3, SQUARED = 3.0;
 // Smallest pivots of equations that are evaluated at the state only, beside singular ones; and of
 // those that are no rounding there.
@@ -156,26 +157,34 @@ double choose_dependent(BranchEquations & equations, Values q, Values qd)
   return SQUARED * least * least;
 }
 
-/// Accelerations by dense factors of the closure equations, at the state or from places around it.
+/// Accelerations by dense factors of the closure equations: from places around the state, or, where
+/// there are none, at the branch beside it. Beside it rounding is divided three times by the
+/// smallest singular value, which is several times as large at those places.
 bool accelerate_by_factors(
   BranchEquations & equations, Values q, Values qd, Table added, double pivot, Wanted wanted)
 {
   const System & system = equations.system;
-  const bool beside = pivot >= SQUARED * NEAR * NEAR;
-  if (!beside && system.has_effects() && system.effects.motions.rows > 0) {
-    // Driven motions are elsewhere at other places.
-    return false;
-  }
   Scratch<double, ROOM> scratch(q.size + qd.size * (2 + qd.size));
   const BranchPoint point{
-    scratch.copy_of(q), scratch.copy_of(qd), scratch.take(qd.size),
+    scratch.take(q.size), scratch.take(qd.size), scratch.take(qd.size),
     scratch.take(qd.size, qd.size)};
-  point.bend.fill(0.0);
-  point.tangent.fill(0.0);
+  const auto begin = [&]() {
+      copy(q, point.q);
+      copy(qd, point.rate);
+      point.bend.fill(0.0);
+      point.tangent.fill(0.0);
+    };
   const bool multipliers = wanted >= Wanted::FORCES;
-  return (beside ? find_beside(equations, point, pivot) :
-         find_through(equations, q, qd, point, multipliers)) &&
-         accelerate_along(equations, point, added, multipliers);
+  begin();
+  // Driven motions are elsewhere at other places.
+  const bool driven = system.has_effects() && system.effects.motions.rows > 0;
+  bool found = !driven && find_through(equations, q, qd, point, multipliers);
+  if (!found && pivot >= SQUARED * NEAR * NEAR) {
+    begin();
+    choose_dependent(equations, q, qd);
+    found = find_beside(equations, point, pivot);
+  }
+  return found && accelerate_along(equations, point, added, multipliers);
 }
 }  // namespace
 
