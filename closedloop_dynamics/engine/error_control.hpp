@@ -42,10 +42,10 @@ constexpr double SAFETY = 0.9;
 constexpr double LEAST = 1e-14;
 /// In place of a step size: no step to interpolate, but the method has a history.
 constexpr double NOTHING_BETWEEN = -1.0;
-/// Evaluation limit between two times of output; one that takes dense decompositions, next to
-/// a singular position, counts as so many.
+/// Evaluation limit between two times of output; one next to a singular position counts as so many,
+/// about what it takes where it finds a branch.
 constexpr double MOST_EVALUATIONS = 200000;
-constexpr double RANK_REVEALING_WORK = 100;
+constexpr double RANK_REVEALING_WORK = 20;
 
 /// Whether a time is before another by more than rounding.
 inline bool is_before(double time, double target)

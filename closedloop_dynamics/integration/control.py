@@ -17,7 +17,7 @@ DOUBTFUL = 10
 
 # Evaluation limit between two times of output, of the error-controlled methods; next to a singular
 # position one counts as so many.
-MOST_EVALUATIONS, RANK_REVEALING_WORK = 200_000, 100
+MOST_EVALUATIONS, RANK_REVEALING_WORK = 200_000, 20
 
 # In the place of a step size: there is no step to interpolate, but there is a past.
 NOTHING_BETWEEN = -1.0
