@@ -170,7 +170,7 @@ public:
   /// Check the energy; return whether the run continues.
   bool keeps_energy(const System &);
   /// Check the state after steps made elsewhere, with the work of its torques [J]: its loops and,
-  /// if requested, its energy, which `stored` tells unless it is nullptr; return whether the run
+  /// if requested, its energy, with `stored` energies unless that is nullptr; return whether the run
   /// continues.
   bool check_state(
     const System &, Index steps, double work, const Stored * stored, bool at_energy);

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Laws of effects: in the routine of a scene as one by one, and by the energies that they tell."""
+"""Laws of effects: the routine of a scene against single laws, and against their energies."""
 
 from dataclasses import replace
 

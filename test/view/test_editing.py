@@ -227,7 +227,7 @@ def test_what_is_held_and_how_fast_it_runs_stay_while_it_is_edited():
     # The budget of time is that of the speed in a machine that is opened, too.
     edited.ask('open', name='slider_crank', kind='shipped')
     assert runner.simulation.pace == 0.5 and 'hand' not in runner.simulation.enabled_effects
-    # A body that goes is let go of, and the page is told.
+    # Where a body is removed its grab ends, which the page reports.
     edited.ask('edit', on=True)
     edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
     edited.ask('play', frames=1)

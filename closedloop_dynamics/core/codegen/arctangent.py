@@ -10,9 +10,10 @@ larger one; p is the minimax polynomial (Remez) of (atan(t) / t - 1) / t^2 on 0 
 is 3e-17 of the angle. It is summed up in pairs (Estrin's scheme), which waits least.
 """
 
+from functools import partial
 import math
 
-from .llvm_text import CONTRACT, DOUBLE, integer, number, numbers, repeated, vector_of, WORD
+from .llvm_text import DOUBLE, integer, number, numbers, repeated, vector_of, WORD
 
 SERIES = (
     -0.33333333333332055, 0.19999999999776827, -0.14285714272255662, 0.11111110699531122,
@@ -52,19 +53,12 @@ def write(function, y, x):
     def sign(value):
         return function.binary('and', function.convert('bitcast', value, bits), word(SIGN))
 
-    def exact(operation, first, second):
-        return function.binary(operation, first, second)
-
-    def plus(first, second):
-        return function.binary('fadd', first, second, CONTRACT)
-
-    def times(first, second):
-        return function.binary('fmul', first, second, CONTRACT)
-
     def at_least(value, vector):
         return function.select(
             function.compare('fcmp ogt', constant(value), vector), constant(value), vector)
 
+    exact = function.binary
+    plus, times = (partial(function.contracted, operation) for operation in ('fadd', 'fmul'))
     across, along = (masked('and', value, word(~SIGN)) for value in (y, x))
     # Where one is no number, it is in the quotient.
     steep = function.compare('fcmp olt', along, across)

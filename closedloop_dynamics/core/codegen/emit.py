@@ -8,7 +8,7 @@ from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
 from .function_table import BODY, ENTRIES, OTHER_BODY, PRESENT, PRESENT_COLUMNS, TAU
-from .llvm_text import BIT, CONTRACT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
+from .llvm_text import BIT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
 # Functions of the C library, of laws of force.
 _LIBRARY = {EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
@@ -174,7 +174,7 @@ class Writer:
     def arithmetic(self, kind, *numbers):
         """Return the result of an operation on values."""
         if kind in _ARITHMETIC:
-            return self.function.binary(_ARITHMETIC[kind], *numbers, CONTRACT)
+            return self.function.contracted(_ARITHMETIC[kind], *numbers)
         if kind == NEGATE:
             return self.function.negate(*numbers)
         if kind in _COMPARISONS:

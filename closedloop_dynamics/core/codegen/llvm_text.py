@@ -13,8 +13,6 @@ import struct
 
 DOUBLE, WORD, BIT, INDEX = 'double', 'i64', 'i1', 'i32'
 DOUBLES, WORDS = 'double*', 'i64*'
-# A multiplication and an addition may become one instruction that rounds once.
-CONTRACT = 'contract '
 
 
 def vector_of(kind, count):
@@ -77,6 +75,10 @@ class Function:
         """Write an operation on two values of the same type."""
         kind = first[0]
         return self.result(kind, f'{operation} {flags}{kind} {first[1]}, {second[1]}')
+
+    def contracted(self, operation, first, second):
+        """Write an operation: a product and a sum may become one instruction, rounded once."""
+        return self.binary(operation, first, second, 'contract ')
 
     def compare(self, operation, first, second):
         """Write a comparison, of numbers or of vectors lane by lane."""

@@ -10,7 +10,9 @@ by multiples of pi/2 and the minimax polynomials of FreeBSD's msun library (k_si
 good to one unit in the last place.
 """
 
-from .llvm_text import CONTRACT, DOUBLE, integer, numbers, repeated, vector_of, WORD
+from functools import partial
+
+from .llvm_text import DOUBLE, integer, numbers, repeated, vector_of, WORD
 
 # pi/2 in three parts of 33 bits: their products with integers below 2^20 are exact.
 PARTS = (1.57079632673412561417e+00, 6.07710050630396597660e-11, 2.02226624871116645580e-21)
@@ -69,17 +71,9 @@ def polynomials(function, angle, count):
     def constant(value):
         return numbers([value] * count)
 
-    def exact(operation, first, second):
-        return function.binary(operation, first, second)
-
-    def times(first, second):
-        return function.binary('fmul', first, second, CONTRACT)
-
-    def plus(first, second):
-        return function.binary('fadd', first, second, CONTRACT)
-
-    def minus(first, second):
-        return function.binary('fsub', first, second, CONTRACT)
+    exact = function.binary
+    times, plus, minus = (
+        partial(function.contracted, operation) for operation in ('fmul', 'fadd', 'fsub'))
 
     shifted = exact(
         'fadd', exact('fmul', angle, constant(0.6366197723675814)), constant(ROUNDER))
