@@ -123,6 +123,17 @@ class Tab:
         data = self._do('Page.captureScreenshot', format='png')['data']
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert('RGB'))
 
+    def download(self, selector, folder):
+        """Click, and return the path of the file that the browser saves in an empty folder."""
+        self._do('Browser.setDownloadBehavior', behavior='allow', downloadPath=str(folder))
+        self.click(selector)
+        end = time.monotonic() + PATIENCE
+        while not (found := [path for path in folder.iterdir()
+                             if path.suffix != '.crdownload' and path.stat().st_size]):
+            assert time.monotonic() < end, f'{selector} saves nothing'
+            time.sleep(0.05)
+        return found[0]
+
     def mouse(self, kind, x, y, buttons=0, modifiers=0):
         """Let the mouse do something: ``mousePressed``, ``mouseMoved``, ``mouseReleased``."""
         self._input(

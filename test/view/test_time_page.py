@@ -3,8 +3,6 @@
 
 """Time in a real browser: the past of a run, two runs, plots over an angle, files that open."""
 
-import base64
-import io
 from test.view.browser import browser, program
 from test.view.test_browser import on_screen, pause, READY, stage
 from test.view.test_page import contents
@@ -192,17 +190,6 @@ def test_plots_over_an_angle_are_looked_at_closely(open_page, tmp_path, capsys):
     tab.close()
 
 
-def file_of(tab, what):
-    """Return the name and the content of a file that the page makes."""
-    name, content = tab.ask(f"""(async () => {{
-        const [name, blob] = await page.files.make({what!r});
-        return [name, await new Promise((done) => {{
-            const reader = new FileReader();
-            reader.onload = () => done(reader.result.split(",")[1]);
-            reader.readAsDataURL(blob); }})]; }})()""")
-    return name, base64.b64decode(content)
-
-
 def test_files_of_the_page_open_again(open_page, live, tmp_path):
     tab = open_page(live.url)
     tab.wait(READY)
@@ -212,26 +199,28 @@ def test_files_of_the_page_open_again(open_page, live, tmp_path):
     assert set(tab.ask('[...document.querySelectorAll("#files button")].map('
                        '(one) => one.dataset.file)')) == {
         'picture.png', 'picture.svg', 'plots.png', 'plots.svg', 'csv', 'html'}
-    tab.ask('page.files.give = (name) => { window.given = name; }')
-    tab.click('[data-file="picture.png"]')
-    tab.wait('window.given === "three_rrr_vertical.png"')
-    seen = stage(tab)
-    with Image.open(io.BytesIO(file_of(tab, 'picture.png')[1])) as picture:
+
+    def saved_file(what):
+        folder = tmp_path / what
+        folder.mkdir()
+        return tab.download(f'[data-file="{what}"]', folder)
+
+    seen, file = stage(tab), saved_file('picture.png')
+    assert file.name == 'three_rrr_vertical.png'
+    with Image.open(file) as picture:
         pixels = np.asarray(picture.convert('RGB')).astype(int)
     # Without what lies above it in the page.
     assert changed(pixels, seen[:pixels.shape[0], :pixels.shape[1]]) < 0.08
-    with Image.open(io.BytesIO(file_of(tab, 'plots.png')[1])) as picture:
+    with Image.open(saved_file('plots.png')) as picture:
         assert np.asarray(picture.convert('L')).std() > 5.0
-    drawing = ElementTree.fromstring(file_of(tab, 'picture.svg')[1])
+    drawing = ElementTree.parse(saved_file('picture.svg')).getroot()
     blue = [path for path in drawing.iter(f'{SVG}path') if (color := path.get('fill', '#'))[1:]
             and color.startswith('#') and int(color[5:], 16) > int(color[1:3], 16) + 40]
     assert len(blue) > 50
-    words = {text.text for text in ElementTree.fromstring(
-        file_of(tab, 'plots.svg')[1]).iter(f'{SVG}text')}
+    words = {text.text for text in ElementTree.parse(saved_file('plots.svg')).iter(f'{SVG}text')}
     assert {'energy [J] over time', 'kinetic'} <= words
     # The table is read by this package, and is the motion.
-    table = tmp_path / 'run.csv'
-    table.write_bytes(file_of(tab, 'csv')[1])
+    table = saved_file('csv')
     assert 'position.theta_1 [rad]' in table.read_text().split('\n')[0].split(',')
     motion = read_recording(table, load_scene('three_rrr_vertical')).motion
     alone = Simulation(load_scene('three_rrr_vertical'))
@@ -239,8 +228,7 @@ def test_files_of_the_page_open_again(open_page, live, tmp_path):
     np.testing.assert_allclose(motion.position[-1], alone.position, atol=1e-5)
     np.testing.assert_allclose(motion.forces[-1], alone.constraint_forces, rtol=1e-3, atol=1e-3)
     # The page plays what was seen, and can be opened beside a run.
-    saved = tmp_path / 'run.html'
-    saved.write_bytes(file_of(tab, 'html')[1])
+    saved = saved_file('html')
     _, times, rows = contents(saved)
     np.testing.assert_allclose(times, motion.time)
     again = open_page(saved.as_uri())

@@ -24,8 +24,9 @@ class Files {
   get name() { return this.page.scene.title.replace(/[^A-Za-z0-9_-]+/g, '_').replace(/^_+|_+$/g, ''); }
 
   give(name, blob) {
-    const link = make(`<a download="${escaped(name)}"></a>`);
-    link.href = URL.createObjectURL(blob);
+    // Of the page's own document: a click on a link of a template's, which has no window, does nothing.
+    const link = Object.assign(document.createElement('a'), {
+      download: name, href: URL.createObjectURL(blob)});
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
   }
