@@ -268,7 +268,8 @@ body A, in world axes; with --forces all force.JOINT.x, .y and .torque of all
 joints of the tree, too, which the parent exerts on the child;
 motion.NAME.force and .power of every prescribed motion, NAME being that of the
 effect (motion_JOINT of --motion JOINT=...), and the force that of effort.JOINT;
-point.NAME.x and point.NAME.y of every named point; closure, the largest error
+point.NAME.x and point.NAME.y of every named point; effect.NAME.READING of every
+other effect that is on, such as normal_force of a contact; closure, the largest error
 of the loops; energy, kinetic and potential; with --costs error, largest of a
 joint coordinate by the second run (of an orientation the angle), accuracy that
 is kept, evaluation_rate and cpu_share per simulated second since the row

@@ -98,6 +98,7 @@ def columns(simulation, all_forces=False, costs=False):
               for axis in 'xyz'[:len(point.position)]]
     for quantity in QUANTITIES:
         names += simulation.mechanism.cut_coordinates.columns(quantity)
+    names += [f'effect.{name}.{reading}' for name, reading in _effect_readings(simulation)]
     return [*names, 'closure', 'energy', *COSTS[:len(COSTS) * costs]]
 
 
@@ -142,7 +143,17 @@ def row(simulation, seconds, all_forces=False):
         for quantity in (simulation.cut_position, simulation.cut_velocity,
                          simulation.cut_acceleration, simulation.cut_effort):
             values += quantity.tolist()
+    values += [simulation.effect_readings(name)[reading]
+               for name, reading in _effect_readings(simulation)]
     return [*values, simulation.closure, simulation.energy]
+
+
+def _effect_readings(simulation):
+    """Return effects that are on, each with its readings, but motions, which have columns."""
+    effects = simulation.effect_set
+    return [(name, reading) for name, record in effects.records.items()
+            if effects.enabled[name] and name not in simulation.motion_names
+            for reading in record.READINGS]
 
 
 def _toothed(simulation):

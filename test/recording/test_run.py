@@ -65,6 +65,26 @@ def test_a_slot_has_a_torque_column(slot):
     assert (values['force.slot.x'], values['force.slot.y']) == (force_x, force_y)
 
 
+def test_readings_of_effects_are_columns(tmp_path, slot):
+    (tmp_path / 'scene.yaml').write_text(SCENE + """\
+  spring: {type: joint_spring, joint: rod_joint, stiffness: 3.0, rest: -1.0}
+  grease: {type: joint_damping, joint: wrist, coefficient: 0.2}
+  drive: {type: prescribed_motion, joint: crank_joint, shape: constant_speed, speed: 2.0,
+          offset: 1.0}
+  buffer: {type: end_stop, joint: slot, upper: 1.0, stiffness: 1e4, enabled: false}
+""")
+    simulation = Simulation(load_scene(tmp_path / 'scene.yaml'))
+    rows, _ = rows_of(simulation, 0.2, 50)
+    # What is off, and what has columns of its own, is left out.
+    names = [name for name in columns(simulation) if name.startswith('effect.')]
+    assert names == ['effect.spring.torque', 'effect.grease.torque']
+    column = dict(zip(columns(simulation), np.transpose(rows)))
+    np.testing.assert_allclose(
+        column['effect.spring.torque'], -3.0 * (column['position.rod_joint'] + 1.0), atol=1e-12)
+    np.testing.assert_allclose(
+        column['effect.grease.torque'], -0.2 * column['velocity.wrist'], atol=1e-12)
+
+
 @pytest.mark.parametrize('rate, duration, count', [
     (100, 0.1, 11), (30, 0.1, 4), (7, 0.5, 4), (3000, 0.01, 31), (10, 0.25, 3), (0.5, 1.0, 1)])
 def test_rows_stand_at_exact_multiples(rate, duration, count):
