@@ -3,8 +3,6 @@
 
 // The engine in Python: the table of its functions. Nothing is computed here.
 
-#include <atomic>
-#include <stdexcept>
 #include <string_view>
 
 #include "arguments.hpp"
@@ -40,6 +38,7 @@
 #include "sensitivity.hpp"
 #include "sticking.hpp"
 #include "stiffness.hpp"
+#include "stop_flag.hpp"
 #include "switching.hpp"
 #include "validation.hpp"
 
@@ -86,22 +85,11 @@ std::pair<double, double> nearest_to_path(
   return {found.distance, found.along};
 }
 
-/// Whether all long computations of this process are to stop. Signals reach Python's main thread
-/// alone, which sets this for the others.
-std::atomic<bool> all_stop{false};
-
-void stop_all(Index stops)
-{
-  if (stops != 0 && stops != 1) {
-    throw std::invalid_argument("stop_all: expected 0 or 1");
-  }
-  all_stop = stops == 1;
-}
-
-/// Whether a signal such as Ctrl-C has come; Python's error is set then in the main thread.
+/// Whether this thread is to stop, or a signal such as Ctrl-C has come; Python's error is set then in
+/// the main thread, which alone signals reach.
 bool is_interrupted()
 {
-  if (all_stop) {
+  if (is_stopped()) {
     return true;
   }
   const PyGILState_STATE state = PyGILState_Ensure();
@@ -305,8 +293,10 @@ const Entry entries[] = {
     "advance_switching",
     "advance_switching(system, tableau, stabilisation, runs, state, origin, done, step_size, "
     "steps)"),
-  entry<stop_all>(
-    "stop_all", "stop_all(stops): whether long computations in all threads are to stop, 1 or 0"),
+  entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
+  entry<set_stop>(
+    "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
+  entry<heed>("heed", "heed(flag): from now on in this thread; returns the flag heeded before"),
   released<advance_run>(
     "advance_run", "advance_run(system, run, tau, steps): why it pauses, 0 where all are made"),
   released<resume_run>("resume_run", "resume_run(system, run): as of advance_run"),

@@ -18,7 +18,7 @@ from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, InitialState, MOST, nothing, record, record_all,
     SimdRuns, starts_as_given, STATE, TimeGrid)
 from .scene_records import require_no_budget
-from ..engine import native
+from ..integration.stop_flag import StopFlag
 
 # Runs that are made in one call, at most.
 MOST_AT_ONCE = 64
@@ -124,17 +124,17 @@ def _each(run, portions, threads):
         for samples in portions:
             run(samples)
         return
-    pool = ThreadPoolExecutor(threads)
+    stop = StopFlag()
+    pool = ThreadPoolExecutor(threads, initializer=stop.heed)
     try:
         for _ in pool.map(run, portions):
             pass
     except BaseException:
         # Ctrl-C reaches this thread alone.
-        native.stop_all(1)
+        stop.set()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
-        native.stop_all(0)
 
 
 class _Twins:

@@ -4,10 +4,6 @@
 """Background computation beside a run: tasks longer than a frame, such as code generation."""
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-
-# How often something is begun again that was stopped.
-MOST_TRIES = 100
 
 
 class Background:
@@ -33,7 +29,7 @@ class Background:
         ``compute`` touches nothing that the run does; ``take`` is called by ``tick`` with a
         function that returns the result, or raises the error.
         """
-        self._future, self._take = self._pool.submit(_again_if_stopped, compute), take
+        self._future, self._take = self._pool.submit(compute), take
 
     def drop(self):
         """Drop the present computation."""
@@ -46,10 +42,3 @@ class Background:
             self.drop()
             take(future.result)
 
-
-def _again_if_stopped(compute):
-    """Compute; a watchdog that stops a step of the run stops this, too."""
-    for _ in range(MOST_TRIES):
-        with suppress(KeyboardInterrupt):
-            return compute()
-    return compute()

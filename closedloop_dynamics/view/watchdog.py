@@ -6,7 +6,7 @@
 import threading
 import time
 
-from ..engine import native
+from ..integration.stop_flag import StopFlag
 
 # Period of checking the clock [s].
 PERIOD = 0.03
@@ -25,7 +25,7 @@ class Watchdog:
         self.limit, self._wanted, self._waiting = limit, wanted, waiting
         self._patient = False
         self._lock, self._over = threading.Lock(), threading.Event()
-        self._begun, self._stopped = None, False
+        self._begun, self._stopped, self._stop = None, False, StopFlag()
         self._thread = threading.Thread(target=self._watch, name='watchdog', daemon=True)
 
     def __enter__(self):
@@ -44,7 +44,8 @@ class Watchdog:
         """
         self._patient, self._begun = patient, time.monotonic()
         try:
-            action()
+            with self._stop:
+                action()
         except KeyboardInterrupt:
             if not self._stopped:
                 raise
@@ -52,8 +53,7 @@ class Watchdog:
         finally:
             with self._lock:
                 self._begun = None
-                if self._stopped:
-                    native.stop_all(0)
+                self._stop.clear()
                 self._stopped = False
         return True
 
@@ -64,6 +64,6 @@ class Watchdog:
                 late = begun is not None and time.monotonic() - begun > self.limit
                 if late and not self._stopped and (not self._patient or self._wanted()):
                     self._stopped = True
-                    native.stop_all(1)
+                    self._stop.set()
             if late:
                 self._waiting(time.monotonic() - begun)

@@ -232,10 +232,10 @@ def calls(tmp_path_factory):
         use_kernels(simulation, recorder.note)
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):
         recorder.note('evaluate_request', handle, handle, request)
-    # The one takes no arrays, the others addresses of code and what it was generated for.
-    of_code = {'call', 'call_for_columns', 'keep_law'}
-    assert set(names) - set(recorder.calls) <= {'bind', 'stop_all', *of_code}
-    for name in ('stop_all', *of_code):
+    # The first ones take no arrays, the others addresses of code and what it was generated for.
+    without_arrays = {'stop_flag', 'set_stop', 'heed', 'call', 'call_for_columns', 'keep_law'}
+    assert set(names) - set(recorder.calls) <= {'bind', *without_arrays}
+    for name in without_arrays:
         recorder.calls.pop(name, None)
     # Generated code has the addresses of arrays that only the simulations keep.
     yield {name: list(found.values()) for name, found in recorder.calls.items()}

@@ -10,11 +10,16 @@ import subprocess
 import sys
 import threading
 
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.stop_flag import StopFlag
+from closedloop_dynamics.simulation import rollout
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+# It would take hours.
+ENDLESS = 1_000_000_000
 # How much CPU time may pass between the signal and the exception, on a slow machine, too [s]: the
 # computations themselves would take hours.
 HEARD = 2.0
@@ -141,3 +146,61 @@ def test_results_do_not_depend_on_threads():
     one, more = (simulation.rollout(torques, duration=0.05, threads=threads).position
                  for threads in (1, 3))
     np.testing.assert_array_equal(one, more)
+
+
+def test_a_stop_reaches_those_that_heed_it_alone():
+    simulation, other = (Simulation.from_scene('three_rrr', integrator='rk4') for _ in range(2))
+    tau, stop = simulation.joint_torques(None), StopFlag()
+    stop.set()
+    with stop:
+        with pytest.raises(KeyboardInterrupt):
+            simulation.advance(tau, ENDLESS)
+        # The threads that a rollout starts stop as the thread does that started them.
+        with pytest.raises(KeyboardInterrupt):
+            simulation.rollout(np.zeros((8, 1, 3)), steps=ENDLESS, every=ENDLESS, threads=2)
+        # So does what a run does within another one that may be stopped.
+        with StopFlag(), pytest.raises(KeyboardInterrupt):
+            simulation.advance(tau, ENDLESS)
+    # Long enough to ask several times.
+    assert not other.rollout(np.zeros((8, 1, 3)), steps=40_000, every=40_000, threads=2).failures
+    simulation.advance(tau, 40_000)
+    stop.clear()
+    with stop:
+        simulation.advance(tau, 100)
+
+
+def test_a_rollout_that_fails_ends_no_work_of_other_threads(monkeypatch):
+    failing, other = (Simulation.from_scene('three_rrr', integrator='rk4') for _ in range(2))
+    tau, failed, over, ends = other.joint_torques(None), threading.Event(), threading.Event(), []
+
+    def run(runs, samples, results):
+        if 0 in samples:
+            failed.set()
+            raise RuntimeError('a fault of a sample')
+        # The rollout has not ended before the work beside it has.
+        assert over.wait(500)
+        return []
+
+    def work():
+        assert failed.wait(500)
+        try:
+            other.advance(tau, 40_000)
+            ends.append('all steps')
+        except KeyboardInterrupt:
+            ends.append('stopped')
+        over.set()
+
+    monkeypatch.setattr(rollout._BatchRunner, 'run', run)
+    thread = threading.Thread(target=work)
+    thread.start()
+    with pytest.raises(RuntimeError, match='a fault of a sample'):
+        failing.rollout(np.zeros((256, 1, 3)), steps=100, threads=2)
+    thread.join()
+    assert ends == ['all steps']
+
+
+@pytest.mark.parametrize('arguments', [(None, 1), (1.0, 1), ('flag', 2), ('flag', 0.5)])
+def test_a_stop_that_is_none_is_refused(arguments):
+    flag, stops = arguments
+    with pytest.raises((ValueError, TypeError)):
+        native.set_stop(native.stop_flag(0) if flag == 'flag' else flag, stops)
