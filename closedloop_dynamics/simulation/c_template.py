@@ -112,6 +112,7 @@ SOURCE = """\
 #ifndef VERSION
 #include "@HEADER@"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 

@@ -26,11 +26,18 @@ def _series(coefficients):
 
 
 # As ``sincos`` has it, where the reasons are: a loop without branches, which compilers turn into
-# vectors, and the C library for angles beyond.
+# vectors, and the C library for angles beyond. It is written behind ``#include <float.h>``.
 SINE_AND_COSINE = f"""\
+/* A sum with a large number rounds to whole ones where each sum is rounded to a double: x87 keeps
+ * more digits, and -ffast-math drops the large number. There the C library does all angles. */
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD == 0 && !defined(__FAST_MATH__)
+#define LARGEST_ANGLE {sincos.LARGEST!r}
+#else
+#define LARGEST_ANGLE 0.0
+#endif
 static void sines_and_cosines(int count, const double *angle, double *sine, double *cosine)
 {{
-  for (int n = 0; n < count; ++n) {{
+  for (int n = 0; n < count && LARGEST_ANGLE > 0.0; ++n) {{
     const double shifted = angle[n] * 0.6366197723675814 + {sincos.ROUNDER!r};
     const double turns = shifted - {sincos.ROUNDER!r};
     /* The last two bits of the nearest whole number of quarter turns. */
@@ -53,7 +60,7 @@ static void sines_and_cosines(int count, const double *angle, double *sine, doub
     cosine[n] = (swapped ? s : c) * (((quarter == 1.0) | (quarter * quarter == 4.0)) ? -1.0 : 1.0);
   }}
   for (int n = 0; n < count; ++n) {{
-    if (!(fabs(angle[n]) < {sincos.LARGEST!r})) {{
+    if (!(fabs(angle[n]) < LARGEST_ANGLE)) {{
       sine[n] = sin(angle[n]);
       cosine[n] = cos(angle[n]);
     }}
