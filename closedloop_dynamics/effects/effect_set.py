@@ -302,6 +302,26 @@ class EffectSet:
         first = self._table.index[row, STATE]
         return np.intersect1d(np.arange(first, first + len(self.elements[row].states)), self.own)
 
+    def trial(self):
+        """
+        Return a function that undoes what is changed, and evaluated, from now on.
+
+        To the last bit: what sensors and drives remember, where cables are wound and which piece
+        of a course was found last, too.
+        """
+        attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}
+        work = self._system.work
+        arrays = [(array, array.copy()) for array in _arrays((
+            self._model, self._table, self._system.table, work.kernel, work.cut_kernel,
+            work.health))]
+
+        def undo():
+            vars(self).update(attributes)
+            for array, values in arrays:
+                array[:] = values
+
+        return undo
+
     def reset_states(self, states):
         """Set the own states, not the energies, back to those of the start, in place."""
         states[self.own] = self.initial[self.own]
@@ -479,6 +499,14 @@ class EffectSet:
         """Switch the drives on again after ``steady``."""
         for row, name in enumerate(self._rows):
             self._table.enabled[row] = self.enabled[name]
+
+
+def _arrays(given):
+    """Return all arrays of nested tuples."""
+    if isinstance(given, np.ndarray):
+        return [given]
+    return [array for each in given if isinstance(each, (tuple, np.ndarray))
+            for array in _arrays(each)]
 
 
 def _room_of(element):

@@ -512,10 +512,15 @@ class Simulation(Stepping):
         stretched) is not booked as work: the energy balance goes on from the new energy.
 
         """
-        self._add_work()
         self._start_balance()
-        before = self.energy
-        restarted = self._try_effect(name, enabled, parameters)
+        before, undo = self.energy, self._effects.trial()
+        try:
+            restarted = self._try_effect(name, enabled, parameters, undo)
+        except Exception:
+            undo()
+            self._fresh = False
+            raise
+        self._add_work()
         self._own[restarted] = self._effects.initial[restarted]
         if self._derivatives is not None:
             self._derivatives.enable_for(self)
@@ -587,41 +592,37 @@ class Simulation(Stepping):
         ValueError, StiffnessError
 
         """
-        effects = self._effects
-        effects.checked(name, enabled, parameters)
-        was = effects.records[name], effects.enabled[name]
-        self._try_effect(name, enabled, parameters)
-        effects.put(name, *was)
+        undo = self._effects.trial()
+        try:
+            self._try_effect(name, enabled, parameters, undo)
+        finally:
+            undo()
+            self._fresh = False
 
     def _try_effect(
             self, name: str, enabled: Optional[bool],
-            parameters: Dict[str, Any]) -> np.ndarray:
-        """Change an effect, unless steps that can be stable now could not be with it."""
+            parameters: Dict[str, Any], undo: Callable[[], None]) -> np.ndarray:
+        """
+        Change an effect, unless steps that can be stable now could not be with it.
+
+        ``undo`` leads back to the effects before; where the change is refused, it is to be called.
+        """
         effects = self._effects
         self._motions.require_continued(
             name, effects.checked(name, enabled, parameters), enabled, self.time)
-        was = effects.records.get(name), effects.enabled.get(name)
         restarted = effects.change(name, enabled, parameters)
         self._fresh = False
-        try:
-            self._require_finite_laws()
-        except FieldError:
-            effects.put(name, *was)
-            raise
+        self._require_finite_laws()
         if effects.records[name].STIFFENS:
-            self._require_stable(name, was)
+            try:
+                self._stiffness.check(self._state, self.step_size)
+            except StiffnessError:
+                undo()
+                if self._stiffness.stable(self._state, self.step_size):
+                    raise
+                # It has been too stiff before: a change may be for the better.
+                restarted = effects.change(name, enabled, parameters)
         return restarted
-
-    def _require_stable(self, name: str, was: Tuple[Any, ...]) -> None:
-        try:
-            self._stiffness.check(self._state, self.step_size)
-        except StiffnessError:
-            changed = self._effects.records[name], self._effects.enabled[name]
-            self._effects.put(name, *was)
-            if self._stiffness.stable(self._state, self.step_size):
-                raise
-            # It has been too stiff before: a change may be for the better.
-            self._effects.put(name, *changed)
 
 
 def instants(times: Sequence[float]) -> np.ndarray:
