@@ -41,9 +41,26 @@ def with_part(scene, text, what, position, **given):
             raise FieldError(f'{key} of a {what}', 'none', path=(what,))
     entries = getattr(_Entries(scene, position), what)(**given)
     text = with_entries(text, entries)
-    if what in CONSTRAINING and scene.initial.hold and text is not None:
-        # As many would be held as there were degrees of freedom: close from the present position.
-        text = with_value(text, ('initial', 'hold'), [])
+    if what not in CONSTRAINING or not scene.initial.hold or text is None:
+        return text
+    # As many are held as there are degrees of freedom. A link that hangs free has one more.
+    hangs = what == 'link' and given.get('body_b') is None
+    pins = [key[-1] for key in entries if key[0] == 'initial']
+    text = with_value(
+        text, ('initial', 'hold'), [*scene.initial.hold, *pins] if hangs else [])
+    # Where none is held, the loops are closed from the present position, to which it is nearest.
+    return text if hangs or text is None else _begun_at(scene, text, position)
+
+
+def _begun_at(scene, text, position):
+    """Return the text of a scene that begins at a position; None where it has no place for it."""
+    names = scene.mechanism.coordinates
+    for name, value in zip(names.single_names, position[names.place[names.single]]):
+        value = round(float(value), 9)
+        text = (with_value(text, ('initial', 'position', name), value)
+                or with_entries(text, {('initial', 'position', name): value}))
+        if text is None:
+            return None
     return text
 
 

@@ -25,6 +25,8 @@ DRIVE_PERIOD, OWN_PERIOD = 0.002, 0.005
 FELT_AFTER = 0.02
 # Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
 REACH = {False: 60.0, True: 20.0}
+# Speed of a drive that was added by hand, so that it shows what it moves [rad/s, m/s].
+NEW_SPEED = {False: 1.0, True: 0.1}
 
 
 class Driving:
@@ -58,10 +60,14 @@ class Driving:
         return {name: (drive.mode, drive.value) for name, drive in self.drives.items()}
 
     def restore(self, chosen):
-        """Give drives modes and values as ``chosen`` has them; others no torque."""
+        """Give drives modes and values as ``chosen`` has them; those that are new a speed."""
+        names = self._simulation.coordinates
         for name, drive in self.drives.items():
-            mode, value = chosen.get(name, (TORQUE, 0.0))
-            drive.set(mode, value, *self._now_at(name))
+            place = self._places[name]
+            # Of an orientation there is no one speed.
+            new = (SPEED, NEW_SPEED[bool(names.lengths[place])]) if names.place[place] >= 0 else (
+                TORQUE, 0.0)
+            drive.set(*chosen.get(name, new), *self._now_at(name))
 
     # Torques.
 

@@ -3,7 +3,9 @@
 
 """Machines that a page can open, small pictures of them, and where it can save."""
 
+from contextlib import suppress
 import json
+import os
 from pathlib import Path
 import re
 
@@ -47,20 +49,24 @@ class Library:
         """Return the machines that can be opened: kind, name and description, as JSON."""
         every = [(SHIPPED, shipped_path('scenes', name)) for name in scene_names()]
         every += [(YOURS, path) for path in self._files()]
-        return [{'kind': kind, 'name': path.stem, 'text': self._description(path)}
-                for kind, path in every]
+        return [{'kind': kind, 'name': path.stem, 'text': text} for kind, path in every
+                if (text := self._description(path)) is not None]
 
     def _files(self):
         if self._folder is None:
             return []
         found = sorted(self._folder.glob('*.yaml'))[:MOST_FILES]
-        return [path for path in found if NAME_PATTERN.fullmatch(path.stem) and path.is_file()
+        return [path for path in found if NAME_PATTERN.fullmatch(path.stem)
                 and self._description(path) is not None]
 
     def _description(self, path):
-        key = path, path.stat().st_mtime_ns
-        if key not in self._known_files:
-            self._known_files[key] = _description(path)
+        """Return the description of a scene's file; None where it is none, or has gone."""
+        try:
+            key = path, path.stat().st_mtime_ns
+            if key not in self._known_files:
+                self._known_files[key] = _description(path) if path.is_file() else None
+        except OSError:
+            return None
         return self._known_files[key]
 
     def scene(self, name, kind):
@@ -82,15 +88,20 @@ class Library:
         if self._folder is None:
             raise FieldError('a folder to save in', 'none', path=('save',))
         path = self._path(name)
+        unfinished = path.with_name(f'.{name}.{os.getpid()}.unfinished')
         try:
-            with path.open('w' if path in self._saved else 'x', encoding='utf-8') as file:
-                file.write(text)
+            # Whole or not at all, whoever reads it meanwhile.
+            unfinished.write_text(text, encoding='utf-8')
+            (os.replace if path in self._saved else os.link)(unfinished, path)
         except FileExistsError:
             raise FieldError('a name that no file has yet', shown(path.name),
                              path=('save',)) from None
         except OSError as error:
             raise FieldError(f'a file that can be written, {path}', error.strerror,
                              path=('save',)) from None
+        finally:
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
         self._saved.add(path)
         return path
 

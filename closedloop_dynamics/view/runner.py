@@ -17,7 +17,7 @@ from .description import CHOICES, describe, described_drive
 from .driving import Driving
 from .feed import Feed
 from .library import Library
-from .messages import describe_drives, describe_effects, drive_of, METHOD_KEYS
+from .messages import describe_drives, describe_effects, drive_of, FREE, METHOD_KEYS
 from .own_motion import own_motion, OwnMotion
 from .rebuilding import built, carry_over, Rebuilding
 from .removing import removable
@@ -32,6 +32,8 @@ from ..simulation.errors import InaccuracyWarning, SimulationError
 RATE, POLL_PERIOD = 60.0, 0.25
 # How long after a change a controller is made for the machine as it is now [s].
 SETTLED = 0.3
+# Rates and accelerations of a machine that stands still [rad/s, m/s; 1/s of these].
+AT_REST = 1e-9
 
 
 class Runner(Shown):
@@ -54,7 +56,7 @@ class Runner(Shown):
         self._rebuilding = Rebuilding(
             lambda: self.simulation.scene.method, self._adopt, self._refuse)
         self._controllers = Background()
-        self._failure = self._achieved = None
+        self._failure, self._achieved, self._every = None, None, 1
         self._library = Library() if library is None else library
         self._begin(scene, own)
 
@@ -155,7 +157,7 @@ class Runner(Shown):
         if now - self._refreshed > POLL_PERIOD or not self.playing:
             self._refreshed = now
             self._findings = self.rows.refresh().findings
-            self._achieved = self._stepper.achieved()
+            self._achieved, self._every = self._stepper.achieved(), self._stepper.every
         row = self._stepper.row()
         self._thinning.keep(self.simulation.time, self.rows.thinning_values(row))
         self.feed.show(*self._stepper.frame(row))
@@ -185,7 +187,7 @@ class Runner(Shown):
         simulation = self.simulation
         self.feed.send_controls(
             playing=self.playing, achieved=self._achieved,
-            speed=self._stepper.speed, failure=self._failure,
+            speed=self._stepper.speed, every=self._every, failure=self._failure,
             kinematic=self._kinematic, editing=self._editing,
             undoable=self.editor.undoable, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
@@ -207,7 +209,18 @@ class Runner(Shown):
             self._do_edit(page, False)
         if not self.playing:
             self._failure = None
+            self._tell_if_at_rest()
             self._stepper.play()
+
+    def _tell_if_at_rest(self):
+        """Tell pages what would move a machine that stands in balance, without a drive."""
+        simulation, names = self.simulation, list(self.drives)
+        moving = (simulation.velocity, simulation.acceleration)
+        if self._driving.motion == FREE and not any(np.any(np.abs(each) > AT_REST)
+                                                    for each in moving):
+            self.feed.log('Nothing moves this machine: it stands in balance. ' + (
+                f'Give a drive a torque or a speed: {", ".join(names)}.' if names else
+                'Add a drive to a joint (“edit it”, “add”), or take hold of it.'))
 
     def _do_pause(self, page):
         self._stop()
@@ -302,11 +315,12 @@ class Runner(Shown):
         if self._kinematic:
             self._do_kinematic(page, False)
         self._end_grab()
-        self._editing = on
+        self._editing, chosen = on, self._driving.chosen
         if self.start_pose is not None:
             # Of a simulation that starts there.
             self._rebuilding.renew()
         self._do_reset(page)
+        self._driving.restore(chosen)
         self._describe()
 
     def _do_set(self, page, key, value):

@@ -93,21 +93,22 @@ class Server:
 
     # Pages.
 
-    def _answer(self, connection, request):
+    async def _answer(self, connection, request):
         """Answer a request that is not to become a websocket, 400 if it is malformed."""
         try:
-            return self._response_to(connection, request)
+            return await self._response_to(connection, request)
         except (LookupError, ValueError):
             # Headers given twice; addresses and numbers that cannot be read.
             return _response(HTTPStatus.BAD_REQUEST, 'text/plain', b'Malformed request.\n')
 
-    def _response_to(self, connection, request):
+    async def _response_to(self, connection, request):
         """Return the response to a request, None if it may become a websocket."""
         address = urlsplit(request.path)
         if not self._may(request, address):
             return _response(HTTPStatus.FORBIDDEN, 'text/plain', (
                 b'Open the address that `closedloop view` has printed, as a whole.\n'))
-        found = self._resource(address.path)
+        # Files are read and pictures drawn while pages get their frames.
+        found = await asyncio.to_thread(self._resource, address.path)
         if found is not None:
             return _response(HTTPStatus.OK, *found)
         name = address.path.strip('/').removesuffix('live').strip('/')
@@ -185,7 +186,7 @@ class _Page:
     async def send(self):
         """Send what is new, as long as the page keeps up."""
         with suppress(ConnectionClosed):
-            described, version, number, sampled = 0, 0, 0, None
+            described, version, number, sampled = 0, 0, 0, 0
             while True:
                 await self._changed.wait()
                 self._changed.clear()

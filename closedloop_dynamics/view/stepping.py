@@ -29,6 +29,7 @@ class Stepper:
     """
     Advances a simulation by a clock, or by steps that a page requests.
 
+    ``every``: steps from one state that is looked at to the next: peaks between are not seen.
     ``clock`` returns seconds, steady; ``frame``: time between frames [s]; ``sample`` is called
     with time, row and thinning values of states between frames. ``playing``: whether the
     simulation follows the clock; ``speed``: simulated seconds per second of the clock that are
@@ -37,7 +38,7 @@ class Stepper:
 
     def __init__(self, clock, frame, sample):
         self._clock, self._frame, self._sample = clock, frame, sample
-        self.playing, self.speed, self.watchdog = False, 1.0, None
+        self.playing, self.speed, self.watchdog, self.every = False, 1.0, None, 1
 
     def begin(self, simulation, driving, rows):
         """Go on with another simulation, under the torques of ``driving``, seen by ``rows``."""
@@ -113,7 +114,7 @@ class Stepper:
     def _advance(self, steps):
         """Advance by steps, with the drives' torques renewed so often."""
         simulation, torques = self._simulation, self._driving.torques
-        every = most = max(1, math.ceil(self.speed * self._sample_time / (
+        self.every = most = max(1, math.ceil(self.speed * self._sample_time / (
             SAMPLING_SHARE * simulation.step_size)))
         if math.isfinite(self._driving.period):
             most = min(most, max(1, round(self._driving.period / simulation.step_size)))
@@ -136,7 +137,7 @@ class Stepper:
                 return wanted - steps + (simulation.time - at) / simulation.step_size
             steps -= portion
             self._unseen += portion
-            if self._unseen >= every and not self._slow:
+            if self._unseen >= self.every and not self._slow:
                 self._sample_between()
         return None
 

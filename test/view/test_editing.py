@@ -4,6 +4,7 @@
 """Scenes that are edited by hand: loops stay closed, words stay, what cannot be is refused."""
 
 import json
+from pathlib import Path
 from threading import Event
 import time
 
@@ -298,6 +299,70 @@ def test_a_machine_is_built_by_hand(tmp_path):
     controls = edited.ask('save', name='other')
     assert 'no file has yet' in controls['notes'][-1]['text']
     assert (tmp_path / 'other.yaml').read_text() == 'mine'
+
+
+def test_drives_stay_while_a_machine_is_edited():
+    edited = Edited('slider_crank')
+    edited.ask('drive', joint='crank_joint', mode='speed')
+    edited.ask('command', joint='crank_joint', value=2.0)
+    for on in (True, False):
+        controls = edited.ask('edit', on=on)
+        assert controls['drives']['crank_joint'] == {'mode': 'speed', 'value': 2.0}
+    edited.ask('edit', on=True)
+    # One that is added moves its joint at once.
+    controls = edited.ask('add', what='drive', joint='rod_joint')
+    assert controls['drives'] == {'crank_joint': {'mode': 'speed', 'value': 2.0},
+                                  'rod_joint': {'mode': 'speed', 'value': 1.0}}
+
+
+def test_play_tells_what_would_move_a_machine_in_balance(tmp_path):
+    scene = tmp_path / 'rest.yaml'
+    scene.write_text('mechanism: four_bar\ninitial: {position: {crank_joint: 1.0, '
+                     'coupler_joint: -0.6, rocker_joint: 1.7}, hold: [crank_joint]}\n')
+    edited = Edited(scene)
+    controls = edited.ask('play')
+    assert 'Give a drive a torque or a speed: crank_joint' in controls['notes'][-1]['text']
+    edited.ask('drive', joint='crank_joint', mode='speed')
+    edited.ask('pause')
+    controls = edited.ask('play')
+    assert len(controls['notes']) == 1
+
+
+def test_held_joints_stay_where_they_are_while_links_are_added():
+    edited = Edited('four_bar')
+    edited.ask('edit', on=True)
+    # Wanted far from where the file's other numbers lie.
+    edited.ask('set', key='initial.position.rocker_joint', value=2.2)
+    before = edited.runner.simulation.position.copy()
+    edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])
+    assert edited.runner.editor.scene.initial.hold == ('crank_joint', 'pin_1')
+    np.testing.assert_array_equal(edited.runner.simulation.position[:3], before)
+    # A rod between both takes freedoms away: what begins is the present position.
+    edited.ask('add', what='rod', body_a='link_1', a=[1.0, 0.2, 0.0], body_b='coupler',
+               b=[0.3, 0.2, 0.0])
+    assert edited.runner.editor.scene.initial.hold == ()
+    np.testing.assert_allclose(edited.runner.simulation.position[:3], before, atol=1e-8)
+
+
+def test_the_list_of_machines_survives_what_happens_to_files(tmp_path, monkeypatch):
+    text = Editor(load_scene('slider_crank')).text()[0]
+    for name in ('here', 'gone'):
+        (tmp_path / f'{name}.yaml').write_text(text)
+    library, listed = Library(tmp_path), Path.glob
+
+    def glob(folder, pattern):
+        found = list(listed(folder, pattern))
+        (tmp_path / 'gone.yaml').unlink(missing_ok=True)
+        return found
+
+    monkeypatch.setattr(Path, 'glob', glob)
+    assert [one['name'] for one in library.machines() if one['kind'] == 'yours'] == ['here']
+    # Who reads a file while it is saved sees it whole, before or after; nothing else is left.
+    path = library.save('mine', text)
+    with path.open() as before:
+        library.save('mine', 'other')
+        assert before.read() == text and path.read_text() == 'other'
+    assert sorted(one.name for one in tmp_path.iterdir()) == ['here.yaml', 'mine.yaml']
 
 
 def test_machines_are_opened_by_name_and_from_text(tmp_path):

@@ -3,10 +3,12 @@
 
 """The server of pages, with clients that are quick, slow, many, or up to no good."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 import json
 import socket
 from test.view.client import Client, PATIENCE
+from threading import Event
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -204,6 +206,41 @@ def test_a_connection_that_asks_for_nothing_holds_up_no_end():
     with socket.create_connection(('127.0.0.1', server.port)), Client(server.url):
         server.close()
         assert not server.thread.is_alive()
+
+
+def test_a_page_that_is_opened_late_gets_the_states_before(live):
+    with Client(live.url) as first:
+        first.ask('play')
+        first.until(lambda client: client.row is not None and client.time > 1.0)
+        with Client(live.url) as late:
+            late.until(lambda client: client.row is not None)
+            assert late.samples[0][0] < 0.1 and late.time > 1.0
+
+
+def test_files_are_read_while_pages_get_their_frames():
+    feed, asked, over = Feed({'name': 'test', 'columns': {'width': 1}}), Event(), Event()
+
+    def resource(path):
+        if path != '/slow':
+            return None
+        asked.set()
+        over.wait(PATIENCE)
+        return 'text/plain', b'read'
+
+    server = Server(['page'], [feed], resource=resource)
+    try:
+        with ThreadPoolExecutor(1) as pool, Client(server.url) as client:
+            answer = pool.submit(lambda: urlopen(f'{server.url}slow').read())
+            assert asked.wait(PATIENCE)
+            feed.show(3.0, np.zeros(1, dtype=np.float32))
+            while client.number != feed.number:
+                client.take()
+            assert client.time == 3.0 and not answer.done()
+            over.set()
+            assert answer.result() == b'read'
+    finally:
+        over.set()
+        server.close()
 
 
 def test_frames_of_an_earlier_machine_are_not_waited_for():

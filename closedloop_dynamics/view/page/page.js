@@ -608,6 +608,10 @@ class Page {
         parts.push(`<span class="bad">${Number.isFinite(this.shownRow[columns.direction])
           ? 'near singular, ' : 'slow, '}${short(controls.achieved, 2)} × real time</span>`);
       }
+      if (this.playing && controls?.every > 1) {
+        parts.push(`<span title="peaks of forces between them are not seen: a slower speed shows more">1 of <b>${
+          controls.every}</b> steps seen</span>`);
+      }
       if (this.playing) parts.push(`<span class="wide"><b>${Math.round(rate)}</b> Hz</span>`);
       if (this.scene.mode === 'live' && Number.isFinite(cost)) {
         parts.push(`<span class="wide">computing <b>${short(cost, 2)} %</b> of real time</span>`);
