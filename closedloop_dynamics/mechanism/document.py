@@ -23,6 +23,10 @@ import yaml
 from .fields import at, FieldError
 from .files import read_file
 
+# Formats of models that are not read, by how a file's name ends.
+UNREAD = {'.osim': 'OpenSim', **dict.fromkeys(('.usd', '.usda', '.usdc', '.usdz'), 'USD'),
+          '.mo': 'Modelica', '.fmu': 'FMI', '.lua': 'Lua', '.biomod': 'bioMod',
+          '.slx': 'Simulink', '.mdl': 'Simulink', '.adm': 'Adams', '.cmd': 'Adams'}
 DEEPEST = 20
 MOST_VALUES = 100_000
 MOST_BYTES = 4_000_000
@@ -49,6 +53,9 @@ _SCALARS = tuple((re.compile(pattern), convert) for pattern, convert in (
     (r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?', float),
     (r'[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)', lambda word: float(word.replace('.', ''))),
 ))
+# Numbers that YAML 1.1 takes for text, and keys of what is text in any case.
+_EXPONENT = re.compile(r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+')
+_TEXTS = ('description', 'arguments')
 _WORD = re.compile(r'[A-Za-z_][A-Za-z0-9_. -]*(?<! )')
 
 
@@ -68,6 +75,12 @@ class Document:
         self.path = Path(path)
         self._error_type = error_type
         self._lines = {(): 1}
+        kind = UNREAD.get(self.path.suffix.lower())
+        if kind is not None:
+            raise error_type(
+                f'{str(self.path)!r}'[1:-1] + ': expected a YAML file, or a model in URDF, xacro, '
+                f'SDF or MJCF (.urdf, .xacro, .sdf, .world, .mjcf, .xml), got {kind}, which is '
+                'not read: convert it to one of these first')
         with self.errors():
             try:
                 self.data = self._root(self._text() if text is None else _bounded(text))
@@ -194,11 +207,14 @@ def plain(value):
     """
     Return data that were built in Python as a file would have them, as a copy.
 
-    Mappings become dict, sequences and arrays lists, numbers of NumPy those of Python; anything
-    else stays as it is.
+    Mappings become dict, sequences and arrays lists, numbers of NumPy those of Python, and text
+    such as ``'1e6'``, which readers of YAML 1.1 leave of a number, numbers; anything else stays as
+    it is.
     """
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: one if key in _TEXTS else plain(one) for key, one in value.items()}
+    if isinstance(value, str) and _EXPONENT.fullmatch(value):
+        return float(value)
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, (list, tuple)):
