@@ -116,6 +116,9 @@ def add_reading(parser):
                        help='argument of a xacro file; may be repeated')
     group.add_argument('--anywhere', action='store_true',
                        help='read meshes and parts of a model from outside of its folder, too')
+    group.add_argument('--ignore', metavar='ELEMENT', action='append', default=[],
+                       help='leave out elements of URDF or SDF of this name, which nobody knows '
+                            'and which may change the motion; may be repeated')
 
 
 def reading(arguments, path):
@@ -126,7 +129,7 @@ def reading(arguments, path):
     """
     found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
              'arguments': mapping(arguments.argument, '--argument'),
-             'anywhere': arguments.anywhere}
+             'anywhere': arguments.anywhere, 'ignore': tuple(arguments.ignore)}
     found = {key: value for key, value in found.items() if value}
     if found and not is_model(path):
         key = next(iter(found))

@@ -25,7 +25,7 @@ from .model import (
     Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, ReadOptions, Relation,
     Rope, Spring)
 from .pose import IDENTITY, Pose, unturned
-from .xml_file import Element, read_bytes, read_xml
+from .xml_file import Element, missing, read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import about, of_quaternion, quaternion_of
@@ -61,13 +61,16 @@ def read_mjcf(path, options=ReadOptions()):
     Raises MechanismError with file, line and element, as far as MuJoCo gives them.
     """
     path = Path(path)
+    if options.ignore:
+        raise MechanismError(f'{path}: ignore: expected a URDF or SDF file, got one that MuJoCo '
+                             'reads, which knows all elements or refuses them')
     root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], options)
     _refuse_infinite(root)
     try:
         import mujoco
-    except ImportError:
-        raise MechanismError(
-            f'{path}: an MJCF file needs MuJoCo: pip install mujoco') from None
+    except (ImportError, OSError) as error:
+        raise MechanismError(f'{path}: an MJCF file needs MuJoCo'
+                             f'{missing("mujoco", error)}') from None
     model = Model(root.get('model') or path.stem, path)
     _name_bodies(root)
     start = _key_frame(root)

@@ -17,7 +17,7 @@ import numpy as np
 
 from .pose import IDENTITY, Pose
 from ..mechanism.fields import among, nearest
-from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, MechanismError
+from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, MechanismError
 
 # Moments of inertia, as URDF and SDF call them.
 MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
@@ -112,6 +112,7 @@ class Relation:
     #: By joint; the sum of coordinates times factors is ``offset`` (dict of str to float).
     factors: dict
     offset: float = 0.0
+    follower: Optional[str] = None  # The joint that mimics the other one
 
 
 @dataclass
@@ -197,6 +198,7 @@ class ReadOptions:
     model: Optional[str] = None  # Which one of several models of a world is simulated
     arguments: dict = field(default_factory=dict)  # Of xacro (dict of str to str)
     anywhere: bool = False  # Whether meshes and parts are read from outside of the file's folder
+    ignore: tuple = ()  # Elements that would be refused, and are left out (tuple of str)
 
 
 @dataclass
@@ -230,6 +232,39 @@ class Model:
                 f'{record.where}: expected every name once, got {record.name!r} again, first '
                 f'given at {section[record.name].where}')
         section[record.name] = record
+
+    def mimic(self, element, follower, leader, factor, offset):
+        """
+        Couple a joint with another one: its coordinate is ``factor`` times that plus ``offset``.
+
+        What the model has already is not added again. MechanismError where ``element``, which asks
+        for it, names no joint, the joint itself or another factor than before.
+        """
+        for name in (follower, leader):
+            if name not in self.joints:
+                raise element.error('the name of a joint', repr(name),
+                                    nearest(name, self.joints))
+        if follower == leader:
+            raise element.error('another joint', 'the joint itself')
+        if factor == 0.0:
+            raise element.error('a multiplier that is not zero', '0')
+        if self.joints[follower].type == FIXED:
+            self.ignored[f'what {follower} mimics'] = 'it is fixed'
+            return
+        new = Relation(f'{follower}_mimics_{leader}', element.where,
+                       {follower: 1.0, leader: -factor}, offset, follower)
+        for known in self.relations:
+            if known.name == new.name:
+                if (known.factors, known.offset) != (new.factors, new.offset):
+                    raise element.error(f'the multiplier and offset that {known.where} has',
+                                        'others')
+                return
+        self.relations.append(new)
+
+    @property
+    def followers(self):
+        """Return the names of the joints that mimic others, a set of str."""
+        return {relation.follower for relation in self.relations} - {None}
 
     def link_name(self, name, names):
         """Return the name of a link among those of the file: not that of the ground."""

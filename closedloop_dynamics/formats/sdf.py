@@ -17,10 +17,11 @@ from .model import (
     Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, Omission, ReadOptions,
     Relation)
 from .pose import IDENTITY, Pose, unturned
+from .programs import add_programs
 from .sdf_parts import (
     FALSE, flattened, included, MODEL, OWN_AXES, renamed, SCOPE, TRUE, version_of, WORLD)
 from .visuals import color_in, placed, visuals
-from .xml_file import read_xml
+from .xml_file import Element, read_xml
 from .xml_omissions import leave_out
 from ..mechanism.fields import among, nearest
 from ..mechanism.inertia import inertia_matrix
@@ -94,7 +95,7 @@ def read_sdf(path, options=ReadOptions()):
         if one in still:
             flattened(one, own, options)
             model.ground_visual += _Reader(one, model, own, around=around).drawn()
-    leave_out(model, root, REASONS)
+    leave_out(model, root, REASONS, options.ignore)
     return model
 
 
@@ -140,15 +141,19 @@ def _join_to_world(element, where, still, model):
             'joints between models are read where the child moves and the parent stands still'))
 
 
-def add_joints(element, model, poses):
+def add_parts(elements, model, poses):
     """
-    Add the SDF joints in an element to a model in another format; each closes a loop.
+    Add the SDF links and joints in elements to a model in another format.
 
-    ``poses`` are those of its links in the frame of the model, as they are drawn.
+    ``poses`` are those of its links in the frame of the model, as they are drawn. A joint between
+    two of these links closes a loop. Returns the poses of the links that were added.
     """
-    for joint in _Reader(element, model, JOINTS_ALONE, poses).joints_alone():
-        joint.closes = True
-        model.add(joint)
+    parts = [part for element in elements for part in element.all('link', 'joint', 'frame')]
+    if not parts:
+        return {}
+    whole = Element('model', {}, parts[0].source, parts[0].line)
+    whole.children = parts
+    return _Reader(whole, model, JOINTS_ALONE, poses).add_parts()
 
 
 class _Reader:
@@ -164,6 +169,8 @@ class _Reader:
         self.element, self.model, self.version = element, model, version
         self.around = dict(around)
         self.links, self.joints = element.all('link'), element.all('joint')
+        # Of joints: the element, the joint's name, multiplier and offset.
+        self.mimics = []
         # By frame: the element with its pose, and the frame of that pose by default.
         self.given, self.found = {}, {MODEL: IDENTITY, **dict(found)}
         for kind, parts in (('link', self.links), ('frame', element.all('frame')),
@@ -191,19 +198,7 @@ class _Reader:
     def read(self):
         element, model = self.element, self.model
         self._place()
-        for link in self.links:
-            name = link.word('name')
-            if name == WORLD:
-                raise link.error(f'any name but {WORLD!r}', 'this one')
-            record = _link(self._link_name(name), link, self._pose)
-            model.add(record)
-            decay = max(_value(link.child('velocity_decay'), tag, 0.0)
-                        for tag in ('linear', 'angular'))
-            if decay:
-                model.omitted.append(Omission(
-                    'decay of the velocity', 'link', name, 'it depends on the step of a simulator',
-                    decay, 'of it in each'))
-            record.visual = self._visuals(link)
+        self._add_links()
         for joint in self.joints:
             if joint.get('type') != GEARBOX:
                 model.add(self._joint(joint))
@@ -215,14 +210,39 @@ class _Reader:
                 link = self._link_name(carrier)
                 if link in model.links:
                     model.frames[name] = link, self._in(carrier).inverse @ self._in(name)
-        for joint in self.joints:
-            if joint.get('type') == GEARBOX:
-                model.relations.append(self._gearbox(joint))
+        self._couple()
+        add_programs(element, model, {
+            self._link_name(link.get('name')): self._in(link.get('name')) for link in self.links})
         model.check()
         self._float()
         if not any(joint.actuated for joint in model.joints.values()):
             for joint in model.joints.values():
-                joint.actuated = joint.type in DRIVEN and bool(joint.effort)
+                joint.actuated = (joint.type in DRIVEN and bool(joint.effort)
+                                  and joint.name not in model.followers)
+
+    def _add_links(self):
+        """Add the links to the model."""
+        for link in self.links:
+            name = link.word('name')
+            if name == WORLD:
+                raise link.error(f'any name but {WORLD!r}', 'this one')
+            record = _link(self._link_name(name), link, self._pose)
+            self.model.add(record)
+            decay = max(_value(link.child('velocity_decay'), tag, 0.0)
+                        for tag in ('linear', 'angular'))
+            if decay:
+                self.model.omitted.append(Omission(
+                    'decay of the velocity', 'link', name, 'it depends on the step of a simulator',
+                    decay, 'of it in each'))
+            record.visual = self._visuals(link)
+
+    def _couple(self):
+        """Add the couplings of joints to the model, all of which are there."""
+        for joint in self.joints:
+            if joint.get('type') == GEARBOX:
+                self.model.relations.append(self._gearbox(joint))
+        for mimic, follower, *law in self.mimics:
+            self.model.mimic(mimic, follower, mimic.word('joint'), *law)
 
     def _place(self):
         """Store the pose of the world in the frame of the model."""
@@ -255,9 +275,23 @@ class _Reader:
         return [placed(visual, self._in(WORLD).inverse @ self._in(link.word('name')))
                 for link in self.links for visual in self._visuals(link)]
 
-    def joints_alone(self):
-        """Return the joints of an element that has no links."""
-        return [self._joint(joint) for joint in self.joints]
+    def add_parts(self):
+        """
+        Add links and joints to a model in another format; return the poses of the links.
+
+        The frame of the model is that of the ground.
+        """
+        model, before = self.model, {GROUND, *self.model.links}
+        self.found[WORLD] = IDENTITY
+        self._add_links()
+        for element in self.joints:
+            joint = self._joint(element)
+            joint.closes = {joint.parent, joint.child} <= before
+            model.add(joint)
+        self._couple()
+        model.check()
+        self._float()
+        return {link.get('name'): self._in(link.get('name')) for link in self.links}
 
     def _carrier(self, name):
         """Return the link that a frame is on, through others that it is attached to."""
@@ -316,10 +350,16 @@ class _Reader:
         ends = [self._end(element, tag) for tag in ('parent', 'child')]
         place = self._in(element.attributes['name'])
         poses, links = [], []
-        for end in ends:
-            link = self._carrier(end)
+        for end, tag in zip(ends, ('parent', 'child')):
+            link, there = self._carrier(end), place
+            frame = element.child(f'drake:{tag}_frame')
+            if frame is not None:
+                # The joint is at zero where the two frames coincide, wherever it is drawn.
+                if self._carrier(frame.text) != link:
+                    raise frame.error(f'a frame on the {tag} link {link!r}', repr(frame.text))
+                there = self._in(frame.text, where=frame)
             links.append(self._link_name(link))
-            poses.append(self._in(link, where=element).inverse @ place)
+            poses.append(self._in(link, where=element).inverse @ there)
         joint = Connection(element.attributes['name'], kind, *links, element.where, *poses,
                            closes=_must_close(element))
         first, second = element.child('axis'), element.child('axis2')
@@ -343,6 +383,10 @@ class _Reader:
         if joint.armature < 0.0:
             raise element.error('drake:rotor_inertia to be zero or more', 'less')
         self._act(joint, first)
+        mimic = element.child('drake:mimic')
+        if mimic is not None:
+            self.mimics.append((mimic, joint.name, mimic.number('multiplier', 1.0),
+                                mimic.number('offset', 0.0)))
         return joint
 
     def _gearbox(self, element):
@@ -399,11 +443,9 @@ class _Reader:
         if mimic is not None:
             if mimic.get('axis', 'axis') != 'axis':
                 raise mimic.error("axis to be 'axis'", repr(mimic.get('axis')))
-            other, factor = mimic.word('joint'), _value(mimic, 'multiplier', 1.0)
-            if factor == 0.0:
-                raise mimic.error('a multiplier that is not zero', '0')
-            self.model.relations.append(Relation(
-                f'{joint.name}_mimics_{other}', mimic.where, {joint.name: 1.0, other: -factor},
+            factor = _value(mimic, 'multiplier', 1.0)
+            self.mimics.append((
+                mimic, joint.name, factor,
                 _value(mimic, 'offset', 0.0) - factor * _value(mimic, 'reference', 0.0)))
 
     def _float(self):

@@ -18,12 +18,13 @@ from .model import (
     Connection, free_name, Link, Model, MOMENTS, NO_CONTACTS, ReadOptions, Relation)
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, Pose, unturned
-from .sdf import add_joints
+from .programs import add_parameters, add_programs
+from .sdf import add_parts
 from .sdf_parts import FALSE, TRUE
 from .visuals import color_in, places_of_packages, SEARCHED, visuals
-from .xml_file import read_xml
+from .xml_file import missing, read_xml
 from .xml_omissions import leave_out
-from ..mechanism.fields import among, nearest
+from ..mechanism.fields import among
 from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
@@ -83,10 +84,8 @@ def read_urdf(path, options=ReadOptions()):
     for number, element in enumerate(robot.all('drake:ball_constraint'), 1):
         model.add(_ball_constraint(element, f'ball_constraint_{number}'))
     for joint, element in mimics:
-        if joint.type == FIXED:
-            model.ignored[f'what {joint.name} mimics'] = 'it is fixed'
-        else:
-            model.relations.append(_mimic(model, joint, element))
+        model.mimic(element, joint.name, element.word('joint'), element.number('multiplier', 1.0),
+                    element.number('offset', 0.0))
     model.check()
     _stand(model, robot)
     _extend(model, robot)
@@ -98,8 +97,8 @@ def read_urdf(path, options=ReadOptions()):
     if all(joint.actuated is None for joint in joints):
         for joint in joints:
             joint.actuated = (joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
-                              and joint not in [mimic for mimic, _ in mimics])
-    leave_out(model, robot, REASONS)
+                              and joint.name not in model.followers)
+    leave_out(model, robot, REASONS, options.ignore)
     return model
 
 
@@ -109,9 +108,10 @@ def _expanded(path, options):
     try:
         import xacro
         from xacro import substitution_args
-    except ImportError:
-        raise MechanismError(f'{path}: a xacro file needs xacro: pip install xacro, or in ROS '
-                             'install ros-jazzy-xacro') from None
+    except (ImportError, OSError) as error:
+        raise MechanismError(
+            f'{path}: a xacro file needs xacro'
+            f'{missing("xacro", error, ", or in ROS install ros-jazzy-xacro")}') from None
     try:
         with _packages_beside(path, substitution_args):
             return xacro.process_file(
@@ -149,6 +149,8 @@ def _link(element):
     if name == GROUND:
         # It is the world itself where it has no joint above it.
         link.name = name
+    gravity = element.child('gravity')
+    link.carried = float(gravity is not None and gravity.text in FALSE)
     inertial = element.child('inertial')
     if inertial is None:
         return link
@@ -210,9 +212,16 @@ def _joint(element, mimics):
             joint.lower, joint.upper = limit.number('lower'), limit.number('upper')
             if joint.lower == joint.upper == 0.0:
                 joint.lower = joint.upper = None
-    if element.get('independent') is not None:
-        joint.actuated = element.word('independent', ('true', 'false')) == 'true'
+    joint.actuated = _independent(element)
     return joint
+
+
+def _independent(element):
+    """Return whether an element's attribute makes it driven; None where it does not say."""
+    word = element.get('independent')
+    if word is not None and word.lower() not in (*TRUE, *FALSE):
+        raise element.error('independent to be true or false', repr(word))
+    return None if word is None else word.lower() in TRUE
 
 
 def _not_negative(element, key):
@@ -232,20 +241,6 @@ def _axis(element, tag, kind):
     if axis is None:
         return np.array([1.0, 0.0, 0.0])
     return axis.direction('xyz', (1.0, 0.0, 0.0))
-
-
-def _mimic(model, joint, element):
-    """Return the coupling of a joint that mimics another."""
-    other = element.word('joint')
-    if other not in model.joints:
-        raise element.error('the name of a joint', repr(other), nearest(other, model.joints))
-    if other == joint.name:
-        raise element.error('another joint', 'the joint itself')
-    factor = element.number('multiplier', 1.0)
-    if factor == 0.0:
-        raise element.error('a multiplier that is not zero', '0')
-    return Relation(f'{joint.name}_mimics_{other}', element.where,
-                    {joint.name: 1.0, other: -factor}, element.number('offset', 0.0))
 
 
 def _coupling(model, element):
@@ -280,7 +275,7 @@ def _loop(element):
     return Connection(
         element.word('name'), kind, *(end.word('link') for end in ends), element.where,
         *(_origin(end.child('origin')) for end in ends), axis=_axis(element, 'axis', kind),
-        closes=True)
+        closes=True, actuated=_independent(element))
 
 
 def _constraint(element):
@@ -376,13 +371,14 @@ def _rename(element, new):
 
 
 def _extend(model, robot):
-    """Read Gazebo's extensions: joints of SDF, and springs of joints."""
-    poses = _drawn(model)
-    for element in robot.all('gazebo'):
+    """Read Gazebo's extensions: links and joints of SDF, plugins, and springs of joints."""
+    poses, elements = _drawn(model), robot.all('gazebo')
+    alone = [element for element in elements if element.get('reference') is None]
+    poses.update(add_parts(alone, model, poses))
+    for element in elements:
+        add_programs(element, model, poses)
         name = element.get('reference')
-        if name is None:
-            add_joints(element, model, poses)
-        elif name in model.links:
+        if name in model.links:
             for tag, off in (('gravity', FALSE), ('turnGravityOff', TRUE)):
                 child = element.child(tag)
                 if child is not None:
@@ -432,3 +428,6 @@ def _find_drives(model, robot):
             model.joints[name].actuated = True
         else:
             model.ignored[f'the drive of {name}'] = 'there is no such joint'
+    for control in robot.all('ros2_control'):
+        for name in add_parameters(control, model):
+            model.joints[name].actuated = False

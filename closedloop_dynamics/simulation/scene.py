@@ -37,7 +37,8 @@ __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism
 SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
 # Where the mechanism is a model in another format, which may start as it is drawn.
 MODEL_KEYS = ('mechanism',), (
-    'initial', 'loops', 'mend_inertias', 'model', 'arguments', 'anywhere', *SCENE_KEYS[1])
+    'initial', 'loops', 'mend_inertias', 'model', 'arguments', 'anywhere', 'ignore',
+    *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 # Effects for whose joints others are cut, where there is a choice.
 RATHER_IN_TREE = ('prescribed_motion', 'rotor')
@@ -325,7 +326,8 @@ def _model(data: Mapping[str, Any], directory: Path) -> Any:
     with at('mend_inertias'):
         mend = boolean(data.get('mend_inertias', False))
     asked = {}
-    for key, check in (('model', text), ('arguments', _words), ('anywhere', boolean)):
+    for key, check in (('model', text), ('arguments', _words), ('anywhere', boolean),
+                       ('ignore', list_of(text))):
         if key in data:
             with at(key):
                 asked[key] = check(data[key])

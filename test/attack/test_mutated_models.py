@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from .test_mutated_scenes import mutated, put, swap, told, WORD
-from ..formats import machines, test_sdf
+from ..formats import machines, test_programs, test_sdf
 try:
     from ..formats import test_mjcf, test_mjcf_forces
 except pytest.skip.Exception:
@@ -44,11 +44,16 @@ FILES = {'urdf': [*(machines.four_bar(way) for way in machines.LOOPS),
                   machines.four_bar().replace('<inertial>', f'{DRAWN}<inertial>'),
                   machines.robot(machines.LINKS, machines.TREE, GAZEBO),
                   machines.robot(machines.LINKS, machines.TREE, machines.LOOPS['loop'][1],
-                                 machines.MOVING)],
+                                 machines.MOVING),
+                  machines.robot(machines.LINKS, test_programs.CLOSED, test_programs.PIN,
+                                 f'<gazebo>{test_programs.DETACHABLE}</gazebo>',
+                                 test_programs.MIMIC),
+                  machines.robot(machines.LINKS, machines.TREE, test_programs.LINK,
+                                 test_programs.PARAMETERS)],
          'sdf': [test_sdf.FOUR_BAR, test_sdf.FOUR_BAR.replace(
              '<inertial>', f'{DRAWN_IN_SDF}<inertial>'),
              test_sdf.nested(test_sdf.ARM.replace('POSE', test_sdf.RAISED).replace(
-                 'EXPRESSED', 'expressed_in="__model__"'))],
+                 'EXPRESSED', 'expressed_in="__model__"')), test_programs.TWO_FRAMES],
          'mjcf': [test_mjcf.TREE, test_mjcf.LOOPS.replace(
              'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values())),
              test_mjcf.FULL, test_mjcf_forces.ALONG] if test_mjcf else []}
