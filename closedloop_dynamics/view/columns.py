@@ -7,7 +7,7 @@ Rows of numbers for a page: poses, arrows and plotted quantities, of one instant
 A row of a running simulation, of a recording and of a saved file is the same.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class Plot:
     column: str = ''
     # Whether its logarithm is drawn.
     log: bool = False
+    # Whether it is about the method that computes the motion, not about the motion.
+    method: bool = False
 
 
 @dataclass
@@ -114,12 +116,24 @@ def _joint_plots(mechanism):
     # Orientations are no numbers one by one.
     plots = [Plot('joint position', name, ('rad', 'm')[length], driven, position[place])
              for (name, length, driven), place in zip(freedoms, names.place) if place >= 0]
-    plots += [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven, column)
-              for (name, length, driven), column in zip(freedoms, velocity)]
     plots += [Plot('drive torque or force', name, ('N m', 'N')[length], column=column)
               for (name, length, driven), column in zip(freedoms, effort) if driven]
-    return plots + [Plot('force at cut joints', cut.name, 'N', column=f'cut_force.{cut.name}')
-                    for cut in mechanism.cut_joints]
+    plots += [Plot('drive power', name, 'W', column=f'power.{name}')
+              for name, _, driven in freedoms if driven]
+    plots += [Plot('force where loops close', cut.name, 'N', column=f'cut_force.{cut.name}')
+              for cut in mechanism.cut_joints]
+    plots += [Plot('points', f'{point.name} {axis}', 'm', column=f'point.{point.name}.{axis}')
+              for point in mechanism.points for axis in 'xyz'[:len(point.position)]]
+    return plots + [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven, column)
+                    for (name, length, driven), column in zip(freedoms, velocity)]
+
+
+def _joint_values(names, position, velocity, effort, forces, points):
+    """Return the values of ``_joint_plots``, of one instant or of several."""
+    driven = list(names.actuated)
+    power = effort[..., driven] * velocity[..., driven]
+    return [position[..., names.place[names.place >= 0]], effort[..., driven], power,
+            magnitudes(forces), points, velocity]
 
 
 def _is_other(names):
@@ -160,10 +174,11 @@ def motion_rows(motion):
     names, count = motion.mechanism.coordinates, len(motion.time)
     turns, undriven = _is_other(names)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
+    points = [*named_paths(motion.mechanism, motion.position).values(), np.zeros((count, 0))]
     return np.hstack([
         poses.reshape(count, -1), in_three(force_of(motion.forces)).reshape(count, -1),
-        motion.position[:, names.place[names.place >= 0]], motion.velocity,
-        motion.effort[:, list(names.actuated)], magnitudes(motion.forces),
+        *_joint_values(names, motion.position, motion.velocity, motion.effort, motion.forces,
+                       np.hstack(points)),
         motion.position[:, turns], motion.effort[:, undriven]]).astype(np.float32)
 
 
@@ -188,9 +203,9 @@ class SimulationRows:
         self._rows = {body.name: k for k, body in enumerate(mechanism.bodies)}
         self._places = {point.name: point for point in mechanism.points}
         names = mechanism.coordinates
-        self._numbers = names.place[names.place >= 0]
-        self._turns, self._undriven = _is_other(names)
-        plots = _joint_plots(mechanism)
+        self._names, (self._turns, self._undriven) = names, _is_other(names)
+        # Behind these come the places where a hand may take hold of the machine.
+        plots = _joint_plots(replace(mechanism, points=mechanism.points[:points]))
         self._read = [(name, reading) for name, record in shown.items()
                       for reading in READINGS.get(type(record), ())]
         self._telling = dict.fromkeys([*self._loads, *(name for name, _ in self._read)])
@@ -198,22 +213,23 @@ class SimulationRows:
                        column=f'effect.{name}.{reading}') for name, reading in self._read]
         plots += [Plot('energy', name, 'J', column=f'energy.{name}')
                   for name in ('kinetic', 'stored', 'dissipated', 'work')]
-        plots += [Plot('closure error', 'largest', 'm or rad', column='closure', log=True),
-                  Plot('error of the energy balance', 'balance', 'J', column='energy.error',
-                       log=True),
-                  Plot('angle from a singularity', 'loops', 'sine', column='singularity.loops',
-                       log=True)]
+        methods = [Plot('closure error', 'largest', 'm or rad', column='closure', log=True),
+                   Plot('error of the energy balance', 'balance', 'J', column='energy.error',
+                        log=True),
+                   Plot('angle from a singularity', 'loops', 'sine', column='singularity.loops',
+                        log=True)]
         if not np.isnan(self._sine()):
-            plots.append(Plot('angle from a singularity', 'held drives', 'sine',
-                              column='singularity.drives', log=True))
-        plots += [Plot('estimated error', 'largest of a step', 'rad or m', column='error.step',
-                       log=True),
-                  Plot('estimated error', 'within a second', 'rad or m', column='error.second',
-                       log=True),
-                  Plot('estimated error', 'accuracy kept', 'rad or m', column='error.accuracy',
-                       log=True),
-                  Plot('cost', 'computing', '% of real time', column='cost'),
-                  Plot('evaluations', 'in a simulated second', '1/s', column='evaluations')]
+            methods.append(Plot('angle from a singularity', 'held drives', 'sine',
+                                column='singularity.drives', log=True))
+        methods += [Plot('estimated error', 'largest of a step', 'rad or m', column='error.step',
+                         log=True),
+                    Plot('estimated error', 'within a second', 'rad or m', column='error.second',
+                         log=True),
+                    Plot('estimated error', 'accuracy kept', 'rad or m', column='error.accuracy',
+                         log=True),
+                    Plot('cost', 'computing', '% of real time', column='cost'),
+                    Plot('evaluations', 'in a simulated second', '1/s', column='evaluations')]
+        plots += [replace(plot, method=True) for plot in methods]
         self.columns = Columns(
             mechanism, [{'name': name, 'kind': kind} for name, record in self._loads.items()
                         for kind in _kinds(record)], True, plots)
@@ -224,7 +240,6 @@ class SimulationRows:
         self._costly = np.full(6, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
-        self._actuated = simulation.actuated_in_tree
         self.refresh()
 
     def refresh(self):
@@ -291,9 +306,9 @@ class SimulationRows:
         sine, *costly = self._costly
         return np.concatenate([
             poses.ravel(), in_three(force_of(forces)).ravel(), self._arrows(readings).ravel(),
-            self._direction, simulation.position[self._numbers],
-            simulation.velocity,
-            simulation.effort[self._actuated], magnitudes(forces), self._readings(readings),
+            self._direction, *_joint_values(
+                self._names, simulation.position, simulation.velocity, simulation.effort, forces,
+                simulation.points[:self._points].ravel()), self._readings(readings),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
             [abs(sine)] * self._has_drives, costly, simulation.position[self._turns],

@@ -98,8 +98,10 @@ def describe(mechanism, columns, effects=None, **more):
                   *effect_lines(mechanism, effects, rows, heights, LAYER * thick)],
         'surfaces': surfaces(effects),
         'wires': outlines, 'missing': missing,
+        # The path of the first one is seen: those of the ground, which have none, come last.
         'points': [{'name': point.name, 'body': rows[point.body],
-                    'place': in_three(point.position).tolist()} for point in mechanism.points],
+                    'place': in_three(point.position).tolist()}
+                   for point in sorted(mechanism.points, key=lambda one: one.body == GROUND)],
         'meanings': {effect_type(record): {
             key: {'meaning': meaning, 'unit': unit_in(meaning)}
             for key, (_, meaning) in documented(type(record)).items()}

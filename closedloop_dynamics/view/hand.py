@@ -7,8 +7,8 @@ from dataclasses import replace
 import math
 
 from .description import EARTH, grabs
+from ..effects.bushing import Bushing
 from ..effects.gravity import Gravity
-from ..effects.point_spring import PointSpring
 from ..formats.model import free_name
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Point
@@ -48,9 +48,11 @@ class Hand:
         self.spring = free_name('hand', effects)
         mass = sum(body.mass for body in mechanism.bodies) or 1.0
         stiffness = mass * EARTH / (GIVE * size)
-        effects[self.spring] = PointSpring(
+        # In all directions: a point that is pulled beyond its reach swings across the line.
+        effects[self.spring] = Bushing(
             point_a=next(iter(self._points.values())), anchor=tuple(0.0 for _ in down),
-            stiffness=stiffness, damping=DAMPING * math.sqrt(stiffness * mass))
+            stiffness=tuple(stiffness for _ in down),
+            damping=tuple(DAMPING * math.sqrt(stiffness * mass) for _ in down))
         self.scene = replace(
             scene, effects=effects, switched_off=(*off, self.spring),
             mechanism=replace(mechanism, points=(*mechanism.points, *added)))

@@ -177,6 +177,12 @@ class Tab:
                         windowsVirtualKeyCode=ord(key.upper()),
                         **({'text': key} if kind == 'keyDown' else {}))
 
+    def press_escape(self):
+        """Press Escape."""
+        for kind in ('keyDown', 'keyUp'):
+            self._input(kind.lower(), 'Input.dispatchKeyEvent', type=kind, key='Escape',
+                        code='Escape', windowsVirtualKeyCode=27)
+
     def middle(self, selector):
         """Return where the middle of what a CSS selector finds is."""
         return self.ask(f"""(() => {{

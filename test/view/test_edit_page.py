@@ -120,6 +120,9 @@ def test_a_machine_is_edited_saved_and_opened(tmp_path):
         tab.click('#open')
         tab.wait('document.querySelectorAll("#machines img").length > 20')
         tab.wait('document.querySelector("#machines img").naturalWidth > 0')
+        tab.press_escape()
+        tab.wait('!document.getElementById("library").open')
+        tab.click('#open')
         tab.ask('[...document.querySelectorAll("#machines button")].find('
                 '(one) => one.textContent.startsWith("slider_crank")).click()')
         tab.wait(f'{READY} && page.scene.title === "slider_crank" && !page.edit.on')

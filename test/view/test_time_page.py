@@ -151,7 +151,7 @@ def test_plots_over_an_angle_are_looked_at_closely(open_page, tmp_path, capsys):
     tab = open_page(path.as_uri(), height=1600)
     tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
     tab.ask('page.playing = false; page.timeline.seek(2)')
-    force = 'page.plots.groups.find((one) => one.group === "force at cut joints")'
+    force = 'page.plots.groups.find((one) => one.group === "force where loops close")'
     tab.wait(f'{force}.seen?.to === 3')
     column = tab.ask('page.scene.plots.findIndex((one) => one.name === "crank_joint")')
     tab.ask(f"""(() => {{

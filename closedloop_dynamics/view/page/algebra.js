@@ -66,6 +66,14 @@ function perspective(angle, aspect, near, far) {
   return m;
 }
 
+// What is `height` above or below the middle is at the edge.
+function parallel(height, aspect, near, far) {
+  const m = new Float32Array(16);
+  m[0] = 1 / (height * aspect); m[5] = 1 / height; m[10] = 2 / (near - far); m[15] = 1;
+  m[14] = (far + near) / (near - far);
+  return m;
+}
+
 // A number from 1, 2 and 5 times a power of ten, not above the one given.
 function roundDown(value) {
   if (!(value > 0)) return 0;

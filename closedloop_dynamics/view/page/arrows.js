@@ -2,7 +2,7 @@
 
 // An arrow of the largest force seen lately, as a share of the size; a share of the machine's weight,
 // or of what its drives can exert, below which forces have no long arrows.
-const ARROW = 0.3, SMALL_FORCE = 0.02;
+const ARROW = 0.18, SMALL_FORCE = 0.02;
 // A peak of the forces counts half after so long [ms].
 const HALF_LIFE = 1500;
 // Shortest arrow, head and half width, as shares of the size.

@@ -24,7 +24,7 @@ class Camera {
   // As near as all of the box about what has been seen allows, with room for arrows.
   fit() {
     const {low, high} = this.extent, {right, top, out} = this.axes();
-    const margin = (this.described.planar ? 0.1 : 0.16) * this.size, wide = minus(high, low);
+    const margin = (this.described.planar ? ARROW : 0.16) * this.size, wide = minus(high, low);
     const middle = times(0.5, add(low, high)), covered = this.covered();
     const aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1) || 1;
     const slope = Math.tan(FIELD_OF_VIEW / 2);
@@ -55,10 +55,16 @@ class Camera {
       right[0], top[0], out[0], 0, right[1], top[1], out[1], 0, right[2], top[2], out[2], 0,
       -dot(right, eye), -dot(top, eye), -dot(out, eye), 1]);
     const aspect = this.canvas.width / Math.max(this.canvas.height, 1);
-    const matrix = product(perspective(FIELD_OF_VIEW, aspect, 0.02 * this.distance,
-                                       20 * this.distance), seen);
-    return {matrix, eye, right, top, out};
+    const [near, far] = [0.02 * this.distance, 20 * this.distance];
+    const lens = this.flat
+      ? parallel(this.distance * Math.tan(FIELD_OF_VIEW / 2), aspect, near, far)
+      : perspective(FIELD_OF_VIEW, aspect, near, far);
+    return {matrix: product(lens, seen), eye, right, top, out};
   }
+
+  // Whether a machine in the plane is seen from its front: by parallel rays, in which the two ends of
+  // a pin are one.
+  get flat() { return this.described.planar && this.yaw === 0 && this.pitch === 0; }
 
   // Where a place is on the screen, in CSS pixels.
   project(place, matrix = this.seen.matrix) {
@@ -75,7 +81,11 @@ class Camera {
     const width = height * this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
     const u = (2 * x / this.canvas.clientWidth - 1) * width;
     const v = (1 - 2 * y / this.canvas.clientHeight) * height;
-    const ray = add(add(times(u, right), times(v, top)), times(-1, out));
+    const aside = add(times(u, right), times(v, top)), ahead = times(-1, out);
+    if (this.flat) {
+      return add(add(eye, times(this.distance, aside)), times(dot(minus(through, eye), out), out));
+    }
+    const ray = add(aside, ahead);
     const normal = this.described.planar ? [0, 0, 1] : out;
     const along = dot(ray, normal);
     if (Math.abs(along) < 1e-6) return through;

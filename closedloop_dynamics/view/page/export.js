@@ -143,22 +143,17 @@ class Files {
   // All states that are kept, with all their numbers, as `closedloop` reads them.
 
   * table() {
-    const {history, scene, picture} = this.page;
+    const {history, scene} = this.page;
     const columns = scene.files.map((name, k) => [name, k]).filter(([name]) => name);
-    const axes = scene.planar ? 'xy' : 'xyz';
-    const points = scene.points.flatMap(({name}) => (
-      [...axes].map((axis) => `point.${name}.${axis} [m]`)));
     const quoted = (name) => (/[",\n]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name);
-    yield `${['time [s]', ...columns.map(([name]) => name), ...points].map(quoted).join()}\n`;
+    yield `${['time [s]', ...columns.map(([name]) => name)].map(quoted).join()}\n`;
     // Numbers of single precision have so many digits.
     const digits = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(9))) : 'nan');
     for (let first = 0; first < history.count; first += ROWS) {
       const lines = [];
       for (let k = first; k < Math.min(first + ROWS, history.count); k++) {
         const row = history.row(k);
-        lines.push([history.time(k), ...columns.map(([, column]) => digits(row[column])),
-                    ...picture.paths.places(row).flatMap((place) => (
-                      place.slice(0, axes.length).map(digits)))].join());
+        lines.push([history.time(k), ...columns.map(([, column]) => digits(row[column]))].join());
       }
       yield `${lines.join('\n')}\n`;
     }

@@ -11,10 +11,10 @@ const THEMES = {
          force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), card: rgb('#1e2228'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
 // Words of the legend, explained where the pointer rests on them.
 const MEANINGS = {
-  subsystem: 'A part of the spanning tree that hangs on the ground by one joint; the equations of '
-    + 'each are solved for themselves, and joined at the cut joints.',
+  bodies: 'Bodies of one colour hang on the ground by one joint; the equations of each such group '
+    + 'are solved for themselves, and joined where loops close.',
   driven: 'A joint that takes a torque or force.',
-  cut: 'A joint that closes a loop: the spanning tree is cut there, and an equation keeps it closed.',
+  cut: 'A cut joint: the spanning tree is cut there, and an equation keeps the loop closed.',
   force: 'The force that body B of a cut joint exerts on its body A; the other one is opposite.',
   ghost: 'Another run at the same time: pale in the picture, dotted in the plots.',
   direction: 'The machine is next to a singular configuration: loops, or held drives, hardly '
@@ -26,6 +26,8 @@ const READING = 45;
 const PATIENCE = 1000, STILL = 1500;
 // Width of the picture from which on it has room for the legend beside the machine [CSS pixels].
 const LEGEND_ROOM = 800;
+// Bodies of one colour that the legend names.
+const NAMED = 3;
 // Share of the speed asked for below which the page says how fast it is.
 const LAGS = 0.8;
 
@@ -103,15 +105,18 @@ class Page {
     const {bodies, subsystems, colors, cuts, points, loads, columns, joints, lines: drawn,
            surfaces} = this.scene;
     // Those that have no colours of their own.
-    const lines = subsystems.map((color, k) => [
-      `<i style="background:${color}"></i>subsystem ${k + 1}`, null, null, MEANINGS.subsystem]).filter((_, k) => bodies.some(
-      (body) => body.subsystem === k && !body.shapes.every((shape) => shape.color)));
+    const lines = subsystems.map((color, k) => [color, bodies.filter(
+      (body) => body.subsystem === k && !body.shapes.every((shape) => shape.color))])
+      .filter(([, some]) => some.length)
+      .map(([color, some]) => [`<i style="background:${color}"></i>${
+        some.slice(0, NAMED).map(({name}) => escaped(name)).join(', ')}${
+        some.length > NAMED ? ` and ${some.length - NAMED} more` : ''}`, null, null, MEANINGS.bodies]);
     if (joints.some((joint) => joint.actuated)) {
       lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint', null, null, MEANINGS.driven]);
     }
     if (cuts.length) {
-      lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`, null, null, MEANINGS.cut]);
-      lines.push(['<i style="background:var(--force)"></i>force on body A', 'forces', null, MEANINGS.force]);
+      lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>joint that closes a loop`, null, null, MEANINGS.cut]);
+      lines.push(['<i style="background:var(--force)"></i>force there', 'forces', null, MEANINGS.force]);
     }
     const effects = [...new Set([...loads, ...drawn.filter((line) => line.kind !== 'rod'),
                                  ...surfaces].map((one) => one.name))];
@@ -192,7 +197,7 @@ class Page {
 
   key(event) {
     const {tagName, type} = event.target;
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || byId('library').open) return;
     if (tagName === 'TEXTAREA' || (tagName === 'INPUT' && type === 'text')) return;
     const actions = {'.': () => this.step(), r: () => this.reset(), Escape: () => this.measure(false)};
     // Space is what presses a focused button, and opens a focused list.
@@ -309,10 +314,9 @@ class Page {
     if (structure(scene) !== structure(this.scene)) {
       const open = new Map(this.plots.groups.map((plot) => [plot.group, plot.open]));
       this.begin(scene);
-      this.plots.groups.forEach(({group}, k) => {
-        const box = byId('choices').querySelectorAll('input')[k];
-        if (open.has(group) && open.get(group) !== box.checked) box.click();
-      });
+      for (const plot of this.plots.groups) {
+        if (open.has(plot.group) && open.get(plot.group) !== plot.open) plot.choice.click();
+      }
       if (scene.title !== title) {
         this.picture.first();
         this.comparison.take(null);

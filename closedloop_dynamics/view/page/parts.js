@@ -50,7 +50,9 @@ class Parts {
     }
     // A ground that has shapes of its own needs no feet.
     if (!ground.some((shape) => shape.kind !== 'profile')) {
-      for (const place of this.pivots()) this.foot(place);
+      const pivots = this.pivots();
+      for (const place of pivots) this.foot(place);
+      if (!this.described.planar && pivots.length > 2) this.base(pivots);
     }
     for (const guide of guides) this.shows(guide.mover, [guide.at]);
     for (const surface of surfaces) this.surface(surface);
@@ -181,6 +183,16 @@ class Parts {
       this.put(-1, mesh, local, color);
     }
     this.shows(-1, [[x - 1.5 * half, y - 1.6 * down, 0], [x + 1.5 * half, y, 0]]);
+  }
+
+  // The plate that feet in space stand on.
+  base(places) {
+    const half = FOOT * this.size, middle = times(1 / places.length, places.reduce(add));
+    const floor = Math.min(...places.map(([, , z]) => z)) - 1.6 * half;
+    const radius = 1.6 * half + Math.max(...places.map(
+      ([x, y]) => Math.hypot(x - middle[0], y - middle[1])));
+    this.put(-1, this.meshes.cylinder, frame([radius, 0, 0], [0, radius, 0], [0, 0, -0.3 * half],
+                                             [middle[0], middle[1], floor]), GROUND_COLOR);
   }
 
   // The line or plane of a contact; its free side is where the normal points.

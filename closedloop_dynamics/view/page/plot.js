@@ -8,12 +8,18 @@ const OTHER = {alpha: 0.8, width: 1.3, dash: [1.5, 2]};
 // Lines of a recording that are kept.
 const MOST_LINES = 300;
 const FONT = '11px system-ui, sans-serif';
+// Width of a letter of it, at most [pixels].
+const LETTER = 6.6;
 
 class Plot {
-  constructor(group, series) {
+  // `rounding`: the largest number of a unit that says nothing.
+  constructor(group, series, rounding = () => 0) {
     this.group = group;
     this.log = Boolean(series[0].log);
-    this.series = series.map((one, k) => ({...one, number: k}));
+    this.rounding = this.log ? 0 : Math.max(...series.map(({unit}) => rounding(unit)));
+    // Where none is to be seen before others, the first ones are.
+    const some = series.some(({shown}) => shown);
+    this.series = series.map((one, k) => ({...one, number: k, shown: some ? one.shown : k < FEW}));
     this.units = [...new Set(series.map((one) => one.unit))].join(', ');
     // Values that are seen, where they were chosen by hand; what is dragged over.
     this.zoom = this.dragged = null;
@@ -54,13 +60,25 @@ class Plot {
     const [from, to] = view.limits;
     const box = {left: 50, right: width - 8, top: 6, bottom: height - 18};
     const runs = this.runs(view, 2 * (box.right - box.left));
-    const [low, high] = this.zoom ?? this.limits(runs);
+    const [low, high] = this.zoom ?? this.limits(runs), marks = this.marks(low, high);
+    box.left = Math.max(box.left, LETTER * Math.max(...marks.map(([, text]) => text.length)) + 12);
     const x = (value) => box.left + (value - from) / (to - from || 1) * (box.right - box.left);
     const y = (value) => {
       const v = this.log ? Math.log10(Math.max(Math.abs(value), LEAST)) : value;
       return box.bottom - (v - low) / (high - low) * (box.bottom - box.top);
     };
-    return {...box, width, height, from, to, low, high, x, y, runs};
+    return {...box, width, height, from, to, low, high, x, y, runs, marks};
+  }
+
+  // Heights that are marked, with what is written at each.
+  marks(low, high) {
+    const decades = this.log && high - low >= 2, found = [];
+    const step = decades ? Math.max(1, Math.ceil((high - low) / 3)) : tickStep(high - low, 3);
+    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) {
+      found.push([this.log ? 10 ** v : v, decades ? `1e${Math.round(v)}`.replace('-', '−')
+        : this.log ? short(10 ** v) : tick(v, step)]);
+    }
+    return found;
   }
 
   show(view, theme) {
@@ -136,7 +154,7 @@ class Plot {
         const column = run.columns[one.column];
         return column < 0 || view.at > run.history.end ? NaN : run.history.valueAt(view.at, column);
       });
-      one.chip.textContent = short(value) + (view.runs.length > 1 ? ` | ${short(other)}` : '')
+      one.chip.textContent = short(Math.abs(value) > this.rounding ? value : 0 * value) + (view.runs.length > 1 ? ` | ${short(other)}` : '')
         + (Number.isFinite(value) ? ` ${one.unit}` : '');
     }
   }
@@ -190,28 +208,26 @@ class Plot {
     if (low > high) return this.log ? [-12, 0] : [0, 1];
     if (this.log) return [Math.floor(low - 0.05), Math.max(Math.ceil(high + 0.05), Math.floor(low) + 2)];
     // What stands still is drawn as a straight line, not as its last digits.
-    const least = 1e-4 * Math.max(Math.abs(low), Math.abs(high)) || 2;
+    const most = Math.max(Math.abs(low), Math.abs(high));
+    const least = most > this.rounding ? 1e-4 * most : 2;
     const more = Math.max(0, least - (high - low)) / 2, room = 0.08 * (high - low + 2 * more);
     return [low - more - room, high + more + room];
   }
 
-  axes(pen, theme, {left, right, bottom, low, high, from, to, x, y}, view) {
+  axes(pen, theme, {width, left, right, bottom, from, to, x, y, marks}, view) {
     pen.font = FONT;
     pen.fillStyle = theme.muted;
     pen.strokeStyle = theme.line;
     pen.lineWidth = 1;
     pen.textAlign = 'right';
     pen.textBaseline = 'middle';
-    const decades = this.log && high - low >= 2;
-    const step = decades ? Math.max(1, Math.ceil((high - low) / 3)) : tickStep(high - low, 3);
-    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) {
-      const height = Math.round(y(this.log ? 10 ** v : v)) + 0.5;
+    for (const [value, text] of marks) {
+      const height = Math.round(y(value)) + 0.5;
       pen.beginPath();
       pen.moveTo(left, height);
       pen.lineTo(right, height);
       pen.stroke();
-      pen.fillText(decades ? `1e${Math.round(v)}`.replace('-', '−')
-        : this.log ? short(10 ** v) : tick(v, step), left - 6, height);
+      pen.fillText(text, left - 6, height);
     }
     pen.textAlign = 'center';
     pen.textBaseline = 'top';
@@ -219,8 +235,9 @@ class Plot {
     const period = tickStep(to - from, 2.4);
     if (!(period > 0)) return;
     for (let t = Math.ceil(from / period - 1e-9) * period; t <= to + 1e-9 * period; t += period) {
-      if (x(t) < left + 8 || x(t) > right - 14) continue;
-      pen.fillText(`${tick(t, period)} ${view.unit}`, x(t), bottom + 5);
+      const text = `${tick(t, period)} ${view.unit}`, half = pen.measureText(text).width / 2;
+      if (x(t) < left + 8 || x(t) + half > width) continue;
+      pen.fillText(text, x(t), bottom + 5);
     }
   }
 }

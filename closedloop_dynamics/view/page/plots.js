@@ -1,9 +1,21 @@
 // All plots: which are open, what they are drawn over, what of it is seen, and the cursor.
 
-const HIDDEN = ['joint velocity', 'error of the energy balance'];
+// A group that is closed at first, as those about the method are; most lines of a group that says of
+// none that it is to be seen.
+const HIDDEN = 'joint velocity', FEW = 4;
 const TURN = 2 * Math.PI;
 // Of a drag: what counts as one, and what zooms values, too [CSS pixels].
 const DRAGGED = 6, TALL = 28;
+
+// Share of what is usual for a machine below which numbers are rounding.
+const ROUNDING = 1e-10;
+
+// The largest number of a unit that is no more than rounding in a machine.
+function rounding(unit, {weight, size}) {
+  const work = weight * size;
+  return ROUNDING * ({N: weight, 'N m': work, J: work, W: work, m: size, 'm/s': size,
+                      rad: 1, 'rad/s': 1}[unit] ?? 0);
+}
 
 class Plots {
   constructor(described, place, menu, over) {
@@ -13,10 +25,12 @@ class Plots {
     // time that the pointer is at; another run that is compared.
     [this.over, this.zoom, this.cursor, this.other] = [-1, null, null, null];
     const columns = described.plots.map((plot, column) => ({...plot, column}));
+    const choices = [];
     for (const name of new Set(columns.map((plot) => plot.group))) {
       const plot = new Plot(name, columns.filter((one) => one.group === name)
-        .sort((a, b) => b.shown - a.shown));
-      plot.open = !HIDDEN.includes(name);
+        .sort((a, b) => b.shown - a.shown), (unit) => rounding(unit, described));
+      const {method} = plot.series[0];
+      plot.open = name !== HIDDEN && !method;
       plot.card.hidden = !plot.open;
       place.append(plot.card);
       const choice = make(`<label><input type="checkbox">${escaped(name)}</label>`);
@@ -25,10 +39,12 @@ class Plots {
         plot.open = choice.firstChild.checked;
         plot.card.hidden = !plot.open;
       };
-      menu.append(choice);
+      plot.choice = choice.firstChild;
+      choices.push([method, choice]);
       this.handle(plot);
       this.groups.push(plot);
     }
+    this.offer(choices, menu);
     this.choose(over, columns);
     // Only what can be seen is drawn.
     this.visible = new Set();
@@ -38,6 +54,19 @@ class Plots {
       }
     });
     for (const plot of this.groups) this.watch.observe(plot.canvas);
+  }
+
+  // Which are open; those about the method behind one switch.
+  offer(choices, menu) {
+    const [motion, method] = [false, true].map((which) => (
+      choices.filter(([of]) => Boolean(of) === which).map(([, choice]) => choice)));
+    menu.append(...motion);
+    if (!method.length) return;
+    const all = make('<label><input type="checkbox" id="about-method">how it is computed:</label>');
+    all.firstChild.onchange = () => {
+      for (const {firstChild} of method) if (firstChild.checked !== all.firstChild.checked) firstChild.click();
+    };
+    menu.append(all, ...method);
   }
 
   // What they may be drawn over: coordinates first.

@@ -56,7 +56,7 @@ class Trail {
       this.places.copyWithin(0, 3 * FORGOTTEN);
       this.times.copyWithin(0, FORGOTTEN);
       this.count -= FORGOTTEN;
-      this.sent = 0;
+      this.resend();
     }
     this.places.set(place, 3 * this.count);
     this.times[this.count] = time;
@@ -79,7 +79,13 @@ class Trail {
     [this.shown, this.now] = [low, now];
   }
 
-  forget() { this.count = this.sent = this.shown = 0; }
+  forget() {
+    this.count = this.shown = 0;
+    this.resend();
+  }
+
+  // From the first place on, into a buffer that has its size or not yet.
+  resend() { this.sent = Math.min(this.sent, 0); }
 
   last() { return this.places.subarray(3 * this.shown - 3, 3 * this.shown); }
 
