@@ -30,6 +30,7 @@ POINT, AXIS = 'point', 'axis'
 COORDINATE = 'coordinate'
 # In place of the joint, of forces in joints, where joints have several numbers or none.
 TREE_JOINT = 'tree_joint'
+# The longest reason in bytes.
 STATUS, REASON, LONGEST_REASON = 'status', 'reason', 400
 JOINTWISE = 'rad or m'
 
@@ -126,7 +127,9 @@ class Layout:
         columns = dict(zip(self._keys, self.plan.values(batch.samples).T))
         columns.update((name, batch.values[name]) for name in self.results)
         if any(batch.reasons):
-            columns[REASON] = batch.reasons
+            # Whole characters, however many bytes each takes.
+            columns[REASON] = [reason.encode()[:LONGEST_REASON].decode(errors='ignore')
+                               for reason in batch.reasons]
         return columns
 
     def attributes(self):
@@ -159,11 +162,11 @@ class NetCDF:
     library = 'netCDF4'
 
     def __init__(self, path, layout):
-        self._netcdf = import_module(self.library)
+        netcdf = import_module(self.library)
         if path.exists():
-            self._file = self._netcdf.Dataset(path, 'a')
+            self._file = netcdf.Dataset(path, 'a')
             return
-        file = self._file = self._netcdf.Dataset(path, 'w', format='NETCDF3_64BIT_DATA')
+        file = self._file = netcdf.Dataset(path, 'w', format='NETCDF3_64BIT_DATA')
         file.setncatts(layout.attributes())
         for name, size in {SAMPLE: None, **layout.sizes}.items():
             file.createDimension(name, size)
@@ -201,8 +204,8 @@ class NetCDF:
         variable = self._file[name]
         if variable.dtype.kind == 'S':
             length = variable.shape[-1]
-            values = self._netcdf.stringtochar(np.array(
-                [text.encode()[:length] for text in values], dtype=f'S{length}'))
+            values = np.array([text.encode() for text in values],
+                              dtype=f'S{length}').view('S1').reshape(-1, length)
         variable[where] = values
 
     def flush(self):

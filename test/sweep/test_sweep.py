@@ -13,7 +13,7 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.sweep import sweep
+from closedloop_dynamics.sweep import batch, sweep
 from closedloop_dynamics.sweep.storage import StorageError
 import numpy as np
 import pytest
@@ -102,6 +102,19 @@ def test_a_sample_that_fails_on_its_way_keeps_what_it_did(netcdf):
     assert reached[0] and not reached[-1]
     assert np.isnan(data['final_position'][1]).all() and np.isfinite(data['peak_force'][1]).all()
     assert 'smaller' in data['reason'][1]
+
+
+@pytest.mark.parametrize('first', ['', 'a'])
+def test_a_long_reason_ends_with_a_whole_character(path, monkeypatch, first):
+    reason = first + 'ü' * 300
+
+    def refuse(*_):
+        raise ValueError(reason)
+
+    monkeypatch.setattr(batch, 'changed', refuse)
+    sweep('four_bar', {MASS: [1.0]}, path, duration=0.05, workers=1)
+    kept, = read(path)['reason'].tolist()
+    assert reason.startswith(kept) and len(kept.encode()) in (399, 400)
 
 
 def test_all_kinds_hold_the_same(tmp_path):
