@@ -48,7 +48,7 @@ COMMAND = Command(
     description="""\
 Copy whatever is sound in a bag into a new one (mcap), with index and metadata. A
 recorder that was killed leaves a bag without them, which ros2 bag does not open;
-all but the last second of messages is in it. Every chunk (mcap) or message (sqlite3 from
+all but the last 0.1 s of messages are in it. Every chunk (mcap) or message (sqlite3 from
 closedloop_recorder) is checked by its checksum; damaged ones are left out and named, and
 the exit code is 1 if messages were lost by it. The old bag stays as it is.
 """,

@@ -44,8 +44,9 @@ class BagFiles:
 
     @property
     def counts(self):
-        """Return the number of messages in the finished files, by topic."""
-        counts = sum((file.counts for file in self._ended), Counter())
+        """Return the number of messages in the files by topic; exact after a flush."""
+        files = [*self._ended, *filter(None, [self._file])]
+        counts = sum((file.counts for file in files), Counter())
         return {topic.name: counts[channel] for channel, topic in enumerate(self._topics, 1)}
 
     def add_topic(self, topic):

@@ -5,6 +5,7 @@
 
 from collections import Counter
 from importlib import import_module
+import math
 from pathlib import Path
 from queue import Empty
 from queue import SimpleQueue
@@ -23,7 +24,12 @@ from rosbags.typesys import Stores
 from rosbags.typesys import TypesysError
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
-FLUSH_PERIOD = 1.0
+FLUSH_PERIOD = 0.1
+# Messages that may wait for the disk, and what each takes beside its data [bytes].
+CACHE_SIZE, OVERHEAD = 100e6, 200
+# For writing what waits when the bag is closed, and for its index after that [s]. With the
+# recorder's last call, these are shorter than the 5 s after which a launch loses its patience.
+PATIENCE, INDEX_PATIENCE = 1.5, 2.0
 
 
 class BagError(OSError):
@@ -34,19 +40,27 @@ class BagWriter:
     """
     Write serialised messages into a bag without keeping the caller waiting.
 
-    Arguments are those of ``recording.writer.BagFiles``, and the ``typestore`` that the
-    definitions of the types are taken from. ``written``: messages in the bag, by topic; known when
-    it is closed; ``error``: what ended the writing early, a BagError or None; from then on nothing
-    is written. BagError if the bag exists or cannot be created.
+    Arguments are those of ``recording.writer.BagFiles``, the ``typestore`` that the definitions of
+    the types are taken from, and ``cache_size``: further messages are dropped while so much waits
+    for the disk [bytes]. ``written``: messages in the bag, by topic; complete when it is closed;
+    ``dropped``: number of messages that are left out because the disk is too slow; ``error``: why
+    the bag is not complete, a BagError or None; after one of writing, nothing more is written.
+    BagError if the bag exists or cannot be created.
     """
 
-    def __init__(self, path, storage, typestore, compression='none', max_size=0.0):
+    def __init__(self, path, storage, typestore, compression='none', max_size=0.0,
+                 cache_size=CACHE_SIZE):
         self.path = Path(path)
-        self.written = Counter()
+        self.written, self.dropped = Counter(), 0
         self.error = None
         self._arguments = storage, compression, max_size
-        self._typestore = typestore
+        self._typestore, self._cache_size = typestore, cache_size
         self._queue = SimpleQueue()
+        # Sizes of all messages that entered the queue, changed by the caller alone, and of all
+        # that left it, changed by the thread alone.
+        self._entered = self._left = 0
+        # What still waits then is dropped.
+        self._deadline = math.inf
         self._opened = Event()
         # sqlite3 wants all calls from one thread, so the bag lives in there.
         self._thread = Thread(target=self._work, name='bag_writer', daemon=True)
@@ -68,38 +82,48 @@ class BagWriter:
 
     def write(self, topic, nanoseconds, data):
         """Put one message, as it was serialised, into the bag, soon; received at a time [ns]."""
-        self._queue.put((topic, nanoseconds, data))
+        waiting, size = self._entered - self._left, len(data) + OVERHEAD
+        if waiting and waiting + size > self._cache_size:
+            self.dropped += 1
+        else:
+            self._entered += size
+            self._queue.put((topic, nanoseconds, data))
 
     def close(self):
-        """Write everything that waits, then the index; an error ends up in ``error``."""
+        """Write what waits for ``PATIENCE``, then the index; errors end up in ``error``."""
+        self._deadline = time.monotonic() + PATIENCE
         self._queue.put(None)
-        self._thread.join()
+        self._thread.join(PATIENCE + INDEX_PATIENCE)
+        if self._thread.is_alive():
+            self._fail('the disk does not answer')
+        elif self.dropped and self.error is None:
+            self.error = BagError(
+                f"{self.dropped} messages are not in the bag '{self.path}': they came faster than "
+                'the disk took them')
 
     def _work(self):
         try:
             files = BagFiles(self.path, *self._arguments)
-        except OSError as error:
+        except Exception as error:
+            # An error of any kind would leave the caller with a bag that nobody writes.
             reason = ('it exists already, not overwriting' if isinstance(error, FileExistsError)
-                      else error.strerror or error)
+                      else _reason(error))
             self.error = BagError(f"cannot create the bag '{self.path}': {reason}")
             return
         finally:
             self._opened.set()
-        try:
-            self._drain(files)
-        except OSError as error:
-            self._fail(error)
-        try:
-            files.close()
-        except OSError as error:
-            self._fail(error)
-        self.written.update(files.counts)
+        for step in (self._drain, BagFiles.close):
+            try:
+                step(files)
+            except Exception as error:
+                self._fail(_reason(error))
+        self.written = Counter(files.counts)
 
-    def _fail(self, error):
+    def _fail(self, reason):
         if self.error is None:
             self.error = BagError(
-                f"cannot go on writing the bag '{self.path}': {error.strerror or error}; what "
-                'was written before can be read')
+                f"cannot go on writing the bag '{self.path}': {reason}; what was written before "
+                'can be read')
 
     def _drain(self, files):
         channels = {}
@@ -111,14 +135,26 @@ class BagWriter:
                 item = ()
             if item is None:
                 return
+            now = time.monotonic()
             if isinstance(item, Topic):
                 channels[item.name] = files.add_topic(item)
+            elif item and now > self._deadline:
+                self.dropped += 1
             elif item:
                 topic, nanoseconds, data = item
                 files.write(channels[topic], nanoseconds, data)
-            if time.monotonic() >= due:
+                self._left += len(data) + OVERHEAD
+            if now >= due:
                 files.flush()
+                self.written = Counter(files.counts)
                 due = time.monotonic() + FLUSH_PERIOD
+
+
+def _reason(error):
+    """Return what an exception says, with its kind where that is no error of the system."""
+    if isinstance(error, OSError):
+        return error.strerror or error
+    return f'{type(error).__name__}: {error}'
 
 
 def _offered(profile):

@@ -9,7 +9,8 @@ from fnmatch import fnmatchcase
 import time
 
 from closedloop_dynamics.recording.writer import COMPRESSIONS
-from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
+from closedloop_dynamics.ros.bag import (
+    BagError, BagWriter, CACHE_SIZE, MessageTypes, UnknownTypeError)
 from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from rclpy.clock import Clock
@@ -25,6 +26,8 @@ NAME = 'closedloop_recorder'
 QUEUE_DEPTH = 10000
 # Period of the search for topics [s].
 DISCOVERY_PERIOD = 0.1
+# Between warnings that messages are dropped [s].
+WARNING_PERIOD = 10.0
 MEGABYTE = 1e6
 # For taking in messages that had arrived when the recording was ended [s].
 LAST_CALL = 0.5
@@ -49,6 +52,8 @@ PARAMETERS = (
               'Compression: none; zstd; lz4, of mcap only.', choices=COMPRESSIONS['mcap']),
     Parameter('max_size', 0.0, 'A file of the bag that has become larger is followed by another '
               'one [MB]; 0: never.', (0.0, 1e6)),
+    Parameter('max_cache_size', CACHE_SIZE / MEGABYTE, 'Memory for messages that wait for the '
+              'disk; further ones are dropped, counted and reported [MB].', (0.1, 1e6)),
     Parameter('max_duration', 0.0, 'End the recording after so long [s]; 0: when stopped.',
               (0.0, 1e6)),
 )
@@ -91,7 +96,8 @@ class RecorderNode(Node):
         try:
             return BagWriter(
                 values['output'] or datetime.now().strftime('rosbag2_%Y_%m_%d-%H_%M_%S'),
-                storage, self._types.typestore, compression, values['max_size'] * MEGABYTE)
+                storage, self._types.typestore, compression, values['max_size'] * MEGABYTE,
+                values['max_cache_size'] * MEGABYTE)
         except BagError as error:
             raise StartError(f'{error}') from None
 
@@ -100,6 +106,10 @@ class RecorderNode(Node):
         for topic, type_names in self.get_topic_names_and_types():
             if any(fnmatchcase(topic, full) for full in self._patterns.values()):
                 self._listen_to(topic, type_names)
+        if self._bag.dropped:
+            self.get_logger().warning(
+                'messages come faster than the disk takes them: '
+                f'{self._bag.dropped} dropped so far', throttle_duration_sec=WARNING_PERIOD)
         duration = self._values['max_duration']
         if self._bag.error is not None:
             self.exit_code = 1
@@ -112,9 +122,10 @@ class RecorderNode(Node):
         self._bag.close()
         logger = self.get_logger()
         for topic in sorted(self._subscriptions_by_topic):
+            received, written = self.received[topic], self._bag.written[topic]
+            dropped = f', {received - written} dropped' if received > written else ''
             lost = f', {self.lost[topic]} lost on the way' if self.lost[topic] else ''
-            logger.info(f'{topic}: {self.received[topic]} received, '
-                        f'{self._bag.written[topic]} written{lost}')
+            logger.info(f'{topic}: {received} received, {written} written{dropped}{lost}')
         for pattern, full in self._patterns.items():
             if pattern not in RARE and not any(
                     fnmatchcase(topic, full) for topic in self._subscriptions_by_topic):

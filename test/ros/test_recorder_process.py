@@ -185,14 +185,14 @@ def recorded(bag):
 
 
 @pytest.mark.parametrize('storage, compression', [('mcap', 'zstd'), ('sqlite3', 'none')])
-def test_all_but_the_last_second_survives_kill(processes, listener, tmp_path, storage,
+def test_all_but_the_last_moment_survives_kill(processes, listener, tmp_path, storage,
                                                compression):
     recorder = processes.start(RECORDER, output='bag', topics='[t]', storage=storage,
                                compression=compression).wait_until_ready()
     publisher = heard_publisher(listener, recorder, 't')
     publish(publisher, range(300))
     listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
-    # What was received reaches the file within a second; then something that may be lost.
+    # What was received reaches the file soon; then something that may be lost.
     bag = tmp_path / 'bag'
     listener.wait(lambda: recorded(Bag(bag))[-1:] == [299] if storage == 'mcap'
                   else size_of(bag) > 300 * 800, '300 messages in the file')
@@ -237,13 +237,120 @@ def test_full_disk_is_said_and_leaves_a_whole_bag(processes, listener, tmp_path)
     assert numbers == list(range(len(numbers)))
 
 
+def damage(processes, tmp_path, code):
+    """Let processes run some code first, with the methods of bags' files at hand."""
+    (tmp_path / 'sitecustomize.py').write_text(DAMAGE_BEGIN + code)
+    processes.environment['PYTHONPATH'] = str(tmp_path)
+
+
+DAMAGE_BEGIN = """\
+from pathlib import Path
+from threading import Event
+from closedloop_dynamics.recording.writer import BagFiles
+begin, write, close = BagFiles.__init__, BagFiles.write, BagFiles.close
+
+
+def fail(*_):
+    raise ERROR
+
+
+"""
+
+
+@pytest.mark.parametrize('storage, error', [
+    ('mcap', "ValueError('no such chunk')"), ('sqlite3', "ImportError('no such library')"),
+    ('mcap', "RuntimeError('two\\nlines')")])
+def test_errors_of_any_kind_end_the_recording(processes, listener, tmp_path, storage, error):
+    damage(processes, tmp_path, f"""\
+ERROR = {error}
+BagFiles.write = lambda *a: write(*a) if not Path('broken').exists() else fail()
+""")
+    recorder = processes.start(
+        RECORDER, output='bag', topics='[t]', storage=storage).wait_until_ready()
+    publisher = heard_publisher(listener, recorder, 't')
+    listener.wait(lambda: HELLO in recorded(Bag(tmp_path / 'bag')), 'message in the file')
+    (tmp_path / 'broken').touch()
+    listener.send(publisher, Float64MultiArray(data=[1.0]),
+                  lambda: recorder.popen.poll() is not None, 'end')
+    assert recorder.popen.returncode == 1
+    name, text = error.split('(')
+    assert f"cannot go on writing the bag 'bag': {name}: {text[1:4]}" in recorder.output
+    assert 'Traceback' not in recorder.output
+    received, written = counts(recorder)['/t']
+    assert received > written
+    assert f'{received - written} dropped' in recorder.output
+    assert recorded(Bag(tmp_path / 'bag')) == [HELLO] * written
+
+
+def test_error_at_the_beginning_is_told(processes, tmp_path):
+    damage(processes, tmp_path, """\
+ERROR = ImportError('no such library')
+BagFiles.__init__ = fail
+""")
+    recorder = processes.start(RECORDER, output='bag', topics='[t]')
+    assert recorder.wait() == 2
+    assert "cannot create the bag 'bag': ImportError: no such library" in recorder.last_words()
+
+
+def test_error_at_the_end_is_told(processes, listener, tmp_path):
+    damage(processes, tmp_path, """\
+ERROR = KeyError('index')
+BagFiles.close = fail
+""")
+    recorder = processes.start(RECORDER, output='bag', topics='[t]').wait_until_ready()
+    heard_publisher(listener, recorder, 't')
+    assert recorder.stop() == 1
+    assert "cannot go on writing the bag 'bag': KeyError: 'index'" in recorder.output
+
+
+# A disk that hangs for ever from the second message on, and one that takes a minute for what comes
+# in a few seconds.
+@pytest.mark.parametrize('how, storage, told', [
+    ('Event().wait()', 'mcap', 'the disk does not answer'),
+    ('Event().wait(0.5)', 'sqlite3', 'they came faster than the disk took them')])
+def test_slow_disk_drops_messages_and_does_not_delay_the_end(
+        processes, listener, tmp_path, how, storage, told):
+    damage(processes, tmp_path, f"""\
+def slow(*arguments):
+    if Path('slow').exists():
+        {how}
+    write(*arguments)
+
+
+BagFiles.write = slow
+""")
+    recorder = processes.start(RECORDER, output='bag', topics='[t]', storage=storage,
+                               max_cache_size='0.1').wait_until_ready()
+    publisher = heard_publisher(listener, recorder, 't')
+    listener.wait(lambda: HELLO in recorded(Bag(tmp_path / 'bag')), 'message in the file')
+    (tmp_path / 'slow').touch()
+    # A tenth of a megabyte is some hundred of these.
+    index = 0
+    while 'messages come faster than the disk takes them' not in recorder.output:
+        publish(publisher, [index])
+        index += 1
+        assert index < 60_000
+    listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
+    assert recorder.stop() == 1
+    assert told in recorder.output
+    received, written = counts(recorder)['/t']
+    assert received > index
+    assert f'{received} received, {written} written, {received - written} dropped' in (
+        recorder.output)
+    numbers = recorded(Bag(tmp_path / 'bag'))
+    # The hundred that waited in the end would have taken the slow disk most of a minute.
+    assert len(numbers) == written < 100
+    numbers = without_hello(numbers)
+    assert numbers == list(range(len(numbers)))
+
+
 def test_large_recordings_are_split(processes, listener, tmp_path):
-    recorder = processes.start(RECORDER, output='bag', topics='[t]', max_size='0.05',
-                               compression='zstd').wait_until_ready()
+    recorder = processes.start(
+        RECORDER, output='bag', topics='[t]', max_size='0.05').wait_until_ready()
     publisher = heard_publisher(listener, recorder, 't')
     publish(publisher, range(300))
     listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
     assert recorder.stop() == 0
-    assert len(list((tmp_path / 'bag').glob('*.mcap'))) > 3
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) > 4  # Of more than 240 kB
     assert without_hello([message.data[0] for _, message in read_with_rosbags(
         tmp_path / 'bag')['/t']]) == list(range(300))
