@@ -18,6 +18,7 @@ from ..simulation.assembly import Assembler
 from ..simulation.geometry import Geometry
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
+from ..simulation.second_order import as_it_moves
 
 TURN = 2.0 * math.pi
 # Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.
@@ -82,7 +83,7 @@ def cycle(scene):
 
 def degrees_of_freedom(scene, position):
     """Return the degrees of freedom of a scene's mechanism near a position."""
-    mechanism = scene.mechanism
+    mechanism = as_it_moves(scene.mechanism, position)
     return Assembler(mechanism, Geometry(mechanism).equations).degrees_of_freedom(position)
 
 

@@ -19,6 +19,7 @@ from ..simulation.errors import SimulationError
 from ..simulation.geometry import Geometry
 from ..simulation.model import Model
 from ..simulation.motions import with_motions
+from ..simulation.second_order import scene_as_it_moves
 from ..visual.trajectory import without_marks
 
 # Behind the dot of a driven point.
@@ -89,6 +90,7 @@ class DrivenRun:
         duration = moves[0] / speed
         self._by_joints = all(name.rpartition('.')[2] not in AXES or _is_freedom(scene, name)
                               for name in drives)
+        scene = scene_as_it_moves(scene)
         moved = _driven_scene(scene, drives, duration)
         mechanism = with_motions(moved)
         if len(mechanism.motions) != len(drives):
@@ -147,6 +149,7 @@ class DrivenRun:
 
 def assemblies(scene, drives):
     """Return the assemblies at the first pose, a ``simulation.assemblies.Assembled``."""
+    scene = scene_as_it_moves(scene)
     mechanism = with_motions(_driven_scene(scene, drives, 1.0))
     return _assembled(mechanism, start_position(scene), [each.start for each in drives.values()])
 

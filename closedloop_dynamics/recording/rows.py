@@ -21,6 +21,7 @@ from .errors import RecordingError
 from ..mechanism.closure import closure
 from ..mechanism.kinematics import body_poses, named_point
 from ..simulation.modeling import extent
+from ..simulation.second_order import scene_as_it_moves
 from ..simulation.scene_text import read_scene_text, scene_text
 from ..visual.trajectory import from_rows, without_marks
 
@@ -113,7 +114,7 @@ def _first_difference(one, other):
 
 def _require_columns(path, scene, names):
     """Refuse columns that the scene's rows do not have, or lack."""
-    mechanism = scene.mechanism
+    mechanism = scene_as_it_moves(scene).mechanism
     axes = 'xy' if mechanism.planar else 'xyz'
     required = ['time', *(name for quantity in ('position', 'velocity', 'effort')
                           for name in mechanism.coordinates.columns(quantity))]

@@ -18,8 +18,7 @@ from operator import itemgetter
 import numpy as np
 
 from .errors import AssemblyError
-from .modeling import build_model, extent
-from ..core.equations import Equations
+from .modeling import extent
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -44,7 +43,6 @@ MOST_EQUATIONS = 300
 NEARBY, NEIGHBOURS, MOST_OPEN = 0.1, 3, 5e-6
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
-MOST_GUESSES = 10
 # Gaps, against the largest one, that are due to the same contradiction.
 OF_ONE_KIND = 0.1
 # Larger changes of a guess are reported [rad, and shares of the size; shares of a rate].
@@ -262,7 +260,7 @@ class Assembler:
         if rank == min(self.nc, self.nv):
             return rank, q
         return max(((rank, q), *((rank_of(self.jacobian(near)), near)
-                                 for near in self._neighbours(q, seed))), key=itemgetter(0))
+                                 for near in self.neighbours(q, seed))), key=itemgetter(0))
 
     def jacobian_of_largest_rank(self, q):
         """Return the Jacobian of a closed position, or of one nearby if that has a larger rank."""
@@ -279,9 +277,9 @@ class Assembler:
         ``opening`` is what counts as closed, in sizes of the mechanism.
         """
         return any(np.abs(self._equations.move(near).closures()[0]).max() <= (
-            opening * self.extent) for near in self._neighbours(q))
+            opening * self.extent) for near in self.neighbours(q))
 
-    def _neighbours(self, q, seed=0):
+    def neighbours(self, q, seed=0):
         """Yield closed positions near a closed one."""
         rng = np.random.default_rng(seed)
         size = np.where(self._coordinates.lengths, self.extent, 1.0)
@@ -304,7 +302,7 @@ class Assembler:
         most, found = -1, np.zeros(len(derivatives(q)), dtype=bool)
         if not 0 < self.nc <= MOST_EQUATIONS:
             return found
-        for near in chain((q,), self._neighbours(q)):
+        for near in chain((q,), self.neighbours(q)):
             _, singular, rows = np.linalg.svd(self.jacobian(near))
             rank = rank_from(singular)
             free = np.abs(derivatives(near) @ rows[rank:].T).max(axis=1, initial=0.0)
@@ -321,7 +319,7 @@ class Assembler:
         if not 0 < self.nc <= MOST_EQUATIONS:
             return ''
         rank, _ = self._largest_rank(q)
-        away = [_singular(self.jacobian(near))[rank - 1] for near in self._neighbours(q)]
+        away = [_singular(self.jacobian(near))[rank - 1] for near in self.neighbours(q)]
         if not away or _singular(self.jacobian(q))[rank - 1] > 0.1 * max(away):
             return ''
         return ('The mechanism is at a change point (a singular position), where the loops can '
@@ -540,7 +538,7 @@ class Assembler:
         if missing == 0:
             return
         # At a singular position even a complete choice leaves freedoms for an instant.
-        missing = min([missing, *(self._missing(near, free) for near in self._neighbours(q))])
+        missing = min([missing, *(self._missing(near, free) for near in self.neighbours(q))])
         if missing:
             raise AssemblyError(
                 f'Holding {", ".join(hold)} is not a complete choice: {missing} degree'
@@ -600,24 +598,6 @@ class Assembler:
             f'{column.partition(".")[2]} = {value:.6g}' for column, value
             in zip(self._coordinates.columns('position'), q) if column.split('.')[1] in hold)
         return f'With none held it closes at {nearest}: hold such values.'
-
-
-def find_degrees_of_freedom(mechanism):
-    """
-    Count the degrees of freedom of a mechanism, in positions that are found by trial.
-
-    The most among the positions: there may be some in which it is locked. None where no guess led
-    to one that closes the loops, and for mechanisms too large to try.
-    """
-    if mechanism.number_of_equations > MOST_EQUATIONS:
-        return None
-    assembler = Assembler(mechanism, Equations(build_model(mechanism)))
-    rng, found = np.random.default_rng(0), []
-    for _ in range(MOST_GUESSES):
-        with suppress(AssemblyError):
-            q = assembler.positions(rng.uniform(-2.0, 2.0, assembler.nv))
-            found.append(assembler.degrees_of_freedom(q))
-    return max(found, default=None)
 
 
 def angle_notes(mechanism, position):

@@ -26,6 +26,7 @@ from .modeling import extent
 from .motions import DrivingConstraints, require_actuated
 from .names import Names
 from .scene_records import Method, Scene
+from .second_order import find_second_order, SecondOrder
 from .state import State
 from ..core import types as t
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
@@ -71,12 +72,9 @@ class Data(Names):
         self._time = 0.0
         self._points = {point.name: point for point in self.mechanism.points}
         self._geometry = Geometry(self.mechanism, self.decomposition)
-        placements = self._geometry.placements
         self._prescribe(scene)
-        if self._may_leave_out(scene.method):
-            self._geometry.leave_out_repeated(
-                np.array(scene.initial.position), scene.initial.hold)
-            self._motions.look_up(self._geometry.model)
+        self._choose_equations(scene)
+        placements = self._geometry.placements
         model, self._equations = self._geometry.model, self._geometry.equations
         machine = Machine(
             self.mechanism, placements, self._motions.rows, self.acted)
@@ -113,6 +111,28 @@ class Data(Names):
         self.inverse = self._inverse_dynamics()
         self._set_probes()
 
+    def _choose_equations(self, scene: Scene) -> None:
+        """Leave out equations that repeat others, and hold what they forbid to second order."""
+        position, hold = np.array(scene.initial.position), scene.initial.hold
+        leaves_out, chosen = self._may_leave_out(scene.method), self._geometry
+        self.second_order: Optional[SecondOrder] = None
+        if not leaves_out and chosen.plainly_independent(position):
+            return
+        if not leaves_out:
+            chosen = Geometry(self.mechanism, self.decomposition)
+            self._motions.look_up(chosen.model)
+        chosen.leave_out_repeated(position, hold)
+        if chosen.unexplained is not None:
+            self.second_order = find_second_order(self.mechanism, chosen.unexplained)
+        if self.second_order is not None:
+            self.mechanism = self.second_order.added_to(self.mechanism)
+            self.decomposition = decompose(self.mechanism)
+            self._geometry = Geometry(self.mechanism, self.decomposition)
+            self._prescribe(scene)
+            if leaves_out:
+                self._geometry.leave_out_repeated(position, hold)
+        self._motions.look_up(self._geometry.model)
+
     def _assemble_start(self) -> None:
         """Go to the scene's start, which its masses and forces have a part in."""
         initial = self.scene.initial
@@ -144,7 +164,7 @@ class Data(Names):
         """
         # Frames in space lie along centres of mass; lengths decide which equations are worked on.
         masses = ('mass', 'inertia', *(('center_of_mass',) if self.mechanism.planar else ()))
-        return not self._geometry.by_masses and not self._motions and all(
+        return not (self._geometry.by_masses or self._motions or self.second_order) and all(
             path[0] == 'effects' or (
                 path[:2] == ('mechanism', 'bodies') and path[3] in masses) for path in paths)
 

@@ -65,6 +65,8 @@ class LoopModel:
         Whether the elimination leaves out equations that repeat others.
     by_masses : bool
         Whether masses had a part in the choice of equations at the start.
+    unexplained : ndarray or None
+        Closed position, shape (nq,), where equations depend on others that do not imply them.
     opening : float
         Closure errors of equations that are left out, in sizes of the mechanism, up to which they
         count as repeating others.
@@ -77,7 +79,7 @@ class LoopModel:
         self._first, self._known, self.model = None, {}, None
         # Where equations were last chosen, and those that have been worked on there.
         self._place, self._tried = b'', set()
-        self._choices = None
+        self._choices = self.unexplained = None
         self.opening, self.by_masses = AS_GOOD_AS_CLOSED, False
         self.select(None)
 
@@ -130,18 +132,21 @@ class LoopModel:
         if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
             return
         assembler = Assembler(self.mechanism, self.equations)
-        if self._plainly_independent(assembler, q):
+        if self.plainly_independent(q):
             return
         with suppress(AssemblyError):
             place = assembler.positions(q, hold)
             self.by_masses = assembler.by_masses
+            dependent = rank_of(assembler.jacobian(place)) < self.equations.nc
             self.choose(place)
             self._first = self._kept()
+            self.unexplained = place if dependent and self.equations.kept.all() else None
 
-    def _plainly_independent(self, assembler, q):
+    def plainly_independent(self, q):
         """Return whether equations are so independent that closing the loops cannot change it."""
         if self.equations.nc > self.equations.nv:
             return False
+        assembler = Assembler(self.mechanism, self.equations)
         error = np.abs(assembler.closure(q)).max(initial=0.0) / assembler.extent
         singular = np.linalg.svd(
             scaled(assembler.jacobian(q), self.equations.groups), compute_uv=False)

@@ -159,7 +159,9 @@ class Simulation(Stepping):
         weight = EARTH * sum(body.mass for body in self.mechanism.bodies)
         effects = [note for name, record in self.scene.effects.items() for note in
                    record.start_notes(name, partial(self.effect_readings, name), weight)]
-        return (angle_notes(self.mechanism, self.scene.initial.position) + self._motions.notes()
+        held = self.second_order.notes() if self.second_order is not None else []
+        return (angle_notes(self.mechanism, self.scene.initial.position) + held
+                + self._motions.notes()
                 + self.assembly_notes() + effects + self.load_notes())
 
     def reset(self) -> None:

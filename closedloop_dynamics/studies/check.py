@@ -13,12 +13,13 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
-from ..simulation.assembly import find_degrees_of_freedom, MOST_EQUATIONS
+from ..simulation.assembly import MOST_EQUATIONS
 from ..simulation.geometry import Geometry
 from ..simulation.global_assembly import ClosureProblem, find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.redundancy import find_redundancy
+from ..simulation.second_order import count_forbidden, find_degrees_of_freedom
 from ..simulation.tree_choice import count_operations
 from ..visual.tables import text_table
 
@@ -217,24 +218,30 @@ def _number_of_equations(mechanism):
 def _degrees_of_freedom(mechanism, simulation, found):
     joints = mechanism.coordinates.nv
     equations = sum(_equations(mechanism))
+    forbidden = 0
     if simulation is not None:
         freedoms = simulation.degrees_of_freedom()
+        forbidden = simulation.second_order.count if simulation.second_order else 0
     elif mechanism.planar:
         freedoms = find_degrees_of_freedom(mechanism)
+    elif found.closed:
+        forbidden = count_forbidden(mechanism, found.q)
+        freedoms = joints - forbidden - (
+            ClosureProblem(mechanism, extent(mechanism)).rank(found.q))
     else:
-        freedoms = None if not found.closed else (
-            joints - ClosureProblem(mechanism, extent(mechanism)).rank(found.q))
+        freedoms = None
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found)')
     # Motions that the loops or one another decide already are refused.
     motions = 0 if simulation is None else len(simulation.mechanism.motions)
-    independent = joints - freedoms - motions
+    independent = joints - freedoms - motions - forbidden
     several = 'joints' if joints == len(mechanism.joints) else 'of the joints'
     return f'{freedoms} = {joints} {several} - {independent} ' + (
         'equations' if independent == equations else
         f'independent equations ({equations - independent} of {equations} repeat others)') + (
-        f' - {motions} prescribed motion{"s" * (motions > 1)}' * bool(motions))
+        f' - {motions} prescribed motion{"s" * (motions > 1)}' * bool(motions)) + (
+        f' - {forbidden} that loops forbid to second order only' * bool(forbidden))
 
 
 def _closed(mechanism):

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from closedloop_dynamics.core.equations import Equations
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
-from closedloop_dynamics.simulation.assembly import (
-    angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
+from closedloop_dynamics.simulation.assembly import angle_notes, Assembler, TOLERANCE
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.second_order import find_degrees_of_freedom
 import numpy as np
 import pytest
 
