@@ -11,6 +11,7 @@
 #include <memory>
 #include <new>
 #include <stdexcept>
+#include <string_view>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -18,7 +19,7 @@
 
 #include "forces.hpp"
 #include "python_api.hpp"
-#include "system.hpp"
+#include "stepper.hpp"
 
 // Functions of C++ as functions of Python: arguments are converted by the types of the parameters.
 // Arrays are used in place (C-contiguous, of float64 or int64), named tuples of arrays become the
@@ -72,7 +73,7 @@ void read_record(PyObject * from, Record & to, Place place);
 struct Ignore
 {
   template<class ... Field>
-  void operator()(Field & ...) const {}
+  void operator()(Field && ...) const {}
 };
 
 template<class Type, class = void>
@@ -235,15 +236,42 @@ struct Handle
   PyObject * owner = nullptr;
 };
 
-inline constexpr char handle_name[] = "closedloop_dynamics.engine.System";
+/// The name of the capsules that hold objects of a class.
+template<class Object>
+inline constexpr const char * capsule_name = nullptr;
+template<>
+inline constexpr const char * capsule_name<System> = "closedloop_dynamics.engine.System";
+template<>
+inline constexpr const char * capsule_name<Stepper> = "closedloop_dynamics.engine.Stepper";
 
-inline void read(PyObject * from, const System * & to, Place)
+template<class Object>
+void * pointer_in(PyObject * from)
 {
-  void * found = PyCapsule_GetPointer(from, handle_name);
+  void * found = PyCapsule_GetPointer(from, capsule_name<Object>);
   if (found == nullptr) {
     throw PythonError();
   }
-  to = &static_cast<Handle *>(found)->system;
+  return found;
+}
+
+inline void read(PyObject * from, const System * & to, Place)
+{
+  to = &static_cast<Handle *>(pointer_in<System>(from))->system;
+}
+
+inline void read(PyObject * from, Stepper * & to, Place)
+{
+  to = from == &_Py_NoneStruct ? nullptr : static_cast<Stepper *>(pointer_in<Stepper>(from));
+}
+
+inline void read(PyObject * from, std::string_view & to, Place)
+{
+  Py_ssize_t length = 0;
+  const char * found = PyUnicode_AsUTF8AndSize(from, &length);
+  if (found == nullptr) {
+    throw PythonError();
+  }
+  to = {found, static_cast<std::size_t>(length)};
 }
 
 template<class Type>
@@ -288,6 +316,14 @@ struct Holder<System>
   const System & get() {return *value;}
 };
 
+template<>
+struct Holder<Stepper>
+{
+  Stepper * value = nullptr;
+  void take(PyObject * from, Place) {value = static_cast<Stepper *>(pointer_in<Stepper>(from));}
+  Stepper & get() {return *value;}
+};
+
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
 inline PyObject * to_python(Index value) {return PyLong_FromLongLong(value);}
@@ -306,6 +342,35 @@ PyObject * to_python(const std::pair<First, Second> & value)
 {
   Owned first(to_python(value.first)), second(to_python(value.second));
   return PyTuple_Pack(2, first.get(), second.get());
+}
+
+/// Hand over an object.
+template<class Object>
+PyObject * to_python(std::unique_ptr<Object> && object)
+{
+  PyObject * made = PyCapsule_New(
+    object.get(), capsule_name<Object>, [](PyObject * capsule) {
+      delete static_cast<Object *>(PyCapsule_GetPointer(capsule, capsule_name<Object>));
+    });
+  if (made != nullptr) {
+    object.release();
+  }
+  return made;
+}
+
+/// A record of results becomes a dictionary by its names.
+template<class Record>
+auto to_python(const Record & record)->decltype(record.names(Ignore{}), static_cast<PyObject *>(nullptr))
+{
+  Owned found(PyDict_New());
+  record.names(
+    [&](const char * name, auto value) {
+      Owned item(to_python(value));
+      if (PyDict_SetItemString(found.get(), name, item.get()) < 0) {
+        throw PythonError();
+      }
+    });
+  return found.release();
 }
 
 /// Call a function for Python: an exception becomes Python's.
@@ -461,8 +526,8 @@ struct Kernel<Function, Releases, lengths...>: Bound
       Py_IncRef(&_Py_NoneStruct);
       return &_Py_NoneStruct;
     } else {
-      const Result result = release_and_call();
-      return PyErr_Occurred() != nullptr ? nullptr : to_python(result);
+      Result result = release_and_call();
+      return PyErr_Occurred() != nullptr ? nullptr : to_python(std::move(result));
     }
   }
 

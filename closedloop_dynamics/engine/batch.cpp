@@ -13,6 +13,7 @@
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "routines.hpp"
+#include "scratch.hpp"
 #include "validation.hpp"
 
 namespace closedloop
@@ -256,7 +257,7 @@ bool same(Indices one, Indices other)
 bool fits(const Batch & batch, const Lane & lane, const Lane & first)
 {
   return lane.system != nullptr && lane.system->nv() == batch.nv() &&
-         lane.system->nq() == batch.nq() && fits(*lane.system, lane.run.stepper) &&
+         lane.system->nq() == batch.nq() && lane.run.stepper != nullptr && lane.run.stepper->fits(*lane.system) &&
          LANES * lane.system->effects.states.size == batch.rates.size &&
          LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
          LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
@@ -266,8 +267,8 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          same(lane.system->effects.kind, first.system->effects.kind) &&
          (batch.table[routine::AT_REST] != 0 ||
          !lists(lane.system->effects, effect::JOINT_FRICTION)) &&
-         lane.system->tau.size == batch.nv() && lane.run.stepper.kind == stepper::FIXED &&
-         lane.run.stepper.stabilisation == first.run.stepper.stabilisation &&
+         lane.system->tau.size == batch.nv() && lane.run.stepper->fixed_tableau() != nullptr &&
+         lane.run.stepper->stabilisation() == first.run.stepper->stabilisation() &&
          lane.run.numbers.size == guard::NUMBERS &&
          lane.run.numbers[guard::STEP_SIZE] == first.run.numbers[guard::STEP_SIZE];
 }
@@ -275,7 +276,7 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
 
 Status run_batch(
   const Batch & batch, const std::vector<Lane> & lanes, Values state, Table torque,
-  Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
+  Index zero_order_hold, Index decimation, Index steps, Cube<double> position,
   Cube<double> velocity, Indices status, Table found)
 {
   const Index count = static_cast<Index>(lanes.size());
@@ -285,8 +286,8 @@ Status run_batch(
     throw std::invalid_argument("run_batch: lanes that do not fit together");
   }
   const GuardedRun & like = lanes[0].run;
-  const Tableau & tableau = like.stepper.tableau;
-  const Stabilisation stabilisation = like.stepper.stabilisation;
+  const Tableau & tableau = *like.stepper->fixed_tableau();
+  const Stabilisation stabilisation = like.stepper->stabilisation();
   const Watch & watch = like.watch;
   const double step_size = like.numbers[guard::STEP_SIZE];
   const Index n = batch.qdd.size, first = LANES * batch.nq();
@@ -298,14 +299,14 @@ Status run_batch(
   if (zero_order_hold < 1 || decimation < 1 || steps < 0 || state.size != LANES * ns ||
     torque.columns != n || torque.rows < 1 ||
     (steps > 0 && torque.rows <= (steps - 1) / zero_order_hold) ||
-    !fits(tableau) || scratch.rows < std::max<Index>(tableau.a.rows, 1) + 3 ||
-    scratch.columns != state.size ||
     !has_rows(position, batch.nq()) || !has_rows(velocity, batch.nv()) ||
     status.size != count || found.rows != count || found.columns != finding::COLUMNS)
   {
     throw std::invalid_argument("run_batch: arrays that do not fit together");
   }
   Interrupt interrupt(lanes[0].system->interrupted, n);
+  const OwnedTable memory(std::max<Index>(tableau.a.rows, 1) + 3, state.size);
+  const Table scratch = memory.view();
   const Values stage = scratch[0], out = scratch[1], since = scratch[2];
   const Table slopes = scratch.from(3);
   double worked[LANES] = {};

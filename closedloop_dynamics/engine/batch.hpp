@@ -61,14 +61,14 @@ struct Lane
 };
 
 /// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `state` of shape
-/// (LANES * ns,), `torque` (rows, LANES * nv). `scratch`: shape (stages + 3, LANES * ns). `lanes`:
-/// the lanes in use, all of one method; the others repeat the last of them. Positions and
+/// (LANES * ns,), `torque` (rows, LANES * nv). `lanes`: the lanes
+/// in use, all of one method; the others repeat the last of them. Positions and
 /// velocities, shapes (LANES, instants, nq or nv), are written in place; `status` and `found`,
 /// shapes (lanes,) and (lanes, finding::COLUMNS): the end of each run. Not DONE: results are
 /// undefined; SINGULAR: a state needs methods of single runs.
 Status run_batch(
   const Batch &, const std::vector<Lane> & lanes, Values state, Table torque,
-  Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
+  Index zero_order_hold, Index decimation, Index steps, Cube<double> position,
   Cube<double> velocity, Indices status, Table found);
 
 }  // namespace closedloop

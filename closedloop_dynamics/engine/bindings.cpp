@@ -15,9 +15,7 @@
 #include "driven.hpp"
 #include "elimination.hpp"
 #include "energy_balance.hpp"
-#include "error_control.hpp"
 #include "evaluation.hpp"
-#include "fixed_steps.hpp"
 #include "forward_dynamics.hpp"
 #include "guarded_run.hpp"
 #include "inverse_dynamics.hpp"
@@ -33,13 +31,11 @@
 #include "recursion.hpp"
 #include "requests.hpp"
 #include "rollout.hpp"
-#include "rosenbrock.hpp"
 #include "routines.hpp"
 #include "sensitivity.hpp"
 #include "sticking.hpp"
 #include "stiffness.hpp"
 #include "stop_flag.hpp"
-#include "switching.hpp"
 #include "validation.hpp"
 
 namespace closedloop
@@ -85,6 +81,23 @@ std::pair<double, double> nearest_to_path(
   return {found.distance, found.along};
 }
 
+std::pair<Status, double> advance_stepper(
+  const System & system, Stepper & stepper, Values state, double origin, Index done,
+  double step_size, Index steps)
+{
+  const auto [status, elapsed] = stepper.advance(system, state, {origin, done, step_size, steps});
+  return {status, elapsed};
+}
+void go_on(Stepper & stepper) {stepper.go_on();}
+void restart(const System & system, Stepper & stepper, bool moved) {stepper.restart(system, moved);}
+void rewind(const System & system, Stepper & stepper) {stepper.rewind(system);}
+Index memory_length(Stepper & stepper) {return stepper.memory_length();}
+void store_memory(Stepper & stepper, Values out) {stepper.store_memory(out.data);}
+void recall_memory(Stepper & stepper, Values from) {stepper.recall_memory(from.data);}
+StepReport step_report(Stepper & stepper) {return stepper.report();}
+void clear_report(Stepper & stepper) {stepper.clear_report();}
+void aim(Stepper & stepper, double accuracy) {stepper.aim(accuracy);}
+
 /// Whether this thread is to stop, or a signal such as Ctrl-C has come; Python's error is set then in
 /// the main thread, which alone signals reach.
 bool is_interrupted()
@@ -109,6 +122,30 @@ std::pair<double, double> follow(
 }
 
 }  // namespace
+
+template<>
+inline constexpr auto precondition<advance_stepper> =
+  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
+
+template<>
+inline constexpr auto precondition<restart> =
+  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
+
+template<>
+inline constexpr auto precondition<rewind> =
+  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
+
+template<>
+inline constexpr auto precondition<store_memory> =
+  [](Stepper & stepper, Values out) {
+    return expected::unless(out.size == stepper.memory_length());
+  };
+
+template<>
+inline constexpr auto precondition<recall_memory> =
+  [](Stepper & stepper, Values from) {
+    return expected::unless(from.size == stepper.memory_length());
+  };
 
 template<>
 inline constexpr auto precondition<factorize_constraints> =
@@ -266,33 +303,19 @@ const Entry entries[] = {
   entry<cut_direction>(
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
   entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
-  released<
-    advance_fixed, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::STATE>(
-    "advance_fixed",
-    "advance_fixed(system, tableau, stabilisation, scratch, state, step_size, steps)"),
-  released<
-    advance_explicit, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE,
-    Length::ROWS_OF_STATE, Length::STATE>(
-    "advance_explicit",
-    "advance_explicit(system, tableau, stabilisation, control, scale, scratch, state, origin, "
-    "done, step_size, steps)"),
-  released<
-    advance_stiff_fixed, Length::ANY, Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE,
-    Length::STATE>(
-    "advance_stiff_fixed",
-    "advance_stiff_fixed(system, stabilisation, matrix, pivots, scratch, state, step_size, "
-    "steps)"),
-  released<
-    advance_stiff, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::ROWS_OF_STATE,
-    Length::ANY, Length::ROWS_OF_STATE, Length::STATE>(
-    "advance_stiff",
-    "advance_stiff(system, stabilisation, control, scale, matrix, pivots, scratch, state, "
-    "origin, done, step_size, steps)"),
-  released<
-    advance_switching, Length::ANY, Length::ANY, Length::ANY, Length::STATE>(
-    "advance_switching",
-    "advance_switching(system, tableau, stabilisation, runs, state, origin, done, step_size, "
-    "steps)"),
+  entry<make_stepper>("stepper", "stepper(system, name, options): a method with its memory"),
+  released<advance_stepper, Length::ANY, Length::STATE>(
+    "advance",
+    "advance(system, stepper, state, origin, done, step_size, steps): status, time advanced by"),
+  entry<go_on>("go_on", "go_on(stepper): the next advance continues where the latest failed"),
+  entry<restart>("restart", "restart(system, stepper, moved): torques or the state have changed"),
+  entry<rewind>("rewind", "rewind(system, stepper): begin as a new one would"),
+  entry<memory_length>("memory_length", "memory_length(stepper): of what outlasts a restart"),
+  entry<store_memory>("store_memory", "store_memory(stepper, out)"),
+  entry<recall_memory>("recall_memory", "recall_memory(stepper, memory)"),
+  entry<step_report>("step_report", "step_report(stepper): numbers of its steps by name"),
+  entry<clear_report>("clear_report", "clear_report(stepper): count from here on"),
+  entry<aim>("aim", "aim(stepper, accuracy): keep another accuracy"),
   entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
   entry<set_stop>(
     "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
@@ -356,7 +379,7 @@ const Entry entries[] = {
     "actuated, reached, position, rates): how many nodes of a grid are reached"),
   released<run_batch>(
     "run_batch",
-    "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, scratch, "
+    "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, "
     "position, velocity, status, found)"),
 };
 
@@ -379,9 +402,9 @@ PyObject * make_system(PyObject *, PyObject * const * from, Py_ssize_t count)
       handle->system.interrupted = is_interrupted;
       Owned capsule(
         PyCapsule_New(
-          handle.get(), handle_name, [](PyObject * object) {
+          handle.get(), capsule_name<System>, [](PyObject * object) {
             const std::unique_ptr<Handle> owned(
-              static_cast<Handle *>(PyCapsule_GetPointer(object, handle_name)));
+              static_cast<Handle *>(PyCapsule_GetPointer(object, capsule_name<System>)));
             Py_DecRef(owned->owner);
           }));
       handle->owner = from[0];

@@ -4,6 +4,7 @@
 #include "error_control.hpp"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "contact_events.hpp"
 #include "evaluation.hpp"
@@ -108,29 +109,29 @@ void extend_slopes(
 }
 }  // namespace
 
-void ExplicitRun::begin(double time, Values state) const
+void ExplicitStep::begin(double time, Values state) const
 {
-  control[control::HOLD] = time - control[control::RESTARTED];
-  control[control::RESTARTED] = control[control::REACHED] = time;
-  control[control::STIFFNESS] = 0.0;
+  control.hold = time - control.restarted;
+  control.restarted = control.reached = time;
+  control.stiffness = 0.0;
   copy(state, scratch[scratch::AFTER]);
 }
 
-void ExplicitRun::interpolate_at(const System & system, double time, Values out) const
+void ExplicitStep::interpolate_at(const System & system, double time, Values out) const
 {
   const Values before = scratch[scratch::BEFORE];
-  const double size = control[control::STEP_SIZE];
-  if (size == 0.0 || !is_before(time, control[control::REACHED])) {
+  const double size = control.step_size;
+  if (size == 0.0 || !is_before(time, control.reached)) {
     copy(scratch[scratch::AFTER], out);
     return;
   }
   const Table slopes = scratch.from(scratch::FIRST_SLOPE);
-  if (control[control::EXTENDED] == 0.0) {
+  if (control.extended == 0.0) {
     extend_slopes(system, tableau, before, size, slopes, scratch[scratch::STAGE]);
-    control[control::EXTENDED] = 1.0;
+    control.extended = 1.0;
   }
   interpolate(
-    tableau, before, size, slopes, (time - control[control::STEP_START]) / size, out);
+    tableau, before, size, slopes, (time - control.step_start) / size, out);
   normalise(system.manifold, out);
 }
 
@@ -144,7 +145,7 @@ void ExplicitRun::interpolate_at(const System & system, double time, Values out)
 // The next step follows the trend of the error, too (Gustafsson's predictive control, Hairer and
 // Wanner 1996, section IV.8): where steps have to become smaller, every one would be rejected once
 // otherwise.
-Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) const
+Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
 {
   const Values stage = scratch[scratch::STAGE], out = scratch[scratch::OUT];
   const Values before = scratch[scratch::BEFORE], after = scratch[scratch::AFTER];
@@ -152,7 +153,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   const Table slopes = scratch.from(scratch::FIRST_SLOPE);
   const Index count = after.size, stages = tableau.steps();
   const double exponent = 1.0 / static_cast<double>(tableau.error_order + 1);
-  const double reached = control[control::REACHED];
+  const double reached = control.reached;
   const double least = LEAST * std::max(std::abs(reached), 1e-3);
   derivative(system, after, slopes[0]);
   const bool landed = freeze_modes(system);
@@ -161,17 +162,17 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
     derivative(system, after, slopes[0]);
   }
   ContactSearch contacts;
-  if (control[control::STEP_SIZE] > 0.0) {
+  if (control.step_size > 0.0) {
     double turned = 0.0, moved = 0.0;
     for (Index i = 0; i < count; ++i) {
       const double turn = slopes(0, i) - slopes(stages - 1, i), move = after[i] - last[i];
       turned += turn * turn;
       moved += move * move;
     }
-    control[control::STIFFNESS] =
-      moved > 0.0 ? control[control::STEP_SIZE] * std::sqrt(turned / moved) : 0.0;
+    control.stiffness =
+      moved > 0.0 ? control.step_size * std::sqrt(turned / moved) : 0.0;
   }
-  double size = control[control::NEXT_STEP];
+  double size = control.next_step;
   if (size == 0.0) {
     size = first_step(system, tableau, after, slopes, scale, stage);
   } else if (landed) {
@@ -179,7 +180,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
     size = std::min(size, first_step(system, tableau, after, slopes, scale, stage));
   }
   double wanted = size;
-  const double rest = control[control::RESTARTED] + control[control::HOLD] - reached;
+  const double rest = control.restarted + control.hold - reached;
   if (rest > least) {
     // Two half steps rather than a full and a tiny one.
     size = size >= rest ? rest : size > 0.5 * rest ? std::min(size, 0.5 * rest) : size;
@@ -187,8 +188,8 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   bool rejected = false, closed = true, extended = false;
   int cuts = 0;
   double error = 0.0;
-  const double size_before = control[control::STEP_SIZE];
-  const double error_before = std::max(control[control::ERROR], SIGNIFICANT);
+  const double size_before = control.step_size;
+  const double error_before = std::max(control.error, SIGNIFICANT);
   if (system.has_effects()) {
     size = std::min(size, time_to_next_corner(system.effects, after.from(system.own())));
   }
@@ -203,7 +204,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
       return Status::INTERRUPTED;
     }
     step(system, tableau, after, size, slopes, stage, out);
-    control[control::WORK] += static_cast<double>(stages);
+    control.work += static_cast<double>(stages);
     copy(stage, last);
     if (tableau.error(0, stages) != 0.0) {
       derivative(system, out, slopes[stages]);
@@ -244,7 +245,7 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
     rejected = true;
     contacts.sought = -1;
     forget_trials(system);
-    control[control::REJECTED] += 1.0;
+    control.rejected += 1.0;
     // Loops that cannot be closed after a step can be after a shorter one.
     closed = !(error <= 1.0);
     const double cut = !closed ? 0.5 : !(error < 1e30) ? 0.0 : SAFETY * std::pow(error, -exponent);
@@ -270,53 +271,108 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
   if (size_before > 0.0 && error > SIGNIFICANT) {
     growth *= std::min(1.0, size / size_before * std::pow(error_before / error, exponent));
   }
-  control[control::STEP_START] = reached;
-  control[control::STEP_SIZE] = size;
-  control[control::REACHED] += size;
+  control.step_start = reached;
+  control.step_size = size;
+  control.reached += size;
   // A step cut short is no reason to reduce the size to try next.
-  control[control::NEXT_STEP] =
+  control.next_step =
     std::max(size * std::max(growth, LARGEST_CUT), size < wanted ? wanted : 0.0);
-  control[control::EXTENDED] = extended ? 1.0 : 0.0;
-  control[control::ACCEPTED] += 1.0;
-  control[control::ERROR] = error;
-  control[control::LARGEST_ERROR] = std::max(control[control::LARGEST_ERROR], error);
+  control.extended = extended ? 1.0 : 0.0;
+  control.accepted += 1.0;
+  control.error = error;
+  control.largest_error = std::max(control.largest_error, error);
   return Status::DONE;
 }
 
-Status advance_explicit(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values control,
-  Table scale, Table scratch, Values state, double origin, Index done, double step_size,
-  Index steps)
+ErrorControlledSteps::ErrorControlledSteps(const System & system, const MethodOptions & options)
+: StepperOf(system, options.stabilisation), tableau_(keep(options.tableau)),
+  tolerance_(options.tolerance), scale_(2, system.ns()),
+  scratch_(tableau_->a.rows + scratch::FIRST_SLOPE, system.ns())
 {
-  const Grid grid{origin, done, step_size, steps};
-  const ExplicitRun run{tableau, stabilisation, control, scale, scratch};
+  if (tableau_->steps() == 0) {
+    throw std::invalid_argument("error control: a tableau without steps");
+  }
+  fill_scale(system, tolerance_, scale_.view());
+}
+
+Advance ErrorControlledSteps::advance(const System & system, Values state, const Grid & grid)
+{
+  StepControl & control = control_;
+  const ExplicitStep run{*tableau_, stabilisation(), control, scale_.view(), scratch_.view()};
   Interrupt interrupt(system.interrupted, system.nv());
-  if (control[control::STEP_SIZE] == 0.0) {
+  if (control.step_size == 0.0) {
     run.begin(grid.start(), state);
   }
   const double target = grid.target();
-  WorkLimit limit(grid, system.work.health, control[control::WORK], MOST_EVALUATIONS);
+  WorkLimit limit(grid, system.work.health, control.work, MOST_EVALUATIONS);
   Status status = Status::DONE;
-  while (is_before(control[control::REACHED], target) && status == Status::DONE) {
-    status = run.accepted_step(system, interrupt);
-    if (status == Status::DONE &&
-      limit.exceeded(control[control::REACHED], control[control::WORK]))
-    {
+  while (is_before(control.reached, target) && status == Status::DONE) {
+    status = run.make(system, interrupt);
+    if (status == Status::DONE && limit.exceeded(control.reached, control.work)) {
       status = Status::TOO_MUCH_WORK;
     }
   }
   if (status != Status::DONE) {
-    copy(scratch[scratch::AFTER], state);
-    control[control::STEP_SIZE] = 0.0;
-    return status;
+    copy(scratch_[scratch::AFTER], state);
+    control.step_size = 0.0;
+    return {status, control.reached - grid.start()};
   }
   run.interpolate_at(system, target, state);
-  if (is_before(target, control[control::REACHED]) &&
-    !stabilise_between(system, stabilisation, state))
-  {
-    return Status::OPEN_LOOP;
+  if (is_before(target, control.reached) && !stabilise_between(system, stabilisation(), state)) {
+    status = Status::OPEN_LOOP;
   }
-  return Status::DONE;
+  return {status, status == Status::DONE ? static_cast<double>(grid.steps) * grid.step_size :
+    control.reached - grid.start()};
+}
+
+void ErrorControlledSteps::go_on()
+{
+  if (control_.step_size == 0.0) {
+    control_.step_size = NOTHING_BETWEEN;
+  }
+}
+
+void ErrorControlledSteps::restart(const System & system, bool)
+{
+  control_.step_size = 0.0;
+  follow_effects(system, tolerance_, scale_.view());
+}
+
+void ErrorControlledSteps::rewind(const System & system)
+{
+  control_ = {};
+  restart(system, true);
+}
+
+StepReport ErrorControlledSteps::report() const {return report_of(control_, tolerance_);}
+
+StepReport report_of(const StepControl & control, double tolerance)
+{
+  StepReport found;
+  found.reached = control.reached;
+  found.accepted = control.accepted;
+  found.rejected = control.rejected;
+  found.local_error = control.largest_error * tolerance;
+  found.work = control.work;
+  return found;
+}
+
+void follow_effects(const System & system, double tolerance, Table scale)
+{
+  const Values of_effects = system.effects.scale;
+  for (Index i = 0; i < of_effects.size; ++i) {
+    scale(0, system.own() + i) = of_effects[i] * tolerance;
+  }
+}
+
+void fill_scale(const System & system, double tolerance, Table scale)
+{
+  scale.fill(tolerance);
+  for (Index i = 0; i < system.nq(); ++i) {
+    scale(0, i) = tolerance / error_weight(system.manifold, i);
+    scale(1, i) = 0.0;
+  }
+  follow_effects(system, tolerance, scale);
 }
 
 }  // namespace closedloop

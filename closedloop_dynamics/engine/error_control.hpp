@@ -6,28 +6,56 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
+#include <type_traits>
 
 #include "interrupt.hpp"
-#include "runge_kutta.hpp"
+#include "scratch.hpp"
+#include "stepper.hpp"
 
 // Error-controlled steps of an embedded Runge-Kutta pair, with dense output between them.
 
 namespace closedloop
 {
 
-/// Columns of the control record, of all error-controlled methods: the time reached by whole steps;
-/// the step to try next (0: to be estimated); the start and the size of the latest step (0: no step
-/// to interpolate); whether its slopes for dense output are complete; steps accepted and rejected
-/// since the last reset; the latest and the largest accepted error relative to the tolerance;
-/// evaluations; the time of the latest restart and the time since the one before; step size times
-/// fastest rate, as the latest step shows it.
-namespace control
+/// Progress of a method with error control.
+struct StepControl
 {
-enum : Index
-{
-  REACHED, NEXT_STEP, STEP_START, STEP_SIZE, EXTENDED, ACCEPTED, REJECTED, ERROR, LARGEST_ERROR,
-  WORK, RESTARTED, HOLD, STIFFNESS, COLUMNS
+  double reached = 0.0;  ///< Time reached by whole steps [s]
+  double next_step = 0.0;  ///< The step to try next [s]; 0: to be estimated
+  /// Start and size of the latest step [s]; size 0: the integration starts at a state.
+  double step_start = 0.0;
+  double step_size = 0.0;
+  double extended = 0.0;  ///< Whether its slopes for dense output are complete
+  /// Steps since the count began.
+  double accepted = 0.0;
+  double rejected = 0.0;
+  /// The latest and the largest accepted error relative to the tolerance.
+  double error = 0.0;
+  double largest_error = 0.0;
+  double work = 0.0;  ///< Evaluations
+  double restarted = 0.0;  ///< Time of the latest restart [s]
+  double hold = 0.0;  ///< Time from the one before to that [s]
+  double stiffness = 0.0;  ///< Step size times fastest rate, as the latest step shows it
+
+  void clear_counts() {accepted = rejected = error = largest_error = 0.0;}
 };
+
+/// Write numbers that are a record of double precision to an array, and read them; returns the place
+/// behind them.
+template<class Record>
+double * store(const Record & from, double * to)
+{
+  static_assert(std::is_trivially_copyable_v<Record> && sizeof(Record) % sizeof(double) == 0);
+  std::memcpy(to, &from, sizeof(Record));
+  return to + sizeof(Record) / sizeof(double);
+}
+template<class Record>
+const double * recall(const double * from, Record & to)
+{
+  static_assert(std::is_trivially_copyable_v<Record> && sizeof(Record) % sizeof(double) == 0);
+  std::memcpy(static_cast<void *>(&to), from, sizeof(Record));
+  return from + sizeof(Record) / sizeof(double);
 }
 
 /// Rows of the scratch of the explicit methods, shape (stages + FIRST_SLOPE, ns).
@@ -52,19 +80,6 @@ inline bool is_before(double time, double target)
 {
   return target - time > LEAST * std::fmax(std::abs(target), 1e-3);
 }
-
-/// Times of output on a grid: number n is at origin + n * step_size.
-struct Grid
-{
-  double origin;
-  Index done;  ///< Steps before this call
-  double step_size;
-  Index steps;  ///< Steps to advance
-
-  double time(Index step) const {return origin + static_cast<double>(done + step) * step_size;}
-  double start() const {return time(0);}
-  double target() const {return time(steps);}
-};
 
 /// The evaluations since a run passed a time of output, in one call or in several.
 class WorkLimit
@@ -103,29 +118,53 @@ private:
   Index next_ = 1;
 };
 
-/// An error-controlled explicit run: the method, its tolerances, shape (2, ns), and its memory.
-struct ExplicitRun
+/// Tolerances of the components of a state, shape (2, ns): absolute and relative. Of coordinates they
+/// are absolute, of others both.
+void fill_scale(const System &, double tolerance, Table scale);
+/// Those of the effects' states alone, by their present parameters.
+void follow_effects(const System &, double tolerance, Table scale);
+
+/// One step of an embedded pair, with dense output, on the memory of a run.
+struct ExplicitStep
 {
   const Tableau & tableau;
   Stabilisation stabilisation;
-  Values control;
-  Table scale;
-  Table scratch;
+  StepControl & control;
+  Table scale;  ///< Shape (2, ns)
+  Table scratch;  ///< Shape (stages + FIRST_SLOPE, ns); its row AFTER is the state at `reached`
 
   /// Start at a state, or start again where torques have changed.
   void begin(double time, Values state) const;
   /// Make one accepted step from where the latest ended.
-  Status accepted_step(const System &, Interrupt &) const;
+  Status make(const System &, Interrupt &) const;
   /// State at a time within the latest step, before it is stabilised.
   void interpolate_at(const System &, double time, Values out) const;
 };
 
-/// Advance a state, shape (ns,), over the grid by error-controlled steps that need not end on it.
-/// With STEP_SIZE zero the integration starts at the state; otherwise it continues from the end of
-/// the latest step. On failure the state and REACHED are the latest good ones.
-Status advance_explicit(
-  const System &, const Tableau &, Stabilisation, Values control, Table scale, Table scratch,
-  Values state, double origin, Index done, double step_size, Index steps);
+/// Steps of an embedded pair as long as the tolerance allows; they need not end on the grid.
+class ErrorControlledSteps : public StepperOf<ErrorControlledSteps>
+{
+public:
+  ErrorControlledSteps(const System &, const MethodOptions &);
+  Advance advance(const System &, Values state, const Grid &) override;
+  void go_on() override;
+  void restart(const System &, bool moved) override;
+  void rewind(const System &) override;
+  Index memory_length() const override {return sizeof(StepControl) / sizeof(double);}
+  void store_memory(double * to) const override {store(control_, to);}
+  void recall_memory(const double * from) override {recall(from, control_);}
+  StepReport report() const override;
+  void clear_report() override {control_.clear_counts();}
+
+private:
+  std::shared_ptr<const Tableau> tableau_;
+  double tolerance_;
+  StepControl control_;
+  OwnedTable scale_, scratch_;
+};
+
+/// What the control record of a method with a tolerance tells.
+StepReport report_of(const StepControl &, double tolerance);
 
 }  // namespace closedloop
 

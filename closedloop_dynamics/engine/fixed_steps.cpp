@@ -61,14 +61,19 @@ void Parts::accept(const System & system, Values state, Values out)
   size = left;
 }
 
-std::pair<Status, Index> advance_fixed(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Table scratch,
-  Values state, double step_size, Index steps)
+FixedSteps::FixedSteps(const System & system, const MethodOptions & options)
+: StepsOfOneSize(system, options.stabilisation), tableau_(keep(options.tableau)),
+  scratch_(std::max<Index>(tableau_->a.rows, 1) + 3, system.ns()) {}
+
+std::pair<Status, Index> FixedSteps::make(
+  const System & system, Values state, double step_size, Index steps)
 {
+  const Table scratch = scratch_.view();
   const Values stage = scratch[0], out = scratch[1], start = scratch[2];
   const Table slopes = scratch.from(3);
+  const Tableau & tableau = *tableau_;
   return make_steps_in_parts(
-    system, stabilisation, state, step_size, steps, {slopes[0], out, start, stage},
+    system, stabilisation(), state, step_size, steps, {slopes[0], out, start, stage},
     1 + tableau.steps(), [&](double size, Interrupt &) {
       if (tableau.steps() == 0) {
         semi_implicit_step(system.manifold, state, system.nv(), size, slopes[0], out);

@@ -12,19 +12,13 @@
 #include "interrupt.hpp"
 #include "left_out.hpp"
 #include "projection.hpp"
-#include "runge_kutta.hpp"
+#include "scratch.hpp"
+#include "stepper.hpp"
 
 // Whole steps of one size, with a stabilisation after each.
 
 namespace closedloop
 {
-
-/// Advance a state in place by `steps` steps of `step_size` [s]; on failure it is the one before
-/// the failing step. A tableau without weights means semi-implicit Euler. `scratch` is of shape
-/// (stages + 3, ns). Returns the status and the steps completed.
-std::pair<Status, Index> advance_fixed(
-  const System &, const Tableau &, Stabilisation, Table scratch, Values state, double step_size,
-  Index steps);
 
 /// Time until the next corner of a force over time [s]; infinity if there is none.
 double time_to_corner(const System &, Values state);
@@ -61,9 +55,10 @@ struct StepScratch
   Values between;
 };
 
-/// Advance a state in place by steps of one size, as `advance_fixed` does. `attempt(size,
-/// interrupt)` makes a step of that size [s] from the state and its slope into `out`, in
-/// `evaluations`; false where it was interrupted.
+/// Advance a state in place by steps of one size [s]; on failure it is the one before the failing
+/// step. `attempt(size, interrupt)` makes a step of that size from the state and its slope into
+/// `out`, in `evaluations`; false where it was interrupted. Returns the status and the steps
+/// completed.
 template<class Attempt>
 std::pair<Status, Index> make_steps_in_parts(
   const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,
@@ -111,6 +106,45 @@ std::pair<Status, Index> make_steps_in_parts(
   }
   return {Status::DONE, steps};
 }
+
+/// What methods that take steps of one size have in common: how many the latest call completed.
+template<class Method>
+class StepsOfOneSize : public StepperOf<Method>
+{
+public:
+  Advance advance(const System & system, Values state, const Grid & grid) override
+  {
+    const Index before = std::exchange(continued_, 0);
+    const auto [status, made] = static_cast<Method *>(this)->make(
+      system, state, grid.step_size, grid.steps - before);
+    made_ = before + made;
+    return {status, static_cast<double>(made_) * grid.step_size};
+  }
+  void go_on() override {continued_ = made_;}
+  void restart(const System &, bool) override {}
+
+protected:
+  using StepperOf<Method>::StepperOf;
+
+private:
+  Index made_ = 0, continued_ = 0;
+};
+
+/// Explicit steps of one size; a tableau without weights means semi-implicit Euler.
+class FixedSteps : public StepsOfOneSize<FixedSteps>
+{
+public:
+  FixedSteps(const System &, const MethodOptions &);
+  void rewind(const System &) override {}
+  const Tableau * fixed_tableau() const override {return tableau_.get();}
+
+  std::pair<Status, Index> make(
+    const System &, Values state, double step_size, Index steps);
+
+private:
+  std::shared_ptr<const Tableau> tableau_;
+  OwnedTable scratch_;
+};
 
 }  // namespace closedloop
 

@@ -35,42 +35,30 @@ using namespace guard;  // NOLINT
 // Checks, in this order; bits of DUE.
 constexpr Index CABLES = 1, ENERGY = 2, EQUATIONS = 4, LOOPS = 8;
 
-/// Call with every array that outlasts a restart of the method.
-template<class Visit>
-void visit_memory(const System & system, const Stepper & stepper, Visit && visit)
-{
-  const Runs & runs = stepper.runs;
-  if (stepper.kind == stepper::EXPLICIT) {
-    visit(runs.control[0]);
-  } else if (stepper.kind == stepper::SWITCHING) {
-    visit(runs.control.all());
-    visit(runs.monitor);
-    visit(runs.scratch[1][scratch::AFTER]);
-  }
-  visit(system.partition.order);
-  visit(system.partition.record);
-}
-
-/// Store the state and the method's memory.
+/// Store the state, the method's memory and the choice of coordinates.
 void keep(const System & system, const GuardedRun & run, Values kept)
 {
   double * next = std::copy(run.state.begin(), run.state.end(), kept.begin());
-  visit_memory(
-    system, run.stepper, [&](auto part) {next = std::copy(part.begin(), part.end(), next);});
+  if (run.stepper != nullptr) {
+    run.stepper->store_memory(next);
+    next += run.stepper->memory_length();
+  }
+  const Partition & partition = system.partition;
+  next = std::copy(partition.order.begin(), partition.order.end(), next);
+  std::copy(partition.record.begin(), partition.record.end(), next);
 }
 
 Index length_to_keep(const System & system, const GuardedRun & run)
 {
-  Index length = run.state.size;
-  visit_memory(system, run.stepper, [&](auto part) {length += part.size;});
-  return length;
+  return run.state.size + (run.stepper != nullptr ? run.stepper->memory_length() : 0) +
+         system.partition.order.size + system.partition.record.size;
 }
 
 bool fits(const System & system, const GuardedRun & run)
 {
   const Index ns = system.ns(), nc = run.watch.windings.size;
   const auto is_place = [&](Index place) {return place > 0 && place < system.effects.data.size;};
-  return fits(system, run.stepper) && run.state.size == ns && run.before.size == ns &&
+  return (run.stepper == nullptr || run.stepper->fits(system)) && run.state.size == ns && run.before.size == ns &&
          run.account.roles.size == system.effects.states.size &&
          run.account.since.size == system.tau.size &&
          run.account.numbers.size == account::COLUMNS &&
@@ -300,7 +288,8 @@ void book(const System & system, const GuardedRun & run, Index steps)
     counts[EQUATIONS_SINCE] += steps;
     if (counts[EQUATIONS_SINCE] >= counts[EQUATIONS_BETWEEN]) {
       counts[EQUATIONS_SINCE] = 0;
-      if (system.whole.empty() && run.stepper.stabilisation >= Stabilisation::PROJECTION) {
+      if (system.whole.empty() && run.stepper != nullptr &&
+        run.stepper->stabilisation() >= Stabilisation::PROJECTION) {
         due |= EQUATIONS;
       }
     }
@@ -322,7 +311,7 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
   const Indices & counts = run.counts;
   const Values & numbers = run.numbers;
   copy(run.state, run.before);
-  if (run.stepper.kind == stepper::HOST) {
+  if (run.stepper == nullptr) {
     counts[HANDED] = steps;
     return Pause::HAND_OVER;
   }
@@ -332,8 +321,8 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
   const Index done = whole ? counts[STEPS] : 0;
   const double worked = run.watch.timed ? thread_time() : 0.0;
   const auto begin = std::chrono::steady_clock::now();
-  const auto [status, made] =
-    make_steps(system, run.stepper, run.state, origin, done, size, steps);
+  const auto [status, elapsed] =
+    run.stepper->advance(system, run.state, {origin, done, size, steps});
   numbers[COST_NANOSECONDS] += static_cast<double>(
     std::chrono::duration_cast<std::chrono::nanoseconds>(
       std::chrono::steady_clock::now() - begin).count());
@@ -347,14 +336,11 @@ Pause make_portion(const System & system, const GuardedRun & run, Index steps)
   if (status == Status::INTERRUPTED) {
     // Steps that count as not made.
     copy(run.before, run.state);
-    restart(run.stepper, true);
+    run.stepper->restart(system, true);
   }
   counts[HANDED] = steps;
-  counts[MADE] = made;
   counts[STATUS] = static_cast<Index>(status);
-  numbers[ELAPSED] = run.stepper.is_fixed() ? static_cast<double>(made) * size :
-    run.stepper.runs.control(0, control::REACHED) -
-    (origin + static_cast<double>(done) * size);
+  numbers[ELAPSED] = elapsed;
   return Pause::FAILURE;
 }
 
@@ -412,7 +398,9 @@ void begin_call(const GuardedRun & run, Index steps)
 void let_act(const System & system, const GuardedRun & run, const double * torque)
 {
   add_held_work(system, run.account, run.state);
-  restart(run.stepper, false);
+  if (run.stepper != nullptr) {
+    run.stepper->restart(system, false);
+  }
   std::copy(torque, torque + system.tau.size, system.tau.begin());
 }
 }  // namespace
@@ -489,8 +477,9 @@ Pause check_energy(const System & system, const GuardedRun & run)
 }
 
 CopiedRun::CopiedRun(const GuardedRun & like)
-: run_(like), counts_(like.counts.begin(), like.counts.end())
+: run_(like), stepper_(like.stepper->clone()), counts_(like.counts.begin(), like.counts.end())
 {
+  run_.stepper = stepper_.get();
   Values * const parts[] = {
     &run_.state, &run_.before, &run_.kept, &run_.kept_by_cables, &run_.windings, &run_.numbers,
     &run_.account.since, &run_.account.numbers};

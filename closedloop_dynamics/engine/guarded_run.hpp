@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__GUARDED_RUN_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__GUARDED_RUN_HPP_
 
+#include <memory>
 #include <vector>
 
 #include "energy_balance.hpp"
@@ -67,13 +68,13 @@ enum Number : Index
   BEGIN, CHECK = 21, PRESENT = 26, CABLE_TIME = 31, CABLE_RESIDUAL, MASS, NUMBERS
 };
 /// GuardedRun.counts: steps since TIME_BASE; steps left of the present call, and all of them; the
-/// portion handed to the host, its steps made, and its status; the checks that are due; steps until
+/// portion handed to the host, and its status; the checks that are due; steps until
 /// the next error estimate, negative without; steps since the latest check of energy, and between
 /// two; the same for equations; whether the guards have checked the start; whether the guard has
 /// warned, and has ended a run.
 enum Count : Index
 {
-  STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
+  STEPS, LEFT, CALL, HANDED, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
   EQUATIONS_BETWEEN, CHECKED, BEGUN, CABLES_CHECKED, WARNED, FAILED, COUNTS
 };
 /// Values of CHECKED: not; at the state alone; at its balance, too.
@@ -93,7 +94,8 @@ enum class Pause : Index
 /// A run with its memory (integration/guarded_run.py).
 struct GuardedRun
 {
-  Stepper stepper;
+  /// nullptr: the host makes the steps.
+  Stepper * stepper = nullptr;
   Watch watch;
   EnergyAccount account;
   Values state;
@@ -165,6 +167,7 @@ public:
   void begin(const System &);
   /// Apply torques.
   void command(const System &, Values torque);
+  Stepper & stepper() {return *stepper_;}
   /// Make steps; DOUBTFUL where the host has to decide how the run ends.
   Status advance(const System &, Index steps);
   /// Check the energy; return whether the run continues.
@@ -179,6 +182,7 @@ public:
 
 private:
   GuardedRun run_;
+  std::unique_ptr<Stepper> stepper_;
   std::vector<double> values_;
   std::vector<Index> counts_;
 };

@@ -182,7 +182,7 @@ Status LaneEvents::make(Values state, Values out, double size)
       system.tau[i] = batch_.tau[LANES * i + static_cast<Index>(lane)];
     }
     const Status status =
-      make_steps(system, lanes_[lane].run.stepper, own, 0.0, 0, size, 1).first;
+      lanes_[lane].run.stepper->advance(system, own, {0.0, 0, size, 1}).status;
     // Guards compute the work of torques themselves.
     system.tau.fill(0.0);
     if (status != Status::DONE) {

@@ -152,6 +152,17 @@ void normalise(const Manifold & manifold, Values q, Index lanes)
   }
 }
 
+double error_weight(const Manifold & manifold, Index coordinate)
+{
+  for (Index ball = 0; ball < manifold.balls.rows; ++ball) {
+    const Index behind = coordinate - manifold.balls(ball, QUATERNION);
+    if (behind >= 0 && behind < 4) {
+      return 1.0 / HALF;
+    }
+  }
+  return 1.0;
+}
+
 void fill_numbers(const Manifold & manifold, Values q)
 {
   for (Index i = 0; i < manifold.place.size; ++i) {

@@ -35,6 +35,9 @@ void move_lane(
 /// Give all quaternions of a state norm 1.
 void normalise(const Manifold &, Values q, Index lanes = 1);
 
+/// Weight of the error of a coordinate: 2 for components of quaternions, else 1.
+double error_weight(const Manifold &, Index coordinate);
+
 /// The coordinate of each rate, shape (nv,), as laws of effects see it: 0 for quaternions.
 void fill_numbers(const Manifold &, Values q);
 

@@ -12,9 +12,7 @@
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
-#include "error_control.hpp"
 #include "evaluation.hpp"
-#include "fixed_steps.hpp"
 #include "forward_dynamics.hpp"
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
@@ -25,11 +23,9 @@
 #include "recursion.hpp"
 #include "requests.hpp"
 #include "rollout.hpp"
-#include "rosenbrock.hpp"
 #include "routines.hpp"
 #include "sensitivity.hpp"
 #include "sticking.hpp"
-#include "switching.hpp"
 #include "validation.hpp"
 
 // Preconditions on the arguments of functions that Python calls, beside the lengths that
@@ -77,42 +73,6 @@ inline bool has_shape(Table table, Index rows, Index columns)
 
 /// Whether rows are long enough to be those of Workspace.body, in the plane or in space.
 inline bool are_bodies(Table body, bool planar) {return body.columns >= (planar ? 31 : 81);}
-
-/// The method and the rows of its scratch: before the slopes there are `first`.
-inline const char * explicit_rows(const Tableau & given, Table scratch, Index first)
-{
-  return unless(fits(given) && scratch.rows >= first + std::max<Index>(given.a.rows, 1));
-}
-
-inline bool are_stiff(const System & system, Table matrix, Indices pivots, Table scratch)
-{
-  const Index ns = system.ns();
-  return has_shape(matrix, ns, ns) && pivots.size == ns && has_shape(scratch, STIFF_ROWS, ns);
-}
-
-inline bool is_scale(const System & system, Table scale)
-{
-  return has_shape(scale, 2, system.ns());
-}
-
-/// Memory of a method with error control that may change to a stiff one.
-inline const char * runs(const System & system, const Tableau & given, const Runs & runs)
-{
-  const Index ns = system.ns(), pages = 2;
-  const auto has_rows = [&](const Cube<double> & cube, Index rows) {
-      return cube.pages == pages && cube.rows >= rows && cube.columns == ns;
-    };
-  return unless(
-    fits(given) && given.steps() > 0 && fits(runs.short_tableau) &&
-    runs.short_tableau.a.rows > 0 &&
-    runs.short_tableau.a.rows <= given.a.rows &&
-    has_shape(runs.control, pages, switching::COLUMNS) &&
-    has_rows(runs.scale, 2) && runs.scale.rows == 2 &&
-    has_rows(runs.scratch, scratch::FIRST_SLOPE + given.a.rows) &&
-    runs.stiff_scratch.rows == STIFF_ROWS && has_rows(runs.stiff_scratch, STIFF_ROWS) &&
-    has_shape(runs.matrix, ns, ns) && runs.pivots.size == ns &&
-    runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq());
-}
 
 /// Whether there are torques up to the last of so many instants.
 inline bool lasts(Table torque, Index instants, Index zero_order_hold, Index decimation)
@@ -385,41 +345,6 @@ inline constexpr auto precondition<minimise_in_box> =
       expected::has_shape(sticking.matrix, most, most) &&
       expected::has_shape(sticking.factor, most, most) && sticking.right.size == most &&
       sticking.bound.size == most && sticking.move.size == most && sticking.free.size == most);
-  };
-
-template<>
-inline constexpr auto precondition<advance_fixed> =
-  [](const System &, const Tableau & tableau, Stabilisation, Table scratch) {
-    return expected::explicit_rows(tableau, scratch, 3);
-  };
-
-template<>
-inline constexpr auto precondition<advance_explicit> =
-  [](const System &, const Tableau & tableau, Stabilisation, Values control, Table scale,
-    Table scratch) {
-    return control.size >= control::COLUMNS && scale.rows == 2 && tableau.steps() > 0 ?
-           expected::explicit_rows(tableau, scratch, scratch::FIRST_SLOPE) : expected::lengths;
-  };
-
-template<>
-inline constexpr auto precondition<advance_stiff_fixed> =
-  [](const System & system, Stabilisation, Table matrix, Indices pivots, Table scratch) {
-    return expected::unless(expected::are_stiff(system, matrix, pivots, scratch));
-  };
-
-template<>
-inline constexpr auto precondition<advance_stiff> =
-  [](const System & system, Stabilisation, Values control, Table scale, Table matrix,
-    Indices pivots, Table scratch) {
-    return expected::unless(
-      control.size >= control::COLUMNS && scale.rows == 2 &&
-      expected::are_stiff(system, matrix, pivots, scratch));
-  };
-
-template<>
-inline constexpr auto precondition<advance_switching> =
-  [](const System & system, const Tableau & tableau, Stabilisation, const Runs & runs) {
-    return expected::runs(system, tableau, runs);
   };
 
 template<>

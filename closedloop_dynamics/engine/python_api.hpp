@@ -108,6 +108,8 @@ void PyBuffer_Release(Py_buffer *);
 void *PyCapsule_GetPointer(PyObject *, const char *);
 PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
 PyObject *PyCMethod_New(PyMethodDef *, PyObject *, PyObject *, PyTypeObject *);
+PyObject *PyDict_New();
+int PyDict_SetItemString(PyObject *, const char *, PyObject *);
 int PyErr_CheckSignals();
 void PyErr_Clear();
 PyObject *PyErr_Format(PyObject *, const char *, ...);

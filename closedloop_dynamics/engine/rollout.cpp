@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "evaluation.hpp"
+#include "interrupt.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "projection.hpp"
@@ -63,17 +64,13 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
 class Beginning
 {
 public:
-  Beginning(const System & system, const Runs & runs)
+  explicit Beginning(const System & system)
   {
     keep(system.tau);
     keep(system.work.health);
     keep(system.partition.order);
     keep(system.partition.record);
     keep(system.whole.numbers);
-    keep(runs.control.all());
-    keep(runs.scale.all());
-    keep(runs.stiff_scratch.all());
-    keep(runs.monitor);
   }
   void restore() const
   {
@@ -141,12 +138,12 @@ void check_starts(
   const System & system, const GuardedRun & like, double tolerance, Table states, Indices fine)
 {
   if (states.columns != system.ns() || fine.size != states.rows ||
-    system.has_cut_coordinates() || !system.whole.empty() || !fits(system, like.stepper) ||
-    like.stepper.kind == stepper::HOST || like.numbers.size != guard::NUMBERS)
+    system.has_cut_coordinates() || !system.whole.empty() || like.stepper == nullptr ||
+    !like.stepper->fits(system) || like.numbers.size != guard::NUMBERS)
   {
     throw std::invalid_argument("check_starts: arrays that do not fit together");
   }
-  const Beginning beginning(system, like.stepper.runs);
+  const Beginning beginning(system);
   Interrupt interrupt(system.interrupted, system.nv());
   std::vector<double> values(static_cast<std::size_t>(system.ns()));
   const Values trial{values.data(), system.ns()};
@@ -155,9 +152,10 @@ void check_starts(
     bool is_fine = all_finite(state) && is_closed(system, tolerance, state);
     if (is_fine) {
       copy(state, trial);
-      restart(like.stepper, true);
-      const Status ended = make_steps(
-        system, like.stepper, trial, 0.0, 0, like.numbers[guard::STEP_SIZE], 1).first;
+      const std::unique_ptr<Stepper> stepper = like.stepper->clone();
+      stepper->restart(system, true);
+      const Status ended = stepper->advance(
+        system, trial, {0.0, 0, like.numbers[guard::STEP_SIZE], 1}).status;
       if (ended == Status::INTERRUPTED) {
         beginning.restore();
         return;
@@ -185,14 +183,14 @@ void run_samples(
     torque.rows < 1 || (steps > 0 && torque.rows <= (steps - 1) / zero_order_hold) ||
     states.rows != steps / decimation + 1 || states.columns != system.ns() ||
     status.size != count || found.rows != count || found.columns != finding::COLUMNS ||
-    like.stepper.kind == stepper::HOST)
+    like.stepper == nullptr)
   {
     throw std::invalid_argument("run_samples: arrays that do not fit together");
   }
-  const Beginning beginning(system, like.stepper.runs);
-  CopiedRun run(like);
+  const Beginning beginning(system);
   status.fill(static_cast<Index>(Status::INTERRUPTED));
   for (Index sample = 0; sample < count; ++sample) {
+    CopiedRun run(like);
     const Status ended = make(
       system, run, start[start.rows > 1 ? sample : 0], torque[torque.pages > 1 ? sample : 0],
       zero_order_hold, decimation, steps, states[sample]);

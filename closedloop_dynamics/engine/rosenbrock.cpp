@@ -204,57 +204,76 @@ void interpolate_cubic(
 }
 }  // namespace
 
-std::pair<Status, Index> advance_stiff_fixed(
-  const System & system, Stabilisation stabilisation, Table matrix, Indices pivots, Table scratch,
-  Values state, double step_size, Index steps)
+std::pair<Status, Index> FixedStiffSteps::make(
+  const System & system, Values state, double step_size, Index steps)
 {
+  const auto [matrix, pivots, rows] = memory_.view();
   return make_steps_in_parts(
-    system, stabilisation, state, step_size, steps,
-    {scratch[SLOPE], scratch[OUT], scratch[START], scratch[STAGE]}, STAGES + 1,
-    [&](double size, Interrupt & interrupt) {
-      if (!factor_jacobian(system, state, size, matrix, pivots, scratch, interrupt)) {
+    system, stabilisation(), state, step_size, steps,
+    {rows[SLOPE], rows[OUT], rows[START], rows[STAGE]}, STAGES + 1,
+    [&, matrix = matrix, pivots = pivots, rows = rows](double size, Interrupt & interrupt) {
+      if (!factor_jacobian(system, state, size, matrix, pivots, rows, interrupt)) {
         return false;
       }
-      stiff_step(system, state, size, matrix, pivots, scratch);
+      stiff_step(system, state, size, matrix, pivots, rows);
       return true;
     });
 }
 
-Status advance_stiff(
-  const System & system, Stabilisation stabilisation, Values control, Table scale, Table matrix,
-  Indices pivots, Table scratch, Values state, double origin, Index done, double step_size,
-  Index steps)
+StiffSteps::StiffSteps(const System & system, const MethodOptions & options)
+: StepperOf(system, options.stabilisation), tolerance_(options.tolerance), scale_(2, system.ns()),
+  memory_(system.ns())
 {
-  const Grid grid{origin, done, step_size, steps};
-  const StiffRun run{stabilisation, control, scale, matrix, pivots, scratch};
+  fill_scale(system, tolerance_, scale_.view());
+}
+
+Advance StiffSteps::advance(const System & system, Values state, const Grid & grid)
+{
+  StepControl & control = control_;
+  if (!std::exchange(continues_, false)) {
+    control.reached = grid.start();
+  }
+  const StiffStep run{stabilisation(), control, scale_.view(), memory_.view()};
   Interrupt interrupt(system.interrupted, system.nv());
   const double target = grid.target();
-  WorkLimit limit(grid, system.work.health, control[control::WORK], MOST_EVALUATIONS);
+  WorkLimit limit(grid, system.work.health, control.work, MOST_EVALUATIONS);
   Status status = Status::DONE;
-  while (status == Status::DONE && is_before(control[control::REACHED], target)) {
-    status = run.accepted_step(system, state, target, interrupt);
-    if (status == Status::DONE &&
-      limit.exceeded(control[control::REACHED], control[control::WORK]))
-    {
+  while (status == Status::DONE && is_before(control.reached, target)) {
+    status = run.make(system, state, target, interrupt);
+    if (status == Status::DONE && limit.exceeded(control.reached, control.work)) {
       status = Status::TOO_MUCH_WORK;
     }
   }
-  return status;
+  return {status, status == Status::DONE ? static_cast<double>(grid.steps) * grid.step_size :
+    control.reached - grid.start()};
 }
 
-Status StiffRun::accepted_step(
+void StiffSteps::restart(const System & system, bool)
+{
+  control_.next_step = 0.0;
+  follow_effects(system, tolerance_, scale_.view());
+}
+
+void StiffSteps::rewind(const System & system)
+{
+  control_ = {};
+  memory_.view().rows.fill(0.0);
+  restart(system, true);
+}
+
+Status StiffStep::make(
   const System & system, Values state, double limit, Interrupt & interrupt) const
 {
-  const Values stage = scratch[STAGE], out = scratch[OUT], slope = scratch[SLOPE];
-  const Values moved = scratch[MOVED];
-  const Table slopes = scratch.from(FIRST_SLOPE);
+  const auto & [matrix, pivots, rows] = scratch;
+  const Values stage = rows[STAGE], out = rows[OUT], slope = rows[SLOPE], moved = rows[MOVED];
+  const Table slopes = rows.from(FIRST_SLOPE);
   const Index n = state.size;
-  const double rest = limit - control[control::REACHED];
+  const double rest = limit - control.reached;
   const double least = LEAST * std::max(std::abs(limit), 1e-3);
   // A smaller step, at whose end a joint under dry friction comes to rest, or a force over time
   // has a corner.
   double cut = time_to_corner(system, state);
-  double size = control[control::NEXT_STEP] > 0.0 ? control[control::NEXT_STEP] : 1e-4;
+  double size = control.next_step > 0.0 ? control.next_step : 1e-4;
   derivative(system, state, slope);
   if (!all_finite(slope)) {
     return Status::NOT_FINITE;
@@ -276,14 +295,14 @@ Status StiffRun::accepted_step(
       return closed ? Status::STEP_TOO_SMALL : Status::OPEN_LOOP;
     }
     const std::optional<Factored> factored = interrupt.after(STAGES + 1) ? std::nullopt :
-      factor_jacobian(system, state, used, matrix, pivots, scratch, interrupt);
+      factor_jacobian(system, state, used, matrix, pivots, rows, interrupt);
     if (!factored) {
       release_modes(system);
       return Status::INTERRUPTED;
     }
     rate = factored->rate;
-    stiff_step(system, state, used, matrix, pivots, scratch);
-    control[control::WORK] += static_cast<double>(factored->evaluations + STAGES + 1 + n / 8);
+    stiff_step(system, state, used, matrix, pivots, rows);
+    control.work += static_cast<double>(factored->evaluations + STAGES + 1 + n / 8);
     double total = 0.0;
     for (Index i = 0; i < n; ++i) {
       const double each = slopes(STAGES - 1, i) / (
@@ -324,7 +343,7 @@ Status StiffRun::accepted_step(
     closed = !(error <= 1.0);
     contacts.sought = -1;
     forget_trials(system);
-    control[control::REJECTED] += 1.0;
+    control.rejected += 1.0;
     size = used * (closed ? std::min(factor, SAFETY) : 0.5);
   }
   release_modes(system);
@@ -336,14 +355,14 @@ Status StiffRun::accepted_step(
     handle_time_events(system.effects, out.from(system.own()));
   }
   copy(out, state);
-  control[control::REACHED] = last ? limit : control[control::REACHED] + used;
-  control[control::ACCEPTED] += 1.0;
-  control[control::ERROR] = error;
-  control[control::LARGEST_ERROR] = std::max(control[control::LARGEST_ERROR], error);
-  control[control::STIFFNESS] = rate;
+  control.reached = last ? limit : control.reached + used;
+  control.accepted += 1.0;
+  control.error = error;
+  control.largest_error = std::max(control.largest_error, error);
+  control.stiffness = rate;
   // A step cut short is no reason to reduce the size to try next.
   const bool shortened = last || cuts > 0 || cut <= used;
-  control[control::NEXT_STEP] = shortened ? std::max(size, used * factor) : used * factor;
+  control.next_step = shortened ? std::max(size, used * factor) : used * factor;
   return Status::DONE;
 }
 

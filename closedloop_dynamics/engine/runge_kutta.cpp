@@ -3,11 +3,45 @@
 
 #include "runge_kutta.hpp"
 
+#include <stdexcept>
+#include <vector>
+
 #include "evaluation.hpp"
 #include "manifold.hpp"
 
 namespace closedloop
 {
+
+bool fits(const Tableau & method)
+{
+  const Index stages = method.a.rows;
+  return method.a.columns == stages && method.steps() <= stages && method.error.rows == 2 &&
+         method.error.columns == stages && method.dense.rows <= stages;
+}
+
+std::shared_ptr<const Tableau> keep(const Tableau & from)
+{
+  struct Kept
+  {
+    std::vector<double> numbers;
+    Tableau view;
+  };
+  if (!fits(from)) {
+    throw std::invalid_argument("a tableau: arrays that do not fit together");
+  }
+  const auto kept = std::make_shared<Kept>();
+  kept->view = from;
+  for (Values part : {from.a.all(), from.b, from.error.all(), from.dense.all()}) {
+    kept->numbers.insert(kept->numbers.end(), part.begin(), part.end());
+  }
+  double * next = kept->numbers.data();
+  const auto take = [&](double * & data, Index count) {data = next; next += count;};
+  take(kept->view.a.data, from.a.all().size);
+  take(kept->view.b.data, from.b.size);
+  take(kept->view.error.data, from.error.all().size);
+  take(kept->view.dense.data, from.dense.all().size);
+  return {kept, &kept->view};
+}
 
 void combine(
   const double * weights, Index count, Values state, double step_size, Table slopes, Values out)

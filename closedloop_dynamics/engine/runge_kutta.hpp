@@ -4,6 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__RUNGE_KUTTA_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__RUNGE_KUTTA_HPP_
 
+#include <memory>
+
 #include "system.hpp"
 
 // One step of any explicit Runge-Kutta method, and its dense output.
@@ -26,6 +28,13 @@ struct Tableau
   template<class Visitor>
   void fields(Visitor && visit) {visit(a, b, error, dense, order, error_order);}
 };
+
+/// A copy of a tableau; that steppers share, as its numbers never change. Refuses arrays that do not
+/// fit together, as std::invalid_argument.
+std::shared_ptr<const Tableau> keep(const Tableau &);
+
+/// Whether the arrays of a method fit together.
+bool fits(const Tableau &);
 
 /// `state` + `step_size` times the first `count` slopes, weighted.
 void combine(

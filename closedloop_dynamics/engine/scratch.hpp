@@ -6,6 +6,7 @@
 
 #include <array>
 #include <memory>
+#include <vector>
 
 #include "array.hpp"
 
@@ -45,6 +46,32 @@ private:
   std::unique_ptr<Number[]> large_;
   Number * next_ = numbers_.data();
 };
+
+/// A table that owns its numbers, zero at first; a copy has numbers of its own. As of the views, that
+/// it is constant says nothing of its numbers.
+class OwnedTable
+{
+public:
+  OwnedTable() = default;
+  OwnedTable(Index rows, Index columns)
+  : rows_(rows), columns_(columns), numbers_(static_cast<std::size_t>(rows * columns)) {}
+
+  Table view() const {return {numbers_.data(), rows_, columns_};}
+  Values operator[](Index row) const {return view()[row];}
+  Values all() const {return view().all();}
+  Index columns() const {return columns_;}
+
+private:
+  Index rows_ = 0, columns_ = 0;
+  mutable std::vector<double> numbers_;
+};
+
+/// The numbers of a vector, as a view.
+template<class Number>
+Vector<Number> view(std::vector<Number> & numbers)
+{
+  return {numbers.data(), static_cast<Index>(numbers.size())};
+}
 
 }  // namespace closedloop
 

@@ -4,52 +4,160 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STEPPER_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__STEPPER_HPP_
 
-#include <utility>
+#include <limits>
+#include <memory>
+#include <string_view>
 
-#include "switching.hpp"
+#include "runge_kutta.hpp"
 
-// Steps of any method, for runs that the engine makes as a whole.
+// What every method of time integration promises. To add one:
+//
+// 1. Derive a class from StepperOf<the class>, in a file of its own. It owns its scratch, allocated
+//    in its constructor from a system's lengths; nothing is allocated in a step. Its copy
+//    constructor copies all of it: a rollout makes its runs by copies.
+// 2. `advance` brings a state over a grid of times, in steps of its own choice, closes the loops
+//    after each (`stabilise`), asks whether the equations suffice there (`equations_suffice`), ends
+//    steps at events (time_events, stick_slip, contact_events) and asks `Interrupt` whether to stop.
+//    Where it fails the state is the latest good one, and it says how far it came.
+// 3. `go_on`: the next `advance` is the same as the one that failed, on other closure equations, and
+//    continues where that ended.
+// 4. `restart`: torques or parameters have changed, or, with `moved`, the state. What is left then
+//    is the memory, by which a run that was saved goes on to the last bit: `memory` visits it.
+// 5. `rewind`: as after construction, so that a motion repeated is the same to the last bit.
+// 6. `report`: what it knows of its steps; NaN where it knows nothing.
+// 7. Its name is a line in stepper.cpp, and with a summary for people in integration/registry.py.
 
 namespace closedloop
 {
 
-/// Values of Stepper.kind; the last one's steps are made by the host.
-namespace stepper
+/// Times of output on a grid: number n is at origin + n * step_size.
+struct Grid
 {
-enum : Index {FIXED, EXPLICIT, SWITCHING, STIFF_FIXED, STIFF, HOST};
-}
+  double origin;
+  Index done;  ///< Steps before this call
+  double step_size;
+  Index steps;  ///< Steps to advance
 
-/// A method with its memory (integration/drivers.py).
-struct Stepper
-{
-  Index kind = 0;
-  Stabilisation stabilisation = Stabilisation::NONE;
-  Tableau tableau;
-  /// Shape (2, ns): tolerances for one of 1; of the default method.
-  Table unit;
-  /// One row, two for the default method; empty for methods without.
-  Runs runs;
-
-  bool is_fixed() const {return kind == stepper::FIXED || kind == stepper::STIFF_FIXED;}
-
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(kind, stabilisation, tableau, unit, runs);}
+  double time(Index step) const {return origin + static_cast<double>(done + step) * step_size;}
+  double start() const {return time(0);}
+  double target() const {return time(steps);}
 };
 
-/// Whether the arrays of a method fit together.
-bool fits(const Tableau &);
+/// How an advance ended.
+struct Advance
+{
+  Status status;
+  double elapsed;  ///< Time advanced by [s]
+};
 
-/// Whether the memory of a method is that of a system.
-bool fits(const System &, const Stepper &);
+/// Numbers that a method knows of its steps, since it was rewound.
+struct StepReport
+{
+  static constexpr double UNKNOWN = std::numeric_limits<double>::quiet_NaN();
 
-/// Advance a state by `steps` steps of `step_size` [s], `done` steps after `origin` [s]. Returns the
-/// status and, of steps of one size, those completed.
-std::pair<Status, Index> make_steps(
-  const System &, const Stepper &, Values state, double origin, Index done, double step_size,
-  Index steps);
+  double reached = UNKNOWN;  ///< Time reached by whole steps [s]
+  double accepted = UNKNOWN;
+  double rejected = UNKNOWN;
+  double local_error = UNKNOWN;  ///< Largest estimate of an accepted step [rad or m]
+  double work = UNKNOWN;  ///< Evaluations
+  /// Of the default method: evaluations of its reference run; the accuracy that is kept, and the
+  /// tolerance for it; bounds of the error within a second, the largest and that of the latest one
+  /// [rad or m]; whether the stiff method, or the one of lower order, makes the present step.
+  double reference_work = UNKNOWN;
+  double accuracy = UNKNOWN;
+  double tolerance = UNKNOWN;
+  double largest_bound = UNKNOWN;
+  double bound = UNKNOWN;
+  bool stiff = false;
+  bool is_short = false;
 
-/// Forget the past, as torques have changed, or with `moved` the state.
-void restart(const Stepper &, bool moved);
+  template<class Visitor>
+  void names(Visitor && visit) const
+  {
+    visit("reached", reached);
+    visit("accepted", accepted);
+    visit("rejected", rejected);
+    visit("local_error", local_error);
+    visit("work", work);
+    visit("reference_work", reference_work);
+    visit("accuracy", accuracy);
+    visit("tolerance", tolerance);
+    visit("largest_bound", largest_bound);
+    visit("bound", bound);
+    visit("stiff", stiff);
+    visit("is_short", is_short);
+  }
+};
+
+/// A method of time integration with its memory and scratch.
+class Stepper
+{
+public:
+  virtual ~Stepper() = default;
+  virtual std::unique_ptr<Stepper> clone() const = 0;
+
+  virtual Advance advance(const System &, Values state, const Grid &) = 0;
+  virtual void go_on() = 0;
+  virtual void restart(const System &, bool moved) = 0;
+  virtual void rewind(const System &) = 0;
+
+  /// Length of the memory; write it to an array, and read it from there.
+  virtual Index memory_length() const {return 0;}
+  virtual void store_memory(double *) const {}
+  virtual void recall_memory(const double *) {}
+
+  virtual StepReport report() const {return {};}
+  /// Count from here on.
+  virtual void clear_report() {}
+  /// Keep another accuracy from the next step on.
+  virtual void aim(double accuracy);
+
+  Stabilisation stabilisation() const {return stabilisation_;}
+  /// The coefficients of explicit steps of one size; nullptr of other methods.
+  virtual const Tableau * fixed_tableau() const {return nullptr;}
+  /// Whether a state of this system can be stepped.
+  bool fits(const System & system) const {return system.ns() == states_;}
+
+protected:
+  Stepper(const System & system, Stabilisation stabilisation)
+  : stabilisation_(stabilisation), states_(system.ns()) {}
+  Stepper(const Stepper &) = default;
+  Stepper & operator=(const Stepper &) = default;
+
+private:
+  Stabilisation stabilisation_;
+  Index states_;
+};
+
+/// What follows from a copy constructor.
+template<class Method>
+class StepperOf : public Stepper
+{
+public:
+  std::unique_ptr<Stepper> clone() const override
+  {
+    return std::make_unique<Method>(static_cast<const Method &>(*this));
+  }
+
+protected:
+  using Stepper::Stepper;
+};
+
+/// What a method is built from.
+struct MethodOptions
+{
+  Tableau tableau;  ///< Of explicit methods
+  Tableau short_tableau;  ///< Of the default method: for steps while torques are held for short
+  Stabilisation stabilisation = Stabilisation::NONE;
+  /// Local error allowed per step, of the default method the accuracy [rad or m].
+  double tolerance = 0.0;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(tableau, short_tableau, stabilisation, tolerance);}
+};
+
+/// Build a method by its name, one of: fixed, explicit, auto, rodas4_fixed, rodas4.
+std::unique_ptr<Stepper> make_stepper(const System &, std::string_view name, const MethodOptions &);
 
 }  // namespace closedloop
 

@@ -6,7 +6,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 
+#include "manifold.hpp"
 #include "projection.hpp"
 
 namespace closedloop
@@ -14,8 +16,6 @@ namespace closedloop
 
 namespace
 {
-// Rows of all arrays of Runs.
-enum : Index {RUN, REFERENCE};
 // The run's own error against the distance to its reference: the steps of a method of order 8 make
 // it 30 times as small at best.
 constexpr double CLOSER = 0.1;
@@ -34,421 +34,490 @@ constexpr double EXPLICIT_WORK = 12.0;
 // Restarts after which DOPRI5 is tried again where its step did not last until the next one.
 constexpr double SHORT_PATIENCE = 50.0;
 
+// Local tolerance, of the accuracy asked for.
+constexpr double SHARE = 1e-3;
+
+double tolerance_for(double accuracy) {return std::max(SHARE * accuracy, FLOOR);}
+
 /// Change to the other method.
-void change(Values control, double stiff)
+void change(SwitchingControl & control, double stiff)
 {
-  control[switching::STIFF] = stiff;
-  control[switching::STIFF_COUNT] = control[switching::NONSTIFF_COUNT] =
-    control[switching::TRIAL_STEPS] = 0.0;
+  control.stiff = stiff;
+  control.stiff_count = control.nonstiff_count =
+    control.trial_steps = 0.0;
 }
 
-void count_from_here(Values control)
+void count_from_here(SwitchingControl & control)
 {
-  control[switching::SINCE_WORK] = control[control::WORK];
-  control[switching::SINCE_TIME] = control[control::REACHED];
+  control.since_work = control.work;
+  control.since_time = control.reached;
 }
 
 /// Work per time since the count began.
-double work_rate(Values control)
+double work_rate(const SwitchingControl & control)
 {
-  return (control[control::WORK] - control[switching::SINCE_WORK]) /
-         (control[control::REACHED] - control[switching::SINCE_TIME]);
+  return (control.work - control.since_work) /
+         (control.reached - control.since_time);
 }
 
 /// Change to the stiff method where stability has limited the explicit steps for a while.
-void consider_stiff(Values control)
+void consider_stiff(SwitchingControl & control)
 {
-  if (control[control::STIFFNESS] > STABILITY_LIMIT) {
-    if (control[switching::STIFF_COUNT] == 0.0) {
+  if (control.stiffness > STABILITY_LIMIT) {
+    if (control.stiff_count == 0.0) {
       count_from_here(control);
     }
-    control[switching::STIFF_COUNT] += 1.0;
-    control[switching::NONSTIFF_COUNT] = 0.0;
+    control.stiff_count += 1.0;
+    control.nonstiff_count = 0.0;
   } else {
-    control[switching::NONSTIFF_COUNT] += 1.0;
-    if (control[switching::NONSTIFF_COUNT] >= NONSTIFF_STEPS) {
-      control[switching::STIFF_COUNT] = 0.0;
+    control.nonstiff_count += 1.0;
+    if (control.nonstiff_count >= NONSTIFF_STEPS) {
+      control.stiff_count = 0.0;
     }
   }
-  if (control[switching::STIFF_COUNT] > control[switching::STIFF_THRESHOLD]) {
-    control[switching::EXPLICIT_RATE] = work_rate(control);
+  if (control.stiff_count > control.stiff_threshold) {
+    control.explicit_rate = work_rate(control);
     change(control, 1.0);
   }
 }
 
 /// Change back where the stiff method takes more work, or explicit steps would be stable.
-void consider_explicit(Values control)
+void consider_explicit(SwitchingControl & control)
 {
-  control[switching::TRIAL_STEPS] += 1.0;
-  if (control[switching::TRIAL_STEPS] == GROWING) {
+  control.trial_steps += 1.0;
+  if (control.trial_steps == GROWING) {
     count_from_here(control);
   }
-  if (control[switching::TRIAL_STEPS] < TRIAL) {
+  if (control.trial_steps < TRIAL) {
     return;
   }
   const double rate = work_rate(control);
-  if (control[switching::EXPLICIT_RATE] > 0.0 && rate > control[switching::EXPLICIT_RATE]) {
+  if (control.explicit_rate > 0.0 && rate > control.explicit_rate) {
     // The trial has failed: wait longer before the next one.
-    control[switching::STIFF_THRESHOLD] =
-      std::min(2.0 * control[switching::STIFF_THRESHOLD], MOST_THRESHOLD);
+    control.stiff_threshold =
+      std::min(2.0 * control.stiff_threshold, MOST_THRESHOLD);
     change(control, 0.0);
-  } else if (EXPLICIT_WORK * control[control::STIFFNESS] / STABLE < rate) {
-    control[switching::STIFF_THRESHOLD] = FIRST_THRESHOLD;
+  } else if (EXPLICIT_WORK * control.stiffness / STABLE < rate) {
+    control.stiff_threshold = FIRST_THRESHOLD;
     change(control, 0.0);
-    control[control::NEXT_STEP] =
-      std::min(control[control::NEXT_STEP], STABLE / control[control::STIFFNESS]);
+    control.next_step =
+      std::min(control.next_step, STABLE / control.stiffness);
   } else {
-    control[switching::TRIAL_STEPS] = GROWING;
-    control[switching::EXPLICIT_RATE] = 0.0;
+    control.trial_steps = GROWING;
+    control.explicit_rate = 0.0;
     count_from_here(control);
   }
 }
 
 /// Choose the explicit method of the step that begins with new torques.
-void choose_order(Values control)
+void choose_order(SwitchingControl & control)
 {
-  const double hold = control[control::HOLD];
-  control[switching::SHORT] = 0.0;
-  if (!(hold > 0.0 && control[control::NEXT_STEP] >= hold) || control[switching::STIFF] != 0.0) {
+  const double hold = control.hold;
+  control.is_short = 0.0;
+  if (!(hold > 0.0 && control.next_step >= hold) || control.stiff != 0.0) {
     return;
   }
-  if (control[switching::SHORT_STEP] < hold && control[switching::SHORT_WAIT] > 0.0) {
-    control[switching::SHORT_WAIT] -= 1.0;
+  if (control.short_step < hold && control.short_wait > 0.0) {
+    control.short_wait -= 1.0;
     return;
   }
-  control[switching::SHORT] = 1.0;
-  control[switching::SHORT_WAIT] = SHORT_PATIENCE;
+  control.is_short = 1.0;
+  control.short_wait = SHORT_PATIENCE;
 }
 
 /// Time until torques are expected to change again.
-double time_held(Values control)
+double time_held(const SwitchingControl & control)
 {
-  return control[control::RESTARTED] + control[control::HOLD] - control[control::REACHED];
+  return control.restarted + control.hold - control.reached;
 }
 
-/// A run, its reference run, and the monitor of the error.
-class Pair
+}  // namespace
+
+SwitchingSteps::SwitchingSteps(const System & system, const MethodOptions & options)
+: StepperOf(system, options.stabilisation), tableau_(keep(options.tableau)),
+  short_tableau_(keep(options.short_tableau)), accuracy_(options.tolerance), unit_(2, system.ns()),
+  stiff_(system.ns())
 {
-public:
-  Pair(
-    const System & system, const Tableau & tableau, Stabilisation stabilisation, const Runs & runs)
-  : system_(system), tableau_(tableau), stabilisation_(stabilisation), runs_(runs),
-    interrupt_(system.interrupted, system.nv())
+  if (tableau_->steps() == 0 || short_tableau_->steps() == 0 ||
+    short_tableau_->a.rows > tableau_->a.rows)
   {
+    throw std::invalid_argument("the default method: tableaus that do not fit together");
   }
-
-  Status advance(Values state, const Grid & grid);
-
-private:
-  ExplicitRun explicit_run(Index which) const
-  {
-    const Values control = runs_.control[which];
-    return {control[switching::SHORT] == 0.0 ? tableau_ : runs_.short_tableau, stabilisation_,
-      control, runs_.scale[which], runs_.scratch[which]};
+  for (Track * each : {&run_, &reference_}) {
+    Track & track = *each;
+    track.scale = OwnedTable(2, system.ns());
+    track.scratch = OwnedTable(tableau_->a.rows + scratch::FIRST_SLOPE, system.ns());
+    track.stiff_scratch = OwnedTable(STIFF_ROWS, system.ns());
   }
-  Status explicit_step(Index which);
-  Status make_step(Index which, double limit);
-  void begin(double time, Values state);
-  void open_window();
-  void set_reference_back();
-  bool same_for_reference() const;
-  void take_same();
-  void update_monitor(bool lost);
-  void tighten();
-  double distance() const;
+  for (Index i = 0; i < system.nq(); ++i) {
+    weight_.push_back(error_weight(system.manifold, i));
+  }
+  fill_scale(system, 1.0, unit_.view());
+  rewind(system);
+}
 
-  const System & system_;
-  const Tableau & tableau_;
-  Stabilisation stabilisation_;
-  const Runs & runs_;
-  Interrupt interrupt_;
-};
+ExplicitStep SwitchingSteps::explicit_step(Track & track)
+{
+  return {track.control.is_short == 0.0 ? *tableau_ : *short_tableau_, stabilisation(),
+    track.control, track.scale.view(), track.scratch.view()};
+}
 
 /// Start at a state; the reference run continues from its own, if that is of the same time.
-void Pair::begin(double time, Values state)
+void SwitchingSteps::begin(double time, Values state)
 {
-  const Values control = runs_.control[RUN], & monitor = runs_.monitor;
-  explicit_run(RUN).begin(time, state);
+  SwitchingControl & control = run_.control;
+  explicit_step(run_).begin(time, state);
   choose_order(control);
-  if (control[switching::STIFF_THRESHOLD] == 0.0) {
+  if (control.stiff_threshold == 0.0) {
     // The past has no bearing on this state.
-    control[switching::STIFF_THRESHOLD] = FIRST_THRESHOLD;
-    control[switching::SHORT] = control[switching::SHORT_STEP] = 0.0;
-    control[switching::SHORT_WAIT] = 0.0;
+    control.stiff_threshold = FIRST_THRESHOLD;
+    control.is_short = control.short_step = 0.0;
+    control.short_wait = 0.0;
     change(control, 0.0);
-    monitor[monitor::PAUSE] = WINDOW;
-    monitor[monitor::SMALLEST] = 0.0;
+    monitor_.pause = WINDOW;
+    monitor_.smallest = 0.0;
     open_window();
-  } else if (monitor[monitor::OPEN] == 1.0) {
-    const Values other = runs_.control[REFERENCE];
+  } else if (monitor_.open == 1.0) {
+    SwitchingControl & other = reference_.control;
     // The reference run restarts where it is within a step, which a restored run does not have, and
     // where both runs would make the same step.
     const bool within_step =
-      std::abs(other[control::REACHED] - time) > LEAST * std::max(std::abs(time), 1e-3);
-    const double least = std::min(control[control::NEXT_STEP], other[control::NEXT_STEP]);
-    if (!within_step && !(control[control::HOLD] > 0.0 && least >= control[control::HOLD])) {
-      other[control::HOLD] = control[control::HOLD];
-      other[control::RESTARTED] = other[control::REACHED] = time;
-      other[control::STEP_SIZE] = 0.0;
+      std::abs(other.reached - time) > LEAST * std::max(std::abs(time), 1e-3);
+    const double least = std::min(control.next_step, other.next_step);
+    if (!within_step && !(control.hold > 0.0 && least >= control.hold)) {
+      other.hold = control.hold;
+      other.restarted = other.reached = time;
+      other.step_size = 0.0;
     } else {
-      monitor[monitor::CARRIED] = monitor[monitor::BOUND];
+      monitor_.carried = monitor_.bound;
       set_reference_back();
     }
   }
 }
 
-void Pair::open_window()
+void SwitchingSteps::open_window()
 {
-  const Values & monitor = runs_.monitor;
-  monitor[monitor::OPEN] = 1.0;
-  monitor[monitor::BOUND] = monitor[monitor::CARRIED] = 0.0;
-  monitor[monitor::NEXT_BOUND] = TIGHTEN_AT * monitor[monitor::ACCURACY];
+  monitor_.open = 1.0;
+  monitor_.bound = monitor_.carried = 0.0;
+  monitor_.next_bound = TIGHTEN_AT * monitor_.accuracy;
   set_reference_back();
 }
 
 /// Restart the reference run at the state of the run.
-void Pair::set_reference_back()
+void SwitchingSteps::set_reference_back()
 {
-  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
-  copy(runs_.scratch[RUN][scratch::AFTER], runs_.scratch[REFERENCE][scratch::AFTER]);
-  for (Index column : {
-      static_cast<Index>(control::REACHED), static_cast<Index>(control::RESTARTED),
-      static_cast<Index>(control::HOLD), static_cast<Index>(switching::STIFF),
-      static_cast<Index>(switching::TRIAL_STEPS),
-      static_cast<Index>(switching::STIFF_THRESHOLD)})
-  {
-    other[column] = control[column];
-  }
-  other[control::STEP_SIZE] = other[switching::STIFF_COUNT] = other[switching::NONSTIFF_COUNT] =
-    other[switching::EXPLICIT_RATE] = 0.0;
-  if (other[control::NEXT_STEP] == 0.0) {
-    other[control::NEXT_STEP] = control[control::NEXT_STEP];
+  SwitchingControl & control = run_.control, & other = reference_.control;
+  copy(run_.after(), reference_.after());
+  other.reached = control.reached;
+  other.restarted = control.restarted;
+  other.hold = control.hold;
+  other.stiff = control.stiff;
+  other.trial_steps = control.trial_steps;
+  other.stiff_threshold = control.stiff_threshold;
+  other.step_size = other.stiff_count = other.nonstiff_count =
+    other.explicit_rate = 0.0;
+  if (other.next_step == 0.0) {
+    other.next_step = control.next_step;
   }
 }
 
 /// Whether the reference run would make the step that the run has just made: both were in one
 /// state, and neither tolerance, but the time for which torques are held, limits their steps.
-bool Pair::same_for_reference() const
+bool SwitchingSteps::same_for_reference()
 {
-  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
-  const double start = control[control::STEP_START], size = control[control::STEP_SIZE];
-  const double rest = control[control::RESTARTED] + control[control::HOLD] - start;
-  if (control[switching::STIFF] != 0.0 || other[switching::STIFF] != 0.0 ||
-    size != rest || !(other[control::NEXT_STEP] >= rest) || other[control::REACHED] != start ||
-    other[control::RESTARTED] != control[control::RESTARTED] ||
-    other[control::HOLD] != control[control::HOLD])
+  SwitchingControl & control = run_.control, & other = reference_.control;
+  const double start = control.step_start, size = control.step_size;
+  const double rest = control.restarted + control.hold - start;
+  if (control.stiff != 0.0 || other.stiff != 0.0 ||
+    size != rest || !(other.next_step >= rest) || other.reached != start ||
+    other.restarted != control.restarted ||
+    other.hold != control.hold)
   {
     return false;
   }
-  const Values before = runs_.scratch[RUN][scratch::BEFORE];
-  return std::equal(before.begin(), before.end(), runs_.scratch[REFERENCE][scratch::AFTER].begin());
+  const Values before = run_.scratch[scratch::BEFORE];
+  return std::equal(before.begin(), before.end(), reference_.after().begin());
 }
 
 /// Copy the same step to the reference run, without evaluations. Its distance does not measure the
 /// error then: the bound grows by the step's own estimate.
-void Pair::take_same()
+void SwitchingSteps::take_same()
 {
-  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
-  const Values & monitor = runs_.monitor;
-  copy(runs_.scratch[RUN][scratch::AFTER], runs_.scratch[REFERENCE][scratch::AFTER]);
-  other[control::REACHED] = control[control::REACHED];
-  other[control::NEXT_STEP] = std::max(other[control::NEXT_STEP], control[control::NEXT_STEP]);
-  other[control::STEP_SIZE] = NOTHING_BETWEEN;
-  monitor[monitor::CARRIED] += control[control::ERROR] * monitor[monitor::TOLERANCE];
+  SwitchingControl & control = run_.control, & other = reference_.control;
+  copy(run_.after(), reference_.after());
+  other.reached = control.reached;
+  other.next_step = std::max(other.next_step, control.next_step);
+  other.step_size = NOTHING_BETWEEN;
+  monitor_.carried += control.error * monitor_.tolerance;
 }
 
 /// Distance of the reference run's coordinates from those of the run.
-double Pair::distance() const
+double SwitchingSteps::distance(const System & system)
 {
-  const Table reference = runs_.scratch[REFERENCE];
-  const Values out = reference[scratch::OUT], after = runs_.scratch[RUN][scratch::AFTER];
+  const Values out = reference_.scratch[scratch::OUT], after = run_.after();
+  const Values weight = view(weight_);
   double most = 0.0;
-  explicit_run(REFERENCE).interpolate_at(system_, runs_.control(RUN, control::REACHED), out);
-  for (Index i = 0; i < runs_.weight.size; ++i) {
-    most = std::max(most, runs_.weight[i] * std::abs(out[i] - after[i]));
+  explicit_step(reference_).interpolate_at(system, run_.control.reached, out);
+  for (Index i = 0; i < weight.size; ++i) {
+    most = std::max(most, weight[i] * std::abs(out[i] - after[i]));
   }
   return most;
 }
 
 /// Tighten the tolerance of both runs.
-void Pair::tighten()
+void SwitchingSteps::tighten()
 {
-  const Values & monitor = runs_.monitor;
-  const double factor = std::max(TIGHTER, FLOOR / monitor[monitor::TOLERANCE]);
-  monitor[monitor::TOLERANCE] *= factor;
-  monitor[monitor::NEXT_BOUND] *= 10.0;
-  monitor[monitor::TIGHTENED] += 1.0;
-  for (Index which : {RUN, REFERENCE}) {
-    for (double & each : runs_.scale[which].all()) {
+  const double factor = std::max(TIGHTER, FLOOR / monitor_.tolerance);
+  monitor_.tolerance *= factor;
+  monitor_.next_bound *= 10.0;
+  monitor_.tightened += 1.0;
+  for (Track * track : {&run_, &reference_}) {
+    for (double & each : track->scale.all()) {
       each *= factor;
     }
   }
-  runs_.control(RUN, control::NEXT_STEP) *= 0.5;
-  monitor[monitor::PAUSE] = WINDOW;
+  run_.control.next_step *= 0.5;
+  monitor_.pause = WINDOW;
 }
 
 /// Compare the run with its reference, and tighten the tolerance where it must be; `lost`: the
 /// reference run could not follow.
-void Pair::update_monitor(bool lost)
+void SwitchingSteps::update_monitor(const System & system, bool lost)
 {
-  const Values control = runs_.control[RUN], & monitor = runs_.monitor;
-  const double now = control[control::REACHED], next = control[control::NEXT_STEP];
-  if (monitor[monitor::OPEN] == 0.0) {
+  SwitchingControl & control = run_.control;
+  const double now = control.reached, next = control.next_step;
+  if (monitor_.open == 0.0) {
     // Much smaller steps than were seen while it was open: it is another motion now.
-    if (now >= monitor[monitor::UNTIL] || (
-        control[control::STEP_SIZE] > 0.0 && next < 0.25 * monitor[monitor::SMALLEST]))
+    if (now >= monitor_.until || (
+        control.step_size > 0.0 && next < 0.25 * monitor_.smallest))
     {
-      monitor[monitor::UNTIL] = now + WINDOW;
-      monitor[monitor::SMALLEST] = next;
+      monitor_.until = now + WINDOW;
+      monitor_.smallest = next;
       open_window();
     }
     return;
   }
-  if (monitor[monitor::SMALLEST] == 0.0) {
-    monitor[monitor::UNTIL] = now + WINDOW;
-    monitor[monitor::SMALLEST] = next;
+  if (monitor_.smallest == 0.0) {
+    monitor_.until = now + WINDOW;
+    monitor_.smallest = next;
   }
-  monitor[monitor::SMALLEST] = std::min(monitor[monitor::SMALLEST], next);
+  monitor_.smallest = std::min(monitor_.smallest, next);
   double bound = std::numeric_limits<double>::infinity();
   if (!lost) {
-    bound = monitor[monitor::CARRIED] + CLOSER * distance();
+    bound = monitor_.carried + CLOSER * distance(system);
   }
-  if (!lost || monitor[monitor::TOLERANCE] <= FLOOR) {
-    monitor[monitor::BOUND] = std::max(monitor[monitor::BOUND], bound);
-    monitor[monitor::LARGEST_BOUND] =
-      std::max(monitor[monitor::LARGEST_BOUND], monitor[monitor::BOUND]);
+  if (!lost || monitor_.tolerance <= FLOOR) {
+    monitor_.bound = std::max(monitor_.bound, bound);
+    monitor_.largest_bound =
+      std::max(monitor_.largest_bound, monitor_.bound);
   }
-  if (bound > monitor[monitor::NEXT_BOUND] && monitor[monitor::TOLERANCE] > FLOOR) {
+  if (bound > monitor_.next_bound && monitor_.tolerance > FLOOR) {
     tighten();
   }
   if (lost) {
     set_reference_back();
   }
-  if (now >= monitor[monitor::UNTIL]) {
-    monitor[monitor::OPEN] = 0.0;
-    monitor[monitor::UNTIL] = now + monitor[monitor::PAUSE];
-    monitor[monitor::PAUSE] = std::min(2.0 * monitor[monitor::PAUSE], LONGEST_PAUSE);
+  if (now >= monitor_.until) {
+    monitor_.open = 0.0;
+    monitor_.until = now + monitor_.pause;
+    monitor_.pause = std::min(2.0 * monitor_.pause, LONGEST_PAUSE);
   }
 }
 
 /// Make one step of a run by its present explicit method.
-Status Pair::explicit_step(Index which)
+Status SwitchingSteps::make_explicit_step(
+  const System & system, Track & track, Interrupt & interrupt)
 {
-  const Values control = runs_.control[which];
-  if (control[switching::SHORT] != 0.0 && control[control::STEP_SIZE] != 0.0) {
+  SwitchingControl & control = track.control;
+  if (control.is_short != 0.0 && control.step_size != 0.0) {
     // Torques are held for longer than expected, or something else ended its step.
-    control[switching::SHORT] = 0.0;
-    control[control::STEP_SIZE] = NOTHING_BETWEEN;
+    control.is_short = 0.0;
+    control.step_size = NOTHING_BETWEEN;
   }
-  if (control[switching::SHORT] == 0.0) {
-    return explicit_run(which).accepted_step(system_, interrupt_);
+  if (control.is_short == 0.0) {
+    return explicit_step(track).make(system, interrupt);
   }
-  const double next = control[control::NEXT_STEP];
-  control[control::NEXT_STEP] = time_held(control);
-  const Status status = explicit_run(which).accepted_step(system_, interrupt_);
-  control[switching::SHORT_STEP] = control[control::NEXT_STEP];
-  control[control::NEXT_STEP] = std::max(next, control[control::NEXT_STEP]);
+  const double next = control.next_step;
+  control.next_step = time_held(control);
+  const Status status = explicit_step(track).make(system, interrupt);
+  control.short_step = control.next_step;
+  control.next_step = std::max(next, control.next_step);
   return status;
 }
 
 /// Make one step of a run by its present method.
-Status Pair::make_step(Index which, double limit)
+Status SwitchingSteps::make_step(
+  const System & system, Track & track, double limit, Interrupt & interrupt)
 {
-  const Values control = runs_.control[which];
-  if (control[switching::STIFF] == 0.0) {
-    const Status status = explicit_step(which);
+  SwitchingControl & control = track.control;
+  if (control.stiff == 0.0) {
+    const Status status = make_explicit_step(system, track, interrupt);
     if (status == Status::DONE) {
       consider_stiff(control);
     } else if (status != Status::INTERRUPTED && status != Status::POOR_EQUATIONS) {
       // Where one method fails, the other may not.
-      control[switching::EXPLICIT_RATE] = 0.0;
+      control.explicit_rate = 0.0;
       change(control, 1.0);
       return Status::DONE;
     }
     return status;
   }
-  const StiffRun stiff{
-    stabilisation_, control, runs_.scale[which], runs_.matrix, runs_.pivots,
-    runs_.stiff_scratch[which]};
-  const Status status = stiff.accepted_step(
-    system_, runs_.scratch[which][scratch::AFTER], limit, interrupt_);
+  const StiffStep stiff{
+    stabilisation(), control, track.scale.view(), stiff_.with(track.stiff_scratch.view())};
+  const Status status = stiff.make(system, track.after(), limit, interrupt);
   if (status == Status::DONE) {
-    control[control::STEP_SIZE] = NOTHING_BETWEEN;
+    control.step_size = NOTHING_BETWEEN;
     consider_explicit(control);
   }
   return status;
 }
 
 // There is one place for the steps of both runs: whichever is behind makes the next one.
-Status Pair::advance(Values state, const Grid & grid)
+Advance SwitchingSteps::advance(const System & system, Values state, const Grid & grid)
 {
-  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
-  if (control[control::STEP_SIZE] == 0.0) {
+  SwitchingControl & control = run_.control, & other = reference_.control;
+  Interrupt interrupt(system.interrupted, system.nv());
+  if (control.step_size == 0.0) {
     begin(grid.start(), state);
   }
   const double target = grid.target();
-  const auto work = [&]() {return control[control::WORK] + other[control::WORK];};
-  WorkLimit work_limit(grid, system_.work.health, work(), 2.0 * MOST_EVALUATIONS);
+  const auto work = [&]() {return control.work + other.work;};
+  WorkLimit work_limit(grid, system.work.health, work(), 2.0 * MOST_EVALUATIONS);
   Status status = Status::DONE;
   bool follows = false;
-  while (status == Status::DONE && (follows || is_before(control[control::REACHED], target))) {
-    const Index which = follows ? REFERENCE : RUN;
-    double limit = control[control::REACHED];
+  while (status == Status::DONE && (follows || is_before(control.reached, target))) {
+    Track & track = follows ? reference_ : run_;
+    double limit = control.reached;
     if (!follows) {
       // A stiff step ends on the grid, where the state may be output.
-      const double passed =
-        std::floor((control[control::REACHED] - grid.origin) / grid.step_size + 1e-6);
+      const double passed = std::floor((control.reached - grid.origin) / grid.step_size + 1e-6);
       limit = grid.origin + (passed + 1.0) * grid.step_size;
     }
-    status = make_step(which, limit);
+    status = make_step(system, track, limit, interrupt);
     if (status == Status::POOR_EQUATIONS) {
-      runs_.control[which][control::STEP_SIZE] = NOTHING_BETWEEN;
+      track.control.step_size = NOTHING_BETWEEN;
     }
-    if (which == RUN && status == Status::DONE && runs_.monitor[monitor::OPEN] == 1.0 &&
-      same_for_reference())
-    {
+    if (!follows && status == Status::DONE && monitor_.open == 1.0 && same_for_reference()) {
       take_same();
     }
-    const bool lost =
-      which == REFERENCE && status != Status::DONE && status != Status::INTERRUPTED &&
+    const bool lost = follows && status != Status::DONE && status != Status::INTERRUPTED &&
       status != Status::POOR_EQUATIONS;
-    follows = runs_.monitor[monitor::OPEN] == 1.0 && !lost && is_before(
-      other[control::REACHED], control[control::REACHED]);
+    follows = monitor_.open == 1.0 && !lost && is_before(other.reached, control.reached);
     if (lost) {
       status = Status::DONE;
-    } else if (status == Status::DONE && work_limit.exceeded(
-        follows ? other[control::REACHED] : control[control::REACHED], work()))
+    } else if (status == Status::DONE &&
+      work_limit.exceeded(follows ? other.reached : control.reached, work()))
     {
       status = Status::TOO_MUCH_WORK;
     }
     if (!follows && status == Status::DONE) {
-      update_monitor(lost);
+      update_monitor(system, lost);
     }
   }
   if (status != Status::DONE) {
-    copy(runs_.scratch[RUN][scratch::AFTER], state);
+    copy(run_.after(), state);
     // With other equations both continue.
     if (status != Status::POOR_EQUATIONS) {
-      control[control::STEP_SIZE] = 0.0;
+      control.step_size = 0.0;
     }
-    return status;
+    return {status, control.reached - grid.start()};
   }
-  explicit_run(RUN).interpolate_at(system_, target, state);
-  if (is_before(target, control[control::REACHED]) &&
-    !stabilise_between(system_, stabilisation_, state))
-  {
-    return Status::OPEN_LOOP;
+  explicit_step(run_).interpolate_at(system, target, state);
+  if (is_before(target, control.reached) && !stabilise_between(system, stabilisation(), state)) {
+    return {Status::OPEN_LOOP, control.reached - grid.start()};
   }
-  return Status::DONE;
+  return {Status::DONE, static_cast<double>(grid.steps) * grid.step_size};
 }
-}  // namespace
 
-Status advance_switching(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, const Runs & runs,
-  Values state, double origin, Index done, double step_size, Index steps)
+void SwitchingSteps::go_on()
 {
-  return Pair(system, tableau, stabilisation, runs).advance(
-    state, {origin, done, step_size, steps});
+  if (run_.control.step_size == 0.0) {
+    run_.control.step_size = NOTHING_BETWEEN;
+  }
+}
+
+void SwitchingSteps::restart(const System & system, bool moved)
+{
+  run_.control.step_size = 0.0;
+  if (moved) {
+    run_.control.stiff_threshold = 0.0;
+  }
+  follow_effects(system, 1.0, unit_.view());
+  set_scale();
+}
+
+void SwitchingSteps::set_scale()
+{
+  for (Track * track : {&run_, &reference_}) {
+    const double tolerance = (track == &run_ ? 1.0 : LOOSER) * monitor_.tolerance;
+    const Values unit = unit_.all(), scale = track->scale.all();
+    for (Index i = 0; i < scale.size; ++i) {
+      scale[i] = unit[i] * tolerance;
+    }
+  }
+}
+
+void SwitchingSteps::rewind(const System & system)
+{
+  for (Track * track : {&run_, &reference_}) {
+    track->control = {};
+    track->stiff_scratch.all().fill(0.0);
+  }
+  monitor_ = {};
+  monitor_.accuracy = accuracy_;
+  monitor_.tolerance = tolerance_for(accuracy_);
+  restart(system, false);
+}
+
+void SwitchingSteps::aim(double accuracy)
+{
+  if (!(accuracy > 0.0 && std::isfinite(accuracy))) {
+    throw std::invalid_argument("accuracy: expected a positive number");
+  }
+  const double tolerance = tolerance_for(accuracy);
+  // Steps of order eight that are as good as the present ones.
+  const double factor = std::pow(tolerance / monitor_.tolerance, 1.0 / 8.0);
+  run_.control.next_step *= factor;
+  reference_.control.next_step *= factor;
+  monitor_.accuracy = accuracy;
+  monitor_.tolerance = tolerance;
+  monitor_.open = 0.0;
+  monitor_.pause = WINDOW;
+  monitor_.until = run_.control.reached;
+  set_scale();
+}
+
+Index SwitchingSteps::memory_length() const
+{
+  return (2 * sizeof(SwitchingControl) + sizeof(ErrorMonitor)) / sizeof(double) +
+         unit_.columns();
+}
+
+void SwitchingSteps::store_memory(double * to) const
+{
+  to = store(monitor_, store(reference_.control, store(run_.control, to)));
+  const Values after = reference_.after();
+  std::copy(after.begin(), after.end(), to);
+}
+
+void SwitchingSteps::recall_memory(const double * from)
+{
+  from = recall(recall(recall(from, run_.control), reference_.control), monitor_);
+  const Values after = reference_.after();
+  std::copy_n(from, after.size, after.begin());
+}
+
+StepReport SwitchingSteps::report() const
+{
+  StepReport found = report_of(run_.control, monitor_.tolerance);
+  found.reference_work = reference_.control.work;
+  found.accuracy = monitor_.accuracy;
+  found.tolerance = monitor_.tolerance;
+  found.largest_bound = monitor_.largest_bound;
+  found.bound = monitor_.bound;
+  found.stiff = run_.control.stiff != 0.0;
+  found.is_short = run_.control.is_short != 0.0;
+  return found;
 }
 
 }  // namespace closedloop

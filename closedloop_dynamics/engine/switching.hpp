@@ -24,64 +24,97 @@
 namespace closedloop
 {
 
-/// Columns of the control record that follow those of error_control.hpp: whether the stiff method
-/// steps; consecutive explicit steps that seem limited by stability, and that do not; how many of
-/// the former start a trial of the stiff method; work and time when that count, or the trial,
-/// began; work per time of the explicit method before the trial; steps of the trial; whether the
-/// present step is DOPRI5's, the step that it would make next, and after how many restarts it is
-/// tried again.
-namespace switching
+/// Progress of a run, or of its reference run.
+struct SwitchingControl : StepControl
 {
-enum : Index
-{
-  STIFF = control::COLUMNS, STIFF_COUNT, NONSTIFF_COUNT, STIFF_THRESHOLD, SINCE_WORK, SINCE_TIME,
-  EXPLICIT_RATE, TRIAL_STEPS, SHORT, SHORT_STEP, SHORT_WAIT, COLUMNS
+  double stiff = 0.0;  ///< Whether the stiff method steps
+  /// Consecutive explicit steps that seem limited by stability, and that do not; how many of the
+  /// former start a trial of the stiff method.
+  double stiff_count = 0.0;
+  double nonstiff_count = 0.0;
+  double stiff_threshold = 0.0;
+  /// Work and time when that count, or the trial, began; work per time of the explicit method before
+  /// the trial; steps of the trial.
+  double since_work = 0.0;
+  double since_time = 0.0;
+  double explicit_rate = 0.0;
+  double trial_steps = 0.0;
+  /// Whether the present step is DOPRI5's, the step that it would make next, and after how many
+  /// restarts it is tried again.
+  double is_short = 0.0;
+  double short_step = 0.0;
+  double short_wait = 0.0;
 };
-}
 
-/// Columns of the monitor: the accuracy; the present tolerance; whether a window is open; when it
-/// ends or the next begins; how long the next pause is; the smallest step in a window; the bound of
-/// the error in the present window, the part of it from before the reference run was set back, and
-/// the largest of all windows; the bound at which the tolerance is tightened next; how often it
-/// was.
-namespace monitor
+/// Estimate of the error by the reference run.
+struct ErrorMonitor
 {
-enum : Index
-{
-  ACCURACY, TOLERANCE, OPEN, UNTIL, PAUSE, SMALLEST, BOUND, CARRIED, LARGEST_BOUND, NEXT_BOUND,
-  TIGHTENED, COLUMNS
+  double accuracy = 0.0;
+  double tolerance = 0.0;  ///< The present one
+  double open = 0.0;  ///< Whether a window is open
+  double until = 0.0;  ///< When it ends, or the next begins [s]
+  double pause = 0.0;  ///< How long the next pause is [s]
+  double smallest = 0.0;  ///< The smallest step in the window [s]
+  /// The bound of the error in the present window, and the part of it from before the reference run
+  /// was set back; the largest of all windows; the one at which the tolerance is tightened next.
+  double bound = 0.0;
+  double carried = 0.0;
+  double largest_bound = 0.0;
+  double next_bound = 0.0;
+  double tightened = 0.0;  ///< How often it was
 };
-}
 
 /// The reference run's tolerance, times that of the run.
 constexpr double LOOSER = 30.0;
 
-/// A run and its reference run (integration/drivers.py).
-struct Runs
+/// The default method.
+class SwitchingSteps : public StepperOf<SwitchingSteps>
 {
-  /// DOPRI5.
-  Tableau short_tableau;
-  Table control;
-  Cube<double> scale;
-  Cube<double> scratch;
-  Cube<double> stiff_scratch;
-  Table matrix;
-  Indices pivots;
-  Values monitor;
-  Values weight;
+public:
+  SwitchingSteps(const System &, const MethodOptions &);
+  Advance advance(const System &, Values state, const Grid &) override;
+  void go_on() override;
+  void restart(const System &, bool moved) override;
+  void rewind(const System &) override;
+  Index memory_length() const override;
+  void store_memory(double *) const override;
+  void recall_memory(const double *) override;
+  StepReport report() const override;
+  void clear_report() override {run_.control.clear_counts();}
+  /// The run goes on with another accuracy, and a new window begins.
+  void aim(double accuracy) override;
 
-  template<class Visitor>
-  void fields(Visitor && visit)
+private:
+  /// The run, or its reference run.
+  struct Track
   {
-    visit(
-      short_tableau, control, scale, scratch, stiff_scratch, matrix, pivots, monitor, weight);
-  }
-};
+    SwitchingControl control;
+    OwnedTable scale, scratch, stiff_scratch;
 
-/// Advance a state over the grid; arguments and result as of `advance_explicit`.
-Status advance_switching(
-  const System &, const Tableau &, Stabilisation, const Runs &, Values state, double origin,
-  Index done, double step_size, Index steps);
+    Values after() const {return scratch[scratch::AFTER];}
+  };
+
+  ExplicitStep explicit_step(Track &);
+  Status make_explicit_step(const System &, Track &, Interrupt &);
+  Status make_step(const System &, Track &, double limit, Interrupt &);
+  void begin(double time, Values state);
+  void open_window();
+  void set_reference_back();
+  bool same_for_reference();
+  void take_same();
+  void update_monitor(const System &, bool lost);
+  void tighten();
+  double distance(const System &);
+  void set_scale();
+
+  std::shared_ptr<const Tableau> tableau_, short_tableau_;
+  double accuracy_;  ///< The one that it is rewound to
+  ErrorMonitor monitor_;
+  Track run_, reference_;
+  OwnedTable unit_;  ///< Shape (2, ns): tolerances for one of 1
+  StiffMemory stiff_;
+  std::vector<double> weight_;  ///< Shape (nq,): of a component in the distance of the two
+};
 
 }  // namespace closedloop
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .steppers import Stepper
 from ..effects.energy_balance import EnergyAccount
 
 # Columns of ``GuardedRun.numbers``.
@@ -20,8 +19,8 @@ from ..effects.energy_balance import EnergyAccount
  BEGIN) = range(17)
 CHECK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, MASS, NUMBERS = 21, 26, 31, 32, 33, 34
 # Columns of ``GuardedRun.counts``.
-(STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
- EQUATIONS_BETWEEN, CHECKED, BEGUN, CABLES_CHECKED, WARNED, FAILED, COUNTS) = range(18)
+(STEPS, LEFT, CALL, HANDED, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
+ EQUATIONS_BETWEEN, CHECKED, BEGUN, CABLES_CHECKED, WARNED, FAILED, COUNTS) = range(17)
 # Values of CHECKED.
 NOT, AT_STATE, AT_BALANCE = range(3)
 # Why a run pauses.
@@ -51,7 +50,7 @@ class Watch(NamedTuple):
 class GuardedRun(NamedTuple):
     """A run with its memory."""
 
-    stepper: Stepper
+    stepper: object  # The engine's ``Stepper``; None: Python makes the steps
     watch: Watch
     account: EnergyAccount
     state: np.ndarray  # Shape (ns,)

@@ -32,6 +32,7 @@ class Integrator(NamedTuple):
     # ``EXPLICIT``, ``ROSENBROCK`` (stiff), ``SWITCHING`` (between the two) or ``SCIPY``
     # (offline only).
     family: str
+    stepper: Optional[str] = None  # Its name in the engine (``engine/stepper.cpp``)
     tableau: Optional[Tableau] = None  # Of an explicit method
     solver: Optional[str] = None  # Of SciPy's
 
@@ -46,17 +47,18 @@ _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0
 INTEGRATORS = {
     AUTO: Integrator(
         ADAPTIVE, 'keeps an accuracy: dop853, and dopri5 or rodas4 where cheaper', SWITCHING,
-        DOP853),
+        'auto', DOP853),
     'semi_implicit_euler': Integrator(
-        FIXED, 'order 1, one evaluation a step', EXPLICIT, _EULER),
-    'heun': Integrator(FIXED, 'order 2, two evaluations a step', EXPLICIT, HEUN),
-    'rk4': Integrator(FIXED, 'order 4, four evaluations a step', EXPLICIT, RK4),
+        FIXED, 'order 1, one evaluation a step', EXPLICIT, 'fixed', _EULER),
+    'heun': Integrator(FIXED, 'order 2, two evaluations a step', EXPLICIT, 'fixed', HEUN),
+    'rk4': Integrator(FIXED, 'order 4, four evaluations a step', EXPLICIT, 'fixed', RK4),
     'dopri5': Integrator(
-        ADAPTIVE, 'order 5(4), error control, dense output', EXPLICIT, DOPRI5),
+        ADAPTIVE, 'order 5(4), error control, dense output', EXPLICIT, 'explicit', DOPRI5),
     'dop853': Integrator(
-        ADAPTIVE, 'order 8(5,3), error control, dense output', EXPLICIT, DOP853),
-    'rodas4': Integrator(ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK),
-    'rodas4_fixed': Integrator(FIXED, 'stiff, L-stable, order 4', ROSENBROCK),
+        ADAPTIVE, 'order 8(5,3), error control, dense output', EXPLICIT, 'explicit', DOP853),
+    'rodas4': Integrator(ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK,
+        'rodas4'),
+    'rodas4_fixed': Integrator(FIXED, 'stiff, L-stable, order 4', ROSENBROCK, 'rodas4_fixed'),
     'scipy_dop853': Integrator(
         ADAPTIVE, "SciPy's DOP853, offline", SCIPY, solver='DOP853'),
     'scipy_radau': Integrator(ADAPTIVE, "SciPy's Radau, stiff, offline", SCIPY, solver='Radau'),

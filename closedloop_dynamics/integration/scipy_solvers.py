@@ -3,10 +3,12 @@
 
 """SciPy's solvers as the well-known yardstick: offline, interpreted, no projection inside."""
 
+import math
+from types import SimpleNamespace
+
 import numpy as np
 
 from .control import DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL
-from .steppers import HOST_STEPS, one_run
 from ..engine import native
 
 # A solver that needs more evaluations than this to the next output has lost its way.
@@ -30,13 +32,8 @@ class SciPySolver:
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
 
-    @property
-    def stepper(self):
-        """Return the code by which the engine leaves the steps to Python."""
-        return one_run(HOST_STEPS, self._stabilisation)
-
     def advance(self, state, origin, done, step_size, steps):
-        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        """Advance a state by ``steps`` times ``step_size``; see ``Stepper.advance``."""
         target = origin + (done + steps) * step_size
         self._start = origin + done * step_size, state
         self._evaluations = 0
@@ -79,7 +76,12 @@ class SciPySolver:
         """Restart with the next call, which is the same again."""
         self.restart()
 
-    memory = ()
+    # The engine leaves the steps to Python; nothing outlasts ``restart``, or is known of steps.
+    native, memory = None, np.zeros(0)
+    report = SimpleNamespace(**dict.fromkeys(('accepted', 'accuracy'), math.nan))
+
+    def clear_report(self):
+        """Count from here on: nothing."""
 
     def restart(self, moved=False):
         """Forget the past: torques, or with ``moved`` the state have changed."""

@@ -13,10 +13,10 @@ from ..core.codegen.function_table import BODY
 from ..core.independent import forget
 from ..core.manifold import weights
 from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
-from ..integration import control as columns, guarded_run as run, left_out
-from ..integration.control import DONE
-from ..integration.drivers import build_driver, Switching
-from ..integration.registry import FIXED, INTEGRATORS
+from ..integration import guarded_run as run, left_out
+from ..integration.control import CLOSER, DONE, FLOOR
+from ..integration.steppers import build_stepper
+from ..integration.registry import AUTO, FIXED, INTEGRATORS
 
 # A step is made again in two halves, on a copy of everything: first one of so many, then, twice as
 # rarely each time, one of so many.
@@ -161,13 +161,13 @@ class Monitor:
     @property
     def accuracy(self):
         """Return the accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of others."""
-        return float(self.driver.watch[columns.ACCURACY]) if isinstance(
-            self.driver, Switching) else math.nan
+        return self.driver.report.accuracy
 
     def accuracy_in(self, memory):
         """Return ``accuracy`` in the memory of another run."""
-        return float(memory[len(self.driver.memory[0]) + columns.ACCURACY]) if isinstance(
-            self.driver, Switching) else math.nan
+        twin = build_stepper(self._system, self._method)
+        twin.memory = memory[:len(twin.memory)]
+        return twin.report.accuracy
 
     @property
     def measured(self):
@@ -185,7 +185,8 @@ class Monitor:
     @property
     def work(self):
         """Return the evaluations in steps of ``integrator: auto`` and of its reference run."""
-        return self.driver.work if isinstance(self.driver, Switching) else (0.0, 0.0)
+        steps = self.driver.report
+        return (0.0, 0.0) if math.isnan(steps.accuracy) else (steps.work, steps.reference_work)
 
     @property
     def sampling(self):
@@ -207,10 +208,7 @@ class Monitor:
         self._numbers[run.COST_TIME:run.COST_CPU_NANOSECONDS + 1] = 0.0
         self._between, self._local_error = FIRST_SAMPLE, math.nan
         self.sampling = self._sampling
-        control = getattr(self.driver, 'control', None)
-        if control is not None:
-            # What stands between is counted, too.
-            control[columns.ACCEPTED:columns.LARGEST_ERROR + 1] = 0.0
+        self.driver.clear_report()
 
     def rewind(self):
         """Begin as a new driver would: a motion repeated is the same to its last digit."""
@@ -221,14 +219,15 @@ class Monitor:
 
     @property
     def memory(self):
-        """Return views of the data that ``restart`` keeps: next step, choice of coordinates."""
+        """Return the data that ``restart`` keeps: next step, choice of coordinates."""
         partition = self._system.partition
-        return (*self.driver.memory, partition.order, partition.record)
+        return np.concatenate((self.driver.memory, partition.order, partition.record))
 
     def recall(self, memory):
         """Adopt the memory of another run."""
-        for part in self.memory:
-            part[:], memory = memory[:len(part)], memory[len(part):]
+        partition = self._system.partition
+        ends = np.cumsum((len(self.driver.memory), len(partition.order)))
+        self.driver.memory, partition.order[:], partition.record[:] = np.split(memory, ends)
 
     def restart(self, moved=False):
         """Forget the past of the motion, as a driver does."""
@@ -245,7 +244,7 @@ class Monitor:
         self._between = min(2 * self._between, SAMPLE_EVERY)
         if self._probe is None:
             system = deepcopy(self._system)
-            self._probe = system, build_driver(system, self._method)
+            self._probe = system, build_stepper(system, self._method)
         system, driver = self._probe
         copy_into(self._system, system)
         whole, halves = state.copy(), state.copy()
@@ -269,14 +268,12 @@ class Monitor:
         """
         time, steps, spent = self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1].tolist()
         steps, error, health = int(steps), self._local_error, self._system.work.health
-        control = getattr(self.driver, 'control', None)
-        bound = present = math.nan
+        made, bound, present = self.driver.report, math.nan, math.nan
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
-        if isinstance(self.driver, Switching):
-            watch = self.driver.watch
-            steps = int(control[columns.ACCEPTED])
-            error = float(control[columns.LARGEST_ERROR]) * watch[columns.TOLERANCE]
-            bound, present = watch[[columns.LARGEST_BOUND, columns.BOUND]].tolist()
+        if not math.isnan(made.accepted):
+            steps, error = int(made.accepted), made.local_error
+        if self._method.integrator == AUTO:
+            bound, present = made.largest_bound, made.bound
             if energy_guard.failed or energy_guard.finding:
                 # The reference run is as wrong as the run.
                 bound = present = math.nan
@@ -284,7 +281,7 @@ class Monitor:
                 cause = (
                     'although the smallest tolerance there is was taken: differences in the last '
                     'digit grow that large in this motion'
-                    if watch[columns.TOLERANCE] <= columns.FLOOR else
+                    if made.tolerance <= FLOOR else
                     'as the budget did not allow for more' if budget is not None else
                     'before the tolerance was tightened. Ask for a smaller accuracy')
                 findings.append(
@@ -293,11 +290,8 @@ class Monitor:
             if health[RANK_REVEALING_COUNT] > 0.0:
                 # Next to a singular configuration rounding errors grow, and a smaller tolerance
                 # makes them no smaller: the run's own may be all of the distance.
-                bound /= columns.CLOSER
-                present /= columns.CLOSER
-        elif not self._fixed and control is not None:
-            steps = int(control[columns.ACCEPTED])
-            error = float(control[columns.LARGEST_ERROR]) * self._method.tolerance
+                bound /= CLOSER
+                present /= CLOSER
         share = used = math.nan
         if budget is not None:
             share, used = budget.share, budget.used

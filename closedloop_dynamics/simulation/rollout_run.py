@@ -22,10 +22,9 @@ from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, find_energies, fits, Lane
 from ..integration.control import DONE, INTERRUPTED
-from ..integration.drivers import FixedSteps
 from ..integration.recorded_run import (
     allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
-from ..integration.scipy_solvers import SciPySolver
+from ..integration.registry import EXPLICIT, FIXED, INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at, FieldError
 
@@ -116,7 +115,8 @@ def is_plain(simulation):
     sensors that remember, and equations that were left out, which are watched.
     """
     effects = simulation.effect_set
-    return (isinstance(simulation.monitor.driver, FixedSteps)
+    integrator = INTEGRATORS[simulation.scene.method.integrator]
+    return ((integrator.family, integrator.kind) == (EXPLICIT, FIXED)
             and not simulation.has_redundant_constraints
             and not simulation.system.is_independent and not any(effects.drives.values())
             and not effects.remembers)
@@ -132,7 +132,7 @@ def runs_whole(simulation):
     effects = simulation.effect_set
     watched = simulation.run.watch.chooses
     return not (
-        isinstance(simulation.monitor.driver, SciPySolver) or effects.remembers
+        INTEGRATORS[simulation.scene.method.integrator].family == SCIPY or effects.remembers
         or any(effects.drives.values()) or effects.cuts is not None or simulation.exchanges
         or watched != simulation.has_redundant_constraints
         or watched and simulation.scene.method.stabilisation not in CLOSING)
@@ -335,7 +335,7 @@ class InitialState:
 def fits_simd(simulation, schedule):
     """Return whether runs of a simulation can share the lanes of a vector at all."""
     return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and fits(
-        simulation.system, simulation.monitor.driver.stabilisation))
+        simulation.system, STABILISATIONS[simulation.scene.method.stabilisation]))
 
 
 class SimdRuns:
@@ -374,7 +374,7 @@ class SimdRuns:
         pack = self._pack_of([start.simulation.system for start in starts])
         if pack is None:
             return None
-        driver, steps = first.monitor.driver, schedule.steps(first.step_size)
+        steps = schedule.steps(first.step_size)
         *calls, _ = schedule.in_steps(steps)
         if first.run.watch.call <= min(calls) <= OFTEN:
             find_energies(pack, first.system)
@@ -393,8 +393,7 @@ class SimdRuns:
         ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(
             tuple(pack)[:-1], watched, state, efforts.reshape(len(efforts), -1),
-            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, ended,
-            found)
+            *schedule.in_steps(steps), *room, ended, found)
         for start in starts:
             start.simulation.touch()
         if status == INTERRUPTED:

@@ -33,7 +33,7 @@ from ..engine import native
 from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
-from ..integration.drivers import build_driver
+from ..integration.steppers import build_stepper
 from ..integration.system import BAUMGARTE_GAIN, CLOSURE_LIMIT, with_equations, with_partition
 from ..mechanism.fields import at, FieldError
 
@@ -217,7 +217,7 @@ class Simulation(Stepping):
         whole = self._state.copy()
         for part, values in zip(self._parts, (state.q, state.qd, state.own)):
             whole[part] = values
-        self.restore(np.concatenate((whole, *self._driver.memory)), state.time, 0.0)
+        self.restore(np.concatenate((whole, self._driver.memory)), state.time, 0.0)
         if not self.closure <= self.system.settings[CLOSURE_LIMIT]:
             raise AssemblyError(
                 f'state: expected one that closes the loops, got one that leaves them '
@@ -280,7 +280,7 @@ class Simulation(Stepping):
         system = with_partition(system, method.stabilisation == 'independent')
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
-        driver = build_driver(system, method)
+        driver = build_stepper(system, method)
         driver.advance(self._state.copy(), self.time, 0, 1e-9, 1)
         driver.rewind()
         self._fresh = False

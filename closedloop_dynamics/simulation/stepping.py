@@ -31,10 +31,10 @@ from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
-from ..integration.drivers import build_driver
 from ..integration.guarded_run import COMMAND
 from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
+from ..integration.steppers import build_stepper
 from ..integration.system import (
     AccelerationDerivatives, CLOSURE_LIMIT, System, with_derivatives)
 
@@ -61,7 +61,7 @@ class Stepping(Readings):
         self._bind_balance()
         method = self.scene.method
         self._require_known_steps(method)
-        self._driver = Monitor(build_driver(self.system, method), self.system, method,
+        self._driver = Monitor(build_stepper(self.system, method), self.system, method,
                                self._numbers, self._counts)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._set_run()
@@ -118,7 +118,7 @@ class Stepping(Readings):
         A run that is started from it by ``restore`` goes on in the same way to the last bit, with
         error control from where a command changes.
         """
-        return np.concatenate((self._state, *self._driver.memory))
+        return np.concatenate((self._state, self._driver.memory))
 
     @property
     def energy_balance(self) -> Energies:
@@ -451,8 +451,8 @@ class Stepping(Readings):
         self._numbers[guarded_run.STEP_SIZE] = self.step_size
         self._numbers[guarded_run.MASS] = self._mass
         run = guarded_run.guarded_run(
-            self._driver.driver.stepper, self._watch(), self._balance.account, self._state,
-            sum(map(np.size, self._driver.memory)), self._numbers, self._counts)
+            self._driver.driver.native, self._watch(), self._balance.account, self._state,
+            len(self._driver.memory), self._numbers, self._counts)
         if before is not None and len(before.kept) == len(run.kept) and (
                 np.array_equal(before.watch.windings, run.watch.windings)):
             # Where the guards have seen it.
@@ -540,7 +540,6 @@ class Stepping(Readings):
         status, elapsed = None, 0.0
         if failed:
             status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
-            driver.made = int(counts[guarded_run.MADE])
         begin, worked = perf_counter_ns(), thread_time_ns()
         try:
             while status != DONE:

@@ -53,19 +53,10 @@ ENUMS = {
     'library.Function': (function_table, {}),
     'law_routine': (function_table, {}),
     'cut_coordinate.Value': (table, {}),
-    'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
-    'switching': (control, {'COLUMNS': 'SWITCHING_COLUMNS'}),
-    'monitor': (control, {'COLUMNS': 'MONITOR_COLUMNS'}),
-    # Only the end of the first rows, and the state at REACHED, are Python's business.
-    'scratch': (control, dict.fromkeys(('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE'))),
     'course.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (left_out, {}),
     'independent.cpp: CHOSEN_RATIO': (independent, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
-    'switching.cpp: RUN': (steppers, {}),
-    'stepper': (steppers, {
-        'FIXED': 'FIXED_STEPS', 'EXPLICIT': 'EXPLICIT_STEPS', 'SWITCHING': 'SWITCHING_STEPS',
-        'STIFF_FIXED': 'FIXED_STIFF_STEPS', 'STIFF': 'STIFF_STEPS', 'HOST': 'HOST_STEPS'}),
     'account': (energy_balance, {}),
     'guard.Number': (guarded_run, {}),
     'guard.Count': (guarded_run, {}),
@@ -80,14 +71,12 @@ ENUMS = {
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'traced.Entry',
-         'traced.Head', 'traced_laws.cpp: Input', 'nearby'}
+         'traced.Head', 'traced_laws.cpp: Input', 'nearby', 'scratch'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
-    'rosenbrock.hpp': (control, ('STIFF_ROWS',)),
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
-    'switching.cpp': (control, ('FLOOR', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
-    'switching.hpp': (control, ('LOOSER',)),
+    'switching.cpp': (control, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
     'guarded_run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
@@ -109,10 +98,10 @@ RECORDS = {
     'JointPlaces': system.JointPlaces, 'Sticking': table.Sticking,
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
     'SceneCode': table.SceneCode,
-    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': steppers.Runs,
+    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau,
     'RunBuffer': recorded_run.RunBuffer, 'Watch': guarded_run.Watch,
     'GuardedRun': guarded_run.GuardedRun, 'EnergyAccount': energy_balance.EnergyAccount,
-    'Lane': batch.Lane, 'Stepper': steppers.Stepper, 'Request': evaluation.Request,
+    'Lane': batch.Lane, 'MethodOptions': steppers.MethodOptions, 'Request': evaluation.Request,
     'Batch': batch.Batch, 'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
     'StepRoutines': stepped_run.StepRoutines, 'RunInputs': stepped_run.RunInputs}
 
@@ -187,7 +176,7 @@ def fields():
     found = {}
     for source in sources().values():
         for match in re.finditer(r'^struct (\w+)\n\{(.*?)^\};', source, re.MULTILINE | re.DOTALL):
-            visited = re.search(r'visit\(([^)]*)\);', match[2])
+            visited = re.search(r'void fields\(.*?visit\(([^)]*)\);', match[2], re.DOTALL)
             if visited:
                 found[match[1]] = re.findall(r'\w+', visited[1])
     return found

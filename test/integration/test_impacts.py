@@ -13,7 +13,6 @@ from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.control import ACCEPTED, REJECTED
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
 import pytest
@@ -57,9 +56,9 @@ def test_the_default_method_finds_nine_impacts(kind, stiffness):
         # Three hundred times better than what is asked for: no corner within any step.
         assert simulation.position[0] == pytest.approx(
             height(simulation.time, stiffness), abs=3e-9)
-    control = simulation.monitor.driver.control
+    steps = simulation.monitor.driver.report
     # Without finding them it took four to seven times as many.
-    assert control[ACCEPTED] + control[REJECTED] < 110
+    assert steps.accepted + steps.rejected < 110
     assert_balanced(simulation, 1e-8)
 
 
@@ -80,7 +79,7 @@ def test_steps_end_where_contact_begins_and_ends():
     ends = set()
     for _ in range(18000):
         simulation.step()
-        ends.add(driver.control[0])
+        ends.add(driver.report.reached)
     w, v = 100.0, math.sqrt(2.0 * G * START)
     fall, touch = v / G, 2.0 * (math.pi - math.atan(v * w / G)) / w
     for event in (fall, fall + touch):

@@ -8,7 +8,6 @@ from dataclasses import replace
 from closedloop_dynamics import NumericalError, Simulation
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.integration.control import ACCEPTED, REJECTED, WORK
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
 from closedloop_dynamics.simulation.scene import load_scene
@@ -93,8 +92,8 @@ def test_generated_jacobian_is_of_the_side_on_which_a_step_begins():
     made = []
     for simulation in (generated, quotients):
         simulation.step(duration=0.5)
-        control = simulation.monitor.driver.control
-        made.append((control[ACCEPTED], control[REJECTED], control[WORK]))
+        steps = simulation.monitor.driver.report
+        made.append((steps.accepted, steps.rejected, steps.work))
     assert made[0][:2] == made[1][:2]
     # Where derivatives are generated a Jacobian takes one evaluation.
     assert made[0][2] < made[1][2]
@@ -116,7 +115,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for interval in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=interval)
-        counts.append(simulation.monitor.driver.control[ACCEPTED])
+        counts.append(simulation.monitor.driver.report.accepted)
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 

@@ -5,8 +5,6 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.types import EVALUATIONS
-from closedloop_dynamics.integration.control import (
-    ACCEPTED, OPEN, SHORT, STIFF, UNTIL, WORK)
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -17,6 +15,9 @@ from ..reference import cases, famous, peaucellier
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
+# Where the memory of the method has the monitor of its error, behind the control records of both
+# runs (``engine/switching.hpp``), and there: whether a window is open, and when that changes.
+MONITOR, OPEN, UNTIL = 48, 2, 3
 
 
 def worst_error(scene, torque, accuracy, change=None, duration=1.0):
@@ -126,7 +127,7 @@ def test_steps_end_where_torques_are_expected_to_change():
     for number in range(50):
         held.step([5.0 + 1e-9 * number, -3.0, 2.0], 0.01)
     free.step([5.0, -3.0, 2.0], 0.5)
-    steps = held.monitor.driver.control[ACCEPTED]
+    steps = held.monitor.driver.report.accepted
     # One for each torque, but for the first interval, of which nothing was known.
     assert steps <= 60
     assert np.abs(held.position - free.position).max() < 1e-5
@@ -139,14 +140,13 @@ def test_what_is_stiff_is_stepped_stiffly_and_back():
     stiff = replace(drive[name], lag=1e-6)
     simulation = Simulation(replace(scene, effects={**drive, name: stiff}))
     tau = simulation.joint_torques([30.0])
-    control = simulation.monitor.driver.control
     was_stiff = False
     for _ in range(20):
         simulation.advance(tau, 10)
-        was_stiff = was_stiff or control[STIFF] == 1.0
+        was_stiff = was_stiff or simulation.monitor.driver.report.stiff
     assert was_stiff
     # An explicit method would need a million steps a second.
-    assert control[ACCEPTED] < 3e4
+    assert simulation.monitor.driver.report.accepted < 3e4
     assert simulation.report().findings == ()
 
 
@@ -179,13 +179,15 @@ def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
 def test_the_run_does_not_depend_on_its_companion(rate):
     # Nothing that the companion does, or is spared, changes a digit of the run.
     free, watched = (Simulation.from_scene('three_rrr', step_size=1.0 / rate) for _ in range(2))
-    watch = free.monitor.driver.watch
+    stepper = free.monitor.driver
     for number in range(300):
         torque = [5.0 + 0.01 * number, -3.0, 2.0 * np.sin(0.1 * number)]
         for one in (free, watched):
             one.advance(one.joint_torques(torque), 1)
         # From the first step on no window is open.
-        watch[[OPEN, UNTIL]] = 0.0, np.inf
+        memory = stepper.memory
+        memory[MONITOR + OPEN], memory[MONITOR + UNTIL] = 0.0, np.inf
+        stepper.memory = memory
     assert free.monitor.work[1] < 0.1 * watched.monitor.work[0]
     assert np.array_equal(free.integrated, watched.integrated)
 
@@ -202,24 +204,24 @@ def test_without_new_torques_the_steps_are_those_of_dop853():
 @pytest.mark.parametrize('scene', ['three_rrr', 'carpet_scraper', 'stewart_platform'])
 def test_steps_between_torques_are_those_of_the_lower_order_where_these_are_accurate(scene):
     simulation = Simulation.from_scene(scene)
-    control, short, evaluations = simulation.monitor.driver.control, 0, []
+    stepper, short, evaluations = simulation.monitor.driver, 0, []
     for number in range(200):
         tau = np.full(len(simulation.torque_names), 0.1 + 1e-3 * (number % 3))
-        before = control[WORK]
+        before = stepper.report.work
         simulation.advance(tau, 1)
-        short += int(control[SHORT])
-        evaluations.append(control[WORK] - before)
+        short += stepper.report.is_short
+        evaluations.append(stepper.report.work - before)
     # Six evaluations, and that of the end, for the error, are not twelve.
     assert short > 150 and np.median(evaluations) == 6.0
     # Torques that are held for longer than expected: DOP853 goes on.
     simulation.advance(tau, 100)
-    assert control[SHORT] == 0.0
+    assert not stepper.report.is_short
 
 
 def test_a_lower_order_that_is_too_coarse_is_tried_rarely():
     simulation = Simulation.from_scene('three_rrr', accuracy=1e-9, step_size=0.02)
-    control, short = simulation.monitor.driver.control, 0
+    short = 0
     for number in range(200):
         simulation.advance(simulation.joint_torques([5.0 + 0.01 * number, -3.0, 2.0]), 1)
-        short += int(control[SHORT])
+        short += simulation.monitor.driver.report.is_short
     assert short <= 5

@@ -120,7 +120,7 @@ def test_other_steps_are_not_made_together(packs):
 
 def test_angles_beyond_the_polynomials_are_not_for_lanes():
     simulation = Simulation.from_scene('four_bar', integrator='rk4', stabilisation='none')
-    system, driver = simulation.system, simulation.monitor.driver
+    system = simulation.system
     pack = tuple(build_batch([system]))
     for turns, status in ((2e5, DONE), (3e5, SINGULAR)):
         start = np.concatenate((simulation.position, simulation.velocity))
@@ -130,15 +130,14 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         motion = np.zeros((2, LANES, 2, 3))
         assert native.run_batch(
             pack[:-1], (Lane(system.native, simulation.run),), state, np.zeros((1, 3 * LANES)),
-            1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
-            np.zeros(1, dtype=np.int64), np.zeros((1, 4))) == status
+            1, 1, 1, *motion, np.zeros(1, dtype=np.int64), np.zeros((1, 4))) == status
 
 
 @pytest.fixture
 def good():
     """Yield good arguments of ``run_batch`` by name, for 6 steps in two lanes."""
     simulation = Simulation.from_scene('four_bar', integrator='rk4')
-    system, driver = simulation.system, simulation.monitor.driver
+    system = simulation.system
     start = np.concatenate((simulation.position, simulation.velocity))
     batch = build_batch([system])
     yield {
@@ -146,20 +145,19 @@ def good():
         'lanes': (Lane(system.native, simulation.run),) * 2,
         'state': lanes.spread([start] * LANES), 'torque': np.zeros((3, 3 * LANES)),
         'zero_order_hold': 2, 'decimation': 3, 'steps': 6,
-        'scratch': np.zeros((len(driver.scratch), 6 * LANES)),
         'position': np.zeros((LANES, 3, 3)), 'velocity': np.zeros((LANES, 3, 3)),
         'status': np.zeros(2, dtype=np.int64), 'found': np.zeros((2, 4))}
 
 
-@pytest.mark.parametrize('name', ['state', 'torque', 'scratch', 'position', 'velocity', 'status',
+@pytest.mark.parametrize('name', ['state', 'torque', 'position', 'velocity', 'status',
                                   'found'])
 def test_every_array_of_a_batch_is_checked(good, name):
     assert native.run_batch(*good.values()) == DONE
     for axis in range(good[name].ndim):
         longer = np.concatenate([good[name]] * 2, axis)
-        # More rows of these two do no harm.
+        # More rows of it do no harm.
         for wrong in [np.delete(good[name], 0, axis)] + [longer] * (
-                axis > 0 or name not in ('torque', 'scratch')):
+                axis > 0 or name != 'torque'):
             with pytest.raises(ValueError, match='do not fit together'):
                 native.run_batch(*{**good, name: np.ascontiguousarray(wrong)}.values())
 
