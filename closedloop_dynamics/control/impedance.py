@@ -74,6 +74,7 @@ class Impedance:
             np.concatenate([rotated(inward, part) for part in (wrench[:3], wrench[3:])]))
         rest = np.zeros(len(velocity))
         torque = self._motions(position).T @ in_tree + self._feedforward
+        position, _ = self._simulation.closed(position, rest)
         torque += self._simulation.inverse_dynamics(position, rest, rest)[0]
         return np.clip(torque, -self._limit, self._limit)
 

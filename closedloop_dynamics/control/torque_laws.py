@@ -143,6 +143,7 @@ class ComputedTorque:
     def torque(self, time, position, velocity):
         """Return the torques, shape (n,), for a state, shapes (nq,), (nv,), at a time [s]."""
         lead = self._lead(time)
+        position, velocity = self._simulation.closed(position, velocity)
         acceleration, _ = self._simulation.forward_dynamics(position, velocity, self._torque)
         if len(self._coordinates.balls):
             position = self._coordinates.moved(
@@ -161,6 +162,7 @@ class ComputedTorque:
     def _torque_for(self, wanted, position, velocity):
         """Solve the actuated rows of ``qdd = free + response tau`` for tau."""
         units = np.eye(len(self._actuated))
+        position, velocity = self._simulation.closed(position, velocity)
         free, *responses = (
             self._simulation.forward_dynamics(position, velocity, torque)[0][self._actuated]
             for torque in (np.zeros(len(units)), *units))

@@ -308,6 +308,15 @@ bool find_torques(
   if (opens(system, jac, bias, loops, qdd)) {
     return false;
   }
+  // Not of prescribed motions: the given one may be another.
+  const auto within = [&](Values errors, double limit) {
+      to_user_order(model, errors, bias);
+      return largest(bias.part(0, loops)) <= limit;
+    };
+  const double limit = system.settings[setting::CLOSURE_LIMIT];
+  if (!within(work.closure, limit) || !within(work.closure_rate, limit * rate_scale(qd))) {
+    return false;
+  }
   Balance balance(jac, actuated, passive, room);
   // Where more are needed, Python continues, which can be interrupted.
   for (int round = 0; round < MOST_ROUNDS; ++round) {

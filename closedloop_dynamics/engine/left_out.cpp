@@ -47,12 +47,8 @@ bool equations_suffice(const System & system, Stabilisation stabilisation, Value
     kinetic_energy(all, q, system.qdd) : 0.0;
   numbers[KINETIC] = std::max(numbers[KINETIC], kinetic_energy(all, q, qd));
   update(all.model, all.own, Responses::NONE);
-  double fastest = 1.0;
-  for (double rate : qd) {
-    fastest = std::max(fastest, std::abs(rate));
-  }
   const double error = largest(all.own.closure), opening = settings[setting::OPENING];
-  const bool hold = error <= opening && largest(all.own.closure_rate) <= opening * fastest;
+  const bool hold = error <= opening && largest(all.own.closure_rate) <= opening * rate_scale(qd);
   const bool strict = hold && discarded <= DISCARDED * numbers[KINETIC];
   const double pivot = system.work.health[health::SMALLEST_PIVOT];
   const bool worn = pivot < numbers[PIVOT];

@@ -259,6 +259,8 @@ double largest(Values values)
   return most;
 }
 
+double rate_scale(Values qd) {return std::max(1.0, largest(qd));}
+
 void free_acceleration(const Model & model, const Workspace & work, Values out)
 {
   const Indexes & cut = model.cut;

@@ -24,6 +24,9 @@ void update(const Model &, const Workspace &, Responses);
 /// Largest absolute value; NaN if any is NaN.
 double largest(Values);
 
+/// Rate that rates of closure errors are compared with: the fastest of the joints, or 1/s.
+double rate_scale(Values qd);
+
 /// Accelerations of the closure errors without cut forces, in elimination order.
 void free_acceleration(const Model &, const Workspace &, Values out);
 

@@ -56,6 +56,16 @@ void begin_effects(const System & system, const Request & request)
   begin_friction(system.effects, rates, own);
 }
 
+/// Whether a state that was evaluated closes the loops, in its rates, too, as far as a step has to.
+/// Of equations that are left out accelerations tell: they do not fulfil these where loops are open.
+bool closes_loops(const System & system, Values qd)
+{
+  const Workspace & work = system.work;
+  const double limit = system.settings[setting::CLOSURE_LIMIT];
+  return largest(work.closure) <= limit &&
+         largest(work.closure_rate) <= limit * rate_scale(qd);
+}
+
 bool evaluate_checked(const System & system, const Request & request, const System * whole)
 {
   const Values q = system.q(request.state), qd = system.qd(request.state);
@@ -82,12 +92,12 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
       if (!serves && whole != nullptr) {
         evaluate_state(*whole, request.state);
         copy(whole->lam.part(0, request.lam.size), request.lam);
-        serves = true;
+        serves = closes_loops(*whole, qd);
       }
     }
   }
   copy(request.held, system.tau);
-  return serves;
+  return serves && closes_loops(system, qd);
 }
 
 /// Closure equations of the whole mechanism in a state.

@@ -121,6 +121,8 @@ class Evaluator:
 
         Raises
         ------
+        AssemblyError
+            Where the state leaves the loops open, with the loop and by how much.
         ValueError
             For numbers that are not finite, quaternions whose norm is not 1, and torques of joints
             whose motion is prescribed.

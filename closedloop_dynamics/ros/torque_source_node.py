@@ -19,6 +19,7 @@ from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.simulation.errors import AssemblyError
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
@@ -183,7 +184,12 @@ class TorqueSourceNode(Node):
         time_of_state = stamp_of(message) * 1e-9
         if self._is_on_its_way(time_of_state, message.effort):
             return
-        torque = self.law.torque(time_of_state, *state)
+        try:
+            torque = self.law.torque(time_of_state, *state)
+        except AssemblyError as error:
+            if self._complaint.ready():
+                self.get_logger().warning(f'joint_states not usable: {error}')
+            return
         self._publish(torque, message.header.stamp)
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
         if self._points is not None:

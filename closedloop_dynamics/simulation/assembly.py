@@ -363,6 +363,32 @@ class Assembler:
             'them of the limits in a model file), or make the lengths of these loops agree to '
             'more digits.')
 
+    def opened(self, q, qd, limit, motions=True):
+        """
+        Return which loops a state leaves open, and by how much; '' where all are closed.
+
+        ``limit``: closure error that counts as closed [m or rad], and for rates times the fastest
+        one, or times 1 rad/s; ``motions``: whether prescribed motions count, too.
+        """
+        psi, rate, _ = self._equations.move(q, qd).closures()
+        for errors, most, what in (
+                (psi, limit, 'open by {:.3g} m or rad'),
+                (rate, limit * max(1.0, np.abs(qd).max(initial=0.0)),
+                 'separating at {:.3g} m/s or rad/s')):
+            gaps = self._gaps(errors)
+            found = [f'{self._section(cut)}.{cut.name} {what.format(gaps[cut.name])}'
+                     for cut in self.mechanism.closures
+                     if not gaps[cut.name] <= most
+                     and (motions or cut not in self.mechanism.motions)]
+            if found:
+                return ', '.join(found)
+        return ''
+
+    def _section(self, closure):
+        """Return the section of a scene or mechanism that a closure is described in."""
+        return ('cut_joints' if closure in self.mechanism.cut_joints else
+                'couplings' if closure in self.mechanism.couplings else 'effects')
+
     def _gaps(self, psi):
         """Return the largest error of each cut joint, coupling and motion, by name."""
         found, first = {}, 0
@@ -578,9 +604,7 @@ class Assembler:
         for cut in self.mechanism.closures:
             gap = gaps[cut.name]
             if not gap <= TOLERANCE * self.extent:
-                section = ('cut_joints' if cut in self.mechanism.cut_joints else
-                           'couplings' if cut in self.mechanism.couplings else 'effects')
-                worst.append(f'{section}.{cut.name} open by {gap:.3g}')
+                worst.append(f'{self._section(cut)}.{cut.name} open by {gap:.3g}')
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(

@@ -34,8 +34,9 @@ from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
 from ..engine import native
 from ..integration.evaluation import Evaluator, QUANTITIES, request
+from ..integration.registry import PROJECTION
 from ..integration.system import (
-    build_system, LOOPS, parts_of_state, Probe, refine, System, with_equations)
+    build_system, CLOSURE_LIMIT, LOOPS, parts_of_state, Probe, refine, System, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Point
@@ -334,6 +335,66 @@ class Data(Names):
             raise ValueError(f'state: expected {len(self._own)} own states of effects, got own of '
                              f'shape {state.own.shape}')
 
+    def require_closed(self, q: np.ndarray, qd: np.ndarray, motions: bool = True) -> None:
+        """
+        Refuse coordinates and rates that leave the loops open.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            [rad or m].
+        qd : ndarray, shape (nv,)
+            [rad/s or m/s].
+        motions : bool
+            Whether they have to follow prescribed motions, too, at the present time.
+
+        Raises
+        ------
+        AssemblyError
+            With the loops and by how much they are open.
+
+        """
+        opened = self._assembler.opened(q, qd, self.system.settings[CLOSURE_LIMIT], motions)
+        if opened:
+            raise AssemblyError(
+                f'state: expected one that closes the loops, got one that leaves {opened}; '
+                'Model.assemble, and Model.state with close=True, return the nearest that does')
+
+    def closed(self, position: ArrayLike, velocity: ArrayLike) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Return the nearest state that closes the loops, at the present time.
+
+        For what is measured, or followed by approximations: a few corrections on its branch.
+
+        Parameters
+        ----------
+        position : sequence, shape (nq,)
+            [rad or m].
+        velocity : sequence, shape (nv,)
+            [rad/s or m/s].
+
+        Returns
+        -------
+        position, velocity : ndarray
+
+        Raises
+        ------
+        AssemblyError
+            Where a few corrections find none.
+
+        """
+        state = self._state.copy()
+        q, qd = (state[part] for part in self._parts[:2])
+        q[:] = self._taken(position)
+        qd[:] = vector('velocity', velocity, len(qd))
+        self._fresh = False
+        if not native.stabilise(self.system.native, PROJECTION, state):
+            opened = self._assembler.opened(q, qd, self.system.settings[CLOSURE_LIMIT])
+            raise AssemblyError(
+                'state: expected one that nearly closes the loops, got one from which corrections '
+                f'leave {opened}; give one nearer to a closed one, as Model.assemble returns them')
+        return q.copy(), qd.copy()
+
     def touch(self) -> None:
         """Mark the state or the system's arrays as changed from outside."""
         self._fresh = False
@@ -563,7 +624,7 @@ class Data(Names):
         Parameters
         ----------
         position : sequence, shape (nq,)
-            Closing the loops.
+            Closing the loops, as ``closed`` returns it.
         velocity : sequence, shape (nv,)
             Keeping them closed.
         torque : mapping, sequence or None
@@ -574,6 +635,12 @@ class Data(Names):
         acceleration : ndarray, shape (nv,)
         multipliers : ndarray, shape (nc,)
 
+        Raises
+        ------
+        AssemblyError
+            Where the state leaves the loops open, with the loop and by how much.
+        ValueError
+
         """
         self._fresh = False
         if self._evaluate_given(position, velocity, torque):
@@ -582,6 +649,7 @@ class Data(Names):
         probe = self._probe
         probe.q[:] = self._taken(position)
         probe.qd[:] = vector('velocity', velocity, nv)
+        self.require_closed(probe.q, probe.qd)
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau
         self._table.states[:] = self._own
@@ -631,9 +699,8 @@ class Data(Names):
         return made
 
     def _refuse(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> None:
-        """Raise where a state or torques are none."""
-        self._taken(q)
-        vector('velocity', qd, len(self.joint_names))
+        """Raise where a state or torques are none, or loops are open."""
+        self.require_closed(self._taken(q), vector('velocity', qd, len(self.joint_names)))
         self.joint_torques(torque)
 
     def _multipliers_elsewhere(self, probe: Probe) -> np.ndarray:
@@ -669,6 +736,8 @@ class Data(Names):
         ------
         SimulationError
             Where the actuated joints cannot produce the motion, or it opens the loops.
+        AssemblyError
+            Where position or rates leave them open.
 
         Notes
         -----
@@ -686,6 +755,7 @@ class Data(Names):
         q = self._taken(position)
         qd, qdd = (vector(name, values, nv) for name, values in (
             ('velocity', velocity), ('acceleration', acceleration)))
+        self.require_closed(q, qd, motions=False)
         return inverse.solve(q, qd, qdd)
 
     def tree_torque(self, position: np.ndarray, velocity: np.ndarray,

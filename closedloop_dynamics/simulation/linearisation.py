@@ -13,10 +13,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from .derivatives import Differentiator
-from .errors import SimulationError
+from .errors import AssemblyError, SimulationError
 from .independent import changes_along, choose_independent, dependent_on, places_of
 from ..engine import native
-from ..integration.registry import STABILISATIONS
 
 QUANTITIES = ('position', 'velocity', 'acceleration')
 # Newton's method for equilibria: steps at most, the longest step [rad, m], and the acceleration
@@ -401,20 +400,17 @@ class Linearisation:
             Where the loops cannot be closed there.
 
         """
-        system = self._simulation.system
-        state, nq = self._simulation.integrated.copy(), len(position)
-        moved, moving = state[:nq], state[nq:nq + len(rates)]
-        moved[:], moving[:] = position, rates
-        if system.manifold is None:
+        manifold, moved = self._simulation.system.manifold, np.array(position, dtype=float)
+        if manifold is None:
             moved += change
         else:
-            native.move(system.manifold, moved, np.array(change), 1.0)
-        closed = native.stabilise(system.native, STABILISATIONS['projection'], state)
-        self._simulation.touch()
-        if not closed:
+            native.move(manifold, moved, np.array(change, dtype=float), 1.0)
+        try:
+            return self._simulation.closed(moved, rates)
+        except AssemblyError:
             raise SimulationError('The loops cannot be closed that far from the position given: '
-                                  'give one nearer to what is sought, or a smaller amplitude.')
-        return moved.copy(), moving.copy()
+                                  'give one nearer to what is sought, or a smaller amplitude.'
+                                  ) from None
 
     def _resting(self, q, torque, model, rate):
         """Return an equilibrium."""

@@ -4,9 +4,12 @@
 """The model of a scene: quantities of any state, without a run."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from threading import RLock
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING, Union
+from typing import (
+    Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING, TypeVar, Union)
 import warnings
 
 import numpy as np
@@ -15,7 +18,7 @@ from numpy.typing import ArrayLike
 from .assemblies import Assemblies, find_assemblies
 from .data import Numbers, vector
 from .driven import BranchEndError, driven_mechanism, DrivenKinematics
-from .errors import AssemblyError
+from .errors import AssemblyError, SimulationError
 from .evaluation import Evaluation
 from .geometry import Geometry
 from .key_paths import changed, resolve
@@ -25,7 +28,9 @@ from .readings import Readings
 from .scene import load_scene
 from .scene_records import Scene
 from .state import State
+from ..engine import native
 from ..integration.evaluation import Evaluator
+from ..integration.system import CLOSURE_LIMIT
 from ..mechanism.fields import at
 
 if TYPE_CHECKING:
@@ -33,6 +38,7 @@ if TYPE_CHECKING:
 
 # Warnings of one call, at most.
 MOST_NOTES = 3
+Found = TypeVar('Found')
 
 
 class InverseDynamicsResult(NamedTuple):
@@ -189,9 +195,9 @@ class Model(Names):
         return states[0] if samples is None else State.stack(states)
 
     def state(self, q: ArrayLike, qd: Optional[ArrayLike] = None, own: Optional[ArrayLike] = None,
-              time: ArrayLike = 0.0) -> State:
+              time: ArrayLike = 0.0, *, close: bool = False) -> State:
         """
-        Return a state, or a batch, of numbers as they are: nothing is assembled.
+        Return a state, or a batch, of numbers as they are: nothing is assembled unless asked for.
 
         Parameters
         ----------
@@ -203,9 +209,13 @@ class Model(Names):
             The effects' own states; restarted when not given.
         time : float, or array_like of shape (n,)
             [s].
+        close : bool
+            Whether to take the nearest state that closes the loops, as ``assemble`` finds it.
 
         Raises
         ------
+        AssemblyError
+            Where a state leaves the loops open, with the loop and by how much.
         ValueError
             For other shapes, numbers that are not finite, and quaternions whose norm is not 1.
 
@@ -219,10 +229,15 @@ class Model(Names):
         if len(self.coordinates.balls):
             given = State(given.time, self.coordinates.unit(given.q), given.qd, given.own,
                           self.coordinates)
-        if own is not None or not self._work.own_states:
-            return given
+        def taken(one: State) -> State:
+            if close:
+                found = self.assemble(one.q, one.qd, (), one.time)
+                return found if own is None else replace(found, own=one.own)
+            self._work.at(one)
+            return one if own is not None else self._work.begun(one.time, one.q, one.qd)
+
         with self._lock:
-            each = [self._work.begun(one.time, one.q, one.qd) for one in given.each]
+            each = _of_all(taken, given)
         return each[0] if not given.is_batch else State.stack(each) if each else given
 
     def solve(self, drives: Optional[Mapping[str, ArrayLike]] = None,
@@ -302,7 +317,8 @@ class Model(Names):
         self._work.require_state(branch)
         if branch.is_batch:
             raise ValueError(f'branch: expected one state, got a batch of {len(branch)}')
-        return branch.q
+        with self._lock:
+            return self._work.at(branch).position
 
     # What follows from a state.
 
@@ -377,7 +393,8 @@ class Model(Names):
         with self._lock:
             if not state.is_batch:
                 return self._work.needed(state, wanted)
-            found = [self._work.needed(*pair) for pair in zip(state, wanted)]
+            rows = iter(wanted)
+            found = _of_all(lambda one: self._work.needed(one, next(rows)), state)
         if not found:
             raise ValueError('state: expected at least one, got an empty batch')
         return InverseDynamicsResult(*map(frozen, zip(*found)))
@@ -441,7 +458,7 @@ class Model(Names):
         """Return an array that follows from a state, or from each of a batch."""
         self._work.require_state(state)
         with self._lock:
-            found = [asked(self._work.at(one)) for one in state.each]
+            found = _of_all(lambda one: asked(self._work.at(one)), state)
         return np.array(found) if state.is_batch else found[0]
 
     def evaluator(self, *quantities: str) -> Evaluator:
@@ -470,7 +487,7 @@ class Model(Names):
         """
         self._work.require_state(state)
         with self._lock:
-            return all(self._work.begins(one) for one in state.each)
+            return all(_of_all(self._work.begins, state))
 
     def __reduce__(self) -> Tuple[Any, ...]:
         """Copy and pickle as the scene, of which the model is rebuilt."""
@@ -522,17 +539,23 @@ class _Workspace(Readings):
         self._fresh = False
 
     def at(self, state: State) -> Readings:
-        """Move to a state, without torques."""
+        """Move to a state that closes the loops, without torques; AssemblyError for others."""
         self._put(state.time, state.q, state.qd, state.own)
+        self.require_closed(self._q, self._qd)
         self.system.tau[:] = 0.0
         return self
 
     def evaluated(self, state: State, torque: Optional[Numbers]) -> Evaluation:
         """Return the evaluation of a state, or of a batch, under torques."""
         if not state.is_batch:
-            self.at(state)
+            self._put(state.time, state.q, state.qd, state.own)
             self.system.tau[:] = self.joint_torques(torque)
-            return self.evaluation(state)
+            found = self.evaluation(state)
+            limit = self.system.settings.item(CLOSURE_LIMIT)
+            if not (found.closure <= limit and native.largest(self.system.work.closure_rate) <= (
+                    limit * max(1.0, native.largest(self._qd)))):
+                self.require_closed(self._q, self._qd)
+            return found
         if not len(state):
             raise ValueError('state: expected at least one, got an empty batch')
         rows = None if torque is None or isinstance(torque, Mapping) else np.array(
@@ -543,9 +566,9 @@ class _Workspace(Readings):
             raise ValueError(f'torque: expected shape ({na},) or {(len(state), na)} for '
                              f'{len(state)} states and {", ".join(self.actuated_joints)}; got '
                              f'shape {rows.shape}')
-        return Evaluation.stack([
-            self.evaluated(one, rows[k] if rows is not None and rows.ndim > 1 else torque)
-            for k, one in enumerate(state)], state)
+        each = iter(rows) if rows is not None and rows.ndim > 1 else repeat(torque)
+        return Evaluation.stack(
+            _of_all(lambda one: self.evaluated(one, next(each)), state), state)
 
     def needed(self, state: State, acceleration: np.ndarray) -> InverseDynamicsResult:
         """Return the torques and multipliers that a motion needs."""
@@ -555,9 +578,23 @@ class _Workspace(Readings):
 
     def begins(self, state: State) -> bool:
         """Return whether the effects that act on the motion restart in a state."""
+        self.at(state)
         places = self._effects.own
         return not len(places) or np.array_equal(
             self.begun(0.0, state.q, state.qd).own[places], state.own[places])
+
+
+def _of_all(asked: Callable[[State], Found], states: State) -> List[Found]:
+    """Return what is asked of a state, or of each of a batch, whose number errors name."""
+    found: List[Found] = []
+    for k, one in enumerate(states.each):
+        try:
+            found.append(asked(one))
+        except SimulationError as error:
+            if not states.is_batch:
+                raise
+            raise type(error)(f'state {k}: {error}') from None
+    return found
 
 
 def _batch(given: Mapping[str, Optional[Numbers]]) -> Tuple[

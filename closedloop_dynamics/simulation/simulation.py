@@ -218,10 +218,7 @@ class Simulation(Stepping):
         for part, values in zip(self._parts, (state.q, state.qd, state.own)):
             whole[part] = values
         self.restore(np.concatenate((whole, self._driver.memory)), state.time, 0.0)
-        if not self.closure <= self.system.settings[CLOSURE_LIMIT]:
-            raise AssemblyError(
-                f'state: expected one that closes the loops, got one that leaves them '
-                f'{self.closure:.3g} m or rad open; Model.assemble returns such as close them')
+        self.require_closed(state.q, state.qd)
         self._require_step_from(state.q, state.qd)
 
     def set_step_size(self, step_size: float) -> None:

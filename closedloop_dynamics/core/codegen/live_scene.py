@@ -101,6 +101,7 @@ class LiveTrace(MechanismTrace):
         elif self.laws.at_rest == RESPONSES:
             self.store_responses(forces.resting)
         self.store_accelerations(qdd, lam)
+        self.store_closures()
         for place, multiplier, factor in forces.driven:
             forces.rates[place] = lam[multiplier] * factor
         self.store(RATES, forces.rates)

@@ -160,6 +160,7 @@ class MechanismTrace:
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         self.store_accelerations(*self.accelerate())
+        self.store_closures()
 
     def outward(self):
         """Poses, velocities and inertial forces, to which effects add."""
@@ -215,8 +216,7 @@ class MechanismTrace:
         """Accelerations and multipliers after ``outward`` and the effects."""
         self.read()
         self.store_accelerations(*self.accelerate(by))
-        self.store(CLOSURE, self.work.closure)
-        self.store(CLOSURE_RATE, self.work.closure_rate)
+        self.store_closures()
 
     def refined_acceleration(self):
         """Accelerations with iterative refinement, joint by joint."""
@@ -253,6 +253,11 @@ class MechanismTrace:
         bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(HEALTH, self.work.health)
         return qdd, lam
+
+    def store_closures(self):
+        """Add how far the loops are open, and how fast they open, to the outputs."""
+        self.store(CLOSURE, self.work.closure)
+        self.store(CLOSURE_RATE, self.work.closure_rate)
 
     def store_accelerations(self, qdd, lam):
         """Add accelerations and multipliers to the outputs."""
