@@ -71,6 +71,11 @@ def remove_unused(base):
                 shutil.rmtree(path, ignore_errors=True)
 
 
+def _digest(name, data):
+    """Return the checksum of a file: of code under another name it is another one."""
+    return hashlib.sha256(name.encode() + b'\0' + data).digest()
+
+
 def read(name):
     """Return stored code by the name of its file; None where there is none that is whole."""
     if directory() is None:
@@ -80,7 +85,7 @@ def read(name):
     except OSError:
         return None
     data = content[_DIGEST_SIZE:]
-    return data if hashlib.sha256(data).digest() == content[:_DIGEST_SIZE] else None
+    return data if _digest(name, data) == content[:_DIGEST_SIZE] else None
 
 
 def write(name, data):
@@ -90,7 +95,7 @@ def write(name, data):
     temporary = directory() / f'{name}.{uuid.uuid4().hex}'
     with contextlib.suppress(OSError):
         try:
-            temporary.write_bytes(hashlib.sha256(data).digest() + data)
+            temporary.write_bytes(_digest(name, data) + data)
             temporary.replace(directory() / name)
         finally:
             temporary.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ import subprocess
 import sys
 
 from closedloop_dynamics.core import cache
+from closedloop_dynamics.core.codegen import machine_code as in_memory
 from closedloop_dynamics.core.codegen.expression_graph import (
     ExpressionGraph, LOAD, Q, QD, Routine)
 from closedloop_dynamics.core.codegen.machine_code import machine_code, SCALAR
@@ -51,13 +52,22 @@ def directory(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture
+def forgetful(monkeypatch):
+    """Return a function that makes this process forget what code it has, as a new one would."""
+    def forget():
+        monkeypatch.setattr(in_memory, '_engines', {})
+    forget()
+    return forget
+
+
 def halves():
     """Return a routine that halves a number."""
     graph = ExpressionGraph()
     return [Routine('half', graph, [(QD, 0, graph.put(LOAD, Q, 0) * 0.5)])]
 
 
-def test_no_damaged_file_is_ever_loaded(directory):
+def test_no_damaged_file_is_ever_loaded(directory, forgetful):
     machine_code(('attack', 1), halves, SCALAR)
     stored, = directory.iterdir()
     content, rng, counts = stored.read_bytes(), random.Random(1), {}
@@ -71,7 +81,7 @@ def test_no_damaged_file_is_ever_loaded(directory):
     assert list(directory.iterdir()) == [stored]
 
 
-def test_damaged_code_is_generated_again_and_replaced(directory):
+def test_damaged_code_is_generated_again_and_replaced(directory, forgetful):
     made = []
 
     def counted():
@@ -83,6 +93,7 @@ def test_damaged_code_is_generated_again_and_replaced(directory):
     content = stored.read_bytes()
     stored.write_bytes(content[:-1])
     for count in (2, 2):
+        forgetful()
         machine_code(('attack', 1), counted, SCALAR)
         assert len(made) == count
         assert stored.read_bytes() == content
@@ -127,7 +138,7 @@ def test_two_processes_that_race_find_the_same_and_leave_whole_files(tmp_path):
     assert stored
     for path in stored.values():
         content = path.read_bytes()
-        assert cache.hashlib.sha256(content[32:]).digest() == content[:32], path.name
+        assert cache._digest(path.name, content[32:]) == content[:32], path.name
     assert result(start(tmp_path)) == one
     assert files(tmp_path) == stored
 
@@ -139,7 +150,7 @@ def test_full_disk_leaves_a_result_and_no_temporary_file(tmp_path):
     assert result(start(tmp_path, preexec_fn=fill)) == result(start(tmp_path))
     for path in files(tmp_path).values():
         content = path.read_bytes()
-        assert cache.hashlib.sha256(content[32:]).digest() == content[:32], path.name
+        assert cache._digest(path.name, content[32:]) == content[:32], path.name
 
 
 def test_no_directory_to_write_to_is_no_error(tmp_path):

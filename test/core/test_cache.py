@@ -8,6 +8,10 @@ from pathlib import Path
 import time
 
 from closedloop_dynamics.core import cache
+from closedloop_dynamics.core.codegen import machine_code
+from closedloop_dynamics.simulation.derivatives import Differentiator
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
 import pytest
 
 
@@ -93,3 +97,23 @@ def test_two_that_write_the_same_at_once_leave_one_whole_file(tmp_path, monkeypa
     cache.write('code', b'of this one')
     assert cache.read('code') == b'of this one'
     assert [path.name for path in tmp_path.iterdir()] == ['code']
+
+
+def test_files_that_have_each_others_names_are_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
+    for name in ('one', 'other'):
+        cache.write(name, f'code of {name}'.encode())
+    for name, target in (('one', 'spare'), ('other', 'one'), ('spare', 'other')):
+        (tmp_path / name).replace(tmp_path / target)
+    assert cache.read('one') is None and cache.read('other') is None
+
+
+def test_code_is_in_memory_once_however_many_ask_for_it():
+    simulation = Simulation.from_scene('four_bar')
+    Differentiator(simulation)
+    before = set(machine_code._engines)
+    derivatives = [Differentiator(Simulation.from_scene('four_bar')) for _ in range(3)]
+    assert set(machine_code._engines) == before
+    state = simulation.position, simulation.velocity
+    for one in derivatives:
+        assert np.isfinite(one(*state).by_position).all()
