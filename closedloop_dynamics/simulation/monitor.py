@@ -277,8 +277,17 @@ class Monitor:
             if energy_guard.failed or energy_guard.finding:
                 # The reference run is as wrong as the run.
                 bound = present = math.nan
+            singular = health[RANK_REVEALING_COUNT] > 0.0
+            if singular:
+                # Next to a singular configuration rounding errors grow, and a smaller tolerance
+                # makes them no smaller: the run's own may be all of the distance.
+                bound /= CLOSER
+                present /= CLOSER
             if bound > KEPT * self._method.accuracy:
                 cause = (
+                    'as the motion came next to a singular configuration, where rounding errors '
+                    'grow and all of the distance to the reference run may be its own'
+                    if singular else
                     'although the smallest tolerance there is was taken: differences in the last '
                     'digit grow that large in this motion'
                     if made.tolerance <= FLOOR else
@@ -287,11 +296,6 @@ class Monitor:
                 findings.append(
                     f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
                     f'kept: the error was about {bound:.2g}, {cause}.')
-            if health[RANK_REVEALING_COUNT] > 0.0:
-                # Next to a singular configuration rounding errors grow, and a smaller tolerance
-                # makes them no smaller: the run's own may be all of the distance.
-                bound /= CLOSER
-                present /= CLOSER
         share = used = math.nan
         if budget is not None:
             share, used = budget.share, budget.used

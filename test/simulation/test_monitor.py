@@ -6,7 +6,9 @@
 from copy import deepcopy
 from dataclasses import replace
 import math
+from types import SimpleNamespace
 
+from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.monitor import FIRST_SAMPLE
 from closedloop_dynamics.simulation.scene_records import Method
@@ -132,3 +134,18 @@ def test_errors_of_singular_passages_are_below_their_bounds(accuracy):
         start, rate = rng.uniform(0.85, 1.6), -rng.uniform(6.0, 25.0)
         error, bound = singular_passage(start, rate, accuracy)
         assert error < max(bound, 1e-12), (start, rate)
+
+
+def test_the_bound_next_to_a_singular_position_is_what_is_judged(monkeypatch):
+    simulation = Simulation.from_scene('four_bar', integrator='auto', accuracy=1e-6)
+    simulation.step(duration=0.01)
+    made = SimpleNamespace(**{
+        **vars(simulation.monitor.driver.report), 'largest_bound': 1e-6, 'bound': 1e-6})
+    monkeypatch.setattr(type(simulation.monitor.driver), 'report', made)
+    assert simulation.report().findings == () and simulation.report().error_bound == 1e-6
+    # There it may be all of the distance to the reference run, ten times as much.
+    simulation.system.work.health[RANK_REVEALING_COUNT] = 1.0
+    report = simulation.report()
+    assert report.error_bound == pytest.approx(1e-5)
+    assert any('accuracy of 1e-06' in finding and 'about 1e-05, as the motion came next to a' in
+               finding for finding in report.findings)
