@@ -234,6 +234,8 @@ struct Handle
 {
   System system;
   PyObject * owner = nullptr;
+  /// Whether a thread that has released the interpreter lock computes with it.
+  bool works = false;
 };
 
 /// The name of the capsules that hold objects of a class.
@@ -311,9 +313,9 @@ struct Holder
 template<>
 struct Holder<System>
 {
-  const System * value = nullptr;
-  void take(PyObject * from, Place place) {read(from, value, place);}
-  const System & get() {return *value;}
+  Handle * value = nullptr;
+  void take(PyObject * from, Place) {value = static_cast<Handle *>(pointer_in<System>(from));}
+  const System & get() {return value->system;}
 };
 
 template<>
@@ -323,6 +325,22 @@ struct Holder<Stepper>
   void take(PyObject * from, Place) {value = static_cast<Stepper *>(pointer_in<Stepper>(from));}
   Stepper & get() {return *value;}
 };
+
+/// Refuse to compute with what another thread computes with, or mark it as computed with.
+template<class Argument>
+void check_free(const Argument &, const char *) {}
+inline void check_free(const Holder<System> & system, const char * function)
+{
+  if (system.value->works) {
+    PyErr_Format(
+      PyExc_RuntimeError, "%s: another thread computes with this simulation or model: give each "
+      "thread its own, or let them wait for one another by a lock", function);
+    throw PythonError();
+  }
+}
+template<class Argument>
+void mark(const Argument &, bool) {}
+inline void mark(const Holder<System> & system, bool works) {system.value->works = works;}
 
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
@@ -566,13 +584,34 @@ private:
 
   Result release_and_call()
   {
+    // Under the interpreter lock, so that no other thread comes in between.
+    std::apply([&](auto & ... holder) {(check_free(holder, name), ...);}, arguments);
     if constexpr (Releases) {
+      const Working working(arguments);
       const Released released;
       return call();
     } else {
       return call();
     }
   }
+
+  /// Marks systems as computed with while it lives.
+  class Working
+  {
+public:
+    explicit Working(decltype(arguments) & arguments)
+    : arguments_(arguments) {set(true);}
+    Working(const Working &) = delete;
+    Working & operator=(const Working &) = delete;
+    ~Working() {set(false);}
+
+private:
+    void set(bool works)
+    {
+      std::apply([&](auto & ... holder) {(mark(holder, works), ...);}, arguments_);
+    }
+    decltype(arguments) & arguments_;
+  };
 };
 
 /// A function as Python's tables and `bind` see it.

@@ -42,6 +42,9 @@ namespace closedloop
 {
 namespace
 {
+/// Nothing: what another thread computes with is refused where arguments are read.
+void require_free(const System &) {}
+
 double factorize_constraints(const Model & model, const Workspace & work)
 {
   return factorize(model, work);
@@ -316,6 +319,8 @@ const Entry entries[] = {
   entry<step_report>("step_report", "step_report(stepper): numbers of its steps by name"),
   entry<clear_report>("clear_report", "clear_report(stepper): count from here on"),
   entry<aim>("aim", "aim(stepper, accuracy): keep another accuracy"),
+  entry<require_free>(
+    "require_free", "require_free(system): refuses what another thread computes with"),
   entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
   entry<set_stop>(
     "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),

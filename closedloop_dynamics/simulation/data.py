@@ -24,6 +24,7 @@ from .inverse_dynamics import InverseDynamics
 from .loop_model import LoopModel
 from .modeling import extent
 from .motions import DrivingConstraints, require_actuated
+from .named_array import reals
 from .names import Names
 from .scene_records import Method, Scene
 from .second_order import find_second_order, SecondOrder
@@ -395,6 +396,13 @@ class Data(Names):
                 f'leave {opened}; give one nearer to a closed one, as Model.assemble returns them')
         return q.copy(), qd.copy()
 
+    def __reduce__(self) -> Tuple[Any, ...]:
+        """Refuse to be copied and pickled: copies would work on the same memory."""
+        raise TypeError(
+            f'{type(self).__name__}: expected no copy, as two would work on the same memory. Make '
+            'another one of its scene, and bring it to the same state: '
+            'Simulation(one.scene).restore(one.state, one.time); a Model can be copied')
+
     def touch(self) -> None:
         """Mark the state or the system's arrays as changed from outside."""
         self._fresh = False
@@ -599,10 +607,12 @@ class Data(Names):
         named: Any = torque
         if hasattr(named, 'items'):
             require_actuated(self.mechanism, named)
-            for name, value in named.items():
-                tau[self._places[name]] = value
+            values = reals('torque', [*named.values()])
+            if values.ndim > 1:
+                raise ValueError(f'torque: expected a number for each joint, got {torque!r}')
+            tau[[self._places[name] for name in named]] = values
         else:
-            values = np.array(torque, dtype=float)
+            values = reals('torque', torque)
             if values.shape != (len(self._actuated),):
                 raise ValueError(
                     f'torque: expected {len(self._actuated)} values, for '
@@ -785,7 +795,7 @@ class Data(Names):
 
 def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:
     """Return so many finite numbers as a new array; ``name`` is for the ValueError."""
-    array = np.array(values, dtype=float, order='C')
+    array = reals(name, values)
     if array.shape != (length,) or not _are_finite(array):
         raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
     return array

@@ -19,6 +19,7 @@ import numpy as np
 from .assemblies import closed_from, driven_names, drives_needed, moving_joints, too_few
 from .assembly import TOLERANCE
 from .errors import SimulationError
+from .named_array import reals
 from .geometry import Geometry
 from .loop_model import independent, scaled
 from .modeling import extent
@@ -413,10 +414,7 @@ def driven_mechanism(mechanism, drives=None, points=None):
 
 def _numbers(what, value, axes, counts):
     """Return numbers of one pose, of so many axes, or of several; note how many poses."""
-    try:
-        found = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ValueError(f'{what}: expected numbers, got {value!r}') from None
+    found = reals(what, value)
     if found.ndim not in (axes, axes + 1):
         raise ValueError(f'{what}: expected {axes} or {axes + 1} axes, got shape {found.shape}')
     if found.ndim > axes:

@@ -23,6 +23,8 @@ def places_of(names, independent):
     for name in independent or ():
         if name not in names:
             raise ValueError(f'independent: expected names of {", ".join(names)}, got {name!r}')
+        if list(independent).count(name) > 1:
+            raise ValueError(f'independent: expected each name once, got {name!r} twice')
     return None if independent is None else [names.index(name) for name in independent]
 
 

@@ -15,6 +15,7 @@ from scipy.linalg import eigh
 from .derivatives import Differentiator
 from .errors import AssemblyError, SimulationError
 from .independent import changes_along, choose_independent, dependent_on, places_of
+from .named_array import reals
 from ..engine import native
 
 QUANTITIES = ('position', 'velocity', 'acceleration')
@@ -199,8 +200,8 @@ class Linearisation:
     def _state(self, position, velocity):
         """Return a state given, or the present one."""
         simulation = self._simulation
-        return (simulation.position if position is None else np.array(position, dtype=float),
-                simulation.velocity if velocity is None else np.array(velocity, dtype=float))
+        return (simulation.position if position is None else reals('position', position),
+                simulation.velocity if velocity is None else reals('velocity', velocity))
 
     def _model(self, q, qd, torque, outputs, chosen):
         """Return a linear model, the derivatives and the tangents; coordinates may be chosen."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
-from threading import RLock
+from threading import local, RLock
 from typing import (
     Any, Dict, List, NamedTuple, Optional, Sequence, Tuple, TYPE_CHECKING, TypeVar, Union)
 import warnings
@@ -22,7 +22,7 @@ from .errors import AssemblyError, SimulationError
 from .evaluation import Evaluation
 from .geometry import Geometry
 from .key_paths import changed, resolve
-from .named_array import frozen
+from .named_array import frozen, reals
 from .names import Names
 from .readings import Readings
 from .scene import load_scene
@@ -110,8 +110,10 @@ class Model(Names):
             raise TypeError(
                 f'Model: expected a Scene, as load_scene returns it, got {scene!r}')
         super().__init__(scene)
-        self._work = _Workspace(scene)
         self._lock = RLock()
+        self._work = _Workspace(scene, self._lock)
+        # Of each thread, where its readings are.
+        self._reading = local()
         # By driven joints and points.
         self._driven: Dict[Any, DrivenKinematics] = {}
         # By independent joints: the system, and its linearisation.
@@ -220,7 +222,7 @@ class Model(Names):
             For other shapes, numbers that are not finite, and quaternions whose norm is not 1.
 
         """
-        place = np.array(q, dtype=float)
+        place = reals('q', q)
         batch = place.shape[:-1]
         rates = np.zeros((*batch, self.coordinates.nv)) if qd is None else qd
         nothing = np.zeros((*batch, self._work.own_states))
@@ -347,7 +349,7 @@ class Model(Names):
 
     def readings(self, state: State, torque: Optional[Numbers] = None) -> Readings:
         """
-        Return the readings of a single state, valid until the next call.
+        Return the readings of a single state, valid until this thread's next call.
 
         Parameters
         ----------
@@ -356,7 +358,9 @@ class Model(Names):
 
         """
         self._work.require_state(state)
-        readings = self._work.at(state)
+        if not hasattr(self._reading, 'work'):
+            self._reading.work = _Workspace(self.scene, RLock())
+        readings = self._reading.work.at(state)
         readings.system.tau[:] = readings.joint_torques(torque)
         return readings
 
@@ -386,7 +390,7 @@ class Model(Names):
 
         """
         self._work.require_state(state)
-        wanted = np.array(acceleration, dtype=float)
+        wanted = reals('acceleration', acceleration)
         if wanted.shape != state.qd.shape:
             raise ValueError(f'acceleration: expected shape {state.qd.shape}, as the rates of the '
                              f'state, got {wanted.shape}')
@@ -502,7 +506,16 @@ class Model(Names):
 
 
 class _Workspace(Readings):
-    """Data that a model puts one state after the other into."""
+    """Data that a model puts one state after the other into, while it holds a lock."""
+
+    def __init__(self, scene: Scene, lock: Any) -> None:
+        super().__init__(scene)
+        self._lock = lock
+
+    def _refuse(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> None:
+        """As ``Data``, for evaluators, which are called without the lock."""
+        with self._lock:
+            super()._refuse(q, qd, torque)
 
     def start(self) -> State:
         """Return the scene's start, assembled."""
@@ -558,8 +571,7 @@ class _Workspace(Readings):
             return found
         if not len(state):
             raise ValueError('state: expected at least one, got an empty batch')
-        rows = None if torque is None or isinstance(torque, Mapping) else np.array(
-            torque, dtype=float)
+        rows = None if torque is None or isinstance(torque, Mapping) else reals('torque', torque)
         if rows is not None and rows.ndim > 1 and rows.shape != (
                 len(state), len(self.actuated_joints)):
             na = len(self.actuated_joints)
@@ -612,7 +624,7 @@ def _batch(given: Mapping[str, Optional[Numbers]]) -> Tuple[
     found: List[Callable[[int], Any]] = []
     for what, values in given.items():
         if isinstance(values, Mapping):
-            several = {key: np.array(value, dtype=float) for key, value in values.items()
+            several = {key: reals(f'{what}: {key}', value) for key, value in values.items()
                        if isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) > 0}
             for key, numbers in several.items():
                 if numbers.ndim > 1:
@@ -621,7 +633,7 @@ def _batch(given: Mapping[str, Optional[Numbers]]) -> Tuple[
                 counts[f'{what} of {key}'] = len(numbers)
             found.append(_of_mapping(values, several))
             continue
-        rows = None if values is None else np.array(values, dtype=float)
+        rows = None if values is None else reals(what, values)
         if rows is not None and rows.ndim > 1:
             if rows.ndim > 2:
                 raise ValueError(f'{what}: expected one or two axes, got shape {rows.shape}')

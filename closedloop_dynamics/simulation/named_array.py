@@ -13,6 +13,26 @@ from ..mechanism.fields import among, nearest
 Place = Union[int, slice]
 
 
+def reals(name: str, values: Any) -> np.ndarray:
+    """
+    Return real numbers as a new array of floats.
+
+    Raises
+    ------
+    ValueError
+        For complex numbers, whose imaginary parts would be lost, text and rows of several lengths;
+        ``name`` says of what.
+
+    """
+    try:
+        found = np.asarray(values)
+        if found.dtype.kind in 'biufO':
+            return np.array(found, dtype=float, order='C')
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f'{name}: expected real numbers, got {values!r}')
+
+
 def frozen(values: Any) -> np.ndarray:
     """Return numbers as a new array that cannot be written."""
     return sealed(np.array(values, dtype=float))

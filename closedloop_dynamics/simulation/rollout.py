@@ -14,6 +14,7 @@ import numpy as np
 
 from .errors import SimulationError
 from .key_paths import changed, resolve
+from .named_array import reals
 from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, InitialState, MOST, nothing, record, record_all,
     SimdRuns, starts_as_given, STATE, TimeGrid)
@@ -385,7 +386,7 @@ class RolloutArguments:
         self.velocity = None if velocity is None else _shaped(
             'initial_velocity', _numbers('initial_velocity', velocity), (names.nv,), 'joints')
         self.parameters = {
-            resolve(simulation.scene, key): np.asarray(values, dtype=float)
+            resolve(simulation.scene, key): reals(f'parameters: {key}', values)
             for key, values in (parameters or {}).items()}
         self.rows = self.torques.shape[-2]
         self.samples = self._samples()
@@ -465,7 +466,7 @@ def scheduled(step_size, rows, duration, steps, every):
 
 
 def _numbers(name, values):
-    array = np.array(values, dtype=float)
+    array = reals(name, values)
     if not np.isfinite(array).all():
         raise ValueError(f'{name}: expected finite numbers, got others among them')
     return array

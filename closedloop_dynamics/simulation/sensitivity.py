@@ -14,7 +14,7 @@ from .errors import ClosureError, NumericalError, SimulationError, SingularityEr
 from .independent import (
     changes_along, choose_independent, dependent_on, following, places_of)
 from .model import Model
-from .named_array import frozen, sealed
+from .named_array import frozen, reals, sealed
 from .parameters import parameter_arrays
 from .rollout import RolloutArguments, scheduled
 from .rollout_run import all_torques, TimeGrid
@@ -434,7 +434,7 @@ def _shaped(name: str, given: Optional[ArrayLike], shape: Tuple[int, ...]) -> np
     """Return finite numbers of a shape, zeros for none."""
     if given is None:
         return np.zeros(shape)
-    array = np.array(given, dtype=float)
+    array = reals(name, given)
     if array.shape != shape:
         raise ValueError(f'{name}: expected shape {shape}, got {array.shape}')
     if not np.isfinite(array).all():

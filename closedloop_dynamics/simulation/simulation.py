@@ -79,6 +79,12 @@ class Simulation(Stepping):
     ValueError
         For a state of another mechanism, or a batch of states, and for an impossible method.
 
+    Notes
+    -----
+    A simulation serves one thread at a time; where a second one computes with it meanwhile,
+    RuntimeError is raised there. It cannot be copied: another one of the same scene takes over a
+    ``state`` by ``restore``.
+
     """
 
     def __init__(self, model: Union[Model, Scene], state: Optional[State] = None,
@@ -166,6 +172,7 @@ class Simulation(Stepping):
 
     def reset(self) -> None:
         """Return to the initial state, time zero and no torque."""
+        native.require_free(self.system.native)
         if self.exchanges:
             self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
                           else self._geometry.select(None))
@@ -266,6 +273,7 @@ class Simulation(Stepping):
             dependent or its loops too far open.
 
         """
+        native.require_free(self.system.native)
         method = replace(self.scene.method, **changes)
         if method.formulation != self.scene.method.formulation:
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
@@ -346,6 +354,7 @@ class Simulation(Stepping):
             Where it is no state: other numbers, names, or no unit quaternion.
 
         """
+        native.require_free(self.system.native)
         state = self._near(position, velocity, hold)
         if self.has_redundant_constraints and not self._geometry.is_valid(state[0]):
             self.exchange(self._geometry.choose(state[0]))
@@ -511,6 +520,7 @@ class Simulation(Stepping):
         stretched) is not booked as work: the energy balance goes on from the new energy.
 
         """
+        native.require_free(self.system.native)
         self._start_balance()
         before, undo = self.energy, self._effects.trial()
         try:
@@ -591,6 +601,7 @@ class Simulation(Stepping):
         ValueError, StiffnessError
 
         """
+        native.require_free(self.system.native)
         undo = self._effects.trial()
         try:
             self._try_effect(name, enabled, parameters, undo)

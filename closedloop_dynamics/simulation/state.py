@@ -9,7 +9,7 @@ from typing import Any, Dict, Iterator, List, Sequence, Tuple, Union
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .named_array import frozen, NamedArray, Place
+from .named_array import frozen, NamedArray, Place, reals, sealed
 from ..mechanism.coordinates import Coordinates
 
 # Names that a representation spells out.
@@ -152,10 +152,7 @@ class State:
 
 def _numbers(name: str, values: ArrayLike, least: int = 1) -> np.ndarray:
     """Return finite numbers as a new array that cannot be written."""
-    try:
-        found = frozen(values)
-    except (TypeError, ValueError):
-        raise ValueError(f'state: expected numbers for {name}, got {values!r}') from None
+    found = sealed(reals(f'state: {name}', values))
     if found.ndim < least:
         raise ValueError(f'state: expected a sequence for {name}, got {values!r}')
     if not np.isfinite(found).all():

@@ -20,6 +20,7 @@ from .guards import (
     LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .modeling import extent
 from .monitor import Monitor
+from .named_array import reals
 from .readings import Readings
 from .scene_records import Method, Scene
 from .traced_scene import refusals
@@ -210,7 +211,7 @@ class Stepping(Readings):
         tau, size = self.joint_torques(torque), self.step_size
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
-        whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
+        whole = math.floor(duration / size * (1.0 + 1e-12) + SAME_TIME)
         left = whole
         if self._budget is not None:
             most = max(1, round(INTERVAL / size))
@@ -220,7 +221,8 @@ class Stepping(Readings):
             left -= max(0, (whole - 1) // most) * most
             self.keep_budget()
         rest = duration - whole * size
-        self._order(tau, left, rest if rest > SAME_TIME * size else 0.0)
+        # However short a step is, it is made.
+        self._order(tau, left, rest if rest > (SAME_TIME * size if whole else 0.0) else 0.0)
         self._make(size, 0, whole + 1)
 
     def advance(self, tau: np.ndarray, steps: int) -> None:
@@ -238,20 +240,35 @@ class Stepping(Readings):
         ------
         NumericalError, ClosureError
             The state before the failing step is kept.
+        ValueError
+            For torques of other shapes, that are not real or not finite, and for steps that are no
+            whole number >= 0.
 
         """
+        if type(steps) is not int or steps < 0:
+            steps = _whole(steps)
         if self._budget is not None:
             self.keep_budget()
         if self._effects.attends or self._delay_line.pending:
-            self._order(tau, steps)
+            self._order(self._all_torques(tau), steps)
             self._make(self.step_size, 0, steps)
             return
         self._fresh = False
         pause = self._advance_run(tau, steps)
         if pause == COMMAND:
-            self._command(tau)
+            self._command(self._all_torques(tau))
         if pause:
             self._go_on(pause)
+
+    def _all_torques(self, tau: ArrayLike) -> np.ndarray:
+        """Return joint torques in the order of ``torque_names`` as an array, or refuse them."""
+        found = reals('torque', tau)
+        if found.shape != self.system.tau.shape:
+            raise ValueError(f'torque: expected shape {self.system.tau.shape}, for '
+                             f'{", ".join(self.torque_names)}; got shape {found.shape}')
+        if not np.isfinite(found).all():
+            raise ValueError(f'torque: expected finite numbers, got {tau!r}')
+        return found
 
     @property
     def accuracy(self) -> float:
@@ -295,6 +312,7 @@ class Stepping(Readings):
 
     def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
         """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
+        native.require_free(self.system.native)
         if self._delay_line.pending or self._effects.delays:
             self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
         else:
@@ -325,10 +343,10 @@ class Stepping(Readings):
     def _make_in_parts(self, size: float) -> None:
         """Make a step of at most the usual size [s] in parts that end where commands are due."""
         end = self.time + size
-        left = size
-        while left > SAME_TIME * self.step_size:
+        left, least = size, SAME_TIME * size
+        while left > least:
             wait = self._commanded()
-            part = wait if wait < left - SAME_TIME * self.step_size else left
+            part = wait if wait < left - least else left
             self._make(part, 1)
             left = 0.0 if part == left else end - self.time
         if self._effects.remembers:
@@ -680,6 +698,7 @@ class Stepping(Readings):
             Where it is no state of this scene.
 
         """
+        native.require_free(self.system.native)
         state = vector('state', state, len(self.state))
         if residual is None:
             residual = self.energy_balance.residual
@@ -702,3 +721,10 @@ class Stepping(Readings):
     def monitor(self) -> Monitor:
         """Return the account of cost and local error, a ``monitor.Monitor``."""
         return self._driver
+
+
+def _whole(steps: Any) -> int:
+    """Return a number of steps as Python's own, or refuse it."""
+    if isinstance(steps, np.integer) and steps >= 0:
+        return int(steps)
+    raise ValueError(f'steps: expected a whole number >= 0, got {steps!r}')
