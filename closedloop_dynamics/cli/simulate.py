@@ -221,7 +221,9 @@ def _summary(simulation, report, arguments, estimate):
     if math.isfinite(cost.budget):
         lines.insert(1, f'  budget    {cost.budget:g} of real time: accuracy {cost.accuracy:g} at '
                         f'the end, the best that it allows')
-    if math.isfinite(report.error):
+    if cost.branch_undecided:
+        lines.insert(1, '  error     unknown: on which branch the run is, is undecided')
+    elif math.isfinite(report.error):
         lines.insert(1, f'  error     at most about {report.error:.2g} rad or m, by a second run '
                         f'with {estimate.method}')
     elif estimate is not None and report.rows:

@@ -111,6 +111,24 @@ bool find_beside(BranchEquations & equations, const BranchPoint & point, double 
   return true;
 }
 
+/// Record how far open the loops are at a state between places around it, where components are
+/// singular: as far as these places are on two branches, not on one that goes through.
+void record_passage(BranchEquations & equations, const BranchPoint & point)
+{
+  equations.evaluate(point.q, point.rate);
+  double gap = 0.0;
+  for (const Component & part : equations.components) {
+    for (Index i = 0; part.pivot <= REGULAR && i < part.rows; ++i) {
+      gap = std::max(gap, std::abs(equations.closure[equations.row(part, i)]));
+    }
+  }
+  const Values & passage = equations.system.passage;
+  if (gap > passage[0]) {
+    passage[0] = gap;
+    copy(point.q, passage.from(1));
+  }
+}
+
 /// Find the branch through a state from places around it where components are singular; regular
 /// ones are evaluated at the state, the others being on their branches.
 bool find_through(
@@ -179,6 +197,9 @@ bool accelerate_by_factors(
   // Driven motions are elsewhere at other places.
   const bool driven = system.has_effects() && system.effects.motions.rows > 0;
   bool found = !driven && find_through(equations, q, qd, point, multipliers);
+  if (found) {
+    record_passage(equations, point);
+  }
   if (!found && pivot >= SQUARED * NEAR * NEAR) {
     begin();
     choose_dependent(equations, q, qd);

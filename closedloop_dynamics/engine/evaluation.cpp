@@ -3,6 +3,8 @@
 
 #include "evaluation.hpp"
 
+#include <limits>
+
 #include "arms.hpp"
 #include "branch.hpp"
 #include "cut_coordinates.hpp"
@@ -68,12 +70,17 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
   const Values & settings = system.settings;
+  const double before = work.health[health::SINGULAR_COUNT];
   outward(model, q, qd, work);
   apply_listed(system, q, qd);
   accelerate_rank_revealing(
     model, work, system.model.equations(), system.applied, settings[setting::BAUMGARTE_GAIN],
     settings[setting::ASIDE], system.manifold, q, qd, system.qdd,
     all.empty() ? system.lam : all.lam);
+  if (work.health[health::SINGULAR_COUNT] > before && system.passage[0] == 0.0) {
+    system.passage[0] = std::numeric_limits<double>::min();
+    copy(q, system.passage.from(1));
+  }
   if (!all.empty()) {
     DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));

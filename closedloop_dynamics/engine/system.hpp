@@ -88,6 +88,9 @@ struct System
   AllEquations whole;
   JointPlaces joints;
   AccelerationDerivatives derivatives;
+  /// Of evaluations from places around a singular position: the largest closure error of a state
+  /// between these [m], and its coordinates, shape (1 + nq,); 0: none since the last reset.
+  Values passage;
   /// Returns whether a long computation is to stop; nullptr: never. Set by the host.
   bool (* interrupted)() = nullptr;
 
@@ -109,7 +112,7 @@ struct System
   void fields(Visitor && visit)
   {
     visit(model, work, dense, partition, settings, tau, qdd, lam, applied, effects, table,
-      corrections, manifold, whole, joints, derivatives);
+      corrections, manifold, whole, joints, derivatives, passage);
   }
 };
 

@@ -681,6 +681,9 @@ const char * misfit(const System & system)
   if (const char * other = misfit(system.manifold, coordinates_of(system.model), nv)) {
     return other;
   }
+  if (system.passage.size != 1 + system.nq()) {
+    return "passage";
+  }
   const Index formulation = as_place(system.settings[setting::FORMULATION], 3);
   if (!fits(system.dense, formulation, nv, nc)) {
     return "settings and dense";

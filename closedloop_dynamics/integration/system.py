@@ -15,7 +15,8 @@ from ..core.equations import with_all_equations
 from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, Partition
 from ..core.manifold import Manifold, manifold_of
-from ..core.types import KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT, Workspace
+from ..core.types import (
+    KEPT, Model, number_of_coordinates, POSSIBLE, RANK_REVEALING_COUNT, Workspace)
 from ..effects import law_code, scene_code
 from ..effects.table import build_table, EffectTable, JOINT_FRICTION
 from ..engine import native
@@ -108,6 +109,9 @@ class System(NamedTuple):
     #: Where the joints are, for forces that are not unique; None: there are none of these.
     joints: Optional[JointPlaces]
     derivatives: Optional[AccelerationDerivatives]  # None: the stiff method takes differences
+    #: Shape (1 + nq,): Of evaluations from places around a singular position, the largest closure
+    #: error of a state between these [m], and its coordinates; 0: none since the last reset.
+    passage: np.ndarray
     native: object  # The engine's view of all these
 
     @property
@@ -192,7 +196,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
-        whole=None, joints=joints, derivatives=None, native=None)
+        whole=None, joints=joints, derivatives=None,
+        passage=np.zeros(1 + number_of_coordinates(model)), native=None)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
     return _linked(system, (*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),

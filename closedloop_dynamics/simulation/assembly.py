@@ -41,6 +41,12 @@ MOST_EQUATIONS = 300
 # how far open they may be, in sizes, where equations repeat others but for the last digits of
 # lengths, so that the loops close better only far away, or nowhere.
 NEARBY, NEIGHBOURS, MOST_OPEN = 0.1, 3, 5e-6
+# Next to a change point: relative singular values above this decide the branch of a position;
+# rates are interpolated, with these weights, between places so many steps away [rad, and relative
+# to the fastest rate], if both agree so far.
+BRANCH_DIGITS, BRANCH_STEP, BRANCH_ERROR = 1e-8, 0.015, 0.05
+BRANCH_PLACES = {1: 0.8, -1: 0.8, 2: -0.4, -2: -0.4, 3: 4 / 35, -3: 4 / 35, 4: -1 / 70,
+                 -4: -1 / 70}
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
 # Gaps, against the largest one, that are due to the same contradiction.
@@ -190,35 +196,100 @@ class Assembler:
         ``q`` closes the loops; rates of the joints in ``hold`` are kept. AssemblyError where the
         held rates contradict one another, or no motion continues the rates.
         """
+        try:
+            return self._velocities(q, guess, hold)
+        except AssemblyError:
+            found = self._velocities_beside(q, guess, hold)
+            if found is None:
+                raise
+            return found
+
+    def _velocities(self, q, guess, hold):
+        """Find the same by the equations at the position alone."""
         qd = np.array(guess, dtype=float)
         if not (qd.any() or self.prescribed_rates.any()):
             return qd
         jac = self.jacobian(q)
-        wanted = np.zeros(len(jac))
-        wanted[len(jac) - len(self.prescribed_rates):] = self.prescribed_rates
+        wanted = self._wanted_rates(jac)
         if np.abs(jac @ qd - wanted).max(initial=0.0) <= (
                 TOLERANCE * self.extent * np.abs(qd).max()):
             # As they are, to the last digit.
             return self._continued(q, qd, jac, hold)
-        free = self._free(hold)
+        rate = jac @ qd - wanted
+        qd = self._nearest_rates(q, qd, jac, hold, RANK_TOLERANCE)
+        left = np.abs(jac @ qd - wanted).max(initial=0.0)
+        scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
+        if left > 1e-9 * scale:
+            raise AssemblyError(self._rates_apart(q, left, hold))
+        return self._continued(q, qd, jac, hold)
+
+    def _wanted_rates(self, jac):
+        """Return the right-hand sides of J qd: the rates of prescribed motions, behind zeros."""
+        wanted = np.zeros(len(jac))
+        wanted[len(jac) - len(self.prescribed_rates):] = self.prescribed_rates
+        return wanted
+
+    def _nearest_rates(self, q, guess, jac, hold, tolerance):
+        """Return the rates nearest to a guess with which independent equations stay closed."""
+        free, qd = self._free(hold), np.array(guess, dtype=float)
         if len(hold) > 0:
             qd[free] = 0.0
-        rate = jac @ qd - wanted
 
         def metric():
             self.by_masses = True
             return self._metric(q, free)
 
-        qd[free] -= _least_change(jac[:, free], rate, metric)
-        left = np.abs(jac @ qd - wanted).max(initial=0.0)
-        scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
-        if left > 1e-9 * scale:
-            held = [*hold, *(motion.name for motion in self.mechanism.motions)]
-            raise AssemblyError(
-                f'The velocities held at {", ".join(held)} contradict the loops: the cut joints '
-                f'would separate at {left:.3g} m/s. Hold fewer joints, or start at other '
-                'velocities.')
-        return self._continued(q, qd, jac, hold)
+        qd[free] -= _least_change(
+            jac[:, free], jac @ qd - self._wanted_rates(jac), metric, tolerance=tolerance)
+        return qd
+
+    def _rates_apart(self, q, left, hold):
+        """Return why rates open the loops, at ``left`` [m/s]."""
+        held = [*hold, *(motion.name for motion in self.mechanism.motions)]
+        lost = self.lost_equations(q) if self.nc <= MOST_EQUATIONS else 0
+        if lost:
+            return (f'{self.mechanism.name} stands at a change point (a singular position), to '
+                    f'the digits that its position has: {self._dependence(lost)}, and which way '
+                    f'the loops move on is not decided. {self._beside(hold)}')
+        what = (f'The velocities held at {", ".join(held)} contradict the loops' if held else
+                'No velocities near those given keep the loops closed')
+        return (f'{what}: the cut joints would separate at {left:.3g} m/s. Hold fewer joints, or '
+                'start at other velocities.')
+
+    def _velocities_beside(self, q, guess, hold):
+        """
+        Find rates next to a change point: those of the branch on which the position is.
+
+        There rounding of the position, divided by the distance from the change point twice, shows
+        in rates: they are interpolated between places farther away. None where the equations are
+        as dependent as they are around, or the branch is not decided.
+        """
+        if self.nc > MOST_EQUATIONS or self.prescribed_rates.size:
+            return None
+        jac, free = self.jacobian(q), self._free(hold)
+        for columns in (jac, jac[:, free]):
+            singular = _singular(columns)
+            weak = singular / max(singular.max(initial=0.0), 1e-300)
+            if ((weak > BRANCH_DIGITS) & (weak <= RANK_TOLERANCE)).any():
+                break
+        else:
+            return None
+        ahead = self._nearest_rates(q, guess, jac, hold, BRANCH_DIGITS)
+        fastest = np.abs(ahead).max(initial=0.0)
+        if not fastest > 0.0:
+            return None
+        found = np.zeros(self.nv)
+        for distance, weight in BRANCH_PLACES.items():
+            place, psi = self.solve_closure(
+                self._coordinates.moved(q, ahead * (distance * BRANCH_STEP / fastest)), free)
+            if not self._is_closed(psi):
+                return None
+            try:
+                found += weight * self._velocities(place, guess, hold)
+            except AssemblyError:
+                return None
+        near = np.abs(found - ahead).max() <= BRANCH_ERROR * fastest
+        return found if near else None
 
     def _continued(self, q, qd, jac, hold):
         """Return rates, unless the position is singular and no motion continues with them."""
@@ -638,12 +709,13 @@ def angle_notes(mechanism, position):
             'in degrees?'] if large else []
 
 
-def _least_change(jac, error, metric, damping=0.0):
+def _least_change(jac, error, metric, damping=0.0, tolerance=RANK_TOLERANCE):
     """
     Return the x with ``jac`` x = ``error`` that is least in a metric.
 
     ``metric`` returns L of the metric L L^T, and is called where there is a choice.
     With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
+    ``tolerance`` is that of ``rank_from``.
 
     Which equations depend on others is decided on levers alone: in the mass metric those that
     move a light body all look alike. What they leave open is decided by the masses.
@@ -657,7 +729,7 @@ def _least_change(jac, error, metric, damping=0.0):
         return np.linalg.solve(root.T, y)
     levers = _levers(jac)
     left, singular, right = np.linalg.svd(jac / levers)
-    rank = rank_from(singular)
+    rank = rank_from(singular, tolerance)
     x = right[:rank].T @ (left[:, :rank].T @ error / singular[:rank]) / levers
     if rank == len(x):
         return x

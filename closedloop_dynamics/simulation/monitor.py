@@ -65,6 +65,10 @@ class RunReport:
     budget, budget_used : float
         Computing time per time of the clock that is allowed, and that the latest tenth of a second
         took, the reference run included throughout [1]; NaN without a budget.
+    branch_undecided : bool
+        Whether the run came to a change point that lengths miss by so little that it may be on
+        another branch, as ``findings`` say. There are no bounds then: a reference run takes the
+        same branch.
 
     """
 
@@ -83,6 +87,7 @@ class RunReport:
     present_bound: float = math.nan
     budget: float = math.nan
     budget_used: float = math.nan
+    branch_undecided: bool = False
 
     @property
     def time_per_step(self):

@@ -6,6 +6,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+import math
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
 import warnings
@@ -194,6 +195,7 @@ class Simulation(Stepping):
         health = self.system.work.health
         health[:] = 0.0
         health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
+        self.system.passage[:] = 0.0
         self._begin_loads()
         if self.system.manifold is not None:
             self._state[-1] = 0.0
@@ -419,9 +421,12 @@ class Simulation(Stepping):
         self._start_balance()
         native.record_energy(self.system.native, self._run, self._balance_found)
         balance = Energies(*self._balance_found.tolist())
-        return self._driver.report(
+        undecided = self._branch_finding()
+        report = self._driver.report(
             self.closure, self.energy_guard.missed(balance), self.energy_guard,
-            tuple(self.load_notes()), self._budget)
+            (*self.load_notes(), *undecided), self._budget)
+        return report if not undecided else replace(
+            report, error_bound=math.nan, present_bound=math.nan, branch_undecided=True)
 
     def rollout(
             self, torques: Optional[ArrayLike] = None,

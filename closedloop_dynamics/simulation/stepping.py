@@ -5,11 +5,12 @@
 
 import math
 from time import perf_counter_ns, thread_time_ns
-from typing import Any, Optional
+from typing import Any, List, Optional, Tuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import change_points
 from .budget import Budget, INTERVAL
 from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY, explain, leapt
 from .data import Numbers, vector
@@ -56,6 +57,8 @@ class Stepping(Readings):
         self._set_time(0.0, 0)
         self.pace, self._lenient_from = 1.0, b''
         self._measured, self._delay_line = np.zeros(5), DelayLine()
+        # What is known of singular positions that were passed, and of which.
+        self._passage: Tuple[bytes, List[str]] = b'', []
         super().__init__(scene)
         self._differentiate_steps()
         self._balance = EnergyBalance(self._effects.roles, len(self.system.tau))
@@ -590,7 +593,9 @@ class Stepping(Readings):
         # What stopped it may be a cable at its limit, or steps that cannot be stable.
         explain(self)
         self._stiffness.check(self._state, size)
-        raise self._stopped(status, size)
+        stopped, undecided = self._stopped(status, size), self._branch_finding()
+        raise type(stopped)(' '.join(
+            [str(stopped), *(f'Before that, {one}' for one in undecided)]))
 
     def _stopped(self, status: int, size: float) -> SimulationError:
         """Return the error to raise where a step [s] could not be made."""
@@ -644,6 +649,16 @@ class Stepping(Readings):
                     'stabilisation: projection.'
                     if self.scene.method.stabilisation == 'independent' else
                     'Allow a larger error, or keep away from it by stops or another start.'))
+
+    def _branch_finding(self) -> List[str]:
+        """Return a finding where a change point was passed that the lengths miss by little."""
+        present = self.system.passage.tobytes()
+        if self._passage[0] != present:
+            self._fresh = False
+            self._passage = present, list(change_points.finding(
+                self.mechanism, self._equations, self.system.passage))
+            self._fresh = False
+        return self._passage[1]
 
     def require_bearable(self, tau: np.ndarray) -> None:
         """

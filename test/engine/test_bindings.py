@@ -168,7 +168,7 @@ def test_records_of_another_length_are_refused(system):
         with pytest.raises(TypeError, match='outward, argument 1: expected a tuple of 13 fields'):
             native.outward(wrong, q, qd, work)
     for wrong in (tuple(one), tuple(one)[:-2], (), list(one)):
-        with pytest.raises(TypeError, match='system, argument 1: expected a tuple of 16 fields'):
+        with pytest.raises(TypeError, match='system, argument 1: expected a tuple of 17 fields'):
             native.system(wrong)
     with pytest.raises(TypeError, match='tuple of 6 fields'):
         native.stepper(one.native, 'fixed', ((), None, 0, 1e-6))
