@@ -12,8 +12,8 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.document import UNREAD
 from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.assembly import find_degrees_of_freedom
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.second_order import find_degrees_of_freedom
 import numpy as np
 import pytest
 
