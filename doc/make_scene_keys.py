@@ -93,7 +93,7 @@ def _plain(text):
 def page():
     """Return the whole page."""
     lines = [HEAD, '## Mechanism', '', *_names(
-        keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))]
+        keys_of(Mechanism, leave_out=('source', 'tree', 'motions', 'rounded')))]
     for section, (record_type, _) in SECTIONS.items():
         lines += ['', f'### An entry of `{section}`, by its name', '',
                   *table(record_type, keys_of(record_type, leave_out=('name',)))]

@@ -29,8 +29,11 @@ def _run(arguments):
     options = reading(arguments, arguments.scene)
     if is_model(arguments.scene):
         with announced(READING):
-            text = describe_model(read_model(arguments.scene, **options))
+            text, closed = describe_model(read_model(arguments.scene, **options))
         print(text)
+        if not closed:
+            raise UsageError(f'{arguments.scene}: no position was found that closes the loops; '
+                             'the notes say which stay open')
         return 0
     read = load_scene_or_mechanism(arguments.scene, **options)
     if isinstance(read, Mechanism):

@@ -102,8 +102,12 @@ def _run_code(path):
     return path
 
 
-def add_reading(parser):
-    """Add the options of how a model is read, to be read by ``reading``."""
+def add_reading(parser, short=True):
+    """
+    Add the options of how a model is read, to be read by ``reading``.
+
+    ``short``: whether the command has no other ``--tolerance``.
+    """
     group = parser.add_argument_group('how a model in another format is read')
     group.add_argument('--mend-inertias', action='store_true',
                        help='change moments of inertia that no body has, one being larger than '
@@ -119,13 +123,18 @@ def add_reading(parser):
     group.add_argument('--ignore', metavar='ELEMENT', action='append', default=[],
                        help='leave out elements of URDF or SDF of this name, which nobody knows '
                             'and which may change the motion; may be repeated')
+    parser.add_argument('--geometry-tolerance', *['--tolerance'] * short, type=not_negative,
+                        metavar='T',
+                        help='take axes and places that agree to so much, sines of angles and '
+                             'shares of the longest distance on a body, as parallel, at right '
+                             'angles or meeting (default: that of the mechanism, 1e-8)')
 
 
 def reading(arguments, path):
     """
-    Return the options for the reader of a model, by its parameters' names.
+    Return the options for the reader of a model or a scene, by its parameters' names.
 
-    UsageError where some are given, and the path is not that of a model in another format.
+    UsageError where some of a model are given, and the path is not one in another format.
     """
     found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
              'arguments': mapping(arguments.argument, '--argument'),
@@ -136,6 +145,8 @@ def reading(arguments, path):
         option = '--argument' if key == 'arguments' else f'--{key.replace("_", "-")}'
         raise UsageError(f'{option}: expected a model in another format, got {str(path)!r}; in a '
                          f'scene of such a model write the key {key}')
+    if arguments.geometry_tolerance is not None:
+        found['tolerance'] = arguments.geometry_tolerance
     return found
 
 

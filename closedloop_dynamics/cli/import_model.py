@@ -11,6 +11,7 @@ from .command import (
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
+from ..mechanism.digits import digit_notes
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..visual.progress import announced
@@ -39,7 +40,7 @@ def _run(arguments):
     with announced('Reading the model ...'):
         imported = read_model(
             arguments.file, arguments.end_stops, **reading(arguments, arguments.file))
-    notes = lines(imported, extent(imported.mechanism))
+    notes = [*digit_notes(imported.mechanism), *lines(imported, extent(imported.mechanism))]
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
             imported, found, assembly_notes = assembled(imported)

@@ -43,7 +43,7 @@ WIDEST = 4
 
 def _add_arguments(parser):
     add_scene(parser)
-    add_reading(parser)
+    add_reading(parser, short=False)
     add_drive(parser, ' (default: one turn of the one actuated joint, or from limit to limit)')
     add_set(parser)
     parser.add_argument('--tolerance', type=positive, default=1e-4, metavar='LENGTH',

@@ -35,7 +35,7 @@ LOADING = 'Loading; code is generated for a mechanism that is new ...'
 
 def _add_arguments(parser):
     add_scene(parser)
-    add_reading(parser)
+    add_reading(parser, short=False)
     run_options = parser.add_argument_group('what to do')
     run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                              help='simulated time (default: 2)')

@@ -22,7 +22,7 @@ from ..mechanism.inertia import moments_in
 from ..mechanism.mechanism import (
     Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
-    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+    SPATIAL_CUT_JOINT_EQUATIONS, TOLERANCE, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.rotations import quaternion_of
 from ..mechanism.validation import checked, moments_text, POSSIBLE, possible
 
@@ -81,14 +81,14 @@ class _Tree(NamedTuple):
     cuts: list
 
 
-def mechanism_of(model, end_stops=None, mend_inertias=False):
+def mechanism_of(model, end_stops=None, mend_inertias=False, tolerance=TOLERANCE):
     """
     Return the mechanism, as ``Imported``, that a model describes as a reader of a format left it.
 
     Limits of joints become end stops of the stiffness ``end_stops`` [N m/rad or N/m], if given.
     Where ``mend_inertias``, moments of inertia of which one is larger than the sum of the other
-    two are changed by as little as makes them possible, not refused. MechanismError where it is no
-    mechanism, with the element of the file.
+    two are changed by as little as makes them possible, not refused. ``tolerance`` as of a
+    Mechanism. MechanismError where it is no mechanism, with the element of the file.
     """
     ignored, omitted = dict(model.ignored), list(model.omitted)
     model.check()
@@ -110,7 +110,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
                          for joint in tree.cuts),
         couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
         points=tuple(_points(model, groups, frames, named)),
-        description=f'From {model.path.name}.', ground_visual=tuple(ground))
+        description=f'From {model.path.name}.', ground_visual=tuple(ground), tolerance=tolerance)
     try:
         mechanism = checked(mechanism)
     except FieldError as error:

@@ -6,7 +6,7 @@
 from importlib import import_module
 from pathlib import Path
 
-from ..mechanism.mechanism import MechanismError
+from ..mechanism.mechanism import MechanismError, TOLERANCE
 
 # Modules and functions, imported when a file needs them: most simulations read no other format.
 _MJCF, _URDF, _SDF = ('mjcf', 'read_mjcf'), ('urdf', 'read_urdf'), ('sdf', 'read_sdf')
@@ -35,7 +35,8 @@ def is_model(path):
     return Path(path).suffix.lower() in READERS
 
 
-def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options):
+def read_model(path, end_stops=None, loops=None, mend_inertias=False, tolerance=TOLERANCE,
+               **options):
     """
     Read a model in another format as a mechanism.
 
@@ -49,6 +50,8 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options)
         Loops that the file does not describe (``loops``).
     mend_inertias : bool
         Whether moments of inertia that no body has are changed a little, not refused.
+    tolerance : float
+        As of a Mechanism.
     **options
         As ``model.ReadOptions`` has it.
 
@@ -79,4 +82,4 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **options)
     model = _function(place)(path, ReadOptions(**options))
     if loops is not None:
         add_loops(model, loops)
-    return mechanism_of(model, end_stops, mend_inertias)
+    return mechanism_of(model, end_stops, mend_inertias, tolerance)

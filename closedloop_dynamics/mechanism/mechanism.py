@@ -61,6 +61,8 @@ COUPLED = (REVOLUTE, PRISMATIC, HELICAL)
 Vector2 = Tuple[float, float]
 Vector3 = Tuple[float, float, float]
 Vector = Union[Vector2, Vector3]
+# What numbers with nine digits behind the point make of axes and places that are meant to agree.
+TOLERANCE = 1e-8
 # A unit quaternion: x, y, z, w.
 Quaternion = Tuple[float, float, float, float]
 UNTURNED = (0.0, 0.0, 0.0, 1.0)
@@ -332,6 +334,9 @@ class Mechanism:
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
     is what ``reader.with_parameters`` computes them with others from, ``tree`` states which joints
     the program chose to cut (``between.ChosenTree``); none of these makes two mechanisms differ.
+
+    Axes and places that agree to ``tolerance``, sines of angles and shares of the longest distance
+    on any body, are taken as parallel, at right angles or meeting; ``rounded`` has notes of those.
     """
 
     name: str
@@ -346,6 +351,8 @@ class Mechanism:
     tree: Any = field(default=None, compare=False, repr=False)
     motions: Tuple[DrivingConstraint, ...] = ()
     ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
+    tolerance: float = field(default=TOLERANCE, compare=False, repr=False)
+    rounded: Tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     # Set by validation.checked; a copy with other values has not been checked.
     valid = False

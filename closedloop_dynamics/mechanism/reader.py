@@ -179,7 +179,7 @@ def _mechanism(
         data: Any, given: Mapping[str, float],
         orders: Optional[Mapping[str, bool]] = None) -> Mechanism:
     """Return the mechanism of plain data and of requested cuts, or raise FieldError."""
-    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))
+    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions', 'rounded')))
     parameters = Parameters.read(data.get('parameters'), given)
     with at('parameters'):
         for key, value in given.items():

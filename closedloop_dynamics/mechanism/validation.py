@@ -15,6 +15,7 @@ from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
 from .couplings import in_tree, measured
+from .digits import with_agreement
 from .fields import among, at, copied, FieldError, mapping, nearest, normalise, shown
 from .inertia import inertia_matrix
 from .mechanism import (
@@ -24,6 +25,8 @@ from .mechanism import (
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 from .rotations import rotated
 
+# Larger tolerances would change machines.
+LARGEST_TOLERANCE = 1e-3
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
 POSSIBLE = ('moments of inertia that a body can have: none negative, none larger than the sum of '
@@ -57,6 +60,15 @@ def _not_zero(value):
     result = number(value)
     if result == 0.0:
         raise FieldError('a number that is not zero', shown(value))
+    return result
+
+
+def _tolerance(value):
+    """Return a tolerance of digits; refuse one that changes more than digits."""
+    result = not_negative(value)
+    if result > LARGEST_TOLERANCE:
+        raise FieldError(f'a number from 0 to {LARGEST_TOLERANCE:g}', shown(value),
+                         'what differs by more is no matter of digits')
     return result
 
 
@@ -197,7 +209,7 @@ def checked(mechanism):
     if mechanism.valid:
         return mechanism
     spatial = is_spatial(mechanism)
-    mechanism = normalise(replace(mechanism), name=name, description=text,
+    mechanism = normalise(replace(mechanism), name=name, description=text, tolerance=_tolerance,
                           **(_SPATIAL_CHECKS if spatial else _CHECKS))
     for key in ('bodies', 'joints'):
         if not getattr(mechanism, key):
@@ -208,6 +220,7 @@ def checked(mechanism):
     _check_couplings(mechanism)
     if spatial:
         check_axes(mechanism)
+    mechanism = with_agreement(mechanism)
     object.__setattr__(mechanism, 'valid', True)
     return mechanism
 

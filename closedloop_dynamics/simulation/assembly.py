@@ -19,6 +19,7 @@ import numpy as np
 
 from .errors import AssemblyError
 from .modeling import extent
+from ..mechanism.digits import suspicions
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -679,7 +680,8 @@ class Assembler:
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(
-                    [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess)]))
+                    [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess),
+                     *suspicions(self.mechanism)]))
 
     def _advice_on_assembly(self, guess, hold):
         nearer = ('Move the initial position closer to a closed one, or check lengths and cut '

@@ -19,6 +19,7 @@ from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
 from ..formats.building import lines
+from ..mechanism.digits import suspicions
 from ..mechanism.fields import at, FieldError
 from ..mechanism.mechanism import FIXED, MechanismError, REVOLUTE, SPHERICAL
 from ..mechanism.rotations import quaternion_of
@@ -127,7 +128,8 @@ def assembled(imported):
                 'joints alone: ' + '; '.join(
                     f'{name} by {gap:.3g}' for name, gap in never.items())
                 + '. Check the types of its joints, lengths and frames.' if never else
-                'Give it a start nearer to a closed one, or check lengths and frames.')]
+                'Give it a start nearer to a closed one, or check lengths and frames.'),
+                                 *suspicions(mechanism)]
     return imported, found, _moves(
         mechanism, start, found, condition, bool(imported.limits and not limits))
 

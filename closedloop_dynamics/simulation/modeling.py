@@ -3,7 +3,6 @@
 
 """From a mechanism's description to the arrays that the kernels work on."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from .tree_rows import SpatialTreeRows, TreeRows
 from ..core import types as t
 from ..core.codegen import plane, space
 from ..mechanism.decomposition import decompose
+from ..mechanism.digits import extent
 
 
 class MechanismArrays(NamedTuple):
@@ -142,15 +142,3 @@ def dependencies(column, row):
             left[row[place]].append((k, place))
     start = np.cumsum([0] + [len(places) for places in left], dtype=np.int64)
     return start, np.array([p for places in left for p in places], dtype=np.int64).reshape(-1, 2)
-
-
-def extent(mechanism):
-    """
-    Return the size that tolerances are relative to: the longest distance on any body [m].
-
-    At least the smallest positive float of any use, never zero.
-    """
-    places = [joint.position for joint in mechanism.joints]
-    places += [p for cut in mechanism.cut_joints for p in (cut.point_a, cut.point_b)]
-    longest = max((math.hypot(*place) for place in places), default=0.0)
-    return longest or 1.0

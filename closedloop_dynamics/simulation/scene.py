@@ -21,7 +21,8 @@ from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
-from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, number, one_of, text
+from ..mechanism.checks import (
+    boolean, list_of, name, NAME_PATTERN, not_negative, number, one_of, text)
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document, plain
@@ -29,6 +30,7 @@ from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..mechanism.reader import mechanism_of, read_mechanism, with_kept, with_parameters
+from ..mechanism.validation import checked
 
 __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
            'Scene', 'scene_names', 'scene_with', 'SceneError']
@@ -38,7 +40,7 @@ SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'par
 # Where the mechanism is a model in another format, which may start as it is drawn.
 MODEL_KEYS = ('mechanism',), (
     'initial', 'loops', 'mend_inertias', 'model', 'arguments', 'anywhere', 'ignore',
-    *SCENE_KEYS[1])
+    'tolerance', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 # Effects for whose joints others are cut, where there is a choice.
 RATHER_IN_TREE = ('prescribed_motion', 'rotor')
@@ -53,7 +55,8 @@ def scene_names() -> List[str]:
     return shipped_names('scenes')
 
 
-def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any) -> Scene:
+def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]],
+               tolerance: Optional[float] = None, **reading: Any) -> Scene:
     """
     Read a scene from a file, or build one of the same data.
 
@@ -64,6 +67,8 @@ def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any
         model in another format (``formats``), under gravity, at rest, with the loops closed. Or
         the keys and values of a scene, in which ``mechanism`` may be a ``Mechanism``, too; paths
         in it are from the working directory on.
+    tolerance : float, optional
+        As of a Mechanism: of the scene's, in the place of its own one.
     **reading
         Of a model: options of ``formats.registry.read_model``.
 
@@ -78,28 +83,50 @@ def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any
             raise SceneError(f'expected a model in another format, which is read with '
                              f'{among(reading)}, got a mapping')
         try:
-            return _read(plain(name_or_path), None)
+            scene = _read(plain(name_or_path), None)
         except FieldError as error:
             raise SceneError(str(error)) from None
+        return _agreeing(scene, tolerance)
     path = _scene_path(name_or_path)
     if is_model(path):
         # Here, as most scenes need nothing of other formats.
         from .model_scene import scene_of_model
+        if tolerance is not None:
+            reading['tolerance'] = tolerance
         return scene_of_model(path, read_model(path, **reading))
     if reading:
         raise SceneError(f'{path}: expected a model in another format, which is read with '
                          f'{among(reading)}, got another file (a scene of a model has these keys)')
-    return _scene_of(Document(path, SceneError))
+    return _agreeing(_scene_of(Document(path, SceneError)), tolerance)
+
+
+def _agreeing(scene: Scene, tolerance: Optional[float]) -> Scene:
+    """Return a scene whose mechanism has another tolerance of digits, if one is given."""
+    if tolerance is None:
+        return scene
+    data, given, _ = scene.source
+    mechanism = _with_tolerance(scene.mechanism, tolerance)
+    return replace(scene, mechanism=mechanism, source=(data, given, mechanism))
+
+
+def _with_tolerance(mechanism: Mechanism, tolerance: Optional[float]) -> Mechanism:
+    if tolerance is None:
+        return mechanism
+    try:
+        return checked(replace(mechanism, tolerance=tolerance))
+    except FieldError as error:
+        raise SceneError(str(error)) from None
 
 
 def load_scene_or_mechanism(
-        name_or_path: Union[str, Path], **reading: Any) -> Union[Scene, Mechanism]:
+        name_or_path: Union[str, Path], tolerance: Optional[float] = None,
+        **reading: Any) -> Union[Scene, Mechanism]:
     """
     Read a scene, or a mechanism where a file or shipped name is that of one.
 
     Parameters
     ----------
-    name_or_path, **reading
+    name_or_path, tolerance, **reading
         As for ``load_scene``.
 
     Raises
@@ -109,16 +136,18 @@ def load_scene_or_mechanism(
     """
     if reading and (_is_name(name_or_path) or not is_model(name_or_path)):
         return load_scene(name_or_path, **reading)
+    if not _is_name(name_or_path) and is_model(name_or_path):
+        return _with_tolerance(read_model(name_or_path, **reading).mechanism, tolerance)
     if _is_name(name_or_path):
-        if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
-            return cheapest(read_mechanism(shipped_path('mechanisms', name_or_path)))
-        return load_scene(name_or_path)
-    if is_model(name_or_path):
-        return read_model(name_or_path, **reading).mechanism
-    document = Document(name_or_path, SceneError)
-    if isinstance(document.data, Mapping) and 'bodies' in document.data:
-        return cheapest(read_mechanism(name_or_path))
-    return _scene_of(document)
+        if name_or_path in scene_names() or name_or_path not in shipped_names('mechanisms'):
+            return load_scene(name_or_path, tolerance)
+        path = shipped_path('mechanisms', name_or_path)
+    else:
+        path = name_or_path
+        data = Document(path, SceneError).data
+        if not (isinstance(data, Mapping) and 'bodies' in data):
+            return load_scene(path, tolerance)
+    return _with_tolerance(cheapest(read_mechanism(path)), tolerance)
 
 
 def _is_name(name_or_path: Any) -> bool:
@@ -327,7 +356,7 @@ def _model(data: Mapping[str, Any], directory: Path) -> Any:
         mend = boolean(data.get('mend_inertias', False))
     asked = {}
     for key, check in (('model', text), ('arguments', _words), ('anywhere', boolean),
-                       ('ignore', list_of(text))):
+                       ('ignore', list_of(text)), ('tolerance', not_negative)):
         if key in data:
             with at(key):
                 asked[key] = check(data[key])

@@ -14,7 +14,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .assembly import angle_notes
+from .assembly import angle_notes, MOST_EQUATIONS
 from .data import Numbers
 from .errors import AssemblyError, ClosureError, StiffnessError
 from .guards import LARGEST_MOTION, StiffnessGuard
@@ -36,6 +36,7 @@ from ..integration.control import (
     CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.steppers import build_stepper
 from ..integration.system import BAUMGARTE_GAIN, CLOSURE_LIMIT, with_equations, with_partition
+from ..mechanism.digits import suspicions
 from ..mechanism.fields import at, FieldError
 
 # Gravity's acceleration, to compare forces with weights [m/s^2].
@@ -156,7 +157,7 @@ class Simulation(Stepping):
 
     def start_notes(self) -> List[str]:
         """
-        Return notes of the start: its ``assembly_notes``, angles beyond 2 pi, effects.
+        Return notes of the start: its ``assembly_notes``, digits, angles beyond 2 pi, effects.
 
         Returns
         -------
@@ -167,9 +168,19 @@ class Simulation(Stepping):
         effects = [note for name, record in self.scene.effects.items() for note in
                    record.start_notes(name, partial(self.effect_readings, name), weight)]
         held = self.second_order.notes() if self.second_order is not None else []
-        return (angle_notes(self.mechanism, self.scene.initial.position) + held
+        return ([*self.mechanism.rounded, *self._suspicions()]
+                + angle_notes(self.mechanism, self.scene.initial.position) + held
                 + self._motions.notes()
                 + self.assembly_notes() + effects + self.load_notes())
+
+    def _suspicions(self) -> List[str]:
+        """Return notes on rounded digits where equations that repeat others depend on these."""
+        found, coordinates = suspicions(self.mechanism), self.mechanism.coordinates
+        if found and self._assembler.nc <= MOST_EQUATIONS:
+            freedoms = self.degrees_of_freedom()
+            if freedoms and coordinates.nv - freedoms == self._assembler.nc:
+                return []
+        return found
 
     def reset(self) -> None:
         """Return to the initial state, time zero and no torque."""

@@ -10,6 +10,7 @@ from ..effects.registry import effect_type
 from ..formats.building import lines
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
+from ..mechanism.digits import digit_notes
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
@@ -34,19 +35,29 @@ def describe(scene_or_mechanism, simulation=None):
     With a simulation of the scene, at its start, that is shown beside what the scene says.
     """
     if isinstance(scene_or_mechanism, Mechanism):
-        return '\n\n'.join(_mechanism(scene_or_mechanism))
+        notes = digit_notes(scene_or_mechanism)
+        return '\n\n'.join([*_mechanism(scene_or_mechanism), *[_notes(notes)] * bool(notes)])
     return '\n\n'.join(_scene(scene_or_mechanism, simulation))
 
 
 def describe_model(imported):
-    """Describe a model in another format, an ``Imported``: mechanism, and how its loops close."""
+    """
+    Describe a model in another format, an ``Imported``: mechanism, and how its loops close.
+
+    Returns the description, and whether they close.
+    """
     drawn = imported
     imported, found, notes = assembled(imported)
     mechanism = imported.mechanism
-    return '\n\n'.join([
+    text = '\n\n'.join([
         *_mechanism(mechanism, found=found), *_loops(drawn, found),
-        '\n'.join(['Notes', *(f'  {note}' for note in (
-            *notes, *lines(imported, extent(mechanism))))])])
+        _notes([*notes, *(digit_notes(mechanism) if found.closed else mechanism.rounded),
+                *lines(imported, extent(mechanism))])])
+    return text, found.closed
+
+
+def _notes(notes):
+    return '\n'.join(['Notes', *(f'  {note}' for note in notes)])
 
 
 def _loops(imported, found):
@@ -231,8 +242,8 @@ def _degrees_of_freedom(mechanism, simulation, found):
     else:
         freedoms = None
     if freedoms is None:
-        return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
-                'others (no position that closes the loops was found)')
+        return (f'not known: no position that closes the loops was found ({joints} joints, '
+                f'{equations} equations)')
     # Motions that the loops or one another decide already are refused.
     motions = 0 if simulation is None else len(simulation.mechanism.motions)
     independent = joints - freedoms - motions - forbidden
