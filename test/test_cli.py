@@ -319,7 +319,7 @@ def test_a_full_disk_is_named(capsys):
     ('replay none --picture x.docx', '--picture: expected a name that ends with'),
     ('identify run.csv four_bar --vary mechanism.bodies --picture x.docx',
      '--picture: expected a name that ends with'),
-    ('recover none', 'expected a rosbag2 bag'),
+    ('recover none', 'recover is no command any more'),
     ('view four_bar --save no/x.html', '--save'),
     ('view four_bar --save x.html --torque elbow=1', '--torque'),
     ('view four_bar --port 70000', '--port'),

@@ -20,8 +20,14 @@ from ..simulation.signals import Interrupted, program_watch
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
     'formulations', 'identify', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes',
-    'optimise', 'plot', 'recover', 'replay', 'report', 'simulate', 'stability', 'sweep',
+    'optimise', 'plot', 'replay', 'report', 'simulate', 'stability', 'sweep',
     'urdf', 'view', 'workspace')}
+
+# Commands of earlier versions, and what serves in their place.
+GONE = {
+    'recover': 'killed recordings are read as they are; an MCAP file gets its index back, and '
+               'loses what is damaged, by `mcap recover FILE -o NEW`, a bag its metadata.yaml by '
+               '`ros2 bag reindex BAG`'}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
@@ -71,6 +77,8 @@ def run(argv):
         # A shell requests words that may follow; doc/install.md explains the set-up.
         import argcomplete
         argcomplete.autocomplete(whole)
+    if words and words[0] in GONE:
+        whole.error(f'{words[0]} is no command any more: {GONE[words[0]]}')
     arguments, unknown = whole.parse_known_args(argv)
     if unknown:
         arguments.refuse(f'unrecognized arguments: {" ".join(unknown)}')

@@ -1,21 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contents of a bag, and damage in it."""
+"""Topics and messages of rosbag2 bags, and names that their readers and writers share."""
 
 from dataclasses import dataclass
-from typing import Optional
+
+import yaml
+
+METADATA_FILE, ROOT = 'metadata.yaml', 'rosbag2_bagfile_information'
+load = yaml.safe_load
 
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic: name, type, the text of the type's definition, offered QoS (YAML), type hash."""
+    """
+    One topic: name, type, the text of the type's definition, its hash.
+
+    ``profiles``: qualities of service that publishers offered, mappings as bags of format version
+    9 have them; written, not read.
+    """
 
     name: str
     type: str  # noqa: A003
     definition: str
-    profiles: str = ''
     digest: str = ''
+    profiles: tuple = ()
 
 
 @dataclass(frozen=True)
@@ -27,20 +36,6 @@ class Serialised:
     data: bytes
 
 
-@dataclass
-class Damage:
-    """A place of a bag that cannot be read as it was written."""
-
-    place: str  # File, and byte or message in it
-    what: str  # What is wrong there
-    lost: Optional[int] = None  # Messages lost by it; None where that is not known
-
-    def __str__(self):
-        """Return it as a line for the user."""
-        return f'{self.place}: {self.what}; {messages(self.lost)} lost'
-
-
-def messages(count):
-    """Return a number of messages in words; None: not known."""
-    return (f'{"an unknown number of" if count is None else count or "no"} '
-            f'message{"s" * (count != 1)}')
+def dump(value):
+    """Return mappings, lists and scalars as YAML, without a final newline."""
+    return yaml.safe_dump(value, default_flow_style=False, sort_keys=False).rstrip('\n')

@@ -177,7 +177,7 @@ class ForceBag:
     def _add(self, topic, kind):
         definition, _ = self._store.generate_msgdef(kind, ros_version=2)
         return self._files.add_topic(
-            Topic(topic, kind, definition, '', self._store.hash_rihs01(kind)))
+            Topic(topic, kind, definition, self._store.hash_rihs01(kind)))
 
     def write(self, stamp):
         """Write the present state, with a stamp [ns]."""

@@ -15,7 +15,6 @@ import time
 
 from closedloop_dynamics.recording.contents import Topic
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS
-from closedloop_dynamics.recording.metadata import dump
 from closedloop_dynamics.recording.writer import BagFiles
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
@@ -77,8 +76,8 @@ class BagWriter:
         """
         definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
         self._queue.put(Topic(
-            topic, type_name, definition, dump([_offered(profile) for profile in profiles]),
-            self._typestore.hash_rihs01(type_name)))
+            topic, type_name, definition, self._typestore.hash_rihs01(type_name),
+            tuple(_offered(profile) for profile in profiles)))
 
     def write(self, topic, nanoseconds, data):
         """Put one message, as it was serialised, into the bag, soon; received at a time [ns]."""

@@ -244,7 +244,7 @@ OPTIONS = {
     '--overwrite': None, '--resume': None, '--nothing': None}
 # What takes minutes where it is not refused; beside it always stands what no command takes.
 LONG = ('sweep', 'accuracy', 'effects', 'formulations', 'stability')
-COMMANDS = ('check', 'simulate', 'simulate', 'urdf', 'replay', 'plot', 'animate', 'recover', *LONG)
+COMMANDS = ('check', 'simulate', 'simulate', 'urdf', 'replay', 'plot', 'animate', *LONG)
 
 
 def drawn(rng, values):

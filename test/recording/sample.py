@@ -4,7 +4,6 @@
 """Messages to fill bags with; light, for processes of their own."""
 
 from closedloop_dynamics.recording.contents import Topic
-from closedloop_dynamics.recording.metadata import dump
 from closedloop_dynamics.recording.writer import BagFiles
 import numpy as np
 from rosbags.typesys import get_typestore, Stores
@@ -21,7 +20,8 @@ QOS = [{'history': 'keep_last', 'depth': 5, 'reliability': 'reliable', 'durabili
 
 def add(files, topic, kind, profiles=QOS):
     definition, _ = STORE.generate_msgdef(kind, ros_version=2)
-    return files.add_topic(Topic(topic, kind, definition, dump(profiles), STORE.hash_rihs01(kind)))
+    return files.add_topic(Topic(
+        topic, kind, definition, STORE.hash_rihs01(kind), tuple(profiles)))
 
 
 def values(index, size=50):

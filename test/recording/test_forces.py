@@ -82,7 +82,7 @@ def test_damage_and_messages_out_of_order_are_told(tmp_path, capsys):
     file.write_bytes(data)
     assert main(['forces', str(bag), '--scene', 'four_bar', '--output',
                  str(tmp_path / 'forces.csv')]) == 2
-    assert 'a chunk is damaged' in capsys.readouterr().err
+    assert 'a record is cut off or damaged' in capsys.readouterr().err
     simulation = Simulation.from_scene('four_bar')
     with ForceBag(tmp_path / 'repeated', simulation) as copy:
         for stamp in [*range(10), 5, 6]:
