@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import AssemblyError
 from .modeling import extent
-from ..mechanism.digits import suspicions
+from ..mechanism.digits import EVERYDAY, suspicions
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -119,7 +119,7 @@ class Assembler:
         """
         free = self._free(hold)
         q, psi = self.solve_closure(np.array(guess, dtype=float), free)
-        if not self._is_closed(psi):
+        if not (self._is_closed(psi) or self._is_closed_to_digits(guess, psi, hold)):
             self._require_no_surplus(guess, hold)
             raise AssemblyError(self._open_loops(guess, psi, hold))
         if len(hold) > 0:
@@ -128,6 +128,16 @@ class Assembler:
             self.by_masses = True
             self._require_inertia(q)
         return q
+
+    def _is_closed_to_digits(self, guess, psi, hold):
+        """Return whether loops stay open by digits alone, whatever is held."""
+        enough = self.mechanism.tolerance
+        if not self._is_closed(psi, enough):
+            return False
+        if len(hold) == 0:
+            return True
+        _, left = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
+        return not self._is_closed(left) and self._is_closed(left, enough)
 
     def solve_closure(self, q, free, enough=TOLERANCE):
         """
@@ -503,10 +513,19 @@ class Assembler:
         """
         return [*self._notes_on_position(position, q, hold),
                 *self._notes_on_singularity(q, hold), *self._notes_on_lock(q),
+                *self._notes_on_digits(q),
                 *(f'The velocity {wanted:g} wanted of {name} became {got:.6g}: the nearest motion '
                   f'that keeps the loops closed. To have it as given, hold {name}.'
                   for name, wanted, got in zip(self._coordinates.names, velocity, qd)
                   if abs(got - wanted) > LARGE_CHANGE_OF_RATE * abs(wanted) > 0.0)]
+
+    def _notes_on_digits(self, q):
+        """Return a note where loops are closed to the digits of lengths and angles only."""
+        psi = self.closure(q)
+        if self._is_closed(psi):
+            return []
+        return [f'The loops close to {np.abs(psi).max():.2g} m or rad and nowhere better: taken '
+                'as closed, as digits of the lengths and angles agree to no more.']
 
     def _notes_on_position(self, guess, q, hold):
         moved, names = [], self._coordinates
@@ -680,17 +699,25 @@ class Assembler:
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(
-                    [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess),
-                     *suspicions(self.mechanism)]))
+                    [self._advice_on_assembly(guess, psi, hold),
+                     *angle_notes(self.mechanism, guess), *suspicions(self.mechanism)]))
 
-    def _advice_on_assembly(self, guess, hold):
+    def _advice_on_digits(self, psi):
+        """Return what there is to do where loops may be open by rounded digits."""
+        if not self._is_closed(psi, EVERYDAY):
+            return ''
+        wide = 10.0 ** math.ceil(math.log10(np.abs(psi).max() / self.extent))
+        return (f' If rounded digits keep them open, --geometry-tolerance {wide:.0e}, or the key '
+                'tolerance of the mechanism, takes them as closed.')
+
+    def _advice_on_assembly(self, guess, psi, hold):
         nearer = ('Move the initial position closer to a closed one, or check lengths and cut '
                   'points.')
         if len(hold) == 0:
-            return nearer
+            return nearer + self._advice_on_digits(psi)
         q, psi = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
         if not self._is_closed(psi):
-            return f'Nor can it with none held. {nearer}'
+            return f'Nor can it with none held. {nearer}{self._advice_on_digits(psi)}'
         nearest = ', '.join(
             f'{column.partition(".")[2]} = {value:.6g}' for column, value
             in zip(self._coordinates.columns('position'), q) if column.split('.')[1] in hold)

@@ -8,6 +8,8 @@ Random loops that move although they have more equations than joints are written
 The oracle is the same machine with all digits, and loops that stay closed on their whole way.
 """
 
+import re
+
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.digits import extent, suspicions, with_agreement
@@ -325,3 +327,42 @@ def test_everyday_rounding_is_named(tmp_path, capsys):
 
 def test_the_tolerance_is_that_of_nine_digits():
     assert read_mechanism(door()['mechanism']).tolerance == TOLERANCE == 1e-8
+
+
+def bennett(tmp_path, digits):
+    """Return the scene of a Bennett linkage, its lengths and angles in so many digits."""
+    shipped = load_scene('bennett')
+    path = tmp_path / 'digits.yaml'
+    path.write_text(re.sub(r'-?\d+\.\d{5,}', lambda number: f'{float(number[0]):.{digits}f}',
+                           mechanism_text(shipped.mechanism)))
+    return {'mechanism': str(path), 'effects': GRAVITY, 'initial': {
+        'position': dict(zip(shipped.mechanism.joint_names, shipped.initial.position)),
+        'hold': list(shipped.initial.hold)}}
+
+
+@pytest.mark.parametrize('digits, near', [(8, 1e-6), (9, 1e-7), (10, 1e-7), (12, 1e-7)])
+def test_loops_that_close_to_the_digits_of_lengths_are_closed(tmp_path, digits, near):
+    # No axes of a Bennett linkage agree: lengths and angles together let it move.
+    meant, found = (Simulation(load_scene(bennett(tmp_path, count))) for count in (17, digits))
+    for simulation in (meant, found):
+        simulation.step(None, 0.3)
+        assert simulation.degrees_of_freedom() == 1
+        # The energy balance is that of accuracy 1e-6.
+        assert abs(simulation.energy_balance.residual) < 1e-8
+    np.testing.assert_allclose(found.position, meant.position, rtol=0.0, atol=near)
+    told = [note for note in found.start_notes() if 'and nowhere better: taken as closed' in note]
+    assert len(told) == (digits < 12)
+    assert not any('nowhere better' in note for note in meant.start_notes())
+
+
+def test_loops_that_are_further_open_are_refused_with_a_remedy(tmp_path):
+    scene = bennett(tmp_path, 6)
+    with pytest.raises(AssemblyError, match='If rounded digits keep them open, '
+                                            '--geometry-tolerance 1e-05'):
+        Simulation(load_scene(scene))
+    simulation = Simulation(load_scene(scene, tolerance=1e-5))
+    assert simulation.degrees_of_freedom() == 1
+    simulation.step(None, 0.3)
+    meant = Simulation(load_scene(bennett(tmp_path, 17)))
+    meant.step(None, 0.3)
+    np.testing.assert_allclose(simulation.position, meant.position, rtol=0.0, atol=1e-3)
