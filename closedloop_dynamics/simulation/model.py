@@ -112,6 +112,8 @@ class Model(Names):
         super().__init__(scene)
         self._lock = RLock()
         self._work = _Workspace(scene, self._lock)
+        # With what holds motions that loops forbid to second order only.
+        self.mechanism = self._work.mechanism
         # Of each thread, where its readings are.
         self._reading = local()
         # By driven joints and points.

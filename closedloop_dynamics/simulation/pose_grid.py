@@ -25,6 +25,7 @@ from .driven import BranchEndError, DrivenKinematics
 from .errors import AssemblyError
 from .geometry import Geometry
 from .modeling import extent
+from .second_order import scene_as_it_moves
 from ..mechanism.mechanism import DrivingConstraint, GROUND, Point
 from ..mechanism.rotations import (
     about, angle_of, angles_of as rpy_of, of_angles, quaternion_of, rotation_vector)
@@ -64,7 +65,7 @@ class Platform:
     """
 
     def __init__(self, scene, point):
-        mechanism = scene.mechanism
+        mechanism = scene_as_it_moves(scene).mechanism
         names = [one.name for one in mechanism.points if one.body != GROUND]
         if point not in names:
             raise ValueError(f'point: expected a named point of a body that moves '

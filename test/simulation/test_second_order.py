@@ -12,6 +12,7 @@ from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
 from closedloop_dynamics.simulation.assembly import Assembler
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.geometry import Geometry
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.motions import with_motions
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Method
@@ -120,6 +121,16 @@ def test_kinematics_and_report_count_real_freedoms():
     assert degrees_of_freedom(scene, np.zeros(3)) == 1
     run = DrivenRun(scene, {'rail_0': Drive(0.0, 0.5)}, 5, 1.0)
     assert np.abs(run.position - np.outer(np.linspace(0.0, 0.5, 5), (1.0, 1.0, 0.0))).max() < 1e-9
+
+
+def test_models_solve_and_roll_out_with_real_freedoms():
+    model = Model(taut.scene(taut.gantry(), np.zeros(3)))
+    assert np.abs(model.solve({'rail_0': 0.3}).q - (0.3, 0.3, 0.0)).max() < 1e-9
+    found = model.assemblies({'rail_0': 0.3})
+    assert np.abs(found.states.q - (0.3, 0.3, 0.0)).max() < 1e-9
+    simulation = Simulation(model)
+    rolled = simulation.rollout(np.ones((2, 1, 1)), duration=0.5)
+    assert np.abs(rolled.position[:, -1] - (0.025, 0.025, 0.0)).max() < 1e-9
 
 
 def _held(arms, turn, ball):
