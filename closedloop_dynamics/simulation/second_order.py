@@ -33,6 +33,8 @@ STEP, DIFFERENCE, CLOSED = 1e-2, 1e-4, 1e-9
 # Scaled singular values below this, against the largest, belong to equations without effect: where
 # positions are exact to that root. What Newton's method changes of such a position is not more.
 NO_EFFECT, LARGEST_CORRECTION = 1e-3, 1e-4
+# Those above this have an effect: positions around are exact to the root of CLOSED.
+SOME_EFFECT = 1e-4
 # Steps per direction of the null space; the part of a step that a motion keeps, at least, and that
 # is left of one that is undone, at most. Between the two nothing is decided.
 STEPS_EACH, KEPT, UNDONE = 3, 0.2, 0.02
@@ -215,14 +217,24 @@ class _Search:
         And how many have, and positions around. None in the place of the motions where nothing is
         known to be forbidden.
         """
-        around = [self.position, *(near for seed in range(SEEDS)
-                                   for near in self.assembler.neighbours(self.position, seed))]
+        around = [self.position, *self.closed_around(0)]
+        if any(rank_of(self.jacobian(q), SOME_EFFECT) == self.assembler.nc for q in around):
+            # All equations have an effect nearby: the position is a change point.
+            return None, self.assembler.nc, around[1:]
+        around += [near for seed in range(1, SEEDS) for near in self.closed_around(seed)]
         ranks = [rank_of(self.jacobian(q), NO_EFFECT) for q in around]
         rank = max(ranks)
         here = self.place(around[ranks.index(rank)], rank)
         if here is not None and ranks[0] == rank:
             self.position = here.position
         return here, rank, around[1:]
+
+    def closed_around(self, seed):
+        """Yield positions around that are so closed that equations without effect show it."""
+        for near in self.assembler.neighbours(self.position, seed):
+            if np.abs(self.assembler.closure(near)).max(initial=0.0) <= (
+                    CLOSED * self.assembler.extent):
+                yield near
 
     def jacobian(self, q):
         """Return the Jacobian by scaled displacements."""
