@@ -13,12 +13,14 @@ import numpy as np
 
 from ..mechanism.checks import positive
 from ..mechanism.expressions import Parameters
-from ..mechanism.fields import FieldError
+from ..mechanism.fields import FieldError, shown
 
 # Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
 COLUMNS = 8
 # Points of a curve given by an expression: a spline is within some 1e-9 of it.
 POLAR_POINTS = 360
+# Radii after a whole turn, beside the first one, that are the same: rounding of sines of 2 pi.
+SAME_RADIUS = 1e-9
 # Points of a curve, at most; and how finely its splines are looked at for crossings.
 MOST_POINTS, FINENESS = 2000, 8
 # An area between places in one line, beside the square of how far they are apart.
@@ -61,10 +63,17 @@ def radii_of(text):
     """
     Return the radii at POLAR_POINTS even angles of an expression in the angle ``a`` [rad].
 
-    FieldError where it is none, or not positive everywhere.
+    FieldError where it is none, not positive everywhere, or another one after a whole turn.
     """
-    return tuple(positive(Parameters({'a': angle}).evaluated(text))
-                 for angle in 2.0 * np.pi * np.arange(POLAR_POINTS) / POLAR_POINTS)
+    *radii, after = (positive(Parameters({'a': angle}).evaluated(text))
+                     for angle in 2.0 * np.pi * np.arange(POLAR_POINTS + 1) / POLAR_POINTS)
+    jump = after - radii[0]
+    if abs(jump) > SAME_RADIUS * radii[0]:
+        raise FieldError(
+            'a radius that is the same again after a whole turn of a',
+            f'{shown(text)}, which jumps by {jump:.6g} m there, from {after:.6g} to '
+            f'{radii[0]:.6g} m', 'a spiral is an open curve of x and y')
+    return tuple(radii)
 
 
 def _checked_points(x, y, closed):

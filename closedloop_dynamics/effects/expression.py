@@ -153,10 +153,14 @@ def _derivative(term, text):
             _DERIVATIVES[code], {'x': operands[0]}, _FUNCTIONS, EXPECTED) * rates[0]
     if code == NEG:
         return -rates[0]
-    if code not in (ADD, SUB, MUL, DIV, POW, HYPOT, ATAN2):
+    # A length has a corner where it is zero, which a number beside it that is not zero prevents.
+    corner = code == HYPOT and all(isinstance(one, Term) or one == 0.0 for one in operands)
+    if corner or code not in (ADD, SUB, MUL, DIV, POW, HYPOT, ATAN2):
         raise FieldError('an expression without corners',
                          f'{shown(text)} with {(*ONE, *TWO)[code - 2]}',
-                         'a motion has no jumps of its speed')
+                         'a motion has no jumps of its speed' + (
+                             '; where the length is never zero, write sqrt(x**2 + y**2)'
+                             if corner else ''))
     return _OF_TWO[code](term, *operands, *rates)
 
 

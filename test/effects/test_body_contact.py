@@ -252,12 +252,24 @@ CURVE = {'shape': 'curve', 'x': (0.0, 1.0, 0.0), 'y': (0.0, 0.0, 1.0)}
     ({'shape': 'curve', 'radii': (1.0, 1.0, 1.0), 'polar': '1.0 + 0.1*sin(a)'}, 'x'),
     ({'shape': 'curve', 'polar': '1.0 + 2*sin(a)'}, 'polar'),
     ({'shape': 'curve', 'polar': '1.0 + sin(b)'}, 'polar'),
+    ({'shape': 'curve', 'polar': '0.03 + 0.002*a'}, 'polar'),
+    ({'shape': 'curve', 'polar': '1.0 + 0.1*sin(0.5*a + 1)', 'interpolation': 'linear'}, 'polar'),
+    ({'shape': 'face', 'polar': '0.03 + 1e-4*a'}, 'polar'),
     ({'shape': 'face', 'polar': '1.0', 'radius': 0.1}, 'radius'), ({'shape': 'face'}, 'x'),
     ({'shape': 'face', 'polar': '1.0', 'hollow': True}, 'hollow')])
 def test_impossible_contacts_are_refused(values, key):
     with pytest.raises(FieldError) as refusal:
         BodyContact('front', 'rear', **{'stiffness': 1.0, **values})
     assert str(refusal.value).startswith(key + ': expected'), refusal.value
+
+
+def test_an_outline_that_jumps_after_a_turn_is_refused_with_the_jump():
+    jump = 0.002 * 2.0 * math.pi
+    with pytest.raises(FieldError, match=f'which jumps by {jump:.6g} m there, from '
+                                         f'{0.03 + jump:.6g} to 0.03 m'):
+        BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*a')
+    # Sines of 2 pi are rounded, which is no jump.
+    assert BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*sin(3*a)**3')
 
 
 def test_a_body_does_not_touch_itself():

@@ -258,12 +258,25 @@ def test_a_joint_has_one_drive(other):
      'times that grow'),
     ({'shape': 'expression', 'joint': 'slide', 'expression': 'abs(t - 1)'}, 'without corners'),
     ({'shape': 'expression', 'joint': 'slide', 'expression': 'min(t, 1)'}, 'without corners'),
+    ({'shape': 'expression', 'joint': 'slide', 'expression': 'hypot(t - 1, 0)'},
+     'without corners.*never zero, write sqrt'),
+    ({'shape': 'expression', 'joint': 'slide', 'expression': 'hypot(sin(t), 2*t)'},
+     'without corners'),
     ({'shape': 'expression', 'joint': 'slide', 'expression': 'x*t'}, 'unknown name'),
     ({'shape': 'expression', 'joint': 'slide', 'expression': 'sqrt(t)'}, 'finite'),
     ({'shape': 'expression', 'joint': 'slide', 'expression': 'log(t)'}, 'finite')])
 def test_what_is_no_motion_is_refused(keys, match):
     with pytest.raises(FieldError, match=match):
         PrescribedMotion(**keys)
+
+
+def test_a_length_that_is_never_zero_is_a_motion():
+    motion = PrescribedMotion('expression', joint='slide', expression='hypot(t - 1, 0.5)')
+    for time in (0.0, 1.0, 1.7):
+        place, rate, acceleration = motion.at(time)
+        length = math.hypot(time - 1.0, 0.5)
+        assert place == pytest.approx(length) and rate == pytest.approx((time - 1.0) / length)
+        assert acceleration == pytest.approx(0.25 / length ** 3)
 
 
 def test_joints_and_points_that_there_are_not_are_refused():
