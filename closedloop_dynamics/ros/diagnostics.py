@@ -8,6 +8,7 @@ Every check takes plain records and returns a ``Finding``; the thresholds stand 
 doc/interface.md.
 """
 
+from collections import Counter
 from dataclasses import dataclass, field
 import math
 import time
@@ -92,9 +93,9 @@ class Diagnostics:
             self._graph = graph.message, True
         elif self._graph is None or graph.message != self._graph[0]:
             self._graph = graph.message, False
-        if len(sources) > 1 and sources != self._sources:
-            self._logger.warning(f'{len(sources)} sources of commands ({", ".join(sources)}): '
-                                 'the last command counts, whichever node sent it')
+        several = several_sources(sources)
+        if several and sources != self._sources:
+            self._logger.warning(several)
         self._sources = sources
         simulation = self._live.simulation
         report = simulation.report()
@@ -310,11 +311,25 @@ def commands_finding(counts, before, sources, zero_after_timeout):
     elif lost:
         level, message = WARN, f'{lost} commands lost in the last second'
     elif len(sources) > 1:
-        level, message = WARN, (f'{len(sources)} sources of commands ({", ".join(sources)}): the '
-                                'last command counts, whichever node sent it')
+        level, message = WARN, several_sources(sources)
     elif zero_after_timeout:
         level, message = WARN, 'torques are zero: no command came in time'
     return Finding(level, message, {**counts, 'sources': ', '.join(sources)})
+
+
+def several_sources(sources):
+    """Return a sentence on the nodes of several publishers of commands; '' for one at most."""
+    counts = Counter(sources)
+    if len(sources) < 2:
+        return ''
+    if len(counts) == 1:
+        name, = counts
+        return (f'{len(sources)} publishers of commands in {name}, one node or several of that '
+                'name: the last command counts, whichever of them sent it')
+    nodes = ', '.join(f'{name} with {count} publishers' if count > 1 else name
+                      for name, count in counts.items())
+    return (f'{len(counts)} sources of commands ({nodes}): the last command counts, whichever '
+            'node sent it')
 
 
 def graph_finding(name, namesakes, clocks, waits_for_clock):

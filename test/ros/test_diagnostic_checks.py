@@ -85,7 +85,9 @@ def test_names_that_are_shared_and_clocks_that_are_not_there_are_told(found, lev
     ({}, ['/a'], False, OK, 'from /a'), ({}, [], False, OK, 'nobody'),
     ({'rejected': 3}, ['/a'], False, WARN, '3 refused'),
     ({'states refused': 1}, ['/a'], False, WARN, '1 refused'),
-    ({}, ['/a', '/b'], False, WARN, 'the last command counts'),
+    ({}, ['/a', '/b'], False, WARN, '2 sources of commands (/a, /b): the last command counts'),
+    ({}, ['/a', '/a'], False, WARN, '2 publishers of commands in /a, one node'),
+    ({}, ['/a', '/b', '/a'], False, WARN, '2 sources of commands (/a with 2 publishers, /b)'),
     ({'lost': 2}, ['/a'], False, WARN, '2 commands lost'),
     ({}, ['/a'], True, WARN, 'torques are zero')])
 def test_commands_that_do_not_arrive_as_they_should_are_told(
