@@ -56,6 +56,8 @@ OF_ONE_KIND = 0.1
 LARGE_MOVE, LARGE_CHANGE_OF_RATE = 0.5, 0.1
 # With relative singular values below this a guess is too near two branches to belong to one.
 UNDECIDED = 1e-3
+# Angles beyond a turn that are multiples of this are rarely radians [deg].
+DEGREES = 0.5
 
 
 class Assembler:
@@ -511,7 +513,8 @@ class Assembler:
 
         Guesses are ``position`` and ``velocity``, assembled ``q`` and ``qd``.
         """
-        return [*self._notes_on_position(position, q, hold),
+        return [*degree_notes(self.mechanism, position),
+                *self._notes_on_position(position, q, hold),
                 *self._notes_on_singularity(q, hold), *self._notes_on_lock(q),
                 *self._notes_on_digits(q),
                 *(f'The velocity {wanted:g} wanted of {name} became {got:.6g}: the nearest motion '
@@ -730,12 +733,26 @@ def angle_notes(mechanism, position):
 
     ``position``: sequence, shape (nq,); joint coordinates.
     """
+    return _angle_notes(mechanism, position, lambda angle: True)
+
+
+def degree_notes(mechanism, position):
+    """Return the same of those that people give in degrees alone: states have turned before."""
+    return _angle_notes(mechanism, position, lambda angle: angle % DEGREES == 0.0)
+
+
+def _angle_notes(mechanism, position, counts):
     names = mechanism.coordinates
-    large = [f'{name} = {position[place]:g}' for name, place, length in zip(
+    large = {name: position[place] for name, place, length in zip(
                  names.names, names.place, names.lengths)
-             if place >= 0 and not length and abs(position[place]) > 2.0 * math.pi]
-    return [f'The start has angles beyond 2 pi: {", ".join(large)}. They are taken as radians; '
-            'in degrees?'] if large else []
+             if place >= 0 and not length and abs(position[place]) > 2.0 * math.pi
+             and counts(position[place])}
+    if not large:
+        return []
+    angles = ', '.join(f'{name} = {angle:g}' for name, angle in large.items())
+    first = next(iter(large.values()))
+    return [f'The position has angles beyond 2 pi: {angles}. They are taken as radians; in '
+            f'degrees? {first:g} degrees are {math.radians(first):.6g} rad.']
 
 
 def _least_change(jac, error, metric, damping=0.0, tolerance=RANK_TOLERANCE):

@@ -14,7 +14,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .assembly import angle_notes, MOST_EQUATIONS
+from .assembly import angle_notes, degree_notes, MOST_EQUATIONS
 from .data import Numbers
 from .errors import AssemblyError, ClosureError, StiffnessError
 from .guards import LARGEST_MOTION, StiffnessGuard
@@ -168,10 +168,13 @@ class Simulation(Stepping):
         effects = [note for name, record in self.scene.effects.items() for note in
                    record.start_notes(name, partial(self.effect_readings, name), weight)]
         held = self.second_order.notes() if self.second_order is not None else []
-        return ([*self.mechanism.rounded, *self._suspicions()]
-                + angle_notes(self.mechanism, self.scene.initial.position) + held
+        angles = angle_notes(self.mechanism, self.scene.initial.position)
+        # Some of those angles are noted where the start was assembled, too.
+        known = (*angles, *degree_notes(self.mechanism, self.scene.initial.position))
+        return ([*self.mechanism.rounded, *self._suspicions()] + angles + held
                 + self._motions.notes()
-                + self.assembly_notes() + effects + self.load_notes())
+                + [note for note in self.assembly_notes() if note not in known]
+                + effects + self.load_notes())
 
     def _suspicions(self) -> List[str]:
         """Return notes on rounded digits where equations that repeat others depend on these."""

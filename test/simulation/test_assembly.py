@@ -4,15 +4,18 @@
 """Assembly: loops close, nearest in the metric of mass, held joints stay, notes are right."""
 
 from dataclasses import replace
+import math
 
 from closedloop_dynamics.core.equations import Equations
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.simulation.assembly import angle_notes, Assembler, TOLERANCE
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.geometry import Geometry
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.second_order import find_degrees_of_freedom
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -252,3 +255,16 @@ def test_a_held_velocity_is_met_by_links_of_next_to_no_inertia(block):
     for held, guess in ((('crank_joint',), [5.0, 0.0, 0.0]), ((), [5.0, rate - 5.0, rate])):
         np.testing.assert_allclose(
             one.velocities(q, guess, held), [5.0, rate - 5.0, rate], rtol=1e-9)
+
+
+def test_degrees_are_asked_about_wherever_positions_come_in():
+    model = Model.from_scene('four_bar')
+    with pytest.warns(RuntimeWarning, match='crank_joint = 90. They are taken as radians; in '
+                                            'degrees[?] 90 degrees are 1.5708 rad'):
+        model.assemble({'crank_joint': 90.0}, hold=['crank_joint'])
+    simulation = Simulation(model)
+    simulation.set_state({'crank_joint': 45.0}, hold=['crank_joint'])
+    assert any('45 degrees are 0.785398 rad' in note for note in simulation.assembly_notes())
+    # A crank that has turned 14 times is no question.
+    simulation.set_state({'crank_joint': 14.0 * 2.0 * math.pi + 1.0}, hold=['crank_joint'])
+    assert not any('degrees' in note for note in simulation.assembly_notes())
