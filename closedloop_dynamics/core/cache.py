@@ -71,7 +71,7 @@ def remove_unused(base):
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def _digest(name, data):
+def checksum(name, data):
     """Return the checksum of a file: of code under another name it is another one."""
     return hashlib.sha256(name.encode() + b'\0' + data).digest()
 
@@ -85,7 +85,7 @@ def read(name):
     except OSError:
         return None
     data = content[_DIGEST_SIZE:]
-    return data if _digest(name, data) == content[:_DIGEST_SIZE] else None
+    return data if checksum(name, data) == content[:_DIGEST_SIZE] else None
 
 
 def write(name, data):
@@ -95,7 +95,7 @@ def write(name, data):
     temporary = directory() / f'{name}.{uuid.uuid4().hex}'
     with contextlib.suppress(OSError):
         try:
-            temporary.write_bytes(_digest(name, data) + data)
+            temporary.write_bytes(checksum(name, data) + data)
             temporary.replace(directory() / name)
         finally:
             temporary.unlink(missing_ok=True)

@@ -56,7 +56,7 @@ def directory(tmp_path, monkeypatch):
 def forgetful(monkeypatch):
     """Return a function that makes this process forget what code it has, as a new one would."""
     def forget():
-        monkeypatch.setattr(in_memory, '_engines', {})
+        monkeypatch.setattr(in_memory, 'engines', {})
     forget()
     return forget
 
@@ -138,7 +138,7 @@ def test_two_processes_that_race_find_the_same_and_leave_whole_files(tmp_path):
     assert stored
     for path in stored.values():
         content = path.read_bytes()
-        assert cache._digest(path.name, content[32:]) == content[:32], path.name
+        assert cache.checksum(path.name, content[32:]) == content[:32], path.name
     assert result(start(tmp_path)) == one
     assert files(tmp_path) == stored
 
@@ -150,7 +150,7 @@ def test_full_disk_leaves_a_result_and_no_temporary_file(tmp_path):
     assert result(start(tmp_path, preexec_fn=fill)) == result(start(tmp_path))
     for path in files(tmp_path).values():
         content = path.read_bytes()
-        assert cache._digest(path.name, content[32:]) == content[:32], path.name
+        assert cache.checksum(path.name, content[32:]) == content[:32], path.name
 
 
 def test_no_directory_to_write_to_is_no_error(tmp_path):

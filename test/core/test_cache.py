@@ -111,9 +111,9 @@ def test_files_that_have_each_others_names_are_not_read(tmp_path, monkeypatch):
 def test_code_is_in_memory_once_however_many_ask_for_it():
     simulation = Simulation.from_scene('four_bar')
     Differentiator(simulation)
-    before = set(machine_code._engines)
+    before = set(machine_code.engines)
     derivatives = [Differentiator(Simulation.from_scene('four_bar')) for _ in range(3)]
-    assert set(machine_code._engines) == before
+    assert set(machine_code.engines) == before
     state = simulation.position, simulation.velocity
     for one in derivatives:
         assert np.isfinite(one(*state).by_position).all()

@@ -25,7 +25,7 @@ OPTIMISATION = 1
 LONG = 4.0
 # Machine code in use, by its digest: it must stay where it is as long as the process lives, and is
 # there once, however many ask for it.
-_engines = {}
+engines = {}
 _announce = []
 
 
@@ -50,8 +50,8 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     """
     from llvmlite import binding
     digest = hashlib.sha256(repr((key, form, *_host())).encode()).hexdigest()[:32]
-    if digest in _engines:
-        return _engines[digest].get_function_address
+    if digest in engines:
+        return engines[digest].get_function_address
     # An engine needs a module to start from; the code itself is added as objects.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), _machine(binding))
     names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
@@ -66,7 +66,7 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     for code in objects:
         engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    return _engines.setdefault(digest, engine).get_function_address
+    return engines.setdefault(digest, engine).get_function_address
 
 
 @functools.cache
