@@ -24,13 +24,15 @@ def reals(name: str, values: Any) -> np.ndarray:
         ``name`` says of what.
 
     """
+    wanted = 'numbers'
     try:
         found = np.asarray(values)
         if found.dtype.kind in 'biufO':
             return np.array(found, dtype=float, order='C')
+        wanted = 'real numbers' if found.dtype.kind == 'c' else wanted
     except (TypeError, ValueError):
         pass
-    raise ValueError(f'{name}: expected real numbers, got {values!r}')
+    raise ValueError(f'{name}: expected {wanted}, got {values!r}')
 
 
 def frozen(values: Any) -> np.ndarray:
