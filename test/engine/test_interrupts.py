@@ -172,14 +172,18 @@ def test_a_stop_reaches_those_that_heed_it_alone():
 def test_a_rollout_that_fails_ends_no_work_of_other_threads(monkeypatch):
     failing, other = (Simulation.from_scene('three_rrr', integrator='rk4') for _ in range(2))
     tau, failed, over, ends = other.joint_torques(None), threading.Event(), threading.Event(), []
+    first = threading.Lock()
 
-    def run(runs, samples, results):
-        if 0 in samples:
-            failed.set()
-            raise RuntimeError('a fault of a sample')
-        # The rollout has not ended before the work beside it has.
-        assert over.wait(500)
-        return []
+    class Runs:
+        """In the place of runs in the lanes of a vector."""
+
+        def record(self, starts, room=None):
+            if first.acquire(blocking=False):
+                failed.set()
+                raise RuntimeError('a fault of a sample')
+            # The rollout has not ended before the work beside it has.
+            assert over.wait(500)
+            return None
 
     def work():
         assert failed.wait(500)
@@ -190,7 +194,7 @@ def test_a_rollout_that_fails_ends_no_work_of_other_threads(monkeypatch):
             ends.append('stopped')
         over.set()
 
-    monkeypatch.setattr(rollout._BatchRunner, 'run', run)
+    monkeypatch.setattr(rollout, 'SimdRuns', Runs)
     thread = threading.Thread(target=work)
     thread.start()
     with pytest.raises(RuntimeError, match='a fault of a sample'):
