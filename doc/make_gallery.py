@@ -49,19 +49,23 @@ Twelve machines, each with the commands for its picture and its numbers (drive t
 """
 
 
-def shown(command):
-    """Run a command of ``closedloop``; return what it prints."""
-    done = subprocess.run([sys.executable, '-m', 'closedloop_dynamics.cli', *command.split()],
+# What derives a machine from another one.
+DERIVED = HERE / 'examples' / 'derived_machines'
+
+
+def shown(command, program=('-m', 'closedloop_dynamics.cli')):
+    """Run a command of ``closedloop``, or of another program; return what it prints."""
+    done = subprocess.run([sys.executable, *program, *command.split()],
                           capture_output=True, text=True)
     if done.returncode:
-        raise SystemExit(f'closedloop {command}: {done.stderr}')
+        raise SystemExit(f'{command}: {done.stderr}')
     return done.stdout
 
 
 def entry(number, title, made, scene, drives):
     """Return the section of a machine, and write its picture."""
     options = ' '.join(f'--drive {drive}' for drive in drives)
-    commands = [*made, f'report {scene} {options} --output report_{number}.html',
+    commands = [f'report {scene} {options} --output report_{number}.html',
                 f'kinematics {scene} {options} --output rows_{number}.csv',
                 f'plot rows_{number}.csv --output pictures_{number}']
     numbers = [line.strip() for line in shown(commands[-3]).splitlines()[:-1]]
@@ -70,7 +74,9 @@ def entry(number, title, made, scene, drives):
     picture = Image.open(f'pictures_{number}/positions.png').convert('RGB')
     picture.thumbnail((WIDTH, WIDTH))
     picture.quantize(64).save(HERE / 'pictures' / f'gallery_{number}.png', optimize=True)
-    console = '\n'.join(f'$ closedloop {command}' for command in commands)
+    console = '\n'.join([
+        *(f'$ python doc/examples/derived_machines {command}' for command in made),
+        *(f'$ closedloop {command}' for command in commands)])
     return (f'\n## {title}\n\n![{title} in several positions](pictures/gallery_{number}.png)\n\n'
             f'```text\n{console}\n' + '\n'.join(numbers) + '\n```\n')
 
@@ -79,6 +85,7 @@ if __name__ == '__main__':
     with TemporaryDirectory() as folder:
         os.chdir(folder)
         with ThreadPoolExecutor() as several:
-            list(several.map(shown, sorted({made for _, each, *_ in MACHINES for made in each})))
+            list(several.map(lambda made: shown(made, [DERIVED]), sorted(
+                {made for _, each, *_ in MACHINES for made in each})))
             sections = list(several.map(entry, range(1, len(MACHINES) + 1), *zip(*MACHINES)))
     (HERE / 'gallery.md').write_text(INTRODUCTION + ''.join(sections), encoding='utf-8')

@@ -567,12 +567,6 @@ def test_more_frames_than_a_disk_has_room_for_are_refused(capsys, tmp_path):
     assert code == 2 and 'expected at most 20000 frames, got 2' in errors
 
 
-def test_a_machine_is_not_written_over_a_directory(capsys, tmp_path):
-    for command in (('invert', 'four_bar', '--ground', 'crank'), ('mirror', 'four_bar')):
-        code, _, errors = call(capsys, *command, '--output', tmp_path)
-        assert code == 2 and '--output: expected a file, got the directory' in errors
-
-
 def test_options_of_a_workspace_are_named_as_they_are_given(capsys):
     for options, message in (
             (['--point', 'nothing'], 'workspace: --point: expected a named point'),

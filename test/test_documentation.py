@@ -44,6 +44,7 @@ AFTERWARDS = 'with what was recorded above'
 PATIENCE = 240.0
 # Commands that are not run from here, and why.
 ELSEWHERE = {
+    'python doc/examples/derived_machines': 'test/simulation/test_derived_machines.py does',
     'scripts/build': 'test/engine/test_build.py does',
     'scripts/demo': 'test/ros/test_demo.py runs what it calls',
     'scripts/test': 'it runs this test',

@@ -17,10 +17,8 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
-from ..simulation.model import Model
 from ..simulation.motions import moving, require_actuated, with_motions
 from ..simulation.scene import load_scene, scene_names
-from ..simulation.scene_text import write_scene
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced
 
@@ -193,46 +191,6 @@ def read_scene(name, arguments):
 def scene_to_change(arguments):
     """Return the scene of a command line, read, with the numbers set."""
     return with_numbers(read_scene(arguments.scene, arguments), arguments)
-
-
-def add_variant(parser):
-    """Add the arguments of a command that writes another scene, by ``write_variant``."""
-    add_scene(parser)
-    add_reading(parser)
-    add_set(parser)
-    parser.add_argument('--output', metavar='FILE.yaml', type=Path, required=True,
-                        help='where to write the scene, with its mechanism')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-
-
-def write_variant(arguments, change):
-    """Write a changed scene to the file that the command line names; return the exit code."""
-    require_free(arguments, arguments.output, endings=YAML)
-    return write_variants(arguments, lambda: {
-        arguments.output: change(scene_to_change(arguments))})
-
-
-def write_variants(arguments, make):
-    """
-    Write scenes that were made of another one; return the exit code.
-
-    ``make`` returns a ``simulation.variant.Variant`` by the file to write, or raises ValueError
-    for what cannot be made, which becomes a UsageError.
-    """
-    try:
-        found = make()
-        for one in found.values():
-            # What cannot move is not written.
-            Model(one.scene).assemble()
-    except (ValueError, AssemblyError) as error:
-        raise UsageError(f'--{error}' if str(error).startswith(('ground:', 'point:', 'axis:'))
-                         else str(error)) from None
-    for path, one in found.items():
-        write_scene(one.scene, path)
-        print(path)
-        for note in one.left_out:
-            complain(arguments, f'{path.name}: left out: {note}')
-    return 0
 
 
 def scene_of(arguments):

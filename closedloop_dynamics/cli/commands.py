@@ -18,13 +18,16 @@ from ..simulation.signals import Interrupted, program_watch
 
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
-    'accuracy', 'animate', 'check', 'cognates', 'compare', 'effects', 'export', 'forces',
-    'formulations', 'identify', 'import', 'invert', 'kinematics', 'list', 'mirror', 'modes',
+    'accuracy', 'animate', 'check', 'compare', 'effects', 'export', 'forces',
+    'formulations', 'identify', 'import', 'kinematics', 'list', 'modes',
     'optimise', 'plot', 'replay', 'report', 'simulate', 'stability', 'sweep',
     'urdf', 'view', 'workspace')}
 
 # Commands of earlier versions, and what serves in their place.
 GONE = {
+    **{name: 'doc/examples/derived_machines of the sources writes such scenes: `python '
+             f'doc/examples/derived_machines {name} --help`'
+       for name in ('cognates', 'invert', 'mirror')},
     'recover': 'killed recordings are read as they are; an MCAP file gets its index back, and '
                'loses what is damaged, by `mcap recover FILE -o NEW`, a bag its metadata.yaml by '
                '`ros2 bag reindex BAG`'}

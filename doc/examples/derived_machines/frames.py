@@ -5,13 +5,13 @@
 
 from dataclasses import replace
 
-import numpy as np
-
-from ..formats.pose import joint_frame
-from ..mechanism.inertia import inertia_matrix, moments_in
-from ..mechanism.mechanism import (
+from closedloop_dynamics.formats.pose import joint_frame
+from closedloop_dynamics.mechanism.inertia import inertia_matrix, moments_in
+from closedloop_dynamics.mechanism.mechanism import (
     CUT_WITH_ORIENTATION, DISTANCE, GROUND, MechanismError, POINT_ON_LINE, PRISMATIC, UNTURNED)
-from ..mechanism.rotations import angle_of, in_three, of_quaternion, quaternion_of
+from closedloop_dynamics.mechanism.rotations import (
+    angle_of, in_three, of_quaternion, quaternion_of)
+import numpy as np
 
 # Sine of an angle that is rounding.
 ROUNDING = 1e-12

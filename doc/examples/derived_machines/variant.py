@@ -6,21 +6,21 @@
 from dataclasses import replace
 from typing import NamedTuple, Tuple
 
-from .scene_records import Scene
-from ..effects.actuator import Actuator
-from ..effects.effect import WORLD
-from ..effects.end_stop import EndStop
-from ..effects.external_force import ExternalForce
-from ..effects.gravity import Gravity
-from ..effects.joint_damping import JointDamping
-from ..effects.joint_friction import JointFriction
-from ..effects.joint_spring import JointSpring
-from ..effects.payload import Payload
-from ..effects.point_spring import PointSpring
-from ..effects.prescribed_force import PrescribedForce
-from ..effects.prescribed_motion import PrescribedMotion
-from ..effects.registry import effect_type
-from ..effects.rotor import Rotor
+from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.effect import WORLD
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
+from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.simulation.scene_records import Scene
 
 # Numbers of a course over time that change sign with the coordinate.
 COURSE = ('offset', 'speed', 'amplitude', 'values', 'rates', 'accelerations')

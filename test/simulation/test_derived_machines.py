@@ -1,9 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cognates, mirror images and inversions of machines."""
+"""Cognates, mirror images and inversions of machines, in doc/examples/derived_machines."""
 
 from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+import runpy
 
 from closedloop_dynamics import load_scene, Model, Simulation
 from closedloop_dynamics.effects.end_stop import EndStop
@@ -15,15 +18,32 @@ from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.kinematics import (
     body_poses, named_point, pose_of, poses_in_space)
 from closedloop_dynamics.mechanism.rotations import rotated
-from closedloop_dynamics.simulation.cognates import cognates
-from closedloop_dynamics.simulation.inversion import inverted
-from closedloop_dynamics.simulation.mirror import mirrored
 from closedloop_dynamics.simulation.scene_text import write_scene
 import numpy as np
 import pytest
 
 from ..reference.designs import four_bar
 from ..test_cli import call
+
+FOLDER = Path(__file__).resolve().parents[2] / 'doc' / 'examples' / 'derived_machines'
+
+
+with pytest.MonkeyPatch.context() as patch:
+    patch.syspath_prepend(FOLDER)
+    cognates = import_module('cognates').cognates
+    inverted = import_module('inversion').inverted
+    mirrored = import_module('mirror').mirrored
+
+
+def call_example(capsys, *arguments):
+    """Return exit code, standard output and errors of the example's command line."""
+    program = runpy.run_path(str(FOLDER))
+    try:
+        code = program['main']([str(one) for one in arguments])
+    except SystemExit as end:
+        code = end.code
+    return code, *capsys.readouterr()
+
 
 # Crank, coupler, rocker, base and the point: a crank-rocker, Hoeken's, a drag link, a double
 # rocker over the part that it can turn; a point below the coupler, and one on its line.
@@ -209,11 +229,11 @@ def test_inversion_refuses_what_no_loop_moves():
     ('mirror', ['--axis', 'y', '--output', 'a.yaml'], ['a.yaml']),
     ('invert', ['--ground', 'coupler', '--output', 'a.yaml'], ['a.yaml']),
     ('cognates', ['--output', 'both'], ['both/cognate_1.yaml', 'both/cognate_2.yaml'])])
-def test_commands_write_scenes_that_check_accepts(
+def test_the_example_writes_scenes_that_check_accepts(
         capsys, tmp_path, monkeypatch, command, options, files):
     monkeypatch.chdir(tmp_path)
     write_scene(loaded(), 'loaded.yaml')
-    code, text, errors = call(capsys, command, 'loaded.yaml', *options)
+    code, text, errors = call_example(capsys, command, 'loaded.yaml', *options)
     assert code == 0, errors
     assert text.splitlines()[:len(files)] == files
     if command != 'mirror':
@@ -221,16 +241,16 @@ def test_commands_write_scenes_that_check_accepts(
     for file in files:
         code, _, errors = call(capsys, 'check', file)
         assert code == 0, errors
-    code, _, errors = call(capsys, command, 'loaded.yaml', *options)
-    assert code == 2 and 'exists' in errors
+    code, _, errors = call_example(capsys, command, 'loaded.yaml', *options)
+    assert code == 2 and '--output: expected the name of a new file' in errors
 
 
 @pytest.mark.parametrize('command, options, message', [
-    ('mirror', ['--axis', 'z'], '--axis: expected one of x, y, got'),
-    ('invert', ['--ground', 'nothing'], '--ground: expected one of the bodies (crank, coupler, '),
-    ('cognates', ['--point', 'nothing'], '--point: expected a point of the coupler')])
-def test_commands_refuse_what_makes_no_sense(capsys, tmp_path, command, options, message):
+    ('mirror', ['--axis', 'z'], 'axis: expected one of x, y, got'),
+    ('invert', ['--ground', 'nothing'], 'ground: expected one of the bodies (crank, coupler, '),
+    ('cognates', ['--point', 'nothing'], 'point: expected a point of the coupler')])
+def test_the_example_refuses_what_makes_no_sense(capsys, tmp_path, command, options, message):
     place = tmp_path / ('both' if command == 'cognates' else 'a.yaml')
-    code, _, errors = call(capsys, command, 'four_bar', *options, '--output', place)
+    code, _, errors = call_example(capsys, command, 'four_bar', *options, '--output', place)
     assert code == 2 and message in errors
     assert not place.is_file()

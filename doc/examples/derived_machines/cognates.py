@@ -12,15 +12,16 @@ from C0, (1 - k) (B0 - B), and P - B from B0.
 
 import cmath
 
-from .assembly import Assembler
-from .geometry import Geometry
-from .scene_records import Initial, Scene
-from .variant import Variant
-from ..effects.gravity import Gravity
-from ..effects.registry import effect_type
-from ..formats.pose import poses_at
-from ..mechanism.four_bar import bars
-from ..mechanism.mechanism import Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.formats.pose import poses_at
+from closedloop_dynamics.mechanism.four_bar import bars
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
+from closedloop_dynamics.simulation.assembly import Assembler
+from closedloop_dynamics.simulation.geometry import Geometry
+from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from variant import Variant
 
 # Share of a length that is rounding.
 NOTHING = 1e-9

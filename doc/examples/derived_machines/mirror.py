@@ -12,14 +12,13 @@ turned besides by half a turn where its x axis is to be reversed.
 
 from dataclasses import replace
 
-import numpy as np
-
-from .frames import reframed
-from .variant import carried_effects, variant
-from ..formats.pose import Pose
-from ..mechanism.mechanism import (
+from closedloop_dynamics.formats.pose import Pose
+from closedloop_dynamics.mechanism.mechanism import (
     CYLINDRICAL, FREE, GROUND, HELICAL, MESH, PLANAR, POINT_ON_LINE, PRISMATIC,
     REVOLUTE, SPHERICAL, UNTURNED)
+from frames import reframed
+import numpy as np
+from variant import carried_effects, variant
 
 AXES = 'xyz'
 HALF_A_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
