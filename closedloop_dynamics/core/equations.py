@@ -17,14 +17,16 @@ def with_all_equations(model):
     """
     Return a model with the equations, too, that the elimination leaves out.
 
-    For dense matrices: it has no room for a block elimination. Itself where nothing is left out.
+    Itself where nothing is left out.
     """
     if (model.cut[:, KEPT] == model.cut[:, POSSIBLE]).all():
         return model
-    cut = model.cut.copy()
-    cut[:, KEPT] = cut[:, POSSIBLE]
-    joint_kernels.arrays_of(model).number_equations(cut)
-    return model._replace(cut=cut, column=np.zeros(cut[:, ROWS].sum() + 1, dtype=np.int64))
+    if model.whole is None:
+        cut = model.cut.copy()
+        cut[:, KEPT] = cut[:, POSSIBLE]
+        joint_kernels.arrays_of(model).number_equations(cut)
+        model.whole = model.with_cut(cut)
+    return model.whole
 
 
 class Equations:
@@ -98,7 +100,7 @@ class Equations:
             return
         self._constants, structure = present, joint_kernels.structure(self.model)
         if self._connected != structure:
-            joint_kernels.connect(self.model, self.work.kernel, self.work.cut_kernel)
+            joint_kernels.connect(self.model)
             self._connected = structure
 
     def move(self, q, qd=None):
@@ -166,6 +168,5 @@ class Equations:
         """
         model, work = self.model, self.work
         found = np.empty((len(model.cut), work.wrench.shape[1]))
-        native.cut_wrenches(
-            model.cut, model.cut_point, work.cut_kernel, body, lam, work.share, found)
+        native.cut_wrenches(model, body, lam, work.share, found)
         return found

@@ -10,11 +10,10 @@ of coordinates have the length of the rates; a rotation is composed with the exp
 change. Where a mechanism has no such joint there is no table, and nothing of this is compiled.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
-from .types import AXIS, BALL, COORDINATE, DOF, TYPE
+from .types import BALL, Handle, TYPE
+from ..engine import native
 
 # Columns of Manifold.balls.
 QUATERNION, TURN = range(2)
@@ -22,28 +21,9 @@ QUATERNION, TURN = range(2)
 HALF = 0.5
 
 
-class Manifold(NamedTuple):
-    """Where the quaternions are in a state."""
-
-    balls: np.ndarray  # Int, shape (n, 2): First coordinate and first rate of each
-    #: Int, shape (nv,): Coordinate of each rate; less than 0 for those of rotations.
-    place: np.ndarray
-    #: Shape (nv,): Scratch: the coordinate of each rate, 0 for those of rotations.
-    number: np.ndarray
-
-
 def manifold_of(model):
-    """Return the table of a model's quaternions, None where there are none."""
-    rows = model.tree[1:]
-    turns = rows[:, TYPE] == BALL
-    if not turns.any():
-        return None
-    place = np.full(len(rows), -1)
-    place[rows[~turns, DOF]] = rows[~turns, COORDINATE]
-    # The last of three rows, about the third axis, has all.
-    last = rows[turns & (rows[:, AXIS] == 2)]
-    balls = np.column_stack([last[:, COORDINATE], last[:, DOF] - 2])
-    return Manifold(np.ascontiguousarray(balls), place, np.zeros(len(rows)))
+    """Return the places of a model's quaternions, None where there are none."""
+    return Handle(native.manifold(model)) if (model.tree[:, TYPE] == BALL).any() else None
 
 
 def weights(manifold, nv):

@@ -2,23 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Data of the kernels: the constant Model and the mutable Workspace.
+The arrays of the engine's objects in Python, and their columns.
 
-Both are NamedTuples of C-contiguous arrays. Per body there is one row; the
-columns are the constants below, so that what belongs to one body lies in one
-piece of memory. Row 0 is the ground: recursions need no special case for it.
-Bodies are numbered so that a parent comes before its children, subsystem by
-subsystem; ``q``, ``qd``, ``tau`` and the multipliers of the interface keep the
-user's order (columns ``DOF`` and ``CUT_ROW``).
+Per body there is one row; the columns are the constants below. Row 0 is the
+ground: recursions need no special case for it. Bodies are numbered so that a
+parent comes before its children, subsystem by subsystem; ``q``, ``qd``, ``tau``
+and the multipliers of the interface keep the user's order (columns ``DOF`` and
+``CUT_ROW``).
 
 A planar vector is ordered (angular, x, y), in world axes, at the body's own
 origin (the place of its joint). What ``body``, ``cut_point`` and ``Workspace.body``
 hold of a mechanism in space: ``codegen.space``.
 """
 
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
+
+from ..engine import native
 
 # Model.tree, one row a body: topology. In space, joints of several freedoms are several rows, all
 # but the last of them bodies without mass. DOF: place in qd and tau; COORDINATE: first place in q;
@@ -58,7 +59,7 @@ WORK_COLUMNS = 31
 POSITION, RATE = 31, 32
 COUPLED_WORK_COLUMNS = 33
 
-# Workspace.kernel, one row a body: addresses of what the loops call (``codegen.joint_kernels``).
+# Model.kernel, one row a body: addresses of what the loops call (``codegen.joint_kernels``).
 # Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
 # acceleration; a wrench carried inward, less what joints give way to, by levers, or as it is;
 # inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque; the
@@ -66,7 +67,7 @@ COUPLED_WORK_COLUMNS = 33
 (MOVE, ELIMINATE, ELIMINATE_MASSLESS, ACCELERATE, REDUCE, LEVER, CARRY, COMPOSE, MEASURE, NEWTON,
  SHIFT, TORQUE, REDUCE_COUPLED) = range(13)
 BODY_KERNELS = 13
-# Workspace.cut_kernel, one row a cut joint: its equations; the wrenches of its multipliers.
+# Model.cut_kernel, one row a cut joint: its equations; the wrenches of its multipliers.
 EQUATIONS, WRENCH = range(2)
 
 # What ``Recursion.update`` computes of the unit cut forces: nothing, their shares at the joints
@@ -125,66 +126,63 @@ MOTION_COLUMNS = 3
 HEALTH_COLUMNS = 11
 
 
-class Model(NamedTuple):
-    """Constant description of one mechanism; built by ``modeling.build_model``."""
 
-    tree: np.ndarray  # Int, shape (nb + 1, TREE_COLUMNS)
-    body: np.ndarray  # Shape (nb + 1, BODY_COLUMNS)
-    gravity: np.ndarray  # Shape (2,), in space (3,): [m/s^2]
-    cut: np.ndarray  # Int, shape (number of cuts, CUT_COLUMNS)
-    cut_point: np.ndarray  # Shape (number of cuts, CUT_POINT_COLUMNS or more)
-    #: The body of every path entry (a place on the path of a cut force) (ndarray of int).
-    path_body: np.ndarray
-    #: Int, shape (pairs, 2): Off-diagonal blocks: (path entry of the later cut, that of the
-    #: earlier) that share a body, with the rows of both cuts packed in ``block``.
-    pair: np.ndarray
-    #: Int, shape (blocks, 4): (later cut, earlier cut, first pair, last pair + 1) of every block
-    #: of the constraint matrix below the diagonal.
-    block: np.ndarray
-    #: Int, shape (nc + 1,): First entry of each column of the factor L, which includes its
-    #: diagonal.
-    column: np.ndarray
-    row: np.ndarray  # Row of each entry of L, in elimination order (ndarray of int)
-    #: Int, shape (blocks, 3): Place in L of the first entry of every block, for each of the
-    #: earlier cut's columns.
-    entry: np.ndarray
-    dependency: np.ndarray  # Int, shape (nc + 1,): First entry in ``dependency_place`` of each row
-    #: Int, shape (entries, 2): (earlier column k, place of the row in column k), left of each
-    #: diagonal.
-    dependency_place: np.ndarray
+class Arrays(SimpleNamespace):
+    """Arrays by name, and records of them within."""
+
+    def replaced(self, **changes):
+        """Return the same with other arrays, symbols among them, for generating code."""
+        return Arrays(**{**vars(self), **changes})
 
 
-class Workspace(NamedTuple):
-    """All that one evaluation writes; allocated once."""
+class Handle(Arrays):
+    """
+    An object of the engine, its attribute ``native``, and its arrays.
 
-    body: np.ndarray  # Shape (nb + 1, WORK_COLUMNS)
-    #: Shape (path entries, 3 or 6): Reduced force u = S^T w of each row of a cut at each path
-    #: entry.
-    response: np.ndarray
-    response_scaled: np.ndarray  # Shape (path entries, 3 or 6): The same times 1/D
-    factor: np.ndarray  # Entries of the constraint matrix, then of its factor L
-    scale: np.ndarray  # Shape (nc,): What the pivots are compared with
-    #: Shape (path entries, 3 or 6): Of each row of a cut, the levers on the bodies' angles, and on
-    #: the slides.
-    lever: np.ndarray
-    joint: np.ndarray  # Shape (nb + 1, JOINT_COLUMNS): What ``refinement`` keeps of every joint
-    change: np.ndarray  # Shape (nv,): Of the accelerations, the latest
-    pivot_inverse: np.ndarray  # Shape (nc,)
-    right: np.ndarray  # Shape (nc,): Right-hand side, then solution, in elimination order
-    scatter: np.ndarray  # Shape (nc,)
-    #: ``closure``, ``closure_rate``, ``bias``: Shape (nc,): psi, J qd and Jdot qd, in elimination
-    #: order.
-    closure: np.ndarray
-    closure_rate: np.ndarray
-    bias: np.ndarray
-    equation: np.ndarray  # Of one cut joint, as ``engine/loop_closure.cpp`` leaves it
-    wrench: np.ndarray  # Shape (2, 3 or 6): On their way inward
-    share: np.ndarray  # Shape (9 or 18,): Output of a joint kernel
-    torque: np.ndarray  # Shape (nv,): In the world's axes
-    force: np.ndarray  # Shape (nb + 1, 6 or 12): Wrenches, and accelerations, of inverse dynamics
-    kernel: np.ndarray  # Int, shape (nb + 1, BODY_KERNELS)
-    cut_kernel: np.ndarray  # Int, shape (number of cuts, 2)
-    health: np.ndarray  # Shape (HEALTH_COLUMNS,)
+    These are views, of the names that they have there, and keep the memory that they are of.
+    """
+
+    def __init__(self, made, **attributes):
+        """``made``: as functions of the engine return it; further attributes by name."""
+        native, arrays = made
+        super().__init__(native=native)
+        for name, array in arrays.items():
+            *path, last = name.split('.')
+            record = self
+            for part in path:
+                record = vars(record).setdefault(part, Arrays())
+            setattr(record, last, np.asarray(array))
+        vars(self).update(attributes)
+
+
+class Model(Handle):
+    """Constant description of one mechanism, of which ``engine/model.hpp`` says what it holds."""
+
+    def __init__(self, made):
+        super().__init__(made, whole=None)
+
+    @property
+    def origin(self):
+        """The model of the engine whose arrays, or others of their shapes, these are."""
+        return self
+
+    def replaced(self, **changes):
+        """As of ``Arrays``; the engine does not take it."""
+        return super().replaced(native=None, whole=None, origin=self, **changes)
+
+    @classmethod
+    def of(cls, tree, body, gravity, cut, cut_point, path_body):
+        """Return a model of a topology and constants, which are copied."""
+        return cls(native.model(tree, body, gravity, cut, cut_point, path_body))
+
+    def with_cut(self, cut):
+        """Return one on other equations, by columns of ``cut``; effects change it with this."""
+        return Model(native.model_with_equations(self.native, cut))
+
+    def __reduce__(self):
+        """Copy and pickle as what all of it follows from."""
+        return Model.of, (self.tree, self.body, self.gravity, self.cut, self.cut_point,
+                          self.path_body)
 
 
 def number_of_coordinates(model):

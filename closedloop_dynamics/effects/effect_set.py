@@ -192,7 +192,7 @@ class EffectSet:
         structure = joint_kernels.structure(self._model)
         if structure == self._linked:
             return
-        joint_kernels.connect(self._model, self._system.work.kernel, self._system.work.cut_kernel)
+        joint_kernels.connect(self._model)
         if self._system.is_unrolled and self._system.effects is None:
             codegen.relink(self._model, self._system.table, self._system.joints)
         elif self._system.is_unrolled:

@@ -17,7 +17,9 @@
 #include <utility>
 #include <vector>
 
+#include "data.hpp"
 #include "forces.hpp"
+#include "handles.hpp"
 #include "python_api.hpp"
 #include "stepper.hpp"
 
@@ -27,45 +29,6 @@
 
 namespace closedloop
 {
-
-/// Thrown where Python's error is set.
-struct PythonError {};
-
-/// A reference that is given back.
-class Owned
-{
-public:
-  explicit Owned(PyObject * object)
-  : object_(object)
-  {
-    if (object == nullptr) {
-      throw PythonError();
-    }
-  }
-  Owned(Owned && other) noexcept
-  : object_(std::exchange(other.object_, nullptr)) {}
-  Owned(const Owned &) = delete;
-  Owned & operator=(const Owned &) = delete;
-  Owned & operator=(Owned &&) = delete;
-  ~Owned()
-  {
-    if (object_ != nullptr) {
-      Py_DecRef(object_);
-    }
-  }
-  PyObject * get() const {return object_;}
-  PyObject * release() {return std::exchange(object_, nullptr);}
-
-private:
-  PyObject * object_;
-};
-
-/// Which argument is read, for messages.
-struct Place
-{
-  const char * function;
-  Py_ssize_t argument;
-};
 
 template<class Record>
 void read_record(PyObject * from, Record & to, Place place);
@@ -198,6 +161,7 @@ inline void read(PyObject * from, bool & to, Place)
 
 /// The last value of each enumeration that Python hands over.
 constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
+constexpr Index last_of(setting::Formulation) {return setting::AUGMENTED;}
 constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
 
 template<class Type>
@@ -229,20 +193,20 @@ void read(PyObject * from, std::vector<Record> & to, Place place)
   }
 }
 
-/// A system, with the tuple that keeps its arrays.
-struct Handle
+inline void read(PyObject * from, const System * & to, Place place)
 {
-  System system;
-  PyObject * owner = nullptr;
-  /// Whether a thread that has released the interpreter lock computes with it.
-  bool works = false;
-};
+  // The caller holds a reference to the handle.
+  to = read_handle<System>(from, place).get();
+}
+
+inline void read(PyObject * from, Manifold & to, Place place)
+{
+  to = from == &_Py_NoneStruct ? Manifold() : *read_handle<Manifold>(from, place);
+}
 
 /// The name of the capsules that hold objects of a class.
 template<class Object>
 inline constexpr const char * capsule_name = nullptr;
-template<>
-inline constexpr const char * capsule_name<System> = "closedloop_dynamics.engine.System";
 template<>
 inline constexpr const char * capsule_name<Stepper> = "closedloop_dynamics.engine.Stepper";
 
@@ -254,11 +218,6 @@ void * pointer_in(PyObject * from)
     throw PythonError();
   }
   return found;
-}
-
-inline void read(PyObject * from, const System * & to, Place)
-{
-  to = &static_cast<Handle *>(pointer_in<System>(from))->system;
 }
 
 inline void read(PyObject * from, Stepper * & to, Place)
@@ -301,8 +260,29 @@ void read_record(PyObject * from, Record & to, Place place)
     });
 }
 
+/// A record of arrays, with what keeps these.
+template<class Record>
+struct Kept
+{
+  Record record;
+  std::shared_ptr<void> owner;
+};
+
+template<class Record>
+void read(PyObject * from, Kept<Record> & to, Place place)
+{
+  read_record(from, to.record, place);
+  Py_IncRef(from);
+  to.owner = std::shared_ptr<void>(
+    from, [](void * object) {
+      const PyGILState_STATE state = PyGILState_Ensure();
+      Py_DecRef(static_cast<PyObject *>(object));
+      PyGILState_Release(state);
+    });
+}
+
 /// Storage of a converted argument of a type.
-template<class Type>
+template<class Type, class = void>
 struct Holder
 {
   Type value{};
@@ -310,12 +290,20 @@ struct Holder
   Type & get() {return value;}
 };
 
-template<>
-struct Holder<System>
+template<class Type>
+struct Holder<Type, std::enable_if_t<(handle_name<Type> != nullptr)>>
 {
-  Handle * value = nullptr;
-  void take(PyObject * from, Place) {value = static_cast<Handle *>(pointer_in<System>(from));}
-  const System & get() {return value->system;}
+  std::shared_ptr<Type> value;
+  void take(PyObject * from, Place place)
+  {
+    if constexpr (std::is_same_v<Type, Manifold>) {
+      value = std::make_shared<Manifold>();
+      read(from, *value, place);
+    } else {
+      value = read_handle<Type>(from, place);
+    }
+  }
+  Type & get() {return *value;}
 };
 
 template<>
@@ -331,7 +319,7 @@ template<class Argument>
 void check_free(const Argument &, const char *) {}
 inline void check_free(const Holder<System> & system, const char * function)
 {
-  if (system.value->works) {
+  if (*system.value->busy) {
     PyErr_Format(
       PyExc_RuntimeError, "%s: another thread computes with this simulation or model: give each "
       "thread its own, or let them wait for one another by a lock", function);
@@ -340,7 +328,7 @@ inline void check_free(const Holder<System> & system, const char * function)
 }
 template<class Argument>
 void mark(const Argument &, bool) {}
-inline void mark(const Holder<System> & system, bool works) {system.value->works = works;}
+inline void mark(const Holder<System> & system, bool works) {*system.value->busy = works;}
 
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ASSEMBLY_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ASSEMBLY_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Positions that close the loops, where that is plain; simulation/assembly.py has the other cases.
 

@@ -14,7 +14,6 @@
 #include "projection.hpp"
 #include "routines.hpp"
 #include "scratch.hpp"
-#include "validation.hpp"
 
 namespace closedloop
 {
@@ -241,7 +240,7 @@ bool fits(const Batch & batch)
          batch.corrections.columns == width && batch.tolerance.size == LANES &&
          batch.limit.size == LANES && batch.error.size == LANES &&
          batch.rates.size % LANES == 0 &&
-         (batch.energies.size == 0 || batch.energies.size == 3 * LANES) && misfit(batch.manifold, batch.nq(), nv) == nullptr;
+         (batch.energies.size == 0 || batch.energies.size == 3 * LANES) && batch.manifold.fits(batch.nq(), nv);
 }
 
 bool lists(const EffectTable & effects, Index kind)

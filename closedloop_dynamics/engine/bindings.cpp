@@ -153,19 +153,19 @@ inline constexpr auto precondition<recall_memory> =
 template<>
 inline constexpr auto precondition<factorize_constraints> =
   [](const Model & model, const Workspace & work) {
-    return expected::machine(model, work, [&] {return misfit_of_pattern(model) == nullptr;});
+    return expected::machine(model, work, [] {return true;});
   };
 
 template<>
 inline constexpr auto precondition<move_coordinates> =
   [](const Manifold & manifold, Values q, Values change) {
-    return misfit(manifold, q.size, change.size);
+    return expected::unless(manifold.fits(q.size, change.size));
   };
 
 template<>
 inline constexpr auto precondition<numbers_of_coordinates> =
   [](const Manifold & manifold, Values q) {
-    return misfit(manifold, q.size, manifold.empty() ? q.size : manifold.place.size);
+    return expected::unless(manifold.fits(q.size, manifold.empty() ? q.size : manifold.place.size));
   };
 
 namespace expected
@@ -180,11 +180,11 @@ const char * driven(
   const char * found = machine(
     model, work, [&] {
       return nv > 0 && unit.size == nv && drives.size <= nc &&
-             within(drives, 0, model.cut.rows) &&
-             model.cut_point.columns >= cut::MOTION_COLUMNS && within(kept, 0, nc) &&
+             are_places(drives, 0, model.cut.rows) &&
+             model.cut_point.columns >= cut::MOTION_COLUMNS && are_places(kept, 0, nc) &&
              has_shape(anchors, nv - kept.size, nv) && condition();
     });
-  return first_of(found, misfit(manifold, coordinates_of(model), nv));
+  return first_of(found, unless(manifold.fits(model.coordinates(), nv)));
 }
 
 /// A grid of so many nodes, and the part of it that may be written.
@@ -211,10 +211,10 @@ inline constexpr auto precondition<follow> =
       model, work, manifold, drives, kept, unit, anchors, [&] {
         const Index nv = model.joints(), poses = values.pages;
         return begin.size == drives.size && values.rows == drives.size &&
-               values.columns == cut::MOTION_COLUMNS && q.size == coordinates_of(model) &&
-               expected::has_shape(position, poses, q.size) &&
-               expected::has_shape(velocity, poses, nv) &&
-               expected::has_shape(acceleration, poses, nv);
+               values.columns == cut::MOTION_COLUMNS && q.size == model.coordinates() &&
+               has_shape(position, poses, q.size) &&
+               has_shape(velocity, poses, nv) &&
+               has_shape(acceleration, poses, nv);
       });
   };
 
@@ -226,17 +226,95 @@ inline constexpr auto precondition<reach_poses> =
     return expected::driven(
       model, work, manifold, drives, kept, unit, anchors, [&] {
         const Index nodes = reached.size;
-        return expected::is_grid(grid, nodes) && expected::within(seeds, 0, nodes) &&
-               expected::within(actuated, 0, model.joints()) &&
-               expected::has_shape(values, nodes, drives.size) &&
-               expected::has_shape(position, nodes, coordinates_of(model)) &&
-               expected::has_shape(rates, nodes, actuated.size * drives.size);
+        return expected::is_grid(grid, nodes) && are_places(seeds, 0, nodes) &&
+               are_places(actuated, 0, model.joints()) &&
+               has_shape(values, nodes, drives.size) &&
+               has_shape(position, nodes, model.coordinates()) &&
+               has_shape(rates, nodes, actuated.size * drives.size);
       });
   };
 
 namespace
 {
+// Handles come with views of their arrays.
+Model make_model(
+  Matrix<const Index> tree, Matrix<const double> body, Vector<const double> gravity,
+  Matrix<const Index> cut, Matrix<const double> cut_point, Vector<const Index> path_body)
+{
+  return Model(tree, body, gravity, cut, cut_point, path_body);
+}
+
+Model model_with_equations(const Model & like, Matrix<const Index> cut) {return Model(like, cut);}
+
+Manifold make_manifold(const Model & model) {return Manifold(model);}
+
+Workspace make_workspace(const Model & model) {return Workspace(model);}
+
+Data make_system(
+  const Model & model, const Model & all, const Kept<EffectTable> & effects, Indices row,
+  Indexes body, Table point, setting::Formulation formulation, double baumgarte, double size,
+  double opening, bool independent, Indices code)
+{
+  Data made(
+    model, all, Settings(formulation, baumgarte, size, opening),
+    JointPlaces(model, row, body, point), effects.record, effects.owner, code);
+  made.use_independent(independent);
+  made.interrupted = is_interrupted;
+  return made;
+}
+
+Data with_equations(const Data & like, const Model & model, const Model & all, Indices code)
+{
+  return Data(like, model, all, code);
+}
+
+Data with_independent(const Data & like, bool used)
+{
+  Data made(like);
+  made.use_independent(used);
+  return made;
+}
+
+Data copy_system(const Data & from, const Kept<EffectTable> & effects)
+{
+  return from.copy(effects.record, effects.owner);
+}
+
+void take_numbers(Data & data, const Data & from) {data.take(from);}
+
+void use_derivatives(Data & data, const Kept<AccelerationDerivatives> & derivatives)
+{
+  data.use_derivatives(derivatives.record, derivatives.owner);
+}
+
+void forget(Data & data) {data.forget();}
+
+Model model_of(const Data & data) {return data.model;}
+
+Workspace workspace_of(const Data & data) {return data.work;}
+
 const Entry entries[] = {
+  entry<make_model>(
+    "model",
+    "model(tree, body, gravity, cut, cut_point, path_body): a handle; what else follows from them"),
+  entry<model_with_equations>(
+    "model_with_equations", "model_with_equations(model, cut): of the same memory otherwise"),
+  entry<make_manifold>("manifold", "manifold(model): where quaternions are among the coordinates"),
+  entry<make_workspace>("workspace", "workspace(model): memory of its evaluations"),
+  entry<make_system>(
+    "system",
+    "system(model, all, effects, row, body, point, formulation, baumgarte, size, opening, "
+    "independent, code): a handle; effects, and what code reads of them, are kept"),
+  entry<with_equations>(
+    "with_equations", "with_equations(system, model, all, code): of the same state and effects"),
+  entry<with_independent>(
+    "with_independent", "with_independent(system, used): of the same memory otherwise"),
+  entry<copy_system>("copy_system", "copy_system(system, effects): with memory of its own"),
+  entry<take_numbers>("take_numbers", "take_numbers(system, other): those that it is a copy of"),
+  entry<use_derivatives>("use_derivatives", "use_derivatives(system, derivatives): for stiff steps"),
+  entry<forget>("forget", "forget(system): the motion so far"),
+  entry<model_of>("model_of", "model_of(system): a handle of its own model"),
+  entry<workspace_of>("workspace_of", "workspace_of(system): a handle of its own workspace"),
   entry<outward>(
     "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
   entry<inward>(
@@ -254,8 +332,7 @@ const Entry entries[] = {
   entry<constraint_jacobian>("constraint_jacobian", "constraint_jacobian(model, work, jac)"),
   entry<generalized_inertia_matrix>(
     "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
-  entry<cut_wrenches>(
-    "cut_wrenches", "cut_wrenches(cut, cut_point, cut_kernel, body, lam, share, out)"),
+  entry<cut_wrenches>("cut_wrenches", "cut_wrenches(model, body, lam, share, out)"),
   entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
   entry<joint_wrenches>("joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
   entry<tree_torque>("tree_torque", "tree_torque(model, work, qdd, out)"),
@@ -390,35 +467,6 @@ const Entry entries[] = {
 
 constexpr char bound_name[] = "closedloop_dynamics.engine.bound";
 
-PyObject * make_system(PyObject *, PyObject * const * from, Py_ssize_t count)
-{
-  return guarded(
-    [&] {
-      if (count != 1) {
-        PyErr_Format(PyExc_TypeError, "system: expected 1 argument, got %zd", count);
-        throw PythonError();
-      }
-      auto handle = std::make_unique<Handle>();
-      read(from[0], handle->system, {"system", 1});
-      if (const char * found = misfit(handle->system)) {
-        PyErr_Format(PyExc_ValueError, "system: arrays that do not fit together: %s", found);
-        throw PythonError();
-      }
-      handle->system.interrupted = is_interrupted;
-      Owned capsule(
-        PyCapsule_New(
-          handle.get(), capsule_name<System>, [](PyObject * object) {
-            const std::unique_ptr<Handle> owned(
-              static_cast<Handle *>(PyCapsule_GetPointer(object, capsule_name<System>)));
-            Py_DecRef(owned->owner);
-          }));
-      handle->owner = from[0];
-      Py_IncRef(from[0]);
-      handle.release();
-      return capsule.release();
-    });
-}
-
 PyObject * call_bound(PyObject * capsule, PyObject * const * from, Py_ssize_t count)
 {
   return guarded(
@@ -467,17 +515,18 @@ PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
     });
 }
 
-PyMethodDef methods[2 + std::size(entries)] = {
-  {"system", as_method(make_system), METH_FASTCALL,
-    "system(fields): a System whose arrays the engine works on; they are kept"},
+PyMethodDef methods[1 + std::size(entries)] = {
   {"bind", as_method(bind), METH_FASTCALL,
     "bind(name, *arguments): a function of the arguments left; these are read once and kept"},
 };
 
 int fill_module(PyObject * module)
 {
+  if (memory_type == nullptr && (memory_type = make_memory_type()) == nullptr) {
+    return -1;
+  }
   for (std::size_t n = 0; n < std::size(entries); ++n) {
-    methods[2 + n] = {
+    methods[1 + n] = {
       entries[n].name, as_method(entries[n].call), METH_FASTCALL, entries[n].doc};
   }
   for (PyMethodDef & method : methods) {

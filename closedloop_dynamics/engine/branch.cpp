@@ -48,14 +48,14 @@ constexpr Index ROOM = 1024;
 /// Whether the nearest branch is certain to be that of a state with such a closure error.
 bool is_certain(const System & system, double error, double pivot)
 {
-  return error <= CERTAIN * pivot * system.settings[setting::SIZE];
+  return error <= CERTAIN * pivot * system.settings->size;
 }
 
 /// Bring a state onto the branch next to it by loops over bodies, in place; return whether it is
 /// there.
 bool return_to_branch(const System & system, Values q, Values qd, double pivot)
 {
-  const double size = system.settings[setting::SIZE];
+  const double size = system.settings->size;
   for (int count = 0; ; ++count) {
     outward(system.model, q, qd, system.work);
     // The pivots of the geometry count, not those of the state.
@@ -217,7 +217,7 @@ bool accelerate_on_branch(
   const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
   const Index numbers = q.size + qd.size + bodies * size;
   const bool by_loops = system.table[routine::LOOP_EQUATIONS] == 0;
-  if (!(system.settings[setting::BAUMGARTE_GAIN] == 0.0 && system.lam.size < qd.size &&
+  if (!(system.settings->baumgarte_gain == 0.0 && system.lam.size < qd.size &&
     numbers <= ROOM && (singular || (!by_loops && system.lam.size <= FEW_EQUATIONS))))
   {
     return false;

@@ -5,7 +5,7 @@
 #define CLOSEDLOOP_DYNAMICS__ENGINE__BRANCH_HPP_
 
 #include "evaluation.hpp"
-#include "system.hpp"
+#include "data.hpp"
 
 // Accelerations beside a singular position, where the closure equations that the elimination works on
 // are still independent.

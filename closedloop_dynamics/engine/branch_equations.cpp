@@ -261,7 +261,7 @@ void BranchEquations::solve_transposed(const Component & part, Values force, Val
 
 bool BranchEquations::settle(const Component & part, Values q, Values rates)
 {
-  const double size = system.settings[setting::SIZE];
+  const double size = system.settings->size;
   double before = 0.0;
   for (Index count = 0; ; ++count) {
     double error = 0.0;

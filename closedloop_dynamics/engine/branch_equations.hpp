@@ -8,7 +8,7 @@
 
 #include "columns.hpp"
 #include "scratch.hpp"
-#include "system.hpp"
+#include "data.hpp"
 
 // The closure equations at places on a branch of positions, solved for the coordinates that they
 // decide best.

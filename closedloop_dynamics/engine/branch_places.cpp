@@ -98,7 +98,7 @@ private:
       longest = std::max(longest, 1.0 / equations_.column_scale[j]);
     }
     // As if the longest lever turned.
-    const double aside = system_.settings[setting::ASIDE];
+    const double aside = system_.settings->aside;
     step_ = SLOPED_ASIDE * aside * longest / fastest;
     if (!(step_ < SLOPED_ASIDE * RESTING * aside)) {
       return false;

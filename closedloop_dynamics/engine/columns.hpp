@@ -47,7 +47,7 @@ enum : Index
 };
 }
 
-/// Workspace.kernel and Workspace.cut_kernel: addresses of the code generated for each joint type.
+/// Model.kernel and Model.cut_kernel: addresses of the code generated for each joint type.
 namespace kernel
 {
 enum : Index
@@ -67,7 +67,7 @@ enum : Index {SQUARE, STAND_IN, TOTAL};
 /// Model.cut, a row for each cut joint.
 namespace cut
 {
-enum : Index
+enum Column : Index
 {
   TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END, NUMBER, KEPT,
   POSSIBLE, LENGTHS
@@ -88,10 +88,9 @@ enum : Index
 };
 }
 
-/// System.settings.
+/// How accelerations are found.
 namespace setting
 {
-enum : Index {FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE, OPENING};
 enum Formulation : Index {SUBSYSTEM, SYSTEM, AUGMENTED};
 }
 

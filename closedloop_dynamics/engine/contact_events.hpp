@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__CONTACT_EVENTS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__CONTACT_EVENTS_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // The instants at which bodies begin to touch and part.
 //

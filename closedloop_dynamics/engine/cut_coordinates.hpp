@@ -6,7 +6,7 @@
 
 #include "effect_table.hpp"
 #include "forces.hpp"
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Coordinates of cut joints: the angle of body A in body B about an axis, or how far the point of
 // A is from that of B along it. Laws see them behind those of the tree. `index` and `values` are

@@ -6,7 +6,7 @@
 
 #include <utility>
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Kinematics of a mechanism whose degrees of freedom are all driven: positions, rates and
 // accelerations that the driving equations and the closure equations determine.

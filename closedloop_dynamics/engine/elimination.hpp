@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ELIMINATION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ELIMINATION_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // The sparse constraint matrix J I^-1 J^T and its factors L D L^T, in elimination order.
 

@@ -6,7 +6,7 @@
 
 #include <cmath>
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Where the energy of a run is, where it went, and where it came from.
 

@@ -69,13 +69,13 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   const AllEquations & all = system.whole;
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
-  const Values & settings = system.settings;
+  const Settings & settings = *system.settings;
   const double before = work.health[health::SINGULAR_COUNT];
   outward(model, q, qd, work);
   apply_listed(system, q, qd);
   accelerate_rank_revealing(
-    model, work, system.model.equations(), system.applied, settings[setting::BAUMGARTE_GAIN],
-    settings[setting::ASIDE], system.manifold, q, qd, system.qdd,
+    model, work, system.model.equations(), system.applied, settings.baumgarte_gain,
+    settings.aside, system.manifold, q, qd, system.qdd,
     all.empty() ? system.lam : all.lam);
   if (work.health[health::SINGULAR_COUNT] > before && system.passage[0] == 0.0) {
     system.passage[0] = std::numeric_limits<double>::min();
@@ -105,14 +105,14 @@ void accelerate_near_singular(const System & system, Values q, Values qd, Wanted
 /// their factors are in the workspace.
 Factors accelerate_by_loops(const System & system, Values q, Values qd)
 {
-  const Values & settings = system.settings;
-  const double gain = settings[setting::BAUMGARTE_GAIN];
+  const Settings & settings = *system.settings;
+  const double gain = settings.baumgarte_gain;
   move_bodies(system, q, qd);
   const bool is_dense = system.dense.gim.data != nullptr && system.dense.gim.rows > 0;
   const bool good = is_dense ?
     accelerate_dense(
     system.model, system.work, system.dense,
-    static_cast<Index>(settings[setting::FORMULATION]), system.applied, gain, system.qdd,
+    settings.formulation, system.applied, gain, system.qdd,
     system.lam) :
     accelerate(system.model, system.work, system.applied, gain, system.qdd, system.lam);
   if (good) {
@@ -151,7 +151,7 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd, W
     move_bodies(system, q, qd);
     if (accelerate_refined(
         system.model, system.work, system.applied,
-        system.settings[setting::BAUMGARTE_GAIN], system.qdd, system.lam))
+        system.settings->baumgarte_gain, system.qdd, system.lam))
     {
       restore_forces(system, q, qd);
       return;
@@ -412,7 +412,7 @@ static void derivative_for(const System & system, Values state, Values out, Want
   if (system.is_independent()) {
     close_by_dependent(
       system.model, system.work, system.partition, system.manifold, system.q(state),
-      system.qd(state), system.settings[setting::CLOSURE_TOLERANCE], false);
+      system.qd(state), system.settings->closure_tolerance, false);
   }
   evaluate_for(system, state, wanted);
   rates_of_coordinates(system.manifold, state, system.nv(), out);

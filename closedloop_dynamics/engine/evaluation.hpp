@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__EVALUATION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__EVALUATION_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // One evaluation of a system: its accelerations, multipliers, and the rates of effects' states.
 

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__FORMULATIONS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__FORMULATIONS_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // The system-level and the augmented formulation, by dense matrices: for comparison.
 

@@ -59,7 +59,7 @@ void load_torques(const Model & model, const Workspace & work, Values tau)
     share[0] = work.torque[tree(i, tree::DOF)];
     share[1] = 0.0;
     call_joint_kernel(
-      work.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), body.row(i), body.row(i),
+      model.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), body.row(i), body.row(i),
       arrived.row(i), share.data);
     body(i, work::RHS) = share[0];
     for (Index n = 0; n < 6; ++n) {

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__FORWARD_DYNAMICS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__FORWARD_DYNAMICS_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // The subsystem-level forward dynamics by loops over bodies (doc/theory.md).
 

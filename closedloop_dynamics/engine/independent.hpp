@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__INDEPENDENT_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__INDEPENDENT_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Independent coordinates: the dependent ones follow from the loop closures by Newton's method.
 

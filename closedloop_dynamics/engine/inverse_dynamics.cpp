@@ -313,7 +313,7 @@ bool find_torques(
       to_user_order(model, errors, bias);
       return largest(bias.part(0, loops)) <= limit;
     };
-  const double limit = system.settings[setting::CLOSURE_LIMIT];
+  const double limit = system.settings->closure_limit;
   if (!within(work.closure, limit) || !within(work.closure_rate, limit * rate_scale(qd))) {
     return false;
   }

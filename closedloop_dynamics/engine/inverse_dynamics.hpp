@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__INVERSE_DYNAMICS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__INVERSE_DYNAMICS_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 namespace closedloop
 {

@@ -66,10 +66,9 @@ double cut_load(
   const EffectTable & table, const Model & model, const Workspace & work, Values lam, Index k)
 {
   const CutCoordinates & cuts = table.cuts;
-  const Indexes & cut = model.cut;
   const Index a = cuts.index(k, cut_coordinate::CUT);
   const double * share = work.share.data;
-  wrenches_of_cut(cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
+  wrenches_of_cut(model, work.body, lam, work.share, a);
   const bool planar = cuts.index(k, cut_coordinate::IN_PLANE) == 1;
   Vector3 force = planar ? Vector3{share[FORCE_X], share[FORCE_Y], 0.0} : vector3(share + 3);
   if (cuts.index(k, cut_coordinate::ACROSS) == 0) {

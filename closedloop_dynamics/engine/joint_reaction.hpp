@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Reactions in joints, for effects that depend on them: friction. Each follows its reaction with a
 // lag, in a state of its own.

@@ -95,7 +95,7 @@ void fill_terms(
     if (k < count && !carries(model.cut, lam, a)) {
       next = std::fill_n(next, planar ? 4 : 9, 0.0);
     } else if (k < count) {
-      wrenches_of_cut(model.cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
+      wrenches_of_cut(model, work.body, lam, work.share, a);
       next = terms_of_wrench(work.share.data, planar, arms[k], unit, next);
     } else {
       for (Index n = first; n < first + model.cut(a, cut::ROWS); ++n) {
@@ -164,7 +164,7 @@ void minimise_joint_wrenches(
   }
   const Index count = (work.planar() ? 4 : 9) * joints.body.rows + nc;
   const Index rows = work.force.rows, columns = work.force.columns;
-  const double length = system.settings[setting::SIZE];
+  const double length = system.settings->size;
   Scratch<double, NUMBERS> scratch(idle * (count + idle + 1 + rows * columns) + count);
   const Table response = scratch.take(idle, count), normal = scratch.take(idle, idle);
   const Table felt = scratch.take(idle, rows * columns);

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Forces in the joints where closure equations are redundant. These forces are not unique: the
 // least ones of all joints together, of the tree and cut ones alike, are chosen,

@@ -14,7 +14,7 @@ namespace closedloop
 
 namespace
 {
-// Columns of AllEquations.numbers (integration/left_out.py).
+// Columns of AllEquations.numbers (integration/system.py).
 enum : Index {PIVOT, KINETIC, LENIENT, OPENED};
 // Of LENIENT: a part of a step that is well must not end it, or the step would be repeated for ever.
 constexpr double STAYS = 2.0;
@@ -40,20 +40,21 @@ bool equations_suffice(const System & system, Stabilisation stabilisation, Value
   if (all.empty() || stabilisation < Stabilisation::PROJECTION) {
     return true;
   }
-  const Values q = system.q(state), qd = system.qd(state), & settings = system.settings;
+  const Values q = system.q(state), qd = system.qd(state);
+  const Settings & settings = *system.settings;
   const Values & numbers = all.numbers;
   // The projection has left in `qdd` its change of the rates.
   const double discarded = stabilisation == Stabilisation::PROJECTION ?
     kinetic_energy(all, q, system.qdd) : 0.0;
   numbers[KINETIC] = std::max(numbers[KINETIC], kinetic_energy(all, q, qd));
   update(all.model, all.own, Responses::NONE);
-  const double error = largest(all.own.closure), opening = settings[setting::OPENING];
+  const double error = largest(all.own.closure), opening = settings.opening;
   const bool hold = error <= opening && largest(all.own.closure_rate) <= opening * rate_scale(qd);
   const bool strict = hold && discarded <= DISCARDED * numbers[KINETIC];
   const double pivot = system.work.health[health::SMALLEST_PIVOT];
   const bool worn = pivot < numbers[PIVOT];
   if ((numbers[LENIENT] == 0.0 && (worn || !strict)) ||
-    !(error <= settings[setting::CLOSURE_LIMIT]))
+    !(error <= settings.closure_limit))
   {
     numbers[OPENED] = hold ? 0.0 : 1.0;
     return false;

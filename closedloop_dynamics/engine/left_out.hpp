@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LEFT_OUT_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LEFT_OUT_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Whether the kept closure equations imply all, where redundant ones are omitted. Which equations
 // are redundant changes with the position: kept ones may come to depend on one another, and

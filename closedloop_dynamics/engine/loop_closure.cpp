@@ -19,7 +19,7 @@ static void carry(
   for (Index entry = first; entry < last; ++entry) {
     const Index i = model.path_body[entry];
     call_joint_kernel(
-      work.kernel(i, which), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
+      model.kernel(i, which), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
       work.share.data);
     work.response(entry, row) = work.share[0];
     work.response_scaled(entry, row) = work.share[1];
@@ -53,7 +53,7 @@ static void respond_in_joints(
     share[1] = 0.0;
     if (which == kernel::REDUCE) {
       call_joint_kernel(
-        work.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
+        model.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
         work.body.row(i), arrived.row(i), share.data);
       for (Index n = 0; n < 6; ++n) {
         arrived(p, n) += arrived(i, n);
@@ -96,7 +96,7 @@ static void respond_in_both(const Model & model, const Workspace & work, Index w
     share[1] = 0.0;
     const bool reduces = which == kernel::REDUCE;
     call_joint_kernel(
-      work.kernel(i, reduces ? static_cast<Index>(kernel::REDUCE_COUPLED) : which),
+      model.kernel(i, reduces ? static_cast<Index>(kernel::REDUCE_COUPLED) : which),
       model.body.row(i), work.body.row(i), work.body.row(i), arrived.row(i), share.data);
     if (!reduces) {
       share[0] += factor;
@@ -219,7 +219,7 @@ void measure(const Model & model, const Workspace & work, Index a)
     point(a, last + 2) = 0.0;
   }
   call_joint_kernel(
-    work.cut_kernel(a, kernel::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
+    model.cut_kernel(a, kernel::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
     work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
   if (cut(a, cut::KEPT) != cut(a, cut::POSSIBLE)) {
     move_kept_to_front(

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LOOP_CLOSURE_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LOOP_CLOSURE_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Cut joints: closure error, its rates, and the response of the trees to unit cut forces.
 

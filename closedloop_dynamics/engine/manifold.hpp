@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__MANIFOLD_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__MANIFOLD_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Coordinates of which some are quaternions. With `lanes` greater than 1 so many states are stored
 // side by side: number k of lane n is at k * lanes + n. Where a mechanism has no quaternions its

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__MANIFOLD_DERIVATIVES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__MANIFOLD_DERIVATIVES_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Derivatives of the functions of manifold.hpp, each number of a quaternion changed alone: forward,
 // changes of results; in reverse, weights of arguments from weights of results. Shapes

@@ -4,134 +4,111 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__MODEL_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__MODEL_HPP_
 
+#include <bitset>
+
 #include "array.hpp"
 #include "columns.hpp"
-
-// Data of the kernels: the constant Model and the mutable Workspace. The fields are those of the
-// named tuples of the same names in Python, in the same order; `fields` names them for
-// bindings.cpp.
 
 namespace closedloop
 {
 
-/// Constant description of one mechanism (core/types.py).
+/// How many equations of a cut joint are marked by bits.
+inline Index count_equations(Index bits)
+{
+  return static_cast<Index>(std::bitset<6>(static_cast<unsigned long long>(bits)).count());  // NOLINT: of bitset
+}
+
+/// Constant description of one mechanism. Per body there is one row, so that what belongs to one
+/// body lies in one piece of memory; row 0 is the ground: recursions need no special case for it.
+/// Bodies are numbered so that a parent comes before its children, subsystem by subsystem;
+/// coordinates, rates, torques and multipliers of the interface keep the user's order. Columns are
+/// those of core/types.py.
 struct Model
 {
-  Indexes tree;
-  Table body;
-  Values gravity;
-  Indexes cut;
-  Table cut_point;
-  Indices path_body;
-  Indexes pair;
-  Indexes block;
-  Indices column;
-  Indices row;
-  Indexes entry;
-  Indices dependency;
-  Indexes dependency_place;
+  /// Shape (nb + 1, 7): topology.
+  Array<Indexes> tree;
+  /// Shape (nb + 1, 8 or 28): constants, which effects change.
+  Array<Table> body;
+  /// Shape (2,), in space (3,): [m/s^2].
+  Array<Values> gravity;
+  /// Of each cut joint: topology, and which of its equations the elimination works on.
+  Array<Indexes> cut;
+  /// Of each cut joint: constants.
+  Array<Table> cut_point;
+  /// The body of every path entry: a place on the path of a cut force.
+  Array<Indices> path_body;
+  /// Off-diagonal blocks of the constraint matrix: (path entry of the later cut, that of the
+  /// earlier) that share a body, with the rows of both cuts packed in `block`.
+  Array<Indexes> pair;
+  /// Of each block below the diagonal: (later cut, earlier cut, first pair, last pair + 1).
+  Array<Indexes> block;
+  /// First entry of each column of the factor L, which includes its diagonal; shape (nc + 1,).
+  Array<Indices> column;
+  /// Row of each entry of L, in elimination order.
+  Array<Indices> row;
+  /// Of each block: place in L of its first entry, for each of the earlier cut's columns.
+  Array<Indexes> entry;
+  /// First entry in `dependency_place` of each row; shape (nc + 1,).
+  Array<Indices> dependency;
+  /// (earlier column k, place of the row in column k), left of each diagonal.
+  Array<Indexes> dependency_place;
+  /// Addresses of the code for the joint of each body, and for each cut joint, which models of one
+  /// mechanism share.
+  Array<Indexes> kernel;
+  Array<Indexes> cut_kernel;
+
+  Model() = default;
+  /// Copy the first six; all else follows from them. Throws std::invalid_argument.
+  Model(
+    Matrix<const Index> tree, Matrix<const double> body, Vector<const double> gravity,
+    Matrix<const Index> cut, Matrix<const double> cut_point, Vector<const Index> path_body);
+  /// Of the same memory, but for the equations that are worked on; throws std::invalid_argument.
+  Model(const Model & like, Matrix<const Index> cut);
 
   Index joints() const {return tree.rows - 1;}
   Index equations() const {return column.size - 1;}
-
-  template<class Visitor>
-  void fields(Visitor && visit)
-  {
-    visit(tree, body, gravity, cut, cut_point, path_body, pair, block, column, row, entry,
-      dependency, dependency_place);
-  }
-};
-
-/// Results and scratch of one evaluation (core/types.py).
-struct Workspace
-{
-  Table body;
-  Table response;
-  Table response_scaled;
-  Values factor;
-  Values scale;
-  Table lever;
-  Table joint;
-  Values change;
-  Values pivot_inverse;
-  Values right;
-  Values scatter;
-  Values closure;
-  Values closure_rate;
-  Values bias;
-  Values equation;
-  Table wrench;
-  Values share;
-  Values torque;
-  Table force;
-  Indexes kernel;
-  Indexes cut_kernel;
-  Values health;
-
-  bool planar() const {return wrench.columns == 3;}
+  /// Length of the coordinates.
+  Index coordinates() const;
+  bool planar() const {return gravity.size == 2;}
   /// Components of a wrench: 3 in the plane, 6 in space.
-  Index size() const {return wrench.columns;}
-  /// First column of the bodies' bias forces.
-  Index first_force() const
+  Index size() const {return planar() ? 3 : 6;}
+  /// Whether the loops over bodies have their code.
+  bool is_connected() const
   {
-    return planar() ? static_cast<Index>(plane::FZ) : static_cast<Index>(space::FORCE);
+    return joints() == 0 || kernel(joints(), kernel::MOVE) != 0;
   }
 
-  template<class Visitor>
-  void fields(Visitor && visit)
-  {
-    visit(body, response, response_scaled, factor, scale, lever, joint, change, pivot_inverse,
-      right, scatter, closure, closure_rate, bias, equation, wrench, share, torque, force, kernel,
-      cut_kernel, health);
-  }
+  CLOSEDLOOP_ARRAYS(
+    tree, body, gravity, cut, cut_point, path_body, pair, block, column, row, entry, dependency,
+    dependency_place, kernel, cut_kernel)
+
+private:
+  void find_blocks();
+  void find_factor();
 };
 
-/// Places of quaternions among the coordinates (core/manifold.py); empty without any.
+/// Places of quaternions among the coordinates; empty without any. A quaternion x, y, z, w turns
+/// the joint's frame into the child's; its rates are the angular velocity about the child's axes.
 struct Manifold
 {
-  Indexes balls;
-  Indices place;
-  Values number;
+  /// First coordinate and first rate of each.
+  Array<Indexes> balls;
+  /// Coordinate of each rate; less than 0 for those of rotations.
+  Array<Indices> place;
+  /// Scratch: the coordinate of each rate, 0 for those of rotations.
+  Array<Values> number;
+
+  Manifold() = default;
+  explicit Manifold(const Model &);
 
   bool empty() const {return balls.rows == 0;}
-
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(balls, place, number);}
-};
-
-/// Matrices of the dense formulations (core/formulations.py).
-struct DenseWorkspace
-{
-  Table gim;
-  Table jac;
-  Values free;
-  Values right;
-  Table schur;
-  Table kkt;
-  Indices pivots;
-  Values solution;
-
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(gim, jac, free, right, schur, kkt, pivots, solution);}
-};
-
-/// Which coordinates are independent (core/independent.py).
-struct Partition
-{
-  Indices order;
-  Table jac;
-  Table scaled;
-  Table matrix;
-  Indices pivots;
-  Values right;
-  Values change;
-  Values record;
-
-  template<class Visitor>
-  void fields(Visitor && visit)
+  /// Whether it is for coordinates and rates of such lengths.
+  bool fits(Index nq, Index nv) const
   {
-    visit(order, jac, scaled, matrix, pivots, right, change, record);
+    return nq == nv + balls.rows && (empty() || place.size == nv);
   }
+
+  CLOSEDLOOP_ARRAYS(balls, place, number)
 };
 
 }  // namespace closedloop

@@ -9,7 +9,7 @@
 #include <type_traits>
 
 #include "least_squares.hpp"
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Solution with dependent closure equations, by singular values.
 

@@ -9,6 +9,7 @@
 
 #include "arguments.hpp"
 #include "assembly.hpp"
+#include "bounds.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
@@ -54,21 +55,7 @@ inline const char * first_of(const char * one, const char * other)
 template<class Condition>
 const char * machine(const Model & model, const Workspace & work, Condition && condition)
 {
-  if (const char * found = misfit(model)) {
-    return found;
-  }
-  return first_of(misfit(work, model), unless(condition()));
-}
-
-inline bool within(Indices places, Index low, Index size)
-{
-  return std::all_of(
-    places.begin(), places.end(), [=](Index each) {return each >= low && each < size;});
-}
-
-inline bool has_shape(Table table, Index rows, Index columns)
-{
-  return table.rows == rows && table.columns == columns;
+  return unless(work.fits(model) && model.is_connected() && condition());
 }
 
 /// Whether rows are long enough to be those of Workspace.body, in the plane or in space.
@@ -99,7 +86,7 @@ inline bool is_recorded(
     scratch.rows >= stages + SCRATCH_ROWS && has_shape(tape.state, steps + 1, ns) &&
     has_shape(tape.raw, steps, ns) && tape.stage.pages == steps && tape.stage.rows == stages &&
     tape.stage.columns == ns + system.nv() + system.lam.size;
-  return good && within(tape.corrections, 0, MOST_POSITION_CORRECTIONS + 1);
+  return good && are_places(tape.corrections, 0, MOST_POSITION_CORRECTIONS + 1);
 }
 
 /// The same with routines, numbers at its instants, and changes or a gradient.
@@ -122,7 +109,7 @@ inline const char * request(const System & system, const Request & request)
 {
   return unless(
     request.state.size >= system.ns() && request.own.size == system.effects.states.size &&
-    within(request.actuated, -1, system.tau.size) &&
+    are_places(request.actuated, -1, system.tau.size) &&
     request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
     (request.lam.size == 0 || request.lam.size == system.whole.lam.size));
 }
@@ -140,7 +127,7 @@ template<>
 inline constexpr auto precondition<outward> =
   [](const Model & model, Values q, Values qd, const Workspace & work) {
     return expected::machine(model, work, [&] {
-          return q.size >= coordinates_of(model) && qd.size >= model.joints();});
+          return q.size >= model.coordinates() && qd.size >= model.joints();});
   };
 
 template<>
@@ -158,7 +145,7 @@ inline constexpr auto precondition<update> =
 template<>
 inline constexpr auto precondition<assemble> =
   [](const Model & model, const Workspace & work) {
-    return expected::machine(model, work, [&] {return misfit_of_pattern(model) == nullptr;});
+    return expected::machine(model, work, [] {return true;});
   };
 
 template<>
@@ -172,35 +159,23 @@ template<>
 inline constexpr auto precondition<constraint_jacobian> =
   [](const Model & model, const Workspace & work, Table jac) {
     return expected::machine(model, work, [&] {
-          return expected::has_shape(jac, model.equations(), model.joints());});
+          return has_shape(jac, model.equations(), model.joints());});
   };
 
 template<>
 inline constexpr auto precondition<generalized_inertia_matrix> =
   [](const Model & model, const Workspace & work, Table gim) {
     return expected::machine(model, work, [&] {
-          return expected::has_shape(gim, model.joints(), model.joints());});
+          return has_shape(gim, model.joints(), model.joints());});
   };
 
 template<>
 inline constexpr auto precondition<cut_wrenches> =
-  [](Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
-    Table out) {
-    const bool planar = share.size == 9;
-    const Index least = planar ? static_cast<Index>(plane::CUT_POINT_COLUMNS) :
-      static_cast<Index>(space::CUT_POINT_COLUMNS);
-    bool good = cut.columns == cut::LENGTHS + 1 && cut_point.rows == cut.rows &&
-      (cut.rows == 0 || cut_point.columns >= least) && cut_kernel.rows == cut.rows &&
-      cut_kernel.columns == 2 && (planar || share.size == 18) &&
-      expected::are_bodies(body, planar) && expected::has_shape(out, cut.rows, planar ? 3 : 6);
-    for (Index a = 0; good && a < cut.rows; ++a) {
-      const Index first = cut(a, cut::CUT_ROW), rows = cut(a, cut::ROWS);
-      good = first >= 0 && rows >= 0 && rows <= lam.size && first <= lam.size - rows &&
-        cut(a, cut::NUMBER) >= 0 && cut(a, cut::NUMBER) < cut.rows &&
-        cut(a, cut::BODY_A) >= 0 && cut(a, cut::BODY_A) < body.rows &&
-        cut(a, cut::BODY_B) >= 0 && cut(a, cut::BODY_B) < body.rows;
-    }
-    return expected::unless(good);
+  [](const Model & model, Table body, Values lam, Values share, Table out) {
+    return expected::unless(
+      model.is_connected() && body.rows == model.tree.rows &&
+      expected::are_bodies(body, model.planar()) && lam.size >= model.equations() &&
+      share.size >= 3 * model.size() && has_shape(out, model.cut.rows, model.size()));
   };
 
 template<>
@@ -216,7 +191,7 @@ inline constexpr auto precondition<joint_wrenches> =
   [](const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench) {
     return expected::machine(model, work, [&] {
           return qdd.size >= model.joints() && lam.size >= model.equations() &&
-                 expected::has_shape(wrench, model.tree.rows, 2 * work.size());});
+                 has_shape(wrench, model.tree.rows, 2 * work.size());});
   };
 
 template<>
@@ -229,9 +204,8 @@ inline constexpr auto precondition<tree_torque> =
 template<>
 inline constexpr auto precondition<to_user_order> =
   [](const Model & model, Values ordered, Values out) {
-    return expected::first_of(
-      misfit(model), expected::unless(
-        ordered.size >= model.equations() && out.size >= model.equations()));
+    return expected::unless(
+      ordered.size >= model.equations() && out.size >= model.equations());
   };
 
 template<>
@@ -239,8 +213,7 @@ inline constexpr auto precondition<forward_dynamics> =
   [](const Model & model, const Workspace & work, Values q, Values qd, Values tau, Values qdd,
     Values lam) {
     return expected::machine(model, work, [&] {
-          return misfit_of_pattern(model) == nullptr &&
-                 q.size >= coordinates_of(model) && qd.size >= model.joints() &&
+          return q.size >= model.coordinates() && qd.size >= model.joints() &&
                  tau.size >= model.joints() && qdd.size >= model.joints() &&
                  lam.size >= model.equations();});
   };
@@ -250,7 +223,7 @@ inline constexpr auto precondition<fill_quaternions> =
   [](Cube<double> matrices, Table out) {
     return expected::unless(
       matrices.rows == 3 && matrices.columns == 3 &&
-      expected::has_shape(out, matrices.pages, 4));
+      has_shape(out, matrices.pages, 4));
   };
 
 template<>
@@ -261,7 +234,7 @@ inline constexpr auto precondition<rates_of_coordinates> =
     }
     const Index nq = nv + manifold.balls.rows;
     return expected::first_of(
-      misfit(manifold, nq, nv), expected::unless(
+      expected::unless(manifold.fits(nq, nv)), expected::unless(
         state.size / lanes >= nq + nv && out.size / lanes >= nq));
   };
 
@@ -295,7 +268,7 @@ inline constexpr auto precondition<load_joints> =
         const Index nv = system.nv(), bodies = system.model.tree.rows;
         return model.joints() == nv && qd.size == nv && qdd.size == nv &&
                work.size() == system.work.size() && lam.size == model.equations() &&
-               expected::has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
+               has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
                has_cuts(system.effects.cuts, model.cut.rows);
       });
   };
@@ -305,7 +278,7 @@ inline constexpr auto precondition<measure_cut_coordinates> =
   [](Indexes index, Table values, Table body, Values states, Index first, Values position,
     Values velocity) {
     using namespace cut_coordinate;  // NOLINT: columns of one table
-    bool good = index.columns == ACROSS + 1 && expected::has_shape(values, index.rows, ZERO + 1) &&
+    bool good = index.columns == ACROSS + 1 && has_shape(values, index.rows, ZERO + 1) &&
       first >= 0 && first <= std::min(position.size, velocity.size) - index.rows;
     for (Index k = 0; good && k < index.rows; ++k) {
       good = index(k, ROW_A) >= 0 && index(k, ROW_A) < body.rows && index(k, ROW_B) >= 0 &&
@@ -342,8 +315,8 @@ inline constexpr auto precondition<minimise_in_box> =
     const Index most = sticking.rows.size - 1;
     return expected::unless(
       count >= 0 && count <= most && count <= out.size &&
-      expected::has_shape(sticking.matrix, most, most) &&
-      expected::has_shape(sticking.factor, most, most) && sticking.right.size == most &&
+      has_shape(sticking.matrix, most, most) &&
+      has_shape(sticking.factor, most, most) && sticking.right.size == most &&
       sticking.bound.size == most && sticking.move.size == most && sticking.free.size == most);
   };
 
@@ -377,12 +350,12 @@ inline constexpr auto precondition<annotate> =
       expected::lasts(torque, instants, zero_order_hold, decimation);
     if (good && count > 0) {
       good = system.work.planar() && count == instants && buffer.qdd.columns == system.nv() &&
-        expected::has_shape(buffer.lam, instants, system.lam.size) &&
-        expected::has_shape(buffer.scalars, instants, 3) && buffer.output.pages == instants &&
+        has_shape(buffer.lam, instants, system.lam.size) &&
+        has_shape(buffer.scalars, instants, 3) && buffer.output.pages == instants &&
         buffer.output.rows == system.effects.count() && buffer.output.columns == 2 &&
         buffer.wrench.pages == instants && buffer.wrench.rows == cuts &&
-        buffer.wrench.columns == 3 && expected::within(buffer.body, 0, system.model.tree.rows) &&
-        expected::has_shape(buffer.point, points, 2) && buffer.place.pages == instants &&
+        buffer.wrench.columns == 3 && are_places(buffer.body, 0, system.model.tree.rows) &&
+        has_shape(buffer.point, points, 2) && buffer.place.pages == instants &&
         buffer.place.rows == points && buffer.place.columns == 2;
     }
     return expected::unless(good);
@@ -396,9 +369,9 @@ inline constexpr auto precondition<fill_joint_forces> =
     return expected::unless(
       state.columns == system.ns() && torque.columns == system.tau.size &&
       expected::lasts(torque, instants, zero_order_hold, decimation) &&
-      expected::has_shape(qdd, instants, system.nv()) &&
-      expected::has_shape(lam, instants, system.lam.size) &&
-      expected::has_shape(scratch, system.model.tree.rows, 2 * size) && out.pages == instants &&
+      has_shape(qdd, instants, system.nv()) &&
+      has_shape(lam, instants, system.lam.size) &&
+      has_shape(scratch, system.model.tree.rows, 2 * size) && out.pages == instants &&
       out.rows == system.nv() && out.columns == size);
   };
 
@@ -420,7 +393,7 @@ inline constexpr auto precondition<evaluate_request> =
 template<>
 inline constexpr auto precondition<spread_torques> =
   [](Indices actuated, Values tau) {
-    return expected::unless(expected::within(actuated, -1, tau.size), expected::places);
+    return expected::unless(are_places(actuated, -1, tau.size), expected::places);
   };
 
 template<>
@@ -441,7 +414,7 @@ inline constexpr auto precondition<call_for_columns> =
   [](Indices table, Values, Values, Table columns, Table results) {
     return expected::first_of(
       expected::unless(table.size > 1 && table[0] != 0 && table[1] != 0, expected::places),
-      expected::unless(expected::has_shape(results, columns.rows, columns.columns)));
+      expected::unless(has_shape(results, columns.rows, columns.columns)));
   };
 
 template<>
@@ -451,8 +424,8 @@ inline constexpr auto precondition<find_torques> =
     const Index nc = (system.whole.empty() ? system.model : system.whole.model).equations();
     return expected::unless(
       loops >= 0 && loops <= nc && actuated.size + passive.size == system.nv() &&
-      expected::within(actuated, 0, system.nv()) &&
-      expected::within(passive, 0, system.nv()) && own.size == system.effects.states.size &&
+      are_places(actuated, 0, system.nv()) &&
+      are_places(passive, 0, system.nv()) && own.size == system.effects.states.size &&
       out.size == actuated.size + nc);
   };
 
@@ -468,7 +441,7 @@ inline constexpr auto precondition<place_points> =
     return expected::unless(
       (point.columns == 2 || point.columns == 3) && row.size <= point.rows &&
       out.rows >= row.size && out.columns == point.columns &&
-      expected::are_bodies(body, point.columns == 2) && expected::within(row, 0, body.rows));
+      expected::are_bodies(body, point.columns == 2) && are_places(row, 0, body.rows));
   };
 
 template<>
@@ -478,10 +451,10 @@ inline constexpr auto precondition<find_joint_forces> =
     const Index size = system.work.size(), bodies = system.model.tree.rows;
     const Index all = system.whole.empty() ? system.lam.size : system.whole.lam.size;
     return expected::unless(
-      lam.size == all && expected::within(row, 0, bodies) &&
-      expected::has_shape(point, row.size, 3) &&
-      expected::has_shape(scratch, bodies, 2 * size) &&
-      expected::has_shape(out, row.size, size));
+      lam.size == all && are_places(row, 0, bodies) &&
+      has_shape(point, row.size, 3) &&
+      has_shape(scratch, bodies, 2 * size) &&
+      has_shape(out, row.size, size));
   };
 
 template<>
@@ -491,11 +464,11 @@ inline constexpr auto precondition<close_loops> =
     const char * found = expected::machine(
       model, work, [&] {
         const Index nv = model.joints();
-        return expected::has_shape(jac, model.equations(), nv) &&
-               expected::has_shape(gim, nv, nv) && q.size == coordinates_of(model) &&
-               expected::within(free, 0, nv);
+        return has_shape(jac, model.equations(), nv) &&
+               has_shape(gim, nv, nv) && q.size == model.coordinates() &&
+               are_places(free, 0, nv);
       });
-    return found != nullptr ? found : misfit(manifold, q.size, model.joints());
+    return found != nullptr ? found : expected::unless(manifold.fits(q.size, model.joints()));
   };
 
 }  // namespace closedloop

@@ -92,14 +92,15 @@ bool kept_serve(const System & system, Values q, Values qd)
 bool project(const System & system, Values q, Values qd, bool positions)
 {
   const Workspace & work = system.work;
-  const Values & out = system.qdd, & settings = system.settings;
+  const Values & out = system.qdd;
+  const Settings & settings = *system.settings;
   int corrections = 0;
   Corrector corrector = factor_configuration(system, q, qd);
   double error = largest(work.closure);
   const bool kept = corrector != Corrector::RANK || kept_serve(system, q, qd);
   // Near a singular configuration a small closure error is a large one of the state.
   while (positions && corrections < MOST_POSITION_CORRECTIONS &&
-    error > settings[setting::CLOSURE_TOLERANCE] * (corrector == Corrector::RANK ? SHARPER : 1.0))
+    error > settings.closure_tolerance * (corrector == Corrector::RANK ? SHARPER : 1.0))
   {
     correction(system, corrector, kept, Level::POSITION, q, qd);
     move(system.manifold, q, out, 1.0);
@@ -117,7 +118,7 @@ bool project(const System & system, Values q, Values qd, bool positions)
   }
   work.health[health::PROJECTION_ITERATIONS] = corrections;
   work.health[health::CLOSURE] = error;
-  return !positions || error <= settings[setting::CLOSURE_LIMIT];
+  return !positions || error <= settings.closure_limit;
 }
 
 bool stabilise(
@@ -133,7 +134,7 @@ bool stabilise(
   if (stabilisation == Stabilisation::INDEPENDENT) {
     return close_by_dependent(
       system.model, system.work, system.partition, system.manifold, q, qd,
-      system.settings[setting::CLOSURE_TOLERANCE], after_step);
+      system.settings->closure_tolerance, after_step);
   }
   return project(system, q, qd, stabilisation == Stabilisation::PROJECTION);
 }

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__PROJECTION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__PROJECTION_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Corrections of a state: onto the loop closures, in the mass metric, and onto unit quaternions.
 

@@ -46,6 +46,19 @@ using traverseproc = int (*)(PyObject *, visitproc, void *);
 using inquiry = int (*)(PyObject *);
 using freefunc = void (*)(void *);
 
+struct PyType_Slot {
+  int slot;
+  void *pfunc;
+};
+
+struct PyType_Spec {
+  const char *name;
+  int basicsize;
+  int itemsize;
+  unsigned int flags;
+  PyType_Slot *slots;
+};
+
 struct PyMethodDef {
   const char *ml_name;
   PyCFunction ml_meth;
@@ -83,6 +96,8 @@ static_assert(sizeof(PyObject) == 16);
 static_assert(sizeof(Py_buffer) == 80 && offsetof(Py_buffer, format) == 40);
 static_assert(offsetof(Py_buffer, shape) == 48 && offsetof(Py_buffer, ndim) == 36);
 static_assert(sizeof(PyMethodDef) == 32 && offsetof(PyMethodDef, ml_doc) == 24);
+static_assert(sizeof(PyType_Slot) == 16);
+static_assert(sizeof(PyType_Spec) == 32 && offsetof(PyType_Spec, slots) == 24);
 static_assert(sizeof(PyModuleDef_Slot) == 16);
 static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72);
 
@@ -93,10 +108,14 @@ static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72
 #define PyBUF_WRITABLE 0x0001
 #define PyBUF_FORMAT 0x0004
 #define Py_mod_exec 2
+#define Py_bf_getbuffer 1
+#define Py_tp_dealloc 52
+#define Py_TPFLAGS_DISALLOW_INSTANTIATION (1UL << 7)
 
 inline constexpr int c_contiguous = 0x0038;  ///< PyBUF_C_CONTIGUOUS
 
 extern "C" {
+extern PyObject *PyExc_BufferError;
 extern PyObject *PyExc_MemoryError;
 extern PyObject *PyExc_RuntimeError;
 extern PyObject *PyExc_TypeError;
@@ -106,7 +125,10 @@ extern PyObject _Py_NoneStruct;
 PyObject *PyBool_FromLong(long);
 void PyBuffer_Release(Py_buffer *);
 void *PyCapsule_GetPointer(PyObject *, const char *);
+int PyCapsule_IsValid(PyObject *, const char *);
 PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
+PyObject *PyDict_New();
+int PyDict_SetItemString(PyObject *, const char *, PyObject *);
 PyObject *PyCMethod_New(PyMethodDef *, PyObject *, PyObject *, PyTypeObject *);
 PyObject *PyDict_New();
 int PyDict_SetItemString(PyObject *, const char *, PyObject *);
@@ -127,8 +149,12 @@ int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
 int PyModule_AddStringConstant(PyObject *, const char *, const char *);
 PyObject *PyModuleDef_Init(PyModuleDef *);
 int PyObject_CheckBuffer(PyObject *);
+void PyObject_Free(void *);
+PyObject *PyObject_GetAttrString(PyObject *, const char *);
 int PyObject_GetBuffer(PyObject *, Py_buffer *, int);
 int PyObject_IsTrue(PyObject *);
+PyObject *PyType_FromSpec(PyType_Spec *);
+PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);
 PyObject *PyTuple_GetItem(PyObject *, Py_ssize_t);
 PyObject *PyTuple_Pack(Py_ssize_t, ...);
 Py_ssize_t PyTuple_Size(PyObject *);

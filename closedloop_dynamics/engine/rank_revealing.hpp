@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__RANK_REVEALING_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__RANK_REVEALING_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Accelerations and corrections where closure equations depend on one another: next to singular
 // positions, and where loops are redundant.

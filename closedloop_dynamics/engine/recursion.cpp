@@ -22,7 +22,7 @@ void outward(const Model & model, Values q, Values qd, const Workspace & work)
   }
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.kernel(i, kernel::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      model.kernel(i, kernel::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       q.data + tree(i, tree::COORDINATE), qd.data + tree(i, tree::DOF));
   }
 }
@@ -65,7 +65,7 @@ void inward(const Model & model, Values tau, const Workspace & work, bool massle
   const Index which = massless ? kernel::ELIMINATE_MASSLESS : kernel::ELIMINATE;
   for (Index i = tree.rows - 1; i > 0; --i) {
     call_joint_kernel(
-      work.kernel(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      model.kernel(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
       work.torque.data + tree(i, tree::DOF), work.torque.data);
   }
 }
@@ -76,7 +76,7 @@ void outward_acceleration(const Model & model, const Workspace & work, Values qd
   const Table & body = work.body;
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.kernel(i, kernel::ACCELERATE), model.body.row(i), body.row(i),
+      model.kernel(i, kernel::ACCELERATE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), qdd.data + tree(i, tree::DOF), qdd.data);
   }
   turn_spherical(tree, body, qdd.data, false);
@@ -90,7 +90,7 @@ void energies(const Model & model, const Workspace & work, Values qd, Values out
   out[0] = out[1] = 0.0;
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.kernel(i, kernel::MEASURE), model.body.row(i), body.row(i),
+      model.kernel(i, kernel::MEASURE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), moment, qd.data + tree(i, tree::DOF));
     out[0] += 0.5 * moment[0];
     for (Index k = 0; k < model.gravity.size; ++k) {
@@ -128,7 +128,7 @@ void newton(const Model & model, const Workspace & work, Values qdd, Table wrenc
   turn_spherical(tree, body, work.torque.data, true);
   for (Index i = 1; i < tree.rows; ++i) {
     call_joint_kernel(
-      work.kernel(i, kernel::NEWTON), model.body.row(i), body.row(i),
+      model.kernel(i, kernel::NEWTON), model.body.row(i), body.row(i),
       wrench.row(tree(i, tree::PARENT)), wrench.row(i), work.torque.data + tree(i, tree::DOF));
   }
 }
@@ -139,9 +139,9 @@ bool carries(Indexes cut, Values lam, Index a)
   return std::any_of(own.begin(), own.end(), [](double each) {return each != 0.0;});
 }
 
-void wrenches_of_cut(
-  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a)
+void wrenches_of_cut(const Model & model, Table body, Values lam, Values share, Index a)
 {
+  const Indexes & cut = model.cut;
   // Generated code computes all equations of a cut joint: multipliers of omitted ones are zero.
   double multiplier[6];
   const double * next = lam.data + cut(a, cut::CUT_ROW);
@@ -152,7 +152,7 @@ void wrenches_of_cut(
     }
   }
   call_joint_kernel(
-    cut_kernel(a, kernel::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
+    model.cut_kernel(a, kernel::WRENCH), model.cut_point.row(a), body.row(cut(a, cut::BODY_A)),
     body.row(cut(a, cut::BODY_B)), multiplier, share.data);
 }
 
@@ -160,7 +160,7 @@ void wrenches_of_cut(
 static void shift(const Model & model, const Workspace & work, Table wrench, Index i)
 {
   call_joint_kernel(
-    work.kernel(i, kernel::SHIFT), model.body.row(i), work.body.row(i),
+    model.kernel(i, kernel::SHIFT), model.body.row(i), work.body.row(i),
     wrench.row(model.tree(i, tree::PARENT)), wrench.row(i), work.share.data);
 }
 
@@ -182,7 +182,7 @@ static void subtract_cut_wrenches(
     if (!carries(cut, lam, a)) {
       continue;
     }
-    wrenches_of_cut(cut, model.cut_point, work.cut_kernel, work.body, lam, work.share, a);
+    wrenches_of_cut(model, work.body, lam, work.share, a);
     for (Index n = 0; n < size; ++n) {
       wrench(cut(a, cut::BODY_A), n) -= work.share[size + n];
       wrench(cut(a, cut::BODY_B), n) -= work.share[2 * size + n];
@@ -206,14 +206,12 @@ void wrenches_of_multipliers(
   shift_to_joints(model, work, wrench);
 }
 
-void cut_wrenches(
-  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
-  Table out)
+void cut_wrenches(const Model & model, Table body, Values lam, Values share, Table out)
 {
   for (Index a = 0; a < out.rows; ++a) {
-    wrenches_of_cut(cut, cut_point, cut_kernel, body, lam, share, a);
+    wrenches_of_cut(model, body, lam, share, a);
     for (Index n = 0; n < out.columns; ++n) {
-      out(cut(a, cut::NUMBER), n) = share[n];
+      out(model.cut(a, cut::NUMBER), n) = share[n];
     }
   }
 }
@@ -225,7 +223,7 @@ void tree_torque(const Model & model, const Workspace & work, Values qdd, Values
   newton(model, work, qdd, wrench);
   for (Index i = model.tree.rows - 1; i > 0; --i) {
     call_joint_kernel(
-      work.kernel(i, kernel::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
+      model.kernel(i, kernel::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
       wrench.row(i), out.data + model.tree(i, tree::DOF));
     shift(model, work, wrench, i);
   }
@@ -257,13 +255,13 @@ void generalized_inertia_matrix(const Model & model, const Workspace & work, Tab
   for (Index i = tree.rows - 1; i > 0; --i) {
     // Force of the composite body for a unit acceleration of its joint, then inward.
     call_joint_kernel(
-      work.kernel(i, kernel::COMPOSE), model.body.row(i), body.row(i),
+      model.kernel(i, kernel::COMPOSE), model.body.row(i), body.row(i),
       body.row(tree(i, tree::PARENT)), wrench, work.share.data);
     const Index row = tree(i, tree::DOF);
     gim(row, row) = work.share[0];
     for (Index k = tree(i, tree::PARENT); k > 0; k = tree(k, tree::PARENT)) {
       call_joint_kernel(
-        work.kernel(k, kernel::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
+        model.kernel(k, kernel::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
         work.share.data);
       gim(row, tree(k, tree::DOF)) = gim(tree(k, tree::DOF), row) = work.share[0];
     }

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__RECURSION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__RECURSION_HPP_
 
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Recursions over the bodies of the spanning tree, by the code generated for each joint type.
 
@@ -48,12 +48,11 @@ bool carries(Indexes cut, Values lam, Index a);
 /// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and
 /// B.
 void wrenches_of_cut(
-  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share, Index a);
+  const Model &, Table body, Values lam, Values share, Index a);
 
 /// Wrenches at the cut joints, shape (number of cuts, 3 or 6), in the user's order.
 void cut_wrenches(
-  Indexes cut, Table cut_point, Indexes cut_kernel, Table body, Values lam, Values share,
-  Table out);
+  const Model &, Table body, Values lam, Values share, Table out);
 
 /// Joint torques of the tree alone for given accelerations, shape (nv,).
 void tree_torque(const Model &, const Workspace &, Values qdd, Values out);

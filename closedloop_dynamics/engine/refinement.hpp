@@ -5,7 +5,7 @@
 #define CLOSEDLOOP_DYNAMICS__ENGINE__REFINEMENT_HPP_
 
 #include "elimination.hpp"
-#include "model.hpp"
+#include "workspace.hpp"
 
 // Forward dynamics by iterative refinement, where links differ much in mass or are massless.
 

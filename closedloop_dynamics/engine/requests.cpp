@@ -61,7 +61,7 @@ void begin_effects(const System & system, const Request & request)
 bool closes_loops(const System & system, Values qd)
 {
   const Workspace & work = system.work;
-  const double limit = system.settings[setting::CLOSURE_LIMIT];
+  const double limit = system.settings->closure_limit;
   return largest(work.closure) <= limit &&
          largest(work.closure_rate) <= limit * rate_scale(qd);
 }
@@ -295,7 +295,7 @@ bool find_joint_forces(
     bias_forces(work, scratch);
     joint_wrenches(model, work, system.qdd, lam, scratch);
   }
-  const Table & wrench = leaves ? system.work.force : scratch;
+  const Table wrench = leaves ? static_cast<const Table &>(system.work.force) : scratch;
   for (Index k = 0; k < row.size; ++k) {
     const Index i = row[k];
     if (i == 0) {

@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__REQUESTS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__REQUESTS_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // Evaluations of single states from Python, outside a run: each is one call.
 

@@ -89,7 +89,7 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
   const Index nv = system.nv(), columns = 2 * nv;
   // Of quaternions each number is a state.
   if (code.empty() || !system.manifold.empty() || system.is_independent() ||
-    system.settings[setting::BAUMGARTE_GAIN] != 0.0)
+    system.settings->baumgarte_gain != 0.0)
   {
     return false;
   }

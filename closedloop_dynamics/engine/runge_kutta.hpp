@@ -6,7 +6,7 @@
 
 #include <memory>
 
-#include "system.hpp"
+#include "data.hpp"
 
 // One step of any explicit Runge-Kutta method, and its dense output.
 

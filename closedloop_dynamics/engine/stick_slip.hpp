@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STICK_SLIP_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__STICK_SLIP_HPP_
 
-#include "system.hpp"
+#include "data.hpp"
 
 // The instants at which joints under dry friction stick or slip. Within a step each of them slides
 // in one direction, or is held (sticking.hpp), so that all methods keep their order. A step on

@@ -17,11 +17,10 @@ import numpy as np
 
 from .guarded_run import GuardedRun
 from .registry import INDEPENDENT
-from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core.codegen import function_table as calls, lanes
 from ..core.codegen.lanes import LANES
 from ..core.codegen.routines import topology
-from ..core.manifold import Manifold
+from ..core.types import Handle
 from ..effects import scene_code
 
 
@@ -38,7 +37,7 @@ class Batch(NamedTuple):
     tolerance: np.ndarray
     limit: np.ndarray
     error: np.ndarray  # Shape (LANES,): largest closure error of each
-    manifold: Optional[Manifold]  # Of all of them
+    manifold: Optional[Handle]  # Of all of them
     rates: np.ndarray  # Shape (LANES * nz,): of the effects' states
     # Of effects, shape (LANES * rows * columns,): as ``Contacts.now`` and ``Contacts.trial``.
     gaps: np.ndarray
@@ -73,14 +72,16 @@ def build_batch(systems):
     """Allocate a batch; None where the systems cannot go together."""
     systems = filled(systems)
     first = systems[0]
-    settings = np.array([system.settings for system in systems])
+    gain, tolerance, limit = (
+        np.array([getattr(system.settings, name) for system in systems])
+        for name in ('baumgarte_gain', 'closure_tolerance', 'closure_limit'))
     shape = topology(first.model)
-    if (settings[:, BAUMGARTE_GAIN] != settings[0, BAUMGARTE_GAIN]).any() or any(
+    if (gain != gain[0]).any() or any(
             topology(system.model) != shape for system in systems if system is not first):
         return None
     nv, nc = len(first.qdd), len(first.lam)
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
-                            settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
+                            gain[:1].copy())
     evaluations = None
     if first.effects is not None:
         evaluations = scene_code.addresses_in_lanes(first.model, [
@@ -94,7 +95,7 @@ def build_batch(systems):
         table=lanes.connect(first.model, arrays, evaluations), tau=arrays[calls.TAU],
         qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
         corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
-        tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
+        tolerance=tolerance, limit=limit,
         error=np.zeros(LANES), manifold=first.manifold,
         **{name: arrays.get(place, nothing) for name, place in (
             ('rates', calls.RATES), ('gaps', calls.GAPS), ('trials', calls.TRIALS),

@@ -98,11 +98,11 @@ class Evaluator:
             if name not in QUANTITIES:
                 raise ValueError(f'evaluator: expected quantities of {", ".join(QUANTITIES)}, '
                                  f'got {name!r}')
-        one, whole_model = deepcopy((system, model))
+        one = deepcopy(system)
         whole = one
         if one.has_redundant_constraints:
             # Asked rarely: no routines are generated for it.
-            whole = with_equations(one._replace(corrections=np.zeros((2, 0))), whole_model)
+            whole = with_equations(one, one.model.with_cut(model.cut))
         asked = request(one, own.copy(), actuated, 'multipliers' in quantities)
         places, rates, *_ = parts_of_state(one)
         self.q, self.qd, self.tau = asked.state[places], asked.state[rates], asked.torque

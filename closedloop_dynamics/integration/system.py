@@ -3,22 +3,19 @@
 
 """The system of equations that is integrated: a mechanism under joint torques."""
 
+from copy import deepcopy
 from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .left_out import all_equations, AllEquations
 from ..core import codegen
 from ..core.codegen import function_table as calls, joint_kernels, space
-from ..core.codegen.workspace import unconnected
 from ..core.equations import with_all_equations
-from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
-from ..core.independent import allocate_partition, Partition
-from ..core.manifold import Manifold, manifold_of
-from ..core.types import (
-    KEPT, Model, number_of_coordinates, POSSIBLE, RANK_REVEALING_COUNT, Workspace)
+from ..core.formulations import SUBSYSTEM
+from ..core.manifold import manifold_of
+from ..core.types import Handle, KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT
 from ..effects import law_code, scene_code
-from ..effects.table import build_table, EffectTable, JOINT_FRICTION
+from ..effects.table import build_table, JOINT_FRICTION
 from ..engine import native
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
@@ -29,13 +26,10 @@ from ..engine import native
 MOST_UNROLLED_BODIES, MOST_UNROLLED_OPERATIONS, MOST_IN_VARIANTS = 24, 50_000, 40
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
-# Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
-# error [m, rad] that projection leaves and the one at which it gives up, how far beside a state
-# the rank-revealing path asks the branch [rad], the size of the mechanism [m], and the closure
-# error of equations left out up to which they repeat others.
-FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE, OPENING = range(7)
-# The eighth power of this is the error of the interpolation between such places.
-DISTANCE_ASIDE = 0.015
+# Columns of ``System.whole.numbers``: the pivot below which other equations are looked for; the
+# most kinetic energy so far [J]; whether there are none better, so that all but open loops is
+# accepted; whether those left out have opened at the latest step that was refused.
+PIVOT, KINETIC, LENIENT, OPENED = range(4)
 
 
 class JointPlaces(NamedTuple):
@@ -73,9 +67,27 @@ class Code(NamedTuple):
 LOOPS = Code((), None)
 
 
-class System(NamedTuple):
+class System(Handle):
     """
     One mechanism with all that an evaluation of its motion reads and writes.
+
+    Arrays are those of ``engine/data.hpp``, by its names.
+
+    Attributes
+    ----------
+    model : Model
+    work : Handle
+        Its workspace.
+    effects : EffectTable or None
+        Forces on the mechanism beside the commanded torques.
+    applied : ndarray, shape (nv,)
+        Joint torques of commands and effects; ``tau`` itself where no effect is listed.
+    manifold : Handle or None
+        Where quaternions are among the coordinates.
+    whole : Arrays or None
+        Of all equations, where the elimination works on some of them only.
+    joints : JointPlaces or None
+        For forces that are not unique; None: there are none of these.
 
     Notes
     -----
@@ -85,34 +97,16 @@ class System(NamedTuple):
 
     """
 
-    model: Model
-    work: Workspace
-    dense: DenseWorkspace  # Of the dense formulations; of no length where none is used
-    partition: Partition  # Of the independent coordinates; of no length where they are not used
-    settings: np.ndarray  # Shape (7,)
-    #: Shape (nv + nk,): Commanded joint torques [N m] and forces [N], behind them those of the nk
-    #: cut joints that anything acts in.
-    tau: np.ndarray
-    qdd: np.ndarray  # Shape (nv,): Joint accelerations of the latest evaluation
-    lam: np.ndarray  # Shape (nc,): Its multipliers
-    #: Shape (nv,): Joint torques of commands and effects; ``tau`` itself where no effect is
-    #: listed.
-    applied: np.ndarray
-    effects: Optional[EffectTable]  # Forces on the mechanism beside the commanded torques
-    table: np.ndarray  # Of the routines that are generated for this mechanism (ndarray of int)
-    #: Shape (2, nv): Of coordinates and rates, as generated routines leave them; of no length
-    #: where there are no such routines.
-    corrections: np.ndarray
-    #: Where quaternions are among the coordinates; None where there are none.
-    manifold: Optional[Manifold]
-    whole: Optional[AllEquations]  # Where the elimination works on some of them only
-    #: Where the joints are, for forces that are not unique; None: there are none of these.
-    joints: Optional[JointPlaces]
-    derivatives: Optional[AccelerationDerivatives]  # None: the stiff method takes differences
-    #: Shape (1 + nq,): Of evaluations from places around a singular position, the largest closure
-    #: error of a state between these [m], and its coordinates; 0: none since the last reset.
-    passage: np.ndarray
-    native: object  # The engine's view of all these
+    def __init__(self, made, model, effects, joints):
+        if effects is not None and len(effects.motions):
+            # In a copy, too.
+            effects = effects._replace(motions=model.cut_point)
+        super().__init__(made, model=model, effects=effects, joints=joints,
+                         manifold=manifold_of(model))
+        self.work = Handle(native.workspace_of(self))
+        self.applied = self.tau if effects is None else effects.applied[:len(self.qdd)]
+        if not len(self.whole.lam):
+            self.whole = None
 
     @property
     def is_unrolled(self):
@@ -141,10 +135,11 @@ class System(NamedTuple):
         return Code(tuple(one for one in self.routines if one not in codegen.OF_FORCES),
                     scene_code.known_structure(self.table))
 
-    def __reduce__(self):
-        """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, (
-            self.routines, *self._replace(table=None, derivatives=None, native=None))
+    def __deepcopy__(self, memo):
+        """Return one with memory of its own, without derivatives."""
+        effects = deepcopy(self.effects, memo)
+        made = native.copy_system(self, effects)
+        return System(made, Model(native.model_of(made[0])), effects, self.joints)
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -177,32 +172,42 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         Closure error of these up to which they repeat others, in sizes of the mechanism.
 
     """
-    nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
         unrolled = formulation == SUBSYSTEM and _can_be_unrolled(model)
-    # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
-    settings = np.array([
-        formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE, extent,
-        opening * extent])
-    tau = np.zeros(nv + (0 if cuts is None else len(cuts[0])))
+    nv, nc, whole = len(model.tree) - 1, len(model.column) - 1, with_all_equations(model)
     # With room for those that are left out: they may be taken again.
-    most = len(with_all_equations(model).column) - 1
     effects = None if len(elements) == 0 and cuts is None else build_table(
-        elements, tau, nv, most, space.is_spatial(model), model.cut_point, cuts)
-    system = System(
-        model=model, work=unconnected(model),
-        dense=allocate_dense(model, formulation),
-        partition=allocate_partition(model, independent),
-        settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
-        applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
-        corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
-        whole=None, joints=joints, derivatives=None,
-        passage=np.zeros(1 + number_of_coordinates(model)), native=None)
+        elements, np.zeros(nv + (0 if cuts is None else len(cuts[0]))), nv,
+        len(whole.column) - 1, space.is_spatial(model), model.cut_point, cuts)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and JOINT_FRICTION in effects.kind
-    return _linked(system, (*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
-                            *((codegen.REACTIONS,) if reactions else ()),
-                            *_routines_of_forces(model, joints)))
+    code = Code((*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
+                 *((codegen.REACTIONS,) if reactions else ()),
+                 *_routines_of_forces(model, joints)) if unrolled else (), None)
+    joint_kernels.connect(model)
+    if effects is not None:
+        law_code.link(effects)
+    return System(
+        native.system(
+            model, whole, effects, *(joints or _NO_PLACES), formulation, baumgarte, extent,
+            opening, independent, _addresses(model, effects, joints, code)),
+        model, effects, joints)
+
+
+_NO_PLACES = JointPlaces(
+    np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+
+
+def _addresses(model, effects, joints, code):
+    """Return the addresses of routines by their places in the function table."""
+    table = np.zeros(calls.TABLE_COLUMNS if code.routines else 0, dtype=np.int64)
+    if code.routines and effects is None:
+        codegen.link(model, table, code.routines, joints)
+    elif code.routines:
+        codegen.link(model, table, tuple(
+            one for one in code.routines if one not in calls.OF_SCENE), joints)
+        scene_code.link(model, effects, table, code.scene)
+    return table
 
 
 def _routines_of_forces(model, joints):
@@ -222,50 +227,6 @@ def _can_be_unrolled(model):
     if freedoms > MOST_IN_VARIANTS and (cut[:, KEPT] != cut[:, POSSIBLE]).any():
         return False
     return codegen.unrolled_size(model) <= MOST_UNROLLED_OPERATIONS
-
-
-def _linked(system, routines, scene=None):
-    """Return a system with the addresses of its own arrays and of these routines, as ``Code``."""
-    model, work, effects = system.model, system.work, system.effects
-    joint_kernels.connect(model, work.kernel, work.cut_kernel)
-    if effects is not None:
-        # In a copy, too, routines read the arrays that laws write.
-        system = system._replace(applied=effects.applied[:len(system.qdd)])
-        law_code.link(effects)
-    whole = all_equations(model, work, system.whole)
-    table = calls.connect(
-        {calls.BODY: model.body, calls.GRAVITY: model.gravity,
-         calls.CUT_POINT: model.cut_point, calls.TAU: system.applied, calls.QDD: system.qdd,
-         calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
-         calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
-         calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
-         calls.CORRECTIONS: system.corrections, calls.WRENCH: work.force,
-         **({} if system.joints is None else {calls.JOINT_POINT: system.joints.point}),
-         **({} if whole is None else {calls.LAM_OF_ALL: whole.lam}),
-         **({} if effects is None else {
-             calls.REACTION: effects.reaction, calls.COMMAND: system.tau,
-             calls.VALUES: effects.values, calls.ENTRIES: effects.data,
-             calls.CUT_VALUES: effects.cuts.values, calls.PRESENT: effects.code.present,
-             calls.SIDES: effects.code.sides, calls.GAPS: effects.contacts.now,
-             calls.TRIALS: effects.contacts.trial, calls.RATES: effects.rates,
-             calls.RESPONSE: effects.sticking.response, calls.LIMIT: effects.sticking.right})})
-    if system.is_unrolled and effects is None:
-        codegen.link(model, table, routines, system.joints)
-    elif system.is_unrolled:
-        codegen.link(model, table, tuple(
-            one for one in routines if one not in calls.OF_SCENE), system.joints)
-        scene_code.link(model, effects, table, scene)
-    return _bound(system._replace(table=table, whole=whole))
-
-
-def _bound(system):
-    """Return a system that the engine sees."""
-    return system._replace(native=native.system(tuple(system)[:-1]))
-
-
-def _relinked(routines, *fields):
-    """Build a copied or unpickled system."""
-    return _linked(System(*fields), routines)
 
 
 def refine(system, state):
@@ -304,13 +265,10 @@ def with_equations(system, model, code=LOOPS):
     ``model`` is of the same mechanism with other equations kept; ``code`` selects code for these:
     by default none, so that nothing is compiled.
     """
-    work = unconnected(model)
-    work.health[:] = system.work.health
-    return _linked(system._replace(
-        model=model, work=work, whole=None, derivatives=None, lam=np.zeros(len(work.closure)),
-        dense=allocate_dense(model, int(system.settings[FORMULATION])),
-        partition=allocate_partition(model, system.is_independent),
-        corrections=np.zeros((2, len(system.qdd) if code.routines else 0))), *code)
+    joint_kernels.connect(model)
+    return System(
+        native.with_equations(system, model, with_all_equations(model), _addresses(
+            model, system.effects, system.joints, code)), model, system.effects, system.joints)
 
 
 def with_partition(system, used):
@@ -325,16 +283,8 @@ def with_partition(system, used):
         Whether independent coordinates are used.
 
     """
-    return _bound(system._replace(partition=allocate_partition(system.model, used)))
-
-
-def with_derivatives(system, derivatives):
-    """
-    Return a system, all else shared, whose stiff method takes its Jacobian from generated code.
-
-    ``derivatives`` are for this system's mechanism and effects.
-    """
-    return _bound(system._replace(derivatives=derivatives))
+    return System(native.with_independent(system, used), system.model, system.effects,
+                  system.joints)
 
 
 def number_of_states(system):

@@ -26,7 +26,6 @@ from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act
 from ..engine import native
-from ..integration.system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
 # What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
 _BODY_COLUMNS = (
@@ -157,8 +156,7 @@ class _Text:
         simulation, system = self.simulation, self.system
         coordinates, points = simulation.coordinates, simulation.mechanism.points
         nq, nv, nc = len(simulation.position), len(system.qdd), len(system.lam)
-        size = len(self.model.gravity)
-        settings = system.settings[[CLOSURE_TOLERANCE, CLOSURE_LIMIT]]
+        size, settings = len(self.model.gravity), system.settings
         return {
             'NAME': self.name, 'UPPER': self.name.upper(), 'HEADER': f'{self.name}.h',
             # No name ends a comment.
@@ -178,8 +176,8 @@ class _Text:
             'POINTS': _numbered([point.name for point in points]),
             'DEFAULT': ',\n'.join([*(f'  .{name} = {_initializer(array)}'
                                      for name, array, _ in self.members.values()),
-                                   f'  .closure_tolerance = {float(settings[0])!r}',
-                                   f'  .closure_limit = {float(settings[1])!r}']),
+                                   f'  .closure_tolerance = {float(settings.closure_tolerance)!r}',
+                                   f'  .closure_limit = {float(settings.closure_limit)!r}']),
             'START': f'  .q = {_initializer(simulation.position)},\n'
                      f'  .qd = {_initializer(simulation.velocity)}',
             'SINES': SINE_AND_COSINE, 'ROUTINES': '\n'.join(self._routines()),

@@ -37,7 +37,7 @@ from ..engine import native
 from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.registry import PROJECTION
 from ..integration.system import (
-    build_system, CLOSURE_LIMIT, LOOPS, parts_of_state, Probe, refine, System, with_equations)
+    build_system, LOOPS, parts_of_state, Probe, refine, System, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Point
@@ -355,7 +355,7 @@ class Data(Names):
             With the loops and by how much they are open.
 
         """
-        opened = self._assembler.opened(q, qd, self.system.settings[CLOSURE_LIMIT], motions)
+        opened = self._assembler.opened(q, qd, self.system.settings.closure_limit, motions)
         if opened:
             raise AssemblyError(
                 f'state: expected one that closes the loops, got one that leaves {opened}; '
@@ -390,7 +390,7 @@ class Data(Names):
         qd[:] = vector('velocity', velocity, len(qd))
         self._fresh = False
         if not native.stabilise(self.system.native, PROJECTION, state):
-            opened = self._assembler.opened(q, qd, self.system.settings[CLOSURE_LIMIT])
+            opened = self._assembler.opened(q, qd, self.system.settings.closure_limit)
             raise AssemblyError(
                 'state: expected one that nearly closes the loops, got one from which corrections '
                 f'leave {opened}; give one nearer to a closed one, as Model.assemble returns them')

@@ -12,9 +12,9 @@ import numpy as np
 from .loop_model import largest_of_group
 from ..core.equations import Equations
 from ..core.types import (
-    CLOSURE, CUT_ROW, DOF, EVALUATIONS, Model, PARENT, PRISMATIC,
+    CLOSURE, CUT_ROW, DOF, EVALUATIONS, Handle, Model, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
-    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE, Workspace)
+    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
@@ -113,7 +113,7 @@ class Health:
 
 
 def health_of(
-        model: Model, work: Workspace, equations: Equations,
+        model: Model, work: Handle, equations: Equations,
         passive: Union[Sequence[int], np.ndarray] = ()) -> Health:
     """
     Return the record of a workspace after an evaluation, of equations in the same state.

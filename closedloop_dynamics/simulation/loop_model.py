@@ -96,9 +96,7 @@ class LoopModel:
                 self.mechanism, decomposition=self._decomposition, kept=kept)
             self.rows = {name: one.row for name, one in self.placements.items()}
             if self.model is not None:
-                model = model._replace(
-                    tree=self.model.tree, body=self.model.body, gravity=self.model.gravity,
-                    cut_point=self.model.cut_point)
+                model = self.model.with_cut(model.cut)
             self._known[key] = model, Equations(model)
         return self._known[key]
 

@@ -30,7 +30,6 @@ from .scene_records import Scene
 from .state import State
 from ..engine import native
 from ..integration.evaluation import Evaluator
-from ..integration.system import CLOSURE_LIMIT
 from ..mechanism.fields import at
 
 if TYPE_CHECKING:
@@ -566,7 +565,7 @@ class _Workspace(Readings):
             self._put(state.time, state.q, state.qd, state.own)
             self.system.tau[:] = self.joint_torques(torque)
             found = self.evaluation(state)
-            limit = self.system.settings.item(CLOSURE_LIMIT)
+            limit = float(self.system.settings.closure_limit)
             if not (found.closure <= limit and native.largest(self.system.work.closure_rate) <= (
                     limit * max(1.0, native.largest(self._qd)))):
                 self.require_closed(self._q, self._qd)

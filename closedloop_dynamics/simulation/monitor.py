@@ -9,11 +9,10 @@ import math
 
 import numpy as np
 
-from ..core.codegen.function_table import BODY
-from ..core.independent import forget
 from ..core.manifold import weights
 from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
-from ..integration import guarded_run as run, left_out
+from ..engine import native
+from ..integration import guarded_run as run
 from ..integration.control import CLOSER, DONE, FLOOR
 from ..integration.steppers import build_stepper
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
@@ -218,8 +217,7 @@ class Monitor:
     def rewind(self):
         """Begin as a new driver would: a motion repeated is the same to its last digit."""
         self.driver.rewind()
-        forget(self._system.partition)
-        left_out.forget(self._system)
+        native.forget(self._system)
         self.clear()
 
     @property
@@ -251,7 +249,7 @@ class Monitor:
             system = deepcopy(self._system)
             self._probe = system, build_stepper(system, self._method)
         system, driver = self._probe
-        copy_into(self._system, system)
+        native.take_numbers(system, self._system)
         whole, halves = state.copy(), state.copy()
         statuses = (driver.advance(whole, 0.0, 0, step_size, 1)[0],
                     driver.advance(halves, 0.0, 0, 0.5 * step_size, 2)[0])
@@ -310,15 +308,3 @@ class Monitor:
             method, time, steps, 1e-9 * spent, error, closure, energy_error,
             int(health[EVALUATIONS]), energy_guard.moved, bound,
             tuple(findings), self.accuracy, present, share, used)
-
-
-def copy_into(record, target):
-    """Copy all arrays of a record, and of those in it, into a deep copy, which may lack some."""
-    for name, value, place in zip(record._fields, record, target):
-        if name == 'table':
-            # The routines may be others by now; the arrays they work on are the copy's own.
-            place[:BODY] = value[:BODY]
-        elif isinstance(value, tuple) and place is not None:
-            copy_into(value, place)
-        elif isinstance(value, np.ndarray):
-            place[...] = value

@@ -142,4 +142,4 @@ def _generic(model, entries, parallel):
             arrays[source].flat[place] = 2.0 + 1.0 / (3.0 + number)
     if is_spatial(model):
         body[:, PARALLEL] = parallel
-    return model._replace(body=body, cut_point=cut_point)
+    return model.replaced(body=body, cut_point=cut_point)

@@ -74,7 +74,7 @@ class Readings(Data):
         model, work = self._equations.model, self._equations.work
         self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
         self._find_cut_wrenches = native.bind(
-            'cut_wrenches', model.cut, model.cut_point, work.cut_kernel, body, self._lam,
+            'cut_wrenches', model, body, self._lam,
             work.share, self._wrenches_found)
 
     @property

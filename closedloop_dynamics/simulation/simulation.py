@@ -35,7 +35,7 @@ from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.steppers import build_stepper
-from ..integration.system import BAUMGARTE_GAIN, CLOSURE_LIMIT, with_equations, with_partition
+from ..integration.system import with_equations, with_partition
 from ..mechanism.digits import suspicions
 from ..mechanism.fields import at, FieldError
 
@@ -323,7 +323,7 @@ class Simulation(Stepping):
 
     def _require_closable(self, stabilisation: str) -> None:
         """Refuse a stabilisation that cannot start from the present state."""
-        if stabilisation != 'none' and self.closure > self.system.settings[CLOSURE_LIMIT]:
+        if stabilisation != 'none' and self.closure > self.system.settings.closure_limit:
             raise ClosureError(
                 f'The loops have drifted apart by {self.closure:.3g} m or rad: more than '
                 f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
@@ -337,7 +337,7 @@ class Simulation(Stepping):
         self._set_guards(stiffness, method)
         self._set_run()
         self._set_budget(method)
-        self.system.settings[BAUMGARTE_GAIN] = (
+        self.system.settings.baumgarte_gain[...] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()
         self._jump()

@@ -34,11 +34,9 @@ from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
 from ..integration.guarded_run import COMMAND
-from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
 from ..integration.steppers import build_stepper
-from ..integration.system import (
-    AccelerationDerivatives, CLOSURE_LIMIT, System, with_derivatives)
+from ..integration.system import AccelerationDerivatives, LENIENT, OPENED, System
 
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
@@ -81,7 +79,7 @@ class Stepping(Readings):
                 and method.stabilisation not in ('baumgarte', 'independent')):
             self._derivatives = code = DerivativeCode(
                 self, system.qdd, system.lam, len(self._own))
-            self.system = with_derivatives(system, AccelerationDerivatives(
+            native.use_derivatives(system, AccelerationDerivatives(
                 code.table, code.columns, code.found, code.flows))
 
     def _bind_balance(self) -> None:
@@ -606,7 +604,7 @@ class Stepping(Readings):
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
         # Loops that are well closed here opened because of the step, or at a change point.
         if status == POOR_EQUATIONS or status == OPEN_LOOP and self.has_redundant_constraints and (
-                self.closure > CONTRADICTION * self.system.settings[CLOSURE_LIMIT]):
+                self.closure > CONTRADICTION * self.system.settings.closure_limit):
             contradiction = self._geometry.contradiction(self._q)
             if contradiction:
                 return ClosureError(

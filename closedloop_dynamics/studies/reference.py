@@ -17,7 +17,6 @@ import time
 import numpy as np
 
 from ..integration.registry import ADAPTIVE, INTEGRATORS
-from ..integration.system import ASIDE
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
@@ -281,7 +280,7 @@ def _motion(scene, torque, interval, outputs, candidate, stabilisation, aside):
     except SimulationError as error:
         nothing = np.zeros((0, 0))
         return Trajectory(nothing, nothing, nothing, math.nan, math.nan, failure=str(error))
-    simulation.system.settings[ASIDE] *= aside
+    simulation.system.settings.aside *= aside
     return record(simulation, simulation.joint_torques(torque), steps, outputs, PATIENCE)
 
 

@@ -101,8 +101,7 @@ def test_energies(loops):
 def test_wrenches_at_cut_joints(loops):
     loops.outward()
     model, work, found = loops.model, loops.work, np.empty((len(loops.model.cut), 6))
-    native.cut_wrenches(model.cut, model.cut_point, work.cut_kernel, work.body, loops.lam,
-                        work.share, found)
+    native.cut_wrenches(model, work.body, loops.lam, work.share, found)
     recursion, expected = loops.numbers.recursion, np.zeros_like(found)
     for place, a, equation in equations(recursion, model):
         expected[model.cut[a, CUT_NUMBER]] += loops.lam[place] * np.array(equation.on_a)

@@ -212,7 +212,7 @@ def test_planar_mechanisms_written_in_space_cost_no_more(name):
 def test_routines_follow_the_structure_of_a_description():
     mechanism, _ = spatial_machines.rssr_four_bar()
     model = SpatialEngine(mechanism).model
-    same, other = model._replace(body=model.body.copy()), model._replace(body=model.body.copy())
+    same, other = (model.replaced(body=model.body.copy()) for _ in range(2))
     heavy, moved = model.body[:, 0] > 0.0, np.flatnonzero(model.body[:, 10] != 0.0)[0]
     same.body[heavy, 0] *= 2.0
     same.body[moved, 10] *= 1.5

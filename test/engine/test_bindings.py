@@ -10,6 +10,7 @@ import re
 import sys
 import weakref
 
+from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.guarded_run import NONE
 from closedloop_dynamics.integration.registry import PROJECTION
@@ -30,13 +31,18 @@ PARAMETERS = {
     if name != 'bind' and not name.startswith('_')}
 
 
-@pytest.fixture
-def system():
+def built():
     """Return a system of seven joints in a state that is no special one."""
     _, mechanism, q, qd = cases.drawn('three_rrr')
     made = build_system(build_model(mechanism))
     made.tau[:] = 0.1
     return made, np.concatenate([q, qd])
+
+
+@pytest.fixture
+def system():
+    """Return a system and a state."""
+    return built()
 
 
 def parts(system):
@@ -138,38 +144,38 @@ def test_wrong_arrays_are_refused(system, name):
     assert refused > 10
 
 
+def description(system):
+    """Return what a system's model is made of, by name."""
+    return {name: getattr(system.model, name).copy() for name in (
+        'tree', 'body', 'gravity', 'cut', 'cut_point', 'path_body')}
+
+
 @pytest.mark.parametrize('wrong', WRONG_ARRAYS)
 def test_wrong_arrays_within_records_are_refused(system, wrong):
-    one, _ = system
-    arguments = parts(system)['outward']
-    for place in (0, 3):
-        for field, array in arguments[place]._asdict().items():
-            if not array.size:
-                continue
-            changed = WRONG_ARRAYS[wrong](array)
-            if kept(array, changed):
-                continue
-            broken = list(arguments)
-            broken[place] = arguments[place]._replace(**{field: changed})
+    arguments = parts(system)['advance_fixed']
+    for field, array in arguments[1]._asdict().items():
+        # What is only read may be read-only.
+        if not isinstance(array, np.ndarray) or not array.size or wrong == 'read-only':
+            continue
+        changed = WRONG_ARRAYS[wrong](array)
+        if kept(array, changed):
+            continue
+        broken = (arguments[0], arguments[1]._replace(**{field: changed}), *arguments[2:])
+        with pytest.raises((TypeError, ValueError, BufferError)):
+            native.advance_fixed(*broken)
+    for field, array in description(system[0]).items():
+        changed = WRONG_ARRAYS[wrong](array)
+        if not kept(array, changed) and wrong != 'read-only':
             with pytest.raises((TypeError, ValueError, BufferError)):
-                native.outward(*broken)
-    for field, part in one._asdict().items():
-        if isinstance(part, np.ndarray) and part.size:
-            changed = WRONG_ARRAYS[wrong](part)
-            if not kept(part, changed):
-                with pytest.raises((TypeError, ValueError, BufferError)):
-                    native.system(tuple(one._replace(**{field: changed}))[:-1])
+                native.model(*{**description(system[0]), field: changed}.values())
 
 
 def test_records_of_another_length_are_refused(system):
     one, _ = system
     model, q, qd, work = parts(system)['outward']
-    for wrong in (tuple(model)[:-1], (*model, q), (), (model,), list(model), model._asdict()):
-        with pytest.raises(TypeError, match='outward, argument 1: expected a tuple of 13 fields'):
+    for wrong in ((), (model,), [model], vars(model), work, one.native):
+        with pytest.raises(TypeError, match=r'outward, argument 1: expected a handle of .*Model'):
             native.outward(wrong, q, qd, work)
-    for wrong in (tuple(one), tuple(one)[:-2], (), list(one)):
-        with pytest.raises(TypeError, match='system, argument 1: expected a tuple of 17 fields'):
-            native.system(wrong)
     with pytest.raises(TypeError, match='tuple of 6 fields'):
         native.stepper(one.native, 'fixed', ((), None, 0, 1e-6))
 
@@ -190,25 +196,60 @@ def test_a_capsule_of_another_kind_is_no_system(system):
     bound = native.bind('largest', np.zeros(3)).__self__
     assert type(bound) is type(other)
     for capsule in (other, bound):
-        with pytest.raises(ValueError, match='PyCapsule'):
+        with pytest.raises(TypeError, match='expected a handle'):
             native.evaluate(capsule, np.zeros(7), np.zeros(7))
 
 
 @pytest.mark.parametrize('field, change', [
-    ('qdd', lambda one: one.qdd[1:].copy()), ('lam', lambda one: np.zeros(len(one.lam) + 1)),
-    ('tau', lambda one: one.tau[1:].copy()), ('settings', lambda one: one.settings[1:].copy()),
-    ('table', lambda one: one.table[1:].copy()), ('corrections', lambda one: np.zeros((2, 3))),
-    ('model', lambda one: one.model._replace(tree=one.model.tree[:-1].copy())),
-    ('model', lambda one: one.model._replace(tree=one.model.tree + 1)),
-    ('model', lambda one: one.model._replace(path_body=one.model.path_body + 7)),
-    ('model', lambda one: one.model._replace(gravity=np.zeros(5))),
-    ('work', lambda one: one.work._replace(closure=np.zeros(1))),
-    ('work', lambda one: one.work._replace(body=one.work.body[:-1].copy())),
-    ('model', lambda one: None), ('work', lambda one: None)])
-def test_fields_that_do_not_belong_together_are_refused(system, field, change):
+    ('tree', lambda tree: tree[:-1].copy()), ('tree', lambda tree: tree + 1),
+    ('body', lambda body: body[:-1].copy()), ('body', lambda body: body[:, 1:].copy()),
+    ('gravity', lambda gravity: np.zeros(5)), ('cut', lambda cut: cut + 1),
+    ('cut', lambda cut: cut[:, 1:].copy()), ('cut', lambda cut: cut[::-1].copy()),
+    ('cut_point', lambda point: point[1:].copy()), ('path_body', lambda body: body + 7)])
+def test_descriptions_of_no_model_are_refused(system, field, change):
+    arrays = description(system[0])
+    native.model(*arrays.values())
+    with pytest.raises(ValueError, match='model: expected'):
+        native.model(*{**arrays, field: change(arrays[field])}.values())
+
+
+def test_only_equations_of_the_same_cut_joints_are_taken(system):
+    model = system[0].model
+    assert model.with_cut(model.cut).tree is not model.tree
+    assert np.shares_memory(model.with_cut(model.cut).tree, model.tree)
+    for column in (CUT_TYPE, BODY_A, PATH_B, CUT_NUMBER):
+        cut = model.cut.copy()
+        cut[0, column] += 1
+        with pytest.raises(ValueError, match='same cut joints'):
+            model.with_cut(cut)
+
+
+def test_what_is_constant_cannot_be_written(system):
+    model = system[0].model
+    for array in (model.cut, model.path_body, model.pair, model.column, model.row, model.entry):
+        with pytest.raises(ValueError):
+            array[...] = 0
+
+
+def test_a_system_is_of_one_mechanism_and_linked(system):
     one, _ = system
-    with pytest.raises((TypeError, ValueError)):
-        native.system(tuple(one._replace(**{field: change(one)}))[:-1])
+    other = build_system(build_model(cases.drawn('three_rrr')[1]))
+    table, none = one.table.copy(), (
+        np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    values = 0, 0.0, 1.0, 1e-9, False
+    native.system(one.model, one.model, None, *none, *values, table)
+    for code in (table[1:].copy(), np.zeros_like(table)):
+        with pytest.raises(ValueError, match='addresses of'):
+            native.system(one.model, one.model, None, *none, *values, code)
+    with pytest.raises(ValueError, match='places of joints'):
+        native.system(one.model, one.model, None, np.array([9]), *none[1:], *values, table)
+    with pytest.raises(ValueError, match='of the mechanism'):
+        native.with_equations(one, other.model, other.model, table)
+    unconnected = native.model(*description(one).values())[0]
+    with pytest.raises(ValueError, match='addresses of code'):
+        native.system(unconnected, unconnected, None, *none, *values, table)
+    with pytest.raises(ValueError, match='fit together'):
+        native.outward(unconnected, np.zeros(7), np.zeros(7), one.work)
 
 
 def test_bind_refuses_what_it_does_not_know():
@@ -254,29 +295,31 @@ def test_bound_arrays_live_as_long_as_what_they_are_bound_to():
     assert watched() is None
 
 
-def test_a_system_keeps_all_its_arrays(system):
-    one, state = system
+def test_functions_and_views_keep_the_memory_of_a_system():
+    one, state = built()
     nv = len(one.qdd)
-    native.evaluate(one.native, state[:nv], state[nv:])
-    expected, qdd = one.qdd.copy(), weakref.ref(one.model.body)
-    # The table of routines has addresses of arrays, too: all are in the tuple of the system.
-    handle, out = one.native, np.zeros(number_of_states(one))
-    del one, system
+    native.evaluate(one, state[:nv], state[nv:])
+    expected, views = one.qdd.copy(), [one.qdd, one.work.body, one.model.tree, one.work.health]
+    found = [view.copy() for view in views]
+    out = np.zeros(number_of_states(one))
+    derivative = native.bind('derivative', one, state, out)
+    watched = weakref.ref(one)
+    del one
     gc.collect()
     others = [np.full(100, 9.0) for _ in range(2000)]
-    derivative = native.bind('derivative', handle, state, out)
-    del handle
-    gc.collect()
+    for view, before in zip(views, found):
+        np.testing.assert_array_equal(view, before)
+    views.clear()
     derivative()
     np.testing.assert_array_equal(out[nv:], expected)
     del others, derivative
     gc.collect()
-    assert qdd() is None or sys.getrefcount(qdd()) > 1
+    assert watched() is None
 
 
 def test_no_reference_is_lost_or_kept_by_calls(system):
     arguments = parts(system)['forward_dynamics']
-    watched = [*arguments, *arguments[0], *arguments[1]]
+    watched = [*arguments, arguments[0].native, arguments[1].native]
 
     def calls():
         native.forward_dynamics(*arguments)

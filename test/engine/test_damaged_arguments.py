@@ -11,6 +11,7 @@ run.
 
 import random
 
+from closedloop_dynamics.core.equations import with_all_equations
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
@@ -37,19 +38,23 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
         ('bennett', 'rk4'), ('scissor_lift', 'rk4'), ('stewart_platform', 'rk4'),
         ('differential', 'auto')]
 # Addresses of code, which nothing can check.
-ADDRESSES = ('kernel', 'cut_kernel', 'table')
-NAMELESS_ADDRESSES = {('run_batch', (0, 0)), ('system', (0, 10)), ('cut_wrenches', (2,))}
+ADDRESSES = ('table',)
+NAMELESS_ADDRESSES = {
+    ('run_batch', (0, 0)), ('system', (11,)), ('with_equations', (3,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
-LINKED = ('system', 'run_batch')
+LINKED = ('run_batch',)
+# Functions that return a system.
+SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy_system')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
 # function returns that it has done nothing.
 ANY_LENGTH = {
-    ('largest', 0), ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
+    ('model', 4), ('system', 3), ('system', 11), ('with_equations', 3), ('largest', 0),
+    ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
     ('find_joint_forces', 4), ('advance_run', 2),
-    ('cut_wrenches', 3), ('place_points', 0), ('place_points', 1), ('measure_cut_coordinates', 2),
+    ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('measure_cut_coordinates', 2),
     ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
     ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
     ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
@@ -127,7 +132,7 @@ def use(simulation):
 def use_kernels(simulation, note):
     """Call what simulations ask for seldom, with the arrays of one."""
     system, run = simulation.system, simulation.run
-    model, work, handle, effects = system.model, system.work, system.native, system.effects
+    model, work, handle, effects = system.model, system.work, system, system.effects
     nq, nv, state = len(simulation.position), len(system.qdd), simulation.integrated.copy()
     q, qd = state[:nq].copy(), state[nq:nq + nv].copy()
     numbers, account = run.numbers.copy(), run.account
@@ -144,6 +149,8 @@ def use_kernels(simulation, note):
     call('assemble', model, work)
     call('factorize', model, work)
     call('forward_dynamics', model, work, q, qd, system.tau[:nv].copy(), system.qdd, system.lam)
+    call('with_equations', system, model, with_all_equations(model), np.zeros(0, dtype=np.int64))
+    call('with_independent', system, True)
     call('bias_forces', work, work.force.copy())
     call('joint_wrenches', model, work, system.qdd, system.lam, work.force.copy())
     call('tree_torque', model, work, system.qdd, np.zeros(nv))
@@ -325,9 +332,9 @@ def attack(draw, name, arguments):
     try:
         found = getattr(native, name)(
             *changed(arguments, path, fault, (lambda same: same) if linked else copied))
-        if name == 'system':
+        if name in SYSTEMS:
             assert len([length for length in range(100)
-                        if takes(found, np.zeros(length))]) == 1
+                        if takes(found[0], np.zeros(length))]) == 1
     except REFUSALS:
         return True
     finally:

@@ -9,7 +9,6 @@ import math
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
-from closedloop_dynamics.integration.system import ASIDE
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.motions import moving
 from closedloop_dynamics.simulation.scene import load_scene
@@ -83,7 +82,7 @@ def test_the_larger_difference_of_two_proofs_is_told(monkeypatch):
 
     def spoiled(simulation, *arguments):
         motion = record(simulation, *arguments)
-        places.append(simulation.system.settings[ASIDE])
+        places.append(float(simulation.system.settings.aside))
         # The third motion is that of independent coordinates.
         return replace(motion, position=motion.position + 1e-7 * (len(places) == 3))
 

@@ -35,16 +35,12 @@ def arrays_of(model):
     return space if space.is_spatial(model) else plane
 
 
-def connect(model, kernel, cut_kernel):
-    """
-    Fill in the addresses of the kernels of a mechanism.
-
-    Shapes (nb + 1, BODY_KERNELS), of which row 0 is not used, and (number of cuts, 2).
-    """
+def connect(model):
+    """Give a model, and those that share its bodies, the addresses of their kernels."""
     arrays = arrays_of(model)
     structures = space.structure(model) if arrays is space else (None, None)
     for structure, first, out, make in zip(
-            structures, (1, 0), (kernel, cut_kernel), (_Body, _Cut)):
+            structures, (1, 0), (model.kernel, model.cut_kernel), (_Body, _Cut)):
         for row in range(first, len(out)):
             kind = make.kind(model, row), b'' if structure is None else structure[row].tobytes()
             out[row] = _addresses(arrays, make, kind, model, row)
@@ -100,7 +96,7 @@ class _Body:
 
     def __init__(self, arrays, model, row):
         self.arrays, self.on_ground = arrays, model.tree[row, PARENT] == 0
-        self.model = model._replace(tree=model.tree[[0, row]], body=model.body[[0, row]])
+        self.model = model.replaced(tree=model.tree[[0, row]], body=model.body[[0, row]])
         self.model.tree[1, PARENT] = 0
 
     @staticmethod
@@ -306,7 +302,7 @@ class _Cut:
         self.arrays, cut = arrays, model.cut[[row]]
         # Which of them are kept is the engine's matter, and may change in a run.
         cut[:, KEPT] = cut[:, POSSIBLE]
-        self.model = model._replace(cut=cut, cut_point=model.cut_point[[row]])
+        self.model = model.replaced(cut=cut, cut_point=model.cut_point[[row]])
 
     @staticmethod
     def kind(model, row):

@@ -18,10 +18,10 @@ from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
 from .vectors import in_space, times, transpose
-from .workspace import unconnected
+from .workspace import zeros_like_workspace
 from ..types import (
     CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
-    TYPE, Workspace)
+    TYPE)
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -116,12 +116,12 @@ class MechanismTrace:
         self.graph, self.joints = ExpressionGraph(), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
-        self.model = model._replace(
+        self.model = model.replaced(
             body=self.symbols(BODY, model.body.shape),
             gravity=self.symbols(GRAVITY, model.gravity.shape),
             cut_point=self.cut_points())
-        work = Workspace(*(zeros(*array.shape) for array in unconnected(model)))
-        self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
+        work = zeros_like_workspace(model)
+        self.work = work.replaced(health=self.symbols(HEALTH, work.health.shape))
         self.q = self.symbols(Q, (number_of_coordinates(model),))
         self.qd = self.symbols(QD, (self.nv,))
         self.outputs = []
@@ -268,7 +268,7 @@ class MechanismTrace:
         """Return the accelerations and multipliers that torques alone add, at this position."""
         recursion = Recursion(
             self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
-        work = Workspace(*(zeros(*array.shape) for array in unconnected(self.constant)))
+        work = zeros_like_workspace(self.constant)
         recursion.outward(self.model, self.q, zeros(self.nv), work)
         qdd, lam = zeros(self.nv), zeros(self.nc)
         bool((embedding if self.embeds() else forward_dynamics).accelerate(
