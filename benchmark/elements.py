@@ -30,8 +30,8 @@ from closedloop_dynamics.core.codegen.function_table import (  # noqa: E402
 from closedloop_dynamics.core.codegen.live_scene import LiveTrace  # noqa: E402
 from closedloop_dynamics.core.codegen.routines import (  # noqa: E402
     count_operations as count, operations)
-from closedloop_dynamics.effects.live_laws import LiveLaws  # noqa: E402
 from closedloop_dynamics.effects.registry import EFFECTS  # noqa: E402
+from closedloop_dynamics.effects.scene_code import LiveLaws  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
     DISTANCE, POINT_ON_LINE)
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402

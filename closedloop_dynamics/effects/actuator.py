@@ -19,7 +19,9 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .table import ACTUATOR, ForceElement, OWN, State, WORK
+from .force_law import DRIVE, force_law
+from .table import ForceElement, OWN, State, WORK
+from ..core.codegen.expression_graph import chosen, larger, smaller
 from ..mechanism.checks import freedom, not_negative, positive
 
 # Share of the speed limit over which the driving torque fades.
@@ -64,11 +66,36 @@ class Actuator(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        return ForceElement(ACTUATOR, (machine.joint(self.joint),), (
+        return ForceElement(limited_drive, joints=(machine.joint(self.joint),), values=(
             math.inf if self.max_torque is None else self.max_torque,
             math.inf if self.max_speed is None else self.max_speed, self.lag),
-            (State(OWN), State(WORK)))
+            states=(State(OWN), State(WORK)))
 
     def drive(self):
         """Return the joint whose command passes through the drive, and its delay [s]."""
         return self.joint, self.delay
+
+
+@force_law(role=DRIVE, terms=lambda row: (bool(row.values[2] > 0.0),), in_lanes=False,
+           engine_only='its torque has limits and a state of its own')
+def limited_drive(forces):
+    joint, given = forces.joint, forces.command
+    limit, fastest, lag = forces.values[:3]
+
+    def limited(torque):
+        return larger(-limit, smaller(limit, torque))
+
+    torque = command = limited(given)
+    lags, = forces.terms or (lag > 0.0,)
+    if lags is not False:
+        torque = forces.state(0)
+        forces.flow(chosen(lags, (command - torque) / lag, 0.0))
+        # A limit may have been lowered since.
+        torque = chosen(lags, limited(torque), command)
+    speed = abs(joint.rate)
+    fading = torque * larger(0.0, 1.0 - speed / fastest) / FADING
+    torque = chosen(torque * joint.rate > 0.0, chosen(
+        speed > (1.0 - FADING) * fastest, fading, torque), torque)
+    joint.push(torque - given)
+    forces.flow(torque * joint.rate, first=1)
+    forces.read(torque)

@@ -45,6 +45,11 @@ class AlongJoints(Effect):
             with at('arms'):
                 one_of(mechanism.coordinates.single_names, 'one of the joints of the tree')(joint)
 
-    def entries(self, machine):
-        """Return the joints' places and arms, as entries of a row of the table."""
-        return tuple((float(machine.joint(joint)), arm) for joint, arm in self.arms.items())
+    def along(self, machine):
+        """Return what a row of the table has of the sum: joints, their arms first in its data."""
+        return {'joints': tuple(map(machine.joint, self.arms)), 'summed': True}
+
+    @property
+    def lengths(self):
+        """Return the arms, as the first entry of a row's data."""
+        return tuple(self.arms.values())

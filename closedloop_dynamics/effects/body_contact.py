@@ -31,10 +31,13 @@ from typing import Optional, Tuple
 import numpy as np
 
 from . import curve
+from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect, require_point
-from .table import (
-    CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, FACE_CONTACT, ForceElement, LINE_CONTACT,
-    SPATIAL_BODY_CONTACT, State)
+from .force_law import BOUNDARY, OUTLINE, ROUND
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen import function_table as calls
+from ..core.codegen.expression_graph import chosen, square_root
+from ..core.codegen.vectors import add, dot, scale, subtract
 from ..mechanism.checks import (
     boolean, direction, list_of, name, not_negative, number, one_of, positive, text)
 from ..mechanism.fields import at, FieldError, shown
@@ -49,7 +52,9 @@ IN_SPACE = {'plane': (('normal',), ()), 'sphere': (('other_radius',), ('hollow',
             'cylinder': (('other_radius', 'axis'), ('hollow',))}
 SHAPES = {**IN_PLANE, **IN_SPACE}
 # Entries of one in space: both places, normal or axis, 1 for a plane, 1 for a cylinder.
-PLACE_B, DIRECTION, FLAT, ROUND = 3, 6, 9, 10
+PLACE_B, DIRECTION, FLAT, OF_CYLINDER = 3, 6, 9, 10
+IN_SPACE_NUMBERS = 11
+SEARCHED = 'which parts of the outlines touch is searched for'
 
 
 def damping(restitution, rate):
@@ -243,12 +248,12 @@ class BodyContact(Effect):
         if self.restitution is not None:
             loss = damping(self.restitution, self.impact_velocity)
         line, side = heading(self.angle or 0.0).tolist(), -1.0 if self.hollow else 1.0
-        kind, one, other = {
-            'line': (LINE_CONTACT, *line), 'face': (FACE_CONTACT, *line),
-            'circle': (CIRCLE_CONTACT, self.other_radius, side),
-            'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0),
+        law, one, other = {
+            'line': (roller_on_line, *line), 'face': (face_on_curve, *line),
+            'circle': (roller_on_circle, self.other_radius, side),
+            'curve': (roller_on_curve, float(self.closed is not False), 0.0),
         }[self.shape] if machine.mechanism.planar else (
-            SPATIAL_BODY_CONTACT, self.other_radius or 0.0, side)
+            roller_in_space, self.other_radius or 0.0, side)
         places, data = (*place_a, *place_b), self._pieces
         if not machine.mechanism.planar:
             # A sphere has no axis.
@@ -257,10 +262,124 @@ class BodyContact(Effect):
             places, data = 4 * (0.0,), ((
                 *places, *along.tolist(), float(self.shape == 'plane'),
                 float(self.shape == 'cylinder')),)
-        return ForceElement(kind, (a, b), (
+        gap = OUTLINE if self.shape == 'curve' else (
+            ROUND if self.shape in ('circle', 'sphere', 'cylinder') and not self.hollow
+            else BOUNDARY)
+        return ForceElement(law, bodies=(a, b), values=(
             *places, self.radius, one, self.stiffness, self.exponent, loss, self.friction,
-            self.slip_velocity, other), (State(DISSIPATED),), touches=True, data=data)
+            self.slip_velocity, other), states=(State(DISSIPATED),), gap=gap, data=data)
 
 
 def _shapes_with(key):
     return [shape for shape, keys in SHAPES.items() if key in keys[0] + keys[1]]
+
+
+def _velocity(forces, place):
+    """Return the velocity of one body at a place in the world as seen from another."""
+    return subtract(*(forces.place(body, subtract(place, forces.origin(body)))[1]
+                      for body in forces.bodies))
+
+
+def _push_both(forces, place, force):
+    for body, push in zip(forces.bodies, (force, scale(force, -1.0))):
+        forces.push(body, subtract(place, forces.origin(body)), push)
+
+
+def _press_in_plane(forces, center, out, distance):
+    """
+    Press two bodies apart, in the plane.
+
+    ``center``: of the roller; ``out``: the normal, towards that; ``distance``: of the center from
+    the line or curve, less than zero beyond it [m].
+    """
+    radius = forces.values[4]
+    place = subtract(center, scale(out, radius))
+    velocity = _velocity(forces, place)
+    rate, slip = -dot(out, velocity), out[1] * velocity[0] - out[0] * velocity[1]
+    normal, along = press(forces, distance - radius, rate, slip)
+    _push_both(forces, place, (
+        normal * out[0] + along * out[1], normal * out[1] - along * out[0], 0.0))
+
+
+def _centers(forces):
+    """Return the center of the roller, and from the named point of the other body to it."""
+    (a, b), values = forces.bodies, forces.values
+    center, _ = forces.place(a, forces.turned(a, values[:2]))
+    return center, subtract(center, forces.place(b, forces.turned(b, values[2:4]))[0])
+
+
+@contact_law(engine_only=SEARCHED)
+def roller_on_line(forces):
+    center, apart = _centers(forces)
+    line = forces.turned(forces.bodies[1], (forces.values[5], forces.values[11]))
+    _press_in_plane(forces, center, (-line[1], line[0], 0.0),
+                    line[0] * apart[1] - line[1] * apart[0])
+
+
+def _speed_apart(forces, center):
+    velocity = _velocity(forces, center)
+    return square_root(dot(velocity, velocity))
+
+
+@contact_law(engine_only=SEARCHED)
+def roller_on_circle(forces):
+    center, apart = _centers(forces)
+    between, radius, side = square_root(dot(apart, apart)), forces.values[5], forces.values[11]
+    forces.pass_by(apart, _speed_apart(forces, center))
+    # Where the centers meet there is no direction, and no force.
+    out = scale(apart, side / chosen(between > 0.0, between, 1.0))
+    _press_in_plane(forces, center, out, side * (between - radius))
+
+
+def _seen_from(forces, body, vector):
+    """Return a vector of the plane in the axes of a body."""
+    cosine, sine, _ = forces.turned(body, (1.0, 0.0))
+    return cosine * vector[0] + sine * vector[1], cosine * vector[1] - sine * vector[0]
+
+
+@contact_law(listed=curve.COLUMNS, in_lanes=False, engine_only=SEARCHED)
+def roller_on_curve(forces):
+    b = forces.bodies[1]
+    center, apart = _centers(forces)
+    in_body = _seen_from(forces, b, apart)
+    forces.pass_by((*in_body, 0.0), _speed_apart(forces, center))
+    distance, x, y = forces.call_engine(
+        calls.NEAREST, curve.COLUMNS, forces.values[5], *in_body, results=2)
+    _press_in_plane(forces, center, forces.turned(b, (x, y)), distance)
+
+
+@contact_law(listed=curve.COLUMNS, in_lanes=False, engine_only=SEARCHED)
+def face_on_curve(forces):
+    (a, b), values = forces.bodies, forces.values
+    # The face is a line of the first body; its normal points away from that.
+    line = forces.turned(a, (values[5], values[11]))
+    out = -line[1], line[0], 0.0
+    deepest = forces.call_engine(calls.FURTHEST, curve.COLUMNS, 0.0, *(
+        -one for one in _seen_from(forces, b, out)), results=1)
+    other, _ = forces.place(b, forces.turned(b, values[2:4]))
+    place = add(other, forces.turned(b, deepest))
+    roller, _ = forces.place(a, forces.turned(a, values[:2]))
+    _press_in_plane(forces, place, scale(out, -1.0), dot(out, subtract(place, roller)))
+
+
+@contact_law(engine_only=SEARCHED)
+def roller_in_space(forces):
+    (a, b), values = forces.bodies, forces.values
+    data = forces.entries(0, IN_SPACE_NUMBERS)
+    center, _ = forces.place(a, forces.turned(a, data[:3]))
+    direction = forces.turned(b, data[DIRECTION:DIRECTION + 3])
+    apart = subtract(center, forces.place(b, forces.turned(b, data[PLACE_B:PLACE_B + 3]))[0])
+    height = dot(direction, apart)
+    # What lies along a cylinder's axis does not count.
+    apart = subtract(apart, scale(direction, data[OF_CYLINDER] * height))
+    between, flat, side = square_root(dot(apart, apart)), data[FLAT] > 0.5, values[11]
+    unit = scale(apart, side / chosen(between > 0.0, between, 1.0))
+    out = tuple(chosen(flat, along, one) for along, one in zip(direction, unit))
+    distance = chosen(flat, height, side * (between - values[5]))
+    forces.pass_by(apart, _speed_apart(forces, center))
+    place = subtract(center, scale(out, values[4]))
+    velocity = _velocity(forces, place)
+    rate = -dot(out, velocity)
+    slide, slip = sliding(velocity, rate, out)
+    normal, along = press(forces, distance - values[4], rate, slip)
+    _push_both(forces, place, contact_force(out, normal, along, slide, slip))

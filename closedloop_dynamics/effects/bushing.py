@@ -27,7 +27,10 @@ from typing import Optional, Union
 import numpy as np
 
 from .effect import Effect
-from .table import BUSHING, DISSIPATED, ForceElement, SPATIAL_BUSHING, State
+from .force_law import force_law
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen.expression_graph import square_root
+from ..core.codegen.vectors import add, cross, dot, scale, subtract, ZERO
 from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
@@ -125,7 +128,8 @@ class Bushing(Effect):
         values, axes = self._in_plane() if planar else self._in_space(machine)
         along, damping = map(machine.vector, (self.stiffness, self.damping))
         return ForceElement(
-            BUSHING if planar else SPATIAL_BUSHING, (row_a, row_b), values, (State(DISSIPATED),),
+            bushing_in_plane if planar else bushing_in_space, bodies=(row_a, row_b),
+            values=values, states=(State(DISSIPATED),),
             data=((*place_a, *place_b, *axes, *along, *damping),))
 
     def _in_plane(self):
@@ -144,3 +148,65 @@ class Bushing(Effect):
         # Of the energy: half the sum of the others' less its own.
         shares = 0.5 * turning.sum() - turning
         return (*shares.tolist(), *loss.tolist()), np.vstack([axes_a.T, axes_b.T]).ravel().tolist()
+
+
+@force_law()
+def bushing_in_plane(forces):
+    (first, second), (stiffness, damping, rest) = forces.bodies, forces.values[:3]
+    axis, constants = tuple(forces.values[3:5]), forces.entries(0, 8)
+    stiffness_1, stiffness_2, damping_1, damping_2 = constants[4:]
+    turn = forces.angle(second) - forces.angle(first) - rest
+    spin = subtract(forces.spin(second), forces.spin(first))[2]
+    moment = 0.0, 0.0, -(stiffness * turn + damping * spin)
+    forces.store(0.5 * (stiffness * (turn * turn)))
+    lost, along = _hold(forces, (constants[:2], constants[2:4]), (
+        (forces.turned(first, axis), stiffness_1, damping_1),
+        (forces.turned(first, (-axis[1], axis[0])), stiffness_2, damping_2)), moment)
+    forces.flow(lost + damping * spin * spin)
+    forces.read(*along, moment[2])
+
+
+@force_law()
+def bushing_in_space(forces):
+    (first, second), values, constants = forces.bodies, forces.values, forces.entries(0, LOSS + 3)
+    turning, axes, moment = subtract(forces.spin(second), forces.spin(first)), [], ZERO
+    lost = 0.0
+    for k, (share, loss) in enumerate(zip(values[:3], values[3:6])):
+        axis, other = (forces.turned(body, constants[n + 3 * k:n + 3 * k + 3])
+                       for body, n in ((first, AXES_A), (second, AXES_B)))
+        axes.append((axis, constants[ALONG + k], constants[LOSS + k]))
+        spin = dot(axis, turning)
+        moment = add(moment, subtract(scale(cross(other, axis), share),
+                                      scale(axis, loss * spin)))
+        lost = lost + loss * spin * spin
+        forces.store(share * (1.0 - dot(axis, other)))
+    more, along = _hold(forces, (constants[:3], constants[3:6]), axes, moment)
+    forces.flow(lost + more)
+    forces.read(*along, square_root(dot(moment, moment)))
+
+
+def _hold(forces, places, axes, moment):
+    """
+    Join points of two bodies by springs and dampers along axes of the first; and a moment.
+
+    Returns the power dissipated by the dampers [W], and the force along each axis [N].
+    """
+    bodies = forces.bodies
+    start, end = (forces.turned(body, place) for body, place in zip(bodies, places))
+    (place_a, _), (place_b, rate_b) = (
+        forces.place(body, offset) for body, offset in zip(bodies, (start, end)))
+    apart, force = subtract(place_b, place_a), ZERO
+    # Relative to the first body's point that coincides with the second point, so as to include
+    # the rotation of the axes.
+    lever = add(start, apart)
+    rate, lost, along = subtract(rate_b, forces.place(bodies[0], lever)[1]), 0.0, []
+    for axis, stiffness, damping in axes:
+        stretch, speed = dot(axis, apart), dot(axis, rate)
+        pull = stiffness * stretch + damping * speed
+        along.append(-pull)
+        force = subtract(force, scale(axis, pull))
+        lost = lost + damping * speed * speed
+        forces.store(0.5 * stiffness * (stretch * stretch))
+    forces.push(bodies[1], end, force, moment)
+    forces.push(bodies[0], lever, scale(force, -1.0), scale(moment, -1.0))
+    return lost, along

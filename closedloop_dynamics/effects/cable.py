@@ -30,20 +30,20 @@ along the tangents. When: hoists, tackles, cable drives, tendons.
 """
 
 from dataclasses import dataclass
+import math
 from typing import Optional, Tuple
 
+import numpy as np
+
 from .effect import Effect, require_point
-from .table import CABLE, DISSIPATED, ForceElement, SPATIAL_CABLE, State
+from .force_law import BOUNDARY, force_law
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
+from ..core.codegen.vectors import add, cross, dot, IDENTITY, scale, subtract, ZERO
 from ..mechanism.checks import direction, list_of, name, not_negative, number, positive
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector3
 
-# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m], and
-# how much cable lies on it at the latest evaluation [m]; in space one more.
-COLUMNS, SPATIAL_COLUMNS = 5, 6
-# Columns of EffectTable.values in space: row of the body of the pulleys' axis, less than zero
-# where there are guides alone; the axis in the frame of that row.
-CARRIER, AXIS = 3, 4
 # A start is reported where the stretch, by the free length, is larger than wire ropes work at,
 # and the tension more than so many times the weight of all bodies.
 LARGE_STRETCH, LARGE_TENSION = 0.005, 10.0
@@ -134,18 +134,105 @@ class Cable(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        entries, radii = [], self.radii or (0.0,) * len(self.points)
-        for point, radius in zip(self.points, radii):
-            row, spot = machine.point(point)
-            entries.append((float(row), *spot, radius, 0.0))
-        values = [self.stiffness, self.free_length, self.damping]
-        if machine.mechanism.planar:
-            return ForceElement(CABLE, (), tuple(values), (State(DISSIPATED),), touches=True,
-                                data=tuple(entries))
-        values.append(-1.0)
+        radii = self.radii or (0.0,) * len(self.points)
+        bodies, places = zip(*map(machine.point, self.points))
+        law, values = cable_in_plane, [self.stiffness, self.free_length, self.damping]
         if self.axis is not None:
             placed = machine.placement(machine.carrier(next(
                 point for point, radius in zip(self.points, radii) if radius)))
-            values[CARRIER:] = [float(placed.row), *(placed.axes @ self.axis).tolist()]
-        return ForceElement(SPATIAL_CABLE, (), tuple(values), (State(DISSIPATED),), touches=True,
-                            data=tuple(entries))
+            law, bodies = cable_across_axis, (*bodies, placed.row)
+            values += (placed.axes @ self.axis).tolist()
+        # Of each point its place in the frame of its body, the radius of the pulley, and how much
+        # cable lies on it at the latest evaluation [m].
+        return ForceElement(
+            law, bodies=bodies, values=tuple(values), states=(State(DISSIPATED),), gap=BOUNDARY,
+            data=tuple((*place, radius, 0.0) for place, radius in zip(places, radii)))
+
+
+def _signs(row):
+    """Return to which side the cable turns at each point."""
+    return tuple(np.sign(row.data.reshape(row.count, -1)[:, -2]).tolist())
+
+
+CABLE = {'terms': _signs, 'in_lanes': False, 'engine_only': 'it slackens, and winds round pulleys'}
+
+
+@force_law(**CABLE)
+def cable_in_plane(forces):
+    """Apply a cable whose points and pulleys lie in one plane, or one without pulleys in space."""
+    _apply(forces, forces.bodies)
+
+
+@force_law(**CABLE)
+def cable_across_axis(forces):
+    *bodies, carrier = forces.bodies
+    _apply(forces, bodies, forces.turned(carrier, forces.values[3:6]), carrier)
+
+
+class _Piece:
+    """
+    A straight piece between points, or centers of pulleys (doc/theory.md).
+
+    ``way``, ``tangent``: along the piece as seen along the axis, the one of any length; ``force``:
+    gradient of the length; ``apart``: from end to end; ``length``, ``rate``; ``fleet``: angle.
+    """
+
+    def __init__(self, forces, ends, across, axis, carrier):
+        (_, start, slow), (_, end, fast) = ends
+        self.apart = apart = subtract(end, start)
+        high = 0.0 if carrier is None else dot(apart, axis)
+        apart = subtract(apart, scale(axis, high))
+        # From center to center the way goes along the tangent, and across by what radii differ.
+        between = dot(apart, apart)
+        seen = square_root(larger(0.0, between - across * across))
+        self.way = add(scale(apart, seen), scale(cross(apart, axis), across))
+        self.force = tangent = scale(self.way, 1.0 / chosen(between > 0.0, between, 1.0))
+        self.length, self.fleet, turning = seen, 0.0, 0.0
+        if carrier is not None:
+            self.length = length = square_root(seen * seen + high * high)
+            # (a / L - 1) / a without a difference.
+            less = high * high / chosen(seen > 0.0, length * seen * (length + seen), 1.0)
+            rise = high / chosen(length > 0.0, length, 1.0)
+            bent = add(subtract(tangent, scale(apart, less)), scale(axis, rise))
+            self.force = tuple(
+                chosen(seen > 0.0, *both) for both in zip(bent, tangent))
+            self.fleet = arctangent(abs(high), seen)
+            turning = dot(forces.spin(carrier), cross(self.apart, self.force))
+        self.rate = dot(self.force, subtract(fast, slow)) - turning
+
+
+def _apply(forces, bodies, axis=IDENTITY[2], carrier=None):
+    """Apply a cable whose pulleys lie across an axis, which turns with a body, the carrier."""
+    width, (stiffness, free, damping) = forces.size + 2, forces.values[:3]
+    numbers = [forces.entries(width * k, width) for k in range(len(bodies))]
+    signs = forces.terms or len(bodies) * (None,)
+    radii = [0.0 if sign == 0.0 else one[-2] for one, sign in zip(numbers, signs)]
+    offsets = [forces.turned(body, one[:-2]) for body, one in zip(bodies, numbers)]
+    ends = [(offset, *forces.place(body, offset)) for body, offset in zip(bodies, offsets)]
+    pieces = [_Piece(forces, pair, after - before, axis, carrier) for pair, before, after in zip(
+        zip(ends, ends[1:]), radii, radii[1:])]
+    length, wound = sum(piece.length for piece in pieces), 0.0
+    for k, (before, after) in enumerate(zip(pieces, pieces[1:]), 1):
+        if signs[k] != 0.0:
+            turn = dot(cross(before.way, after.way), axis)
+            turn = chosen(radii[k] < 0.0 if signs[k] is None else signs[k] < 0.0, -turn, turn)
+            # A quarter turn from -180 to 180 degrees: -90 to 270.
+            length = length + abs(radii[k]) * (0.25 * math.tau)
+            more = abs(radii[k]) * arctangent(-dot(before.way, after.way), turn)
+            wound = wound + more
+            forces.keep_entry(width * (k + 1) - 1, abs(radii[k]) * (0.25 * math.tau) + more)
+    rate = sum(piece.rate for piece in pieces)
+    stretch = forces.pressed(length - free + wound, rate)
+    elastic = stiffness * stretch
+    tension = elastic * larger(0.0, 1.0 + damping * rate)
+    forces.store(0.5 * elastic * stretch)
+    forces.flow((tension - elastic) * rate)
+    fleet = 0.0
+    for k, piece in enumerate(pieces):
+        pull = scale(piece.force, tension)
+        forces.push(bodies[k], offsets[k], pull)
+        forces.push(bodies[k + 1], offsets[k + 1], scale(pull, -1.0))
+        if carrier is not None:
+            forces.push(carrier, ZERO, ZERO, cross(piece.apart, pull))
+            fleet = larger(fleet, piece.fleet)
+    forces.read(tension, length + wound, fleet)

@@ -23,8 +23,11 @@ a foot on the floor, a guide.
 from dataclasses import dataclass
 from typing import Optional
 
+from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect
-from .table import CONTACT, DISSIPATED, ForceElement, SPATIAL_CONTACT, State
+from .force_law import BOUNDARY
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen.vectors import dot, in_space, subtract
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector, Vector3
@@ -101,11 +104,39 @@ class Contact(Effect):
         row, place = machine.point(self.point)
         law = (self.stiffness, self.exponent, self.damping, self.friction, self.slip_velocity,
                self.scraping)
-        states = (State(DISSIPATED),)
         if machine.mechanism.planar:
-            return ForceElement(CONTACT, (row,), (
-                *place, *self.origin, *heading(self.angle).tolist(), *law), states,
-                touches=True)
-        height = sum(n * x for n, x in zip(self.normal, self.origin))
-        return ForceElement(
-            SPATIAL_CONTACT, (row,), (*place, *self.normal, *law, height), states, touches=True)
+            which, values = point_on_line, (
+                *place, *self.origin, *heading(self.angle).tolist(), *law)
+        else:
+            height = sum(n * x for n, x in zip(self.normal, self.origin))
+            which, values = point_on_plane, (*place, *self.normal, *law, height)
+        return ForceElement(which, bodies=(row,), values=values, states=(State(DISSIPATED),),
+                            gap=BOUNDARY)
+
+
+JUMPS = 'its friction jumps with the sliding, and contacts begin within a step'
+
+
+@contact_law(engine_only=JUMPS)
+def point_on_line(forces):
+    (body,), values = forces.bodies, forces.values
+    offset = forces.turned(body, values[:2])
+    x, y = values[4:6]
+    place, velocity = forces.place(body, offset)
+    apart = subtract(place, in_space(values[2:4]))
+    depth = y * apart[0] - x * apart[1]
+    rate = y * velocity[0] - x * velocity[1]
+    normal, along = press(
+        forces, -depth, rate, x * velocity[0] + y * velocity[1], values[11])
+    forces.push(body, offset, (along * x - normal * y, along * y + normal * x, 0.0))
+
+
+@contact_law(engine_only=JUMPS)
+def point_on_plane(forces):
+    (body,), values = forces.bodies, forces.values
+    offset, out = forces.turned(body, values[:3]), tuple(values[3:6])
+    place, velocity = forces.place(body, offset)
+    depth, rate = values[12] - dot(out, place), -dot(out, velocity)
+    slide, slip = sliding(velocity, rate, out)
+    normal, along = press(forces, -depth, rate, slip, values[11])
+    forces.push(body, offset, contact_force(out, normal, along, slide, slip))

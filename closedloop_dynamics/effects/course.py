@@ -17,6 +17,7 @@ from operator import itemgetter
 
 import numpy as np
 
+from ..core.codegen.expression_graph import chosen, cosine, sine
 from ..mechanism.fields import FieldError, shown
 
 # Columns of a piece: its start [s], c0 to c5, a, w, p.
@@ -192,3 +193,52 @@ def present(found, period, time):
     cycle = 0 if period is None else math.floor(time / period)
     inside = time if period is None else time - cycle * period
     return float(cycle * len(found) + bisect_right(found, inside, 1, key=itemgetter(0)) - 1)
+
+
+def terms(row):
+    """Return which terms the course of a row of the table has, for the code of a scene."""
+    if row.values[1] == 1.0:
+        return 'expression',
+    pieces = row.data[:COLUMNS * row.count].reshape(-1, COLUMNS)
+    return bool(pieces[:, 5:7].any()), bool(pieces[:, 7].any())
+
+
+def present_values(forces):
+    """
+    Return the value of the course of an effect at the present time, its rate and its change.
+
+    The engine has looked up the piece, or evaluated the expression. Where its terms are not known,
+    only the value is that of an expression, too.
+    """
+    begun, start, *c = forces.present_piece()
+    if forces.terms == ('expression',):
+        return c[:3]
+    high, turns = forces.terms or (True, True)
+    u = forces.state(0) - begun - start
+    last = c[3] + u * (c[4] + u * c[5]) if high else c[3]
+    value = c[0] + u * (c[1] + u * (c[2] + u * last))
+    rate = c[1] + u * (2.0 * c[2] + 3.0 * u * c[3])
+    change = 2.0 * c[2] + 6.0 * u * c[3]
+    if high:
+        rate = rate + u * u * u * (4.0 * c[4] + 5.0 * u * c[5])
+        change = change + u * u * (12.0 * c[4] + 20.0 * u * c[5])
+    if turns:
+        size, turning = c[6], c[7]
+        angle = turning * u + c[8]
+        value = value + size * sine(angle)
+        rate = rate + size * turning * cosine(angle)
+        change = change - size * turning * turning * sine(angle)
+    if forces.terms is None:
+        value = chosen(forces.values[1] > 0.5, c[0], value)
+    return value, rate, change
+
+
+def value(forces):
+    """Return the value of the course of an effect at the present time, or the one that is held."""
+    return present_values(forces)[0] if forces.held is None else forces.held
+
+
+def right_sides(forces):
+    """Return what the closure equation of a motion is to have: value, rate and acceleration."""
+    value, rate, change = present_values(forces)
+    return forces.values[2] + value, rate, change

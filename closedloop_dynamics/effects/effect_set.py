@@ -11,13 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import scene_code
+from . import law_code, scene_code
+from .force_law import FRICTION, INERTIA, MOTION
 from .sensor import Chain
 from .table import (
-    build_table, DATA, DISSIPATED, ENTRIES, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
-    OWN, PASSED, PRESCRIBED_MOTION, REFLECTED_INERTIA, size_of_data, STATE,
-    states_of, STORED, WORK)
-from .traced_effect import TracedEffect
+    build_table, DATA, DISSIPATED, fill_row, FOLLOWED, LOADED, OWN, PASSED, PLACES, Row,
+    size_of_data, STATE, states_of, STORED, WORK)
+from .traced_effect import TracedEffect, TracedLaw
 from ..core import codegen
 from ..core.codegen import joint_kernels
 from ..core.codegen.function_table import EVALUATION
@@ -125,11 +125,11 @@ class EffectSet:
         self._system, self._model = system, system.model
         self._linked = joint_kernels.structure(self._model)
         # Their multipliers have other places.
-        self._refill(PRESCRIBED_MOTION)
+        self._refill(MOTION)
 
-    def _refill(self, kind):
-        """Rewrite the parameters of the effects of a kind."""
-        self._fill(np.flatnonzero(self._table.kind == kind).tolist())
+    def _refill(self, role):
+        """Rewrite the parameters of the effects in a role."""
+        self._fill(np.flatnonzero(self._table.role == role).tolist())
 
     def _fill(self, rows):
         """Write the present parameters of effects, and whether they act, into the table."""
@@ -144,6 +144,8 @@ class EffectSet:
                 table.output[row] = 0.0
                 table.index[row, LOADED] = 0
                 table.loaded[0] = table.index[:, LOADED].sum()
+        if rows:
+            law_code.link(table)
         if rows and self._system.is_unrolled:
             scene_code.update(self._model, table, self._system.table, self._scene)
 
@@ -155,14 +157,14 @@ class EffectSet:
     @property
     def directions_with_friction(self):
         """Return sums of freedoms with dry friction, as pairs of names and arms, each once."""
-        return tuple({self.records[name].rubs_along: None for name, kind in zip(
-            self._rows, self._table.kind) if kind == JOINT_FRICTION})
+        return tuple({self.records[name].rubs_along: None for name, role in zip(
+            self._rows, self._table.role) if role == FRICTION})
 
     def decide(self, directions):
         """Mark sums with friction whose rates do not depend on the forces."""
         decided = self._machine.decided = frozenset(directions)
         if self._filled_by != decided:
-            self._refill(JOINT_FRICTION)
+            self._refill(FRICTION)
             self._filled_by = decided
 
     def _update(self):
@@ -269,9 +271,17 @@ class EffectSet:
     def _require_room(self, name, record):
         """Refuse more numbers than there is room for since the scene was loaded."""
         if name in self._rows:
-            row = self._rows.index(name)
-            room, wanted = map(
-                size_of_data, (self.elements[row], record.element(self._machine)))
+            known = self.elements[self._rows.index(name)]
+            element = record.element(self._machine)
+            if not _has_code(known, element):
+                raise FieldError('an effect of the kind that it had when the scene was loaded',
+                                 'one of another shape or place, which has other code',
+                                 'load a scene that has it')
+            if len(element.places) > len(known.places):
+                raise FieldError('an effect in no more joints and bodies than when the scene was '
+                                 f'loaded ({len(known.places)})', f'{len(element.places)}',
+                                 'load a scene that has it')
+            room, wanted = map(size_of_data, (known, element))
             if wanted > room:
                 raise FieldError('a course or curve of no more pieces than it had when the scene '
                                  'was loaded', f'one that takes {wanted} numbers instead of '
@@ -363,12 +373,9 @@ class EffectSet:
 
     def _along(self, row, joints):
         """Return the sum along which an effect in joints acts, from values of all joints."""
-        table = self._table
-        begin, count = table.index[row, DATA], table.index[row, ENTRIES]
-        if not count:
-            return joints[table.index[row, FIRST]]
-        places, arms = table.data[begin:begin + 2 * count].reshape(count, 2).T
-        return arms @ joints[places.astype(int)]
+        found = Row(self._table, row)
+        along = joints[found.joints]
+        return found.arms @ along if found.summed else along[0]
 
     def begin_at_time(self, states, time):
         """Initialise the own states of time-dependent effects at a time [s], in place."""
@@ -388,9 +395,9 @@ class EffectSet:
 
         Kinetic is that of what is reflected at cut joints and along tendons.
         """
-        if not len(self._table.kind):
+        if not len(self._table.role):
             return 0.0, 0.0
-        stored, rotors = self._table.output[:, STORED], self._table.kind == REFLECTED_INERTIA
+        stored, rotors = self._table.output[:, STORED], self._table.role == INERTIA
         kinetic = float(stored[rotors].sum())
         return kinetic, float(stored.sum()) - kinetic
 
@@ -400,7 +407,7 @@ class EffectSet:
 
         Shape (nv + nk,): of the joints, those of cut joints behind.
         """
-        for row in np.flatnonzero(self._table.kind == REFLECTED_INERTIA):
+        for row in np.flatnonzero(self._table.role == INERTIA):
             self._table.sticking.hold[row] = 0.0 if accelerations is None else (
                 -self._table.values[row, 0] * self._along(row, accelerations))
 
@@ -418,11 +425,6 @@ class EffectSet:
         values = self._table.output[row]
         return {self.records[name].ENERGY: float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
-
-    @property
-    def laws(self):
-        """Laws of users that are switched on: traced_effect.Tracing by their rows."""
-        return {self._rows.index(name): self.records[name].traced for name in self.traced}
 
     @property
     def traced(self):
@@ -465,7 +467,7 @@ class EffectSet:
         rows = np.array([row for row, name in enumerate(self._rows)
                          if self.enabled[name] and self.records[name].drive() is not None],
                         dtype=int)
-        return rows, self._table.index[rows, FIRST]
+        return rows, self._table.places[self._table.index[rows, PLACES]]
 
     def _flows(self, row, states):
         """Return the energy dissipated, or work done, by a row's effect, and the present power."""
@@ -502,14 +504,22 @@ class EffectSet:
 
 
 def _arrays(given):
-    """Return all arrays of nested tuples."""
-    if isinstance(given, np.ndarray):
+    """Return all arrays and lists of nested tuples."""
+    if isinstance(given, (np.ndarray, list)):
         return [given]
-    return [array for each in given if isinstance(each, (tuple, np.ndarray))
+    return [array for each in given if isinstance(each, (tuple, np.ndarray, list))
             for array in _arrays(each)]
+
+
+def _has_code(known, element):
+    """Return whether the law of an effect has code: that of a user is traced and compiled anew."""
+    law = element.law
+    return isinstance(law, TracedLaw) or law is known.law and len(
+        element.bodies) == len(known.bodies)
 
 
 def _room_of(element):
     """Return the data of an effect that decides the sizes of a system's tables."""
-    return (element.kind, size_of_data(element), len(element.states), element.sticks,
-            element.touches, [state.role for state in element.states])
+    return (element.law.name, element.law.parts(element), len(element.joints),
+            len(element.bodies), size_of_data(element), len(element.states), element.law.role,
+            bool(element.gap), [state.role for state in element.states])

@@ -18,7 +18,9 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .table import DISSIPATED, END_STOP, ForceElement, State
+from .force_law import BOUNDARY, force_law
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen.expression_graph import chosen, larger
 from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 
@@ -61,10 +63,27 @@ class EndStop(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        return ForceElement(END_STOP, (machine.joint(self.joint),), (
+        return ForceElement(end_stop, joints=(machine.joint(self.joint),), values=(
             self.stiffness, -math.inf if self.lower is None else self.lower,
-            math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),),
-            touches=True)
+            math.inf if self.upper is None else self.upper, self.damping),
+            states=(State(DISSIPATED),), gap=BOUNDARY)
+
+
+@force_law()
+def end_stop(forces):
+    stiffness, lower, upper, damping = forces.values[:4]
+    joint = forces.joint
+    above, below = joint.value - upper, lower - joint.value
+    low = below > above
+    sign, depth = chosen(low, -1.0, 1.0), chosen(low, below, above)
+    rate = sign * joint.rate
+    depth = chosen(forces.touches(-depth, -rate), depth, 0.0)
+    elastic = stiffness * depth
+    push = elastic * larger(1.0 + damping * rate, 0.0)
+    joint.push(-(sign * push))
+    forces.store(0.5 * elastic * depth)
+    forces.flow((push - elastic) * rate)
+    forces.read(-(sign * push), depth)
 
 
 def stops_of(effects):

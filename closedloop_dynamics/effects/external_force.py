@@ -15,7 +15,10 @@ from dataclasses import dataclass
 from typing import Union
 
 from .effect import BODY, Effect, WORLD
-from .table import EXTERNAL_FORCE, ForceElement, SPATIAL_FORCE, State, WORK
+from .force_law import force_law
+from .points import of_body_or_world
+from .table import ForceElement, State, WORK
+from ..core.codegen.vectors import add, dot, ZERO
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector, Vector3
@@ -65,9 +68,25 @@ class ExternalForce(Effect):
         force, torque, turns = machine.vector(self.force), self.torque, float(self.axes == BODY)
         states = (State(WORK),)
         if machine.mechanism.planar:
-            return ForceElement(EXTERNAL_FORCE, (row,), (*place, *force, torque, turns), states)
-        torque = torque or (0.0, 0.0, 0.0)
-        if turns:
+            torque = (torque,)
+        else:
+            torque = torque or (0.0, 0.0, 0.0)
+        if turns and not machine.mechanism.planar:
             axes = machine.placement(machine.carrier(self.point)).axes
             force, torque = axes @ force, axes @ torque
-        return ForceElement(SPATIAL_FORCE, (row,), (*place, *force, *torque, turns), states)
+        return ForceElement(external_force, bodies=(row,), values=(
+            *place, *force, *torque, turns), states=states)
+
+
+@force_law()
+def external_force(forces):
+    (body,), size, values = forces.bodies, forces.size, forces.values
+    offset = forces.turned(body, values[:size])
+    moment, turns = ((0.0, 0.0, values[4]), values[5]) if size == 2 else (values[6:9], values[9])
+    force, moment = (of_body_or_world(forces, body, vector, turns)
+                     for vector in (values[size:2 * size], moment))
+    moment = add(moment, ZERO)
+    forces.push(body, offset, force, moment)
+    power = dot(force, forces.place(body, offset)[1]) + dot(moment, forces.spin(body))
+    forces.flow(power)
+    forces.read(power)

@@ -18,7 +18,10 @@ from typing import Union
 import numpy as np
 
 from .effect import Effect
-from .table import DISSIPATED, FLUID_DRAG, ForceElement, SPATIAL_FLUID_DRAG, State, WORK
+from .force_law import force_law
+from .table import DISSIPATED, ForceElement, State, WORK
+from ..core.codegen.expression_graph import square_root
+from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 from ..mechanism.checks import (
     name, none_negative, not_negative, number, one_or_several, orientation, vector)
 from ..mechanism.fields import FieldError, shown
@@ -88,12 +91,53 @@ class FluidDrag(Effect):
         along = [machine.vector(getattr(self, key)) for key in ALONG]
         flow = machine.vector(self.flow)
         if machine.mechanism.planar:
-            return ForceElement(FLUID_DRAG, (row,), (
+            return ForceElement(drag_in_plane, bodies=(row,), values=(
                 *place, *direction(self.angle).tolist(), *along[0], *along[1],
-                self.turning_linear, self.turning_quadratic, *flow), states)
+                self.turning_linear, self.turning_quadratic, *flow), states=states)
         axes = machine.placement(machine.carrier(self.point)).axes @ np.array(
             of_quaternion(self.orientation))
         about = [np.broadcast_to(getattr(self, key), 3).tolist() for key in ABOUT]
-        return ForceElement(SPATIAL_FLUID_DRAG, (row,), (*place, *flow), states, data=tuple(
-            (*axes[:, k].tolist(), along[0][k], along[1][k], about[0][k], about[1][k])
-            for k in range(3)))
+        return ForceElement(
+            drag_in_space, bodies=(row,), values=(*place, *flow), states=states, data=tuple(
+                (*axes[:, k].tolist(), along[0][k], along[1][k], about[0][k], about[1][k])
+                for k in range(3)))
+
+
+@force_law()
+def drag_in_plane(forces):
+    values = forces.values
+    axis = tuple(values[2:4])
+    force, moment = _drag(forces, values[:2], in_space(values[10:12]), (
+        (axis, values[4], values[6], 0.0, 0.0),
+        ((-axis[1], axis[0]), values[5], values[7], 0.0, 0.0),
+        ((0.0, 0.0, 1.0), 0.0, 0.0, *values[8:10])))
+    forces.read(square_root(dot(force, force)), moment[2])
+
+
+@force_law()
+def drag_in_space(forces):
+    entries = [forces.entries(COLUMNS * n, COLUMNS) for n in range(3)]
+    forces.read(*(square_root(dot(one, one)) for one in _drag(
+        forces, forces.values[:3], tuple(forces.values[3:6]),
+        [(one[:3], *one[3:]) for one in entries])))
+
+
+def _drag(forces, point, flow, entries):
+    """
+    Apply a fluid's drag along axes of a body and about them, with two coefficients of each.
+
+    Returns force and moment.
+    """
+    body, = forces.bodies
+    offset = forces.turned(body, point)
+    velocity, spin = subtract(forces.place(body, offset)[1], flow), forces.spin(body)
+    force, moment = ZERO, ZERO
+    for along_body, *coefficients in entries:
+        axis = forces.turned(body, along_body)
+        along, about = (
+            -((linear + quadratic * abs(speed)) * speed) for linear, quadratic, speed in (
+                (*coefficients[:2], dot(axis, velocity)), (*coefficients[2:], dot(axis, spin))))
+        force, moment = add(force, scale(axis, along)), add(moment, scale(axis, about))
+    forces.push(body, offset, force, moment)
+    forces.flow(-dot(force, velocity) - dot(moment, spin), dot(force, flow))
+    return force, moment

@@ -19,8 +19,9 @@ from typing import Optional, Tuple
 import numpy as np
 
 from .effect import Effect
-from .table import (
-    DISSIPATED, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SPATIAL_FORCE_TABLE, State)
+from .force_law import force_law
+from .points import pull_together, two_places
+from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector
@@ -97,13 +98,41 @@ class ForceTable(Effect):
             np.array(self.strokes), np.array(self.forces), self.interpolation)
         if self.joint is not None:
             return ForceElement(
-                JOINT_FORCE_TABLE, (machine.joint(self.joint),), (self.damping,), states,
-                data=data)
+                table_in_joint, joints=(machine.joint(self.joint),), values=(self.damping,),
+                states=states, data=data)
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        kind = POINT_FORCE_TABLE if machine.mechanism.planar else SPATIAL_FORCE_TABLE
-        return ForceElement(kind, (row_a, row_b), (
-            self.damping, *place_a, *place_b), states, data=data)
+        return ForceElement(table_between_points, bodies=(row_a, row_b), values=(
+            self.damping, *place_a, *place_b), states=states, data=data)
+
+
+@force_law(listed=COLUMNS, in_lanes=False)
+def table_in_joint(forces):
+    joint = forces.joint
+    force, energy = _force_and_energy(forces, joint.value)
+    loss = forces.values[0] * joint.rate
+    joint.push(force - loss)
+    forces.store(-energy)
+    forces.flow(loss * joint.rate)
+    forces.read(force - loss, joint.value)
+
+
+@force_law(listed=COLUMNS, in_lanes=False)
+def table_between_points(forces):
+    damping = forces.values[0]
+
+    def tension(length, rate):
+        force, energy = _force_and_energy(forces, length)
+        return force + damping * rate, energy, damping * rate * rate
+    pull_together(forces, two_places(forces, 1), tension)
+
+
+def _force_and_energy(forces, stroke):
+    """Return force and energy at a stroke, by the piece that is there."""
+    start, a, b, c, d, energy = forces.piece(COLUMNS, stroke)
+    u = stroke - start
+    return (a + u * (b + u * (c + u * d)),
+            energy + u * (a + u * (b / 2.0 + u * (c / 3.0 + u * d / 4.0))))
 
 
 def _pieces(strokes, forces, interpolation):

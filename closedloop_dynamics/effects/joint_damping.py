@@ -13,7 +13,8 @@ grows with the rate and vanishes at rest.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .table import DISSIPATED, ForceElement, JOINT_DAMPING, State
+from .force_law import force_law
+from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import freedom, not_negative
 
 
@@ -42,5 +43,15 @@ class JointDamping(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        return ForceElement(JOINT_DAMPING, (machine.joint(self.joint),), (self.coefficient,),
-                            (State(DISSIPATED),))
+        return ForceElement(
+            viscous_damping, joints=(machine.joint(self.joint),), values=(self.coefficient,),
+            states=(State(DISSIPATED),))
+
+
+@force_law(in_balls=True)
+def viscous_damping(forces):
+    joint = forces.joint
+    torque = -(forces.values[0] * joint.rate)
+    joint.push(torque)
+    forces.flow(-(torque * joint.rate))
+    forces.read(torque)

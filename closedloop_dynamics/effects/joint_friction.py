@@ -26,9 +26,8 @@ When: bearings, seals and guides at low speed, whatever should stay where it sta
 
 from dataclasses import dataclass
 
+from .dry_friction import direction_of, friction_element
 from .effect import Effect
-from .stick_slip import direction_of
-from .table import DISSIPATED, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, State
 from ..mechanism.checks import freedom, not_negative, positive
 from ..mechanism.fields import FieldError
 
@@ -94,14 +93,10 @@ class JointFriction(Effect):
     def element(self, machine):
         """Return the effect as a row of the table."""
         lever = self.friction_coefficient * self.radius
-        values = [self.coulomb, self.static_ratio, self.stribeck_velocity, lever,
-                  float(self.rubs_along in machine.decided)]
-        values += [0.0] * (LOAD_TIME - len(values)) + [self.load_time]
-        return ForceElement(
-            JOINT_FRICTION, (machine.joint(self.joint), machine.joint_row(self.joint)),
-            tuple(values),
-            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), loaded=self.depends_on_reactions,
-            sticks=True)
+        return friction_element(
+            self, machine, (self.coulomb, self.static_ratio, self.stribeck_velocity, lever),
+            self.load_time, joints=(machine.joint(self.joint),),
+            bodies=(machine.joint_row(self.joint),), loaded=self.depends_on_reactions)
 
     def direction(self, rate):
         """Return the direction in which the joint slides at a rate; 0 at rest."""

@@ -19,10 +19,16 @@ a large k) a joint that is meant to stand still.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .table import ForceElement, JOINT_SPRING, ORIENTATION_SPRING
+from .force_law import force_law
+from .table import ForceElement
+from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
+from ..core.codegen.vectors import dot, scale, subtract, ZERO
 from ..mechanism.checks import freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.rotations import of_quaternion
+
+# asin(x) / x in powers of x^2, good to rounding where that is below the limit.
+_ARC, _SMALL = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816), 1e-3
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,62 @@ class JointSpring(Effect):
         """Return the effect as a row of the table."""
         if self.joint not in machine.mechanism.coordinates.with_orientation:
             return ForceElement(
-                JOINT_SPRING, (machine.joint(self.joint),), (self.stiffness, self.rest))
+                joint_spring, joints=(machine.joint(self.joint),),
+                values=(self.stiffness, self.rest))
         joint = machine.description(self.joint)
         parent, child = (machine.placement(body) for body in (joint.parent, joint.child))
         axes = parent.axes @ of_quaternion(joint.orientation)
         return ForceElement(
-            ORIENTATION_SPRING, (parent.row, child.row), (self.stiffness,),
+            orientation_spring, bodies=(parent.row, child.row), values=(self.stiffness,),
             data=((*axes.T.ravel().tolist(), *child.axes.T.ravel().tolist()),))
+
+
+@force_law()
+def joint_spring(forces):
+    stiffness, rest = forces.values[:2]
+    stretch = forces.joint.value - rest
+    torque = -(stiffness * stretch)
+    forces.joint.push(torque)
+    forces.store(0.5 * (stiffness * (stretch * stretch)))
+    forces.read(torque)
+
+
+@force_law()
+def orientation_spring(forces):
+    (parent, child), stiffness = forces.bodies, forces.values[0]
+    axes, others = ([forces.turned(body, forces.entries(n + 3 * k, 3)) for k in range(3)]
+                    for body, n in ((parent, 0), (child, 9)))
+    turn = _turn([[dot(axis, other) for other in others] for axis in axes])
+    moment = ZERO
+    for axis, component in zip(axes, turn):
+        moment = subtract(moment, scale(axis, stiffness * component))
+    forces.push(child, ZERO, ZERO, moment)
+    forces.push(parent, ZERO, ZERO, scale(moment, -1.0))
+    square = dot(turn, turn)
+    forces.store(0.5 * (stiffness * square))
+    forces.read(stiffness * square_root(square))
+
+
+def _turn(matrix):
+    """Return the angle phi of a rotation, 0 to pi, times its axis a."""
+    # a sin phi, from the antisymmetric part.
+    sines = [0.5 * (matrix[(k + 2) % 3][(k + 1) % 3] - matrix[(k + 1) % 3][(k + 2) % 3])
+             for k in range(3)]
+    cosine = 0.5 * (matrix[0][0] + matrix[1][1] + matrix[2][2] - 1.0)
+    square = dot(sines, sines)
+    sine = square_root(square)
+    angle, series = arctangent(sine, cosine), 0.0
+    # phi / sin phi: where that is small, its series, as the root has no derivative at zero.
+    for coefficient in reversed(_ARC):
+        series = coefficient + square * series
+    near = scale(sines, chosen(square < _SMALL, series, angle / sine))
+    # Beyond a right angle: the longest column of a a^T (1 - cos phi), the symmetric part.
+    columns = [[0.5 * (matrix[i][k] + matrix[k][i]) - (cosine if i == k else 0.0)
+                for i in range(3)] for k in range(3)]
+    longest, most = columns[0], columns[0][0]
+    for k in (1, 2):
+        longer, most = columns[k][k] > most, larger(most, columns[k][k])
+        longest = [chosen(longer, one, other) for one, other in zip(columns[k], longest)]
+    factor = angle / square_root(dot(longest, longest))
+    far = scale(longest, chosen(dot(longest, sines) < 0.0, -factor, factor))
+    return [chosen(cosine > 0.0, *one) for one in zip(near, far)]

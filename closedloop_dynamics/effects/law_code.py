@@ -8,38 +8,54 @@ They act where that code does not (``scene_code``). One routine serves all effec
 whatever terms they have: a change of these compiles nothing.
 """
 
-from . import live_laws
-from .table import (
-    ACTUATOR, END_STOP, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING, ORIENTATION_SPRING,
-    PRESCRIBED_TORQUE, SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CONTACT, SPATIAL_FLUID_DRAG,
-    SPATIAL_FORCE, SPATIAL_FORCE_TABLE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE, TENDON,
-    VALUE_COLUMNS)
+from .force_law import COURSE, INERTIA, MOTION
+from .table import Row, VALUE_COLUMNS
 from ..core.codegen import plane, space
-from ..core.codegen.law_routine import addresses_of_laws, FIRST_BODY, JOINT, SECOND_BODY
+from ..core.codegen.law_routine import addresses_of_laws, RowTrace
 from ..engine import native
 
-_IN_JOINTS = (ACTUATOR, END_STOP, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_SPRING,
-              PRESCRIBED_TORQUE)
-_IN_SPACE = (ORIENTATION_SPRING, SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CONTACT,
-             SPATIAL_FLUID_DRAG, SPATIAL_FORCE, SPATIAL_FORCE_TABLE, SPATIAL_POINT_SPRING,
-             SPATIAL_PRESCRIBED_FORCE)
-# The engine has the law of a tendon, which acts in any number of joints.
-LAWS = {kind: law for kind, law in live_laws.ALONE.items() if kind != TENDON}
-# At most so many numbers are in the entries of a law that reads them one by one.
-_MOST_ENTRIES = 30
+# What the engine knows of routines, by their addresses.
+_known = set()
 
 
 def link(table):
-    """Give the engine the laws of the kinds in a table that it does not have itself."""
-    known = addresses_of_laws({kind: (space if kind in _IN_SPACE else plane, _law(kind))
-                               for kind in set(table.kind.tolist()) & LAWS.keys()}, VALUE_COLUMNS)
-    for kind, address in known.items():
-        native.keep_law(kind, address)
+    """Give a table the addresses of the routines of its laws; those missing are compiled."""
+    rows = {number: Row(table, number) for number, law in enumerate(table.laws)
+            if law.role not in (MOTION, INERTIA)}
+    keys = {number: _key(row, table) for number, row in rows.items()}
+    found = addresses_of_laws({
+        keys[number]: (lambda row=row: _trace(row, table)) for number, row in rows.items()})
+    for number, row in rows.items():
+        table.routine[number] = address = found[keys[number]]
+        if address not in _known:
+            native.keep_law(address, *_needs(row, table))
+            _known.add(address)
 
 
-def _law(kind):
-    """Return the law of a kind for ``core.codegen.law_routine.RowTrace``."""
-    first, second = (JOINT, JOINT) if kind in _IN_JOINTS else (FIRST_BODY, SECOND_BODY)
-    return lambda forces: LAWS[kind](
-        forces, first, second, forces.numbers(0),
-        live_laws.numbers_of_entries(forces, kind, _MOST_ENTRIES))
+def _key(row, table):
+    """Return what the routine of a row's law depends on."""
+    return (row.law.name, _coordinates(row), len(row.bodies),
+            bool(row.bodies) and _is_spatial(table), *row.law.parts(row))
+
+
+def _coordinates(row):
+    """Return how many coordinates of joints a law reads."""
+    return min(1, row.summed) or len(row.joints)
+
+
+def _is_spatial(table):
+    return table.reaction.shape[1] == 12
+
+
+def _needs(row, table):
+    """Return what a row that has the routine must have: ``engine/laws.hpp``."""
+    law = row.law
+    read_one_by_one = 0 if law.listed or law.role == COURSE else len(row.data)
+    return (_coordinates(row), len(row.bodies), row.states, read_one_by_one, law.listed,
+            _is_spatial(table))
+
+
+def _trace(row, table):
+    """Return the trace of a law for any row of its kind."""
+    return RowTrace(space if row.bodies and _is_spatial(table) else plane, VALUE_COLUMNS,
+                    _coordinates(row), row)

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Optional
 
 from .effect import Effect
-from .table import DISSIPATED, ForceElement, POINT_SPRING, SPATIAL_POINT_SPRING, State
+from .force_law import force_law
+from .points import pull_together, two_places
+from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import name, not_negative, vector
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import Vector
@@ -66,7 +68,17 @@ class PointSpring(Effect):
         """Return the effect as a row of the table."""
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        kind = POINT_SPRING if machine.mechanism.planar else SPATIAL_POINT_SPRING
-        return ForceElement(kind, (row_a, row_b), (
+        return ForceElement(point_spring, bodies=(row_a, row_b), values=(
             self.stiffness, self.damping, self.free_length, *place_a, *place_b),
-            (State(DISSIPATED),))
+            states=(State(DISSIPATED),))
+
+
+@force_law()
+def point_spring(forces):
+    stiffness, damping, free = forces.values[:3]
+
+    def tension(length, rate):
+        stretch = length - free
+        return (stiffness * stretch + damping * rate, 0.5 * (stiffness * (stretch * stretch)),
+                damping * rate * rate)
+    pull_together(forces, two_places(forces, 3), tension)

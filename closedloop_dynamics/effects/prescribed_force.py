@@ -18,9 +18,10 @@ from typing import Optional, Tuple
 
 from . import course, expression
 from .effect import BODY, Effect, WORLD
-from .table import (
-    ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, State,
-    WORK)
+from .force_law import COURSE, force_law
+from .points import of_body_or_world
+from .table import ForceElement, OWN, State, WORK
+from ..core.codegen.vectors import dot, scale
 from ..mechanism.checks import (
     freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
@@ -142,15 +143,41 @@ class PrescribedForce(Effect):
         states = State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)
         if self.joint is not None:
             return ForceElement(
-                PRESCRIBED_TORQUE, (machine.joint(self.joint),), (self.period or 0.0, written),
-                states, data=self._data)
+                torque_over_time, joints=(machine.joint(self.joint),),
+                values=(self.period or 0.0, written), states=states, data=self._data)
         row, place = machine.point(self.point)
         length, turns = math.hypot(*self.direction), float(self.axes == BODY)
-        direction, kind = tuple(one / length for one in self.direction), PRESCRIBED_FORCE
-        if not machine.mechanism.planar:
-            kind = SPATIAL_PRESCRIBED_FORCE
-            if turns:
-                direction = machine.placement(machine.carrier(self.point)).axes @ direction
+        direction = tuple(one / length for one in self.direction)
+        if turns and not machine.mechanism.planar:
+            direction = machine.placement(machine.carrier(self.point)).axes @ direction
         return ForceElement(
-            kind, (row,), (self.period or 0.0, written, *place, *direction, turns), states,
+            force_over_time, bodies=(row,),
+            values=(self.period or 0.0, written, *place, *direction, turns), states=states,
             data=self._data)
+
+
+FOLLOWS_TIME = 'it follows the time'
+
+
+@force_law(role=COURSE, terms=course.terms, engine_only=FOLLOWS_TIME,
+           in_lanes=False, in_balls=True)
+def torque_over_time(forces):
+    torque = course.value(forces)
+    forces.joint.push(torque)
+    power = torque * forces.joint.rate
+    forces.flow(1.0, 0.0, power)
+    forces.read(torque, power)
+
+
+@force_law(role=COURSE, terms=course.terms, engine_only=FOLLOWS_TIME,
+           in_lanes=False)
+def force_over_time(forces):
+    (body,), size, values = forces.bodies, forces.size, forces.values
+    force = course.value(forces)
+    offset = forces.turned(body, values[2:2 + size])
+    direction = of_body_or_world(
+        forces, body, values[2 + size:2 + 2 * size], values[2 + 2 * size])
+    forces.push(body, offset, scale(direction, force))
+    power = force * dot(direction, forces.place(body, offset)[1])
+    forces.flow(1.0, 0.0, power)
+    forces.read(force, power)

@@ -22,7 +22,8 @@ import numpy as np
 
 from . import course, expression
 from .effect import Effect
-from .table import build_table, ForceElement, OWN, PRESCRIBED_MOTION, State, WORK
+from .force_law import force_law, MOTION
+from .table import build_table, ForceElement, OWN, State, WORK
 from ..engine import native
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
@@ -286,10 +287,20 @@ class PrescribedMotion(Effect):
             self.expression is not None) else (0, 0)
         offset = start if self.from_start else self.offset or 0.0
         return ForceElement(
-            PRESCRIBED_MOTION, (row, multiplier),
-            (self.period or 0.0, float(self.expression is not None), offset, float(place),
-             float(first), float(second)),
-            (State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)), data=self._data)
+            motion_over_time, equation=(row, multiplier, place),
+            values=(self.period or 0.0, float(self.expression is not None), offset,
+                    float(first), float(second)),
+            states=(State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)),
+            data=self._data)
+
+
+@force_law(role=MOTION, terms=course.terms, in_lanes=False,
+           engine_only='it follows the time')
+def motion_over_time(forces):
+    """Follow the time, and do the work; ``course.right_sides`` is where and how it moves."""
+    _, rate, _ = course.present_values(forces)
+    forces.flow(1.0, 0.0)
+    forces.drive(rate, state=2)
 
 
 def _of_table(record):

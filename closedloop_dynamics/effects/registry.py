@@ -4,9 +4,8 @@
 """
 The effects that a scene may list, by their ``type``.
 
-A new effect is one file beside this one, holding a frozen dataclass of its
-parameters that checks itself when built, and one line here; its law, if it has one, is a function
-of ``smooth_laws``, ``contact_laws`` or ``live_laws``.
+A new effect is one file beside this one, holding a frozen dataclass of its parameters that checks
+itself when built, and its law on symbols (``force_law``), if it has one; and one line here.
 """
 
 from .actuator import Actuator

@@ -32,7 +32,8 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
-from .table import ForceElement, REFLECTED_INERTIA
+from .reflected_inertia import reflected_inertia
+from .table import ForceElement
 from ..core.codegen import space
 from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, freedom, not_negative, number
@@ -150,8 +151,8 @@ class Rotor(Effect):
         """Return the row of the table of a rotor at a cut joint."""
         if self.joint not in machine.cuts:
             return None
-        return ForceElement(REFLECTED_INERTIA, (machine.joint(self.joint),),
-                            (self.gear_ratio ** 2 * self.inertia,), sticks=True)
+        return ForceElement(reflected_inertia, joints=(machine.joint(self.joint),),
+                            values=(self.gear_ratio ** 2 * self.inertia,))
 
 
 def _turns(mechanism, body):

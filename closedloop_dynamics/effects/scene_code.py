@@ -4,29 +4,29 @@
 """
 Which code evaluates a scene: one routine of mechanism and effects, or the engine in parts.
 
-A scene with an effect that has no law on symbols (``live_laws``) is evaluated in parts, its
-effects one by one (``law_code``), and so is any while one of them is switched off, several of many
+A scene with reflected inertia is evaluated in parts, its effects one by one (``law_code``), and so
+is any while one of them is switched off, several of many
 joints under dry friction are at rest, or friction feels the reaction in its joint:
 ``engine/scene_code.cpp``.
 """
 
 from functools import partial
+from types import SimpleNamespace
 
-from .live_laws import COURSES, joints_of, law_of, LAWS, LiveLaws, shape, USER_LAWS
-from .smooth_laws import FORCE_TABLES
+from .course import right_sides
+from .force_law import FRICTION, INERTIA, MOTION
 from .table import (
-    ACTUATOR, CABLE, CURVE_CONTACT, DATA, END_STOP, ENTRIES, FACE_CONTACT, FIRST,
-    JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, PRESCRIBED_MOTION, SECOND, STATE, TENDON)
+    ACROSS_B, AXIS, CUT_VALUE_COLUMNS, FOLLOWED, IN_PLANE, NODE_COLUMNS, POINT_A, POINT_B,
+    PRESENT_COLUMNS, RATE_ONLY, Row, ROW_A, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, TRIAL_COLUMNS,
+    VALUE_COLUMNS, ZERO)
 from ..core.codegen import function_table as calls
-from ..core.codegen.live_scene import address_of_scene
+from ..core.codegen.live_scene import address_of_scene, LiveForces
 from ..core.codegen.machine_code import LANES, SCALAR
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
 
-# Columns of EffectTable.values that only the code may depend on, of an effect's kind.
-_CONSTANT = {TENDON: (0, 1), PRESCRIBED_MOTION: (3,)}
-_IN_JOINTS = (ACTUATOR, END_STOP, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, TENDON)
-_NOT_IN_LANES = {*COURSES, *FORCE_TABLES, ACTUATOR, CABLE, CURVE_CONTACT, FACE_CONTACT}
+_CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
+                'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
 # With more frictions than these no routine has the responses: each is half an evaluation.
 _MOST_FRICTIONS = 6
 # Structures of the code behind addresses.
@@ -37,20 +37,17 @@ def structure(model, table):
     """
     Return the key of the code of a scene with a table of effects, beside its mechanism.
 
-    None where an effect has no law on symbols.
+    None where an effect has no code.
     """
-    kinds = table.kind.tolist()
     balls = set(model.tree[model.tree[:, TYPE] == BALL, DOF].tolist())
-    for row, kind in enumerate(kinds):
-        if kind not in LAWS or (kind in _IN_JOINTS and balls & set(joints_of(table, row))) or (
-                kind in USER_LAWS and law_of(table, row) is None):
-            return None
-    # An address is another one in the next process.
-    rows = tuple((kind, *table.index[row, [STATE, FIRST, DATA, ENTRIES]].tolist(),
-                  0 if kind in USER_LAWS else int(table.index[row, SECOND]),
-                  *table.values[row, list(_CONSTANT.get(kind, ()))].tolist(),
-                  *shape(table, row)) for row, kind in enumerate(kinds))
-    return rows, len(table.states), table.cuts.index.tobytes()
+    rows = [Row(table, number) for number in range(len(table.laws))]
+    if any(row.law.role == INERTIA or not row.law.in_balls and balls & set(row.joints)
+           for row in rows):
+        return None
+    return tuple((
+        row.law.name, *row.law.parts(row), row.state, *row.joints, *row.bodies, *row.equation,
+        row.begin, row.count, row.summed, *row.law.terms(row)) for row in rows), len(
+            table.states), table.cuts.index.tobytes()
 
 
 def link(model, table, functions, scene=None):
@@ -92,7 +89,7 @@ def fit_lanes(table):
     cables are watched: each lane would do that by itself.
     """
     return bool(table.code.fits[0] and table.enabled.all() and not table.loaded[0]
-                and not len(table.cuts.index) and _NOT_IN_LANES.isdisjoint(table.kind.tolist()))
+                and not len(table.cuts.index) and all(law.in_lanes for law in table.laws))
 
 
 def addresses_in_lanes(model, tables):
@@ -133,10 +130,51 @@ def _addresses(model, table, key, form=SCALAR):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}
     # Motions and cut joints would respond to friction, too.
-    frictions = table.kind.tolist().count(JOINT_FRICTION)
-    if frictions and PRESCRIBED_MOTION not in table.kind and not len(table.cuts.index):
+    frictions = table.role.tolist().count(FRICTION)
+    if frictions and MOTION not in table.role and not len(table.cuts.index):
         several = (calls.RESPONSES,) if 1 < frictions <= _MOST_FRICTIONS else ()
         for which in (calls.AT_REST, *several):
             found[which] = address_of_scene(
                 model, (*key, which), partial(LiveLaws, table, which), form)
     return found
+
+
+class LiveLaws:
+    """
+    The laws of a scene, for ``core.codegen.live_scene.LiveTrace``.
+
+    Parameters
+    ----------
+    table : EffectTable
+        Its structure counts, not its numbers.
+    at_rest : int
+        As of ``LiveTrace``: which joints under dry friction may be at rest.
+
+    """
+
+    def __init__(self, table, at_rest=calls.EVALUATION):
+        self._rows = [Row(table, number) for number in range(len(table.laws))]
+        self.states, self.at_rest = len(table.states), at_rest
+        self.columns = {calls.VALUES: VALUE_COLUMNS, calls.PRESENT: PRESENT_COLUMNS,
+                        calls.GAPS: NODE_COLUMNS, calls.TRIALS: TRIAL_COLUMNS, calls.SIDES: 1,
+                        calls.CUT_VALUES: CUT_VALUE_COLUMNS}
+        self.cuts = [SimpleNamespace(
+            slides=bool(row[SLIDES]), in_plane=bool(row[IN_PLANE]), row_a=int(row[ROW_A]),
+            row_b=int(row[ROW_B]), followed=int(row[FOLLOWED]), rate_only=bool(row[RATE_ONLY]),
+            columns=_CUT_COLUMNS) for row in table.cuts.index]
+
+    def motions(self, trace):
+        """Return value, rate and acceleration of prescribed motions by row and column."""
+        forces, found = LiveForces(trace), {}
+        for row in self._rows:
+            if row.law.role == MOTION:
+                forces.turn_to(row)
+                closure, _, column = row.equation
+                found[closure, column] = right_sides(forces)
+        return found
+
+    def act(self, forces):
+        """Apply all effects."""
+        for row in self._rows:
+            forces.turn_to(row)
+            row.law.act(forces)

@@ -4,7 +4,7 @@
 """
 The table of effects for the engine: flat arrays, one row for each listed effect.
 
-The kind of a row chooses its law (``law_code``, ``engine/dispatch.cpp``); which rows there are is
+Each row obeys a law (``force_law``), whose routine it has the address of; which rows there are is
 data.
 """
 
@@ -12,23 +12,18 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from ..core.codegen.function_table import PRESENT_COLUMNS
+from .force_law import ForceLaw, FRICTION, INERTIA, MOTION, NO_GAP
+from ..core.codegen.function_table import LAW_COLUMNS, PRESENT_COLUMNS
 
-# Which law a row of the table obeys; last, how many there are.
-(JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
- ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
- PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
- CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
- SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
- REFLECTED_INERTIA, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED,
- SPATIAL_TRACED, KINDS) = range(35)
-# Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
-# of the tree) or the row of the body that carries the first point; the row of the second point's
-# body, or of the joint's; of a traced law how many coordinates it measures and the address of its
-# routine; whether the law wants the reaction in its joint, as its second state;
-# where its numbers begin among those of all effects, and how many entries they are.
-STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
-INDEX_COLUMNS = 6
+# Columns of EffectTable.index: first own state; where its places begin among those of all effects:
+# of its joints (in q, of cut joints behind those of the tree), then the rows of its bodies, of a
+# motion in the place of both its row of ``Model.cut``, its multiplier and its column of
+# ``Model.cut_point``; how many joints and how many bodies; whether the law acts along the sum of
+# the joints, whose arms are its first numbers; whether it wants the reaction in its joint, as its
+# second state; where its numbers begin among those of all effects, and how many entries they are;
+# what its gap is (``force_law.NO_GAP`` to ``EVENT``).
+STATE, PLACES, JOINTS, BODIES, SUMMED, LOADED, DATA, ENTRIES, GAP_OF = INDEX = range(9)
+INDEX_COLUMNS = len(INDEX)
 # Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
 # tells.
 UNDECIDED, FREE, TOUCHING = range(3)
@@ -92,17 +87,29 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_TRACED``
-    index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
-    values: Tuple[float, ...]  # Parameters, in the order the law reads them
+    law: ForceLaw
+    joints: Tuple[int, ...] = ()  # Their places in q, of cut joints behind those of the tree
+    bodies: Tuple[int, ...] = ()  # Their rows
+    values: Tuple[float, ...] = ()  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
-    loaded: bool = False  # Whether the law wants the reaction in its joint
-    # Whether the law's force follows from accelerations: it may hold its joint or tendon at rest,
-    # or is that of inertia at a cut joint or along a tendon.
-    sticks: bool = False
-    touches: bool = False  # Whether the law is a contact, whose gap opens and closes
     # Entries of numbers, such as pieces of a course or a curve, in the order the law reads them.
     data: Tuple[Tuple[float, ...], ...] = ()
+    # Whether the law acts along the sum of its joints, whose arms are the first entry.
+    summed: bool = False
+    loaded: bool = False  # Whether the law wants the reaction in its joint
+    gap: int = NO_GAP  # What opens and closes
+    # Of a motion: its row of ``Model.cut``, multiplier, column of ``Model.cut_point``.
+    equation: Tuple[int, ...] = ()
+
+    @property
+    def places(self):
+        """Return what the row has in ``EffectTable.places``."""
+        return (*self.joints, *self.bodies, *self.equation)
+
+    @property
+    def sticks(self):
+        """Whether its force follows from accelerations: at rest, or that of inertia."""
+        return self.law.role in (FRICTION, INERTIA)
 
 
 class Sticking(NamedTuple):
@@ -170,10 +177,14 @@ class SceneCode(NamedTuple):
 class EffectTable(NamedTuple):
     """The listed effects, as the kernels read them."""
 
+    laws: list  # Of ForceLaw, of the rows
     # Shape (ne,)
-    kind: np.ndarray
+    role: np.ndarray
+    routine: np.ndarray  # Addresses of the laws' routines; 0: the engine has the law
     enabled: np.ndarray
     index: np.ndarray  # Shape (ne, INDEX_COLUMNS)
+    places: np.ndarray  # Shape (np,): places of all elements
+    calls: np.ndarray  # Shape (LAW_COLUMNS + nb,): of a routine; nb bodies at most for one law
     values: np.ndarray  # Shape (ne, VALUE_COLUMNS)
     output: np.ndarray  # Shape (ne, OUTPUT_COLUMNS): written by the laws
     # Shape (nz,): the effects' states and their derivatives, of the latest evaluation.
@@ -236,9 +247,13 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
     cut_count = 0 if cuts is None else len(cuts[0])
     acts = count > 0 or cut_count > 0
     table = EffectTable(
-        kind=np.array([element.kind for element in elements], dtype=np.int64),
-        enabled=np.ones(count, dtype=np.int64),
+        laws=[element.law for element in elements],
+        role=np.array([element.law.role for element in elements], dtype=np.int64),
+        routine=np.zeros(count, dtype=np.int64), enabled=np.ones(count, dtype=np.int64),
         index=np.zeros((count, INDEX_COLUMNS), dtype=np.int64),
+        places=np.zeros(sum(len(element.places) for element in elements), dtype=np.int64),
+        calls=np.zeros(LAW_COLUMNS + max(
+            (len(element.bodies) for element in elements), default=0), dtype=np.int64),
         values=np.zeros((count, VALUE_COLUMNS)),
         output=np.zeros((count, OUTPUT_COLUMNS)),
         states=np.array([state.initial for state in states], dtype=float),
@@ -255,22 +270,21 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
             share=np.zeros(most), impulse=np.zeros(most)),
         data=np.zeros(sum(map(size_of_data, elements))),
         contacts=Contacts(
-            rows=np.array([row for row, element in enumerate(elements) if element.touches],
+            rows=np.array([row for row, element in enumerate(elements) if element.gap],
                           dtype=np.int64),
             mode=np.zeros(count, dtype=np.int64), now=np.zeros((count, NODE_COLUMNS)),
             start=np.zeros((count, NODE_COLUMNS)), trial=np.zeros((count, TRIAL_COLUMNS)),
             nodes=np.zeros((LEVELS + 3, count, NODE_COLUMNS)), search=np.zeros(SEARCH_LENGTH)),
         motions=cut_point if any(
-            element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
+            element.law.role == MOTION for element in elements) else np.zeros((0, 0)),
         cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies),
         code=SceneCode(fits=np.zeros(1, dtype=np.int64),
                        present=np.full((count, PRESENT_COLUMNS), np.nan), sides=np.zeros(count)))
-    first = begin = 0
+    begun = np.zeros(3, dtype=np.int64)
     for row, element in enumerate(elements):
-        table.index[row, [STATE, DATA]] = first, begin
+        table.index[row, [STATE, PLACES, DATA]] = begun
         fill_row(table, row, element)
-        first += len(element.states)
-        begin += size_of_data(element)
+        begun += len(element.states), len(element.places), size_of_data(element)
     return table
 
 
@@ -293,23 +307,66 @@ def size_of_data(element):
     return sum(map(len, element.data))
 
 
-def entries_of(table, row):
-    """Return the numbers of a row's entries, as they are in ``EffectTable.data``: a view."""
-    begin, *after = table.index[row:row + 2, DATA].tolist()
-    return table.data[begin:after[0] if after else len(table.data)]
+class Row:
+    """
+    A row of the table, as laws on symbols have it.
+
+    Attributes
+    ----------
+    law : ForceLaw
+    number : int
+        Of the row.
+    state, states : int
+        Place of its first state, and how many they are.
+    joints, bodies, equation : list of int
+        As of ``ForceElement``.
+    summed : int
+        How many arms its numbers begin with: that of each joint; 0: none.
+    data : ndarray
+        The numbers behind these: a view.
+    begin, count : int
+        Where these begin among the numbers of all effects, and how many entries they are.
+    values : ndarray
+        Parameters: a view.
+
+    """
+
+    def __init__(self, table, number):
+        index = table.index[number].tolist()
+        begin, joints, bodies = (index[k] for k in (PLACES, JOINTS, BODIES))
+        self.law, self.number, self.state = table.laws[number], number, index[STATE]
+        followed = int((table.cuts.index[:, FOLLOWED] >= 0).sum())
+        self.states = _behind(
+            table, number, STATE, len(table.states) - followed) - self.state
+        places = table.places[begin:_behind(table, number, PLACES, len(table.places))].tolist()
+        self.joints, self.bodies = places[:joints], places[joints:joints + bodies]
+        self.equation = places[joints + bodies:]
+        self.summed = joints if index[SUMMED] else 0
+        self.begin, self.count = index[DATA] + self.summed, index[ENTRIES] - index[SUMMED]
+        self.arms = table.data[index[DATA]:self.begin]
+        self.data = table.data[self.begin:_behind(table, number, DATA, len(table.data))]
+        self.values = table.values[number]
+
+
+def _behind(table, row, column, length):
+    """Return where the part of an array ends that begins, by row, at the places in a column."""
+    return int(table.index[row + 1, column]) if row + 1 < len(table.index) else length
 
 
 def fill_row(table, row, element):
     """Write the parameters of one effect, at the start or while a simulation runs."""
-    table.index[row, 1:1 + len(element.index)] = element.index
+    table.laws[row] = element.law
+    begin, places = table.index[row, PLACES], element.places
+    table.places[begin:begin + len(places)] = places
+    table.index[row, [JOINTS, BODIES, SUMMED, LOADED, ENTRIES, GAP_OF]] = (
+        len(element.joints), len(element.bodies), element.summed, element.loaded,
+        len(element.data), element.gap)
     table.values[row] = 0.0
     table.values[row, :len(element.values)] = element.values
     begin = table.index[row, DATA]
     table.data[begin:begin + size_of_data(element)] = [
         number for entry in element.data for number in entry]
     table.code.present[row, NUMBER] = np.nan
-    table.index[row, ENTRIES] = len(element.data)
-    table.index[row, LOADED] = element.loaded
     table.loaded[0] = table.index[:, LOADED].sum()
     first = table.index[row, STATE]
     table.scale[first:first + len(element.states)] = [state.scale for state in element.states]

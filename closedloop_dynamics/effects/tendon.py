@@ -18,14 +18,22 @@ from numbers import Real
 from typing import Tuple, Union
 
 from .along_joints import AlongJoints
-from .table import DISSIPATED, ForceElement, State, TENDON
+from .force_law import force_law
+from .table import DISSIPATED, ForceElement, State
+from ..core.codegen.expression_graph import larger, smaller
 from ..mechanism.checks import list_of, number
 from ..mechanism.fields import FieldError, shown
+
+# Most coefficients of a spring, and of a damper.
+MOST = 8
 
 
 def _coefficients(value):
     """Return a number as a tuple of one float, a list as one of all."""
-    return list_of(number)((value,) if isinstance(value, Real) else value)
+    found = list_of(number)((value,) if isinstance(value, Real) else value)
+    if len(found) > MOST:
+        raise FieldError(f'at most {MOST} coefficients', f'{len(found)}')
+    return found
 
 
 def _range(value):
@@ -64,7 +72,30 @@ class Tendon(AlongJoints):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
+        springs, dampers = (
+            (*one, *(MOST - len(one)) * (0.0,)) for one in (self.stiffness, self.damping))
         return ForceElement(
-            TENDON, (), (float(len(self.stiffness)), float(len(self.damping)), *self.rest),
-            (State(DISSIPATED),),
-            data=(*self.entries(machine), self.stiffness, self.damping))
+            elastic_tendon, **self.along(machine),
+            values=(*self.rest, float(len(self.stiffness)), float(len(self.damping))),
+            states=(State(DISSIPATED),), data=(self.lengths, springs, dampers))
+
+
+@force_law(terms=lambda row: tuple(row.values[2:4].astype(int).tolist()))
+def elastic_tendon(forces):
+    (least, most), tendon = forces.values[:2], forces.joint
+    springs, dampers = forces.terms or (MOST, MOST)
+    length, rate = tendon.value, tendon.rate
+    stretch = length - larger(least, smaller(most, length))
+    tension, stored, power = 0.0, 0.0, stretch
+    for exponent, stiffness in enumerate(forces.entries(0, springs), start=2):
+        tension = tension + stiffness * power
+        power = power * stretch
+        stored = stored + stiffness / exponent * power
+    power, viscous = rate, 0.0
+    for damping in forces.entries(MOST, dampers):
+        viscous = viscous + damping * power
+        power = power * abs(rate)
+    tendon.push(-(tension + viscous))
+    forces.store(stored)
+    forces.flow(viscous * rate)
+    forces.read(tension + viscous, length)

@@ -14,8 +14,7 @@ joints, belts that rub, friction between two links that a parallel mechanism joi
 from dataclasses import dataclass
 
 from .along_joints import AlongJoints
-from .stick_slip import direction_of
-from .table import DISSIPATED, ForceElement, JOINT_FRICTION, OWN, State
+from .dry_friction import direction_of, friction_element
 from ..mechanism.checks import not_negative
 
 
@@ -47,11 +46,8 @@ class TendonFriction(AlongJoints):
     def element(self, machine):
         """Return the effect as a row of the table."""
         # That of a joint whose limit is F at all rates, and which feels no reaction.
-        return ForceElement(
-            JOINT_FRICTION, (), (
-                self.coulomb, 1.0, 1.0, 0.0, float(self.rubs_along in machine.decided)),
-            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), sticks=True,
-            data=self.entries(machine))
+        return friction_element(self, machine, (self.coulomb, 1.0, 1.0, 0.0),
+                                data=(self.lengths,), **self.along(machine))
 
     def direction(self, rate):
         """Return the direction in which the tendon slides at a rate; 0 at rest."""

@@ -15,7 +15,8 @@ joints (as in a differential drive).
 from dataclasses import dataclass
 
 from .along_joints import AlongJoints
-from .table import ForceElement, REFLECTED_INERTIA
+from .reflected_inertia import reflected_inertia
+from .table import ForceElement
 from ..mechanism.checks import not_negative
 
 
@@ -41,5 +42,5 @@ class TendonInertia(AlongJoints):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        return ForceElement(REFLECTED_INERTIA, (), (self.inertia,), sticks=True,
-                            data=self.entries(machine))
+        return ForceElement(reflected_inertia, **self.along(machine), values=(self.inertia,),
+                            data=(self.lengths,))

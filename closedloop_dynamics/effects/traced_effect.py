@@ -6,28 +6,28 @@ Laws of force that are traced: run once on symbols, then compiled.
 
 A law measures coordinates: of joints, distances between points, components of the places of
 points. What it pushes with along a coordinate x does the power ``F x'``. Its parameters are inputs
-of the code, so that a change of them compiles nothing. The engine calls the code from
-``traced_laws.cpp``.
+of the code, so that a change of them compiles nothing.
 """
 
 from dataclasses import fields
-from functools import cached_property
+from functools import cached_property, partial
 import math
 
 from .effect import Effect, require_point
-from .table import (
-    DISSIPATED, ForceElement, OWN, SPATIAL_TRACED, State, TRACED, VALUE_COLUMNS, WORK)
+from .force_law import EVENT, ForceLaw, NO_GAP
+from .points import line_between, push_apart
+from .table import DISSIPATED, ForceElement, OWN, State, VALUE_COLUMNS, WORK
 from .user_code import defined, definition
 from ..core.codegen.differentiation import differentiated
-from ..core.codegen.expression_graph import ExpressionGraph, LOAD, needed_for, Routine, Symbol
-from ..core.codegen.machine_code import KERNEL, machine_code
+from ..core.codegen.expression_graph import (
+    chosen, ExpressionGraph, LOAD, needed_for, replayed, Symbol)
+from ..core.codegen.vectors import dot
 from ..mechanism.checks import name as name_check
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, shown
 
-# Inputs and outputs of a routine: parameters; what is measured; own states; forces, rates of
-# states, stored energy, dissipated power, readings, then the gap of an event and its rate.
-PARAMETERS, MEASURED, STATES, RESULTS = range(4)
+# Inputs of the arithmetic: parameters; what is measured; own states.
+PARAMETERS, MEASURED, STATES = range(3)
 # What is measured: the time; 1 where the gap of the event is less than zero; each coordinate and
 # its rate.
 TIME, SIDE, FIRST_COORDINATE = range(3)
@@ -35,10 +35,6 @@ TIME, SIDE, FIRST_COORDINATE = range(3)
 JOINT, DISTANCE, COMPONENT = range(3)
 AXES = ('x', 'y', 'z')
 MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
-# Numbers of an entry of the law's data.
-COLUMNS = 9
-# Addresses of compiled code, by what it computes, and laws, by these addresses.
-compiled, laws = {}, {}
 
 
 class Coordinate:
@@ -194,7 +190,12 @@ class Tracing:
 
     @cached_property
     def results(self):
-        """Return the results of the routine: a list of Symbol or float."""
+        """
+        Return the results of the arithmetic: a list of Symbol or float.
+
+        Forces, rates of states, stored energy, dissipated power, readings, then the gap of an
+        event and its rate.
+        """
         readings = list(self.readings.values())
         return [*(one.force for one in self.coordinates),
                 *(self.rates[name] for name in self.states),
@@ -203,6 +204,11 @@ class Tracing:
                 *(() if self.gap is None else (self.gap, self.gap_rate))]
 
     @property
+    def is_booked(self):
+        """Whether the law says what it stores or dissipates: then nothing is work from outside."""
+        return self.energy is not None or self.dissipation is not None
+
+    @cached_property
     def arithmetic(self):
         """Return all that the code of the law depends on, as text."""
         return repr((self.graph.operations, [
@@ -285,19 +291,21 @@ class TracedEffect(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        law, clock = self.traced, ()
-        if law.follows_time:
-            clock = (State(OWN),)
-        booked = law.energy is not None or law.dissipation is not None
-        head = (float(len(clock)), float(len(law.states)), float(booked),
-                float(law.gap is not None))
-        data = head, *(_entry(machine, *entry) for entry in law.entries)
-        kind = TRACED if machine.mechanism.planar else SPATIAL_TRACED
+        law = self.traced
+        clock = (State(OWN),) if law.follows_time else ()
+        joints, bodies, data = [], [], []
+        for kind, *ends in law.entries:
+            if kind == JOINT:
+                joints.append(machine.joint(*ends))
+                continue
+            for end in ends[:1] if kind == COMPONENT else ends:
+                row, place = machine.point(end) if isinstance(end, str) else (0, end)
+                bodies.append(row)
+                data.append(tuple(place))
         return ForceElement(
-            kind, (len(law.entries), _address(law)), tuple(self.numbers().values()),
-            (*clock, *law.states.values(), State(DISSIPATED if booked else WORK)),
-            touches=law.gap is not None,
-            data=tuple((*entry, *(COLUMNS - len(entry)) * (0.0,)) for entry in data))
+            TracedLaw(law), tuple(joints), tuple(bodies), tuple(self.numbers().values()),
+            (*clock, *law.states.values(), State(DISSIPATED if law.is_booked else WORK)),
+            tuple(data), gap=NO_GAP if law.gap is None else EVENT)
 
     def clock(self, time):
         """Return the time, if the law depends on it."""
@@ -357,24 +365,93 @@ def _require_gap(law):
                                  'one of a rate, or of the event itself')
 
 
-def _entry(machine, kind, *ends):
-    """Return a measured coordinate as an entry of the row's data."""
-    if kind == JOINT:
-        return kind, machine.joint(*ends)
-    if kind == COMPONENT:
-        row, place = machine.point(ends[0])
-        return kind, row, AXES.index(ends[1]), *place
-    rows, places = zip(*(
-        machine.point(end) if isinstance(end, str) else (0, end) for end in ends))
-    return kind, *rows, *places[0], *(3 - len(places[0])) * (0.0,), *places[1]
+class TracedLaw(ForceLaw):
+    """
+    A law that was traced, on the symbols of other code: it measures coordinates, and pushes.
+
+    Parameters
+    ----------
+    traced : Tracing
+
+    """
+
+    def __init__(self, traced):
+        super().__init__(partial(_act, traced), in_balls=True)
+        object.__setattr__(self, 'traced', traced)
+
+    @property
+    def name(self):
+        return 'traced_law'
+
+    def parts(self, row):
+        """Return its arithmetic, and what it measures."""
+        law = self.traced
+        return law.arithmetic, len(law.states), law.gap is not None, law.is_booked, *(
+            (kind, *ends[1:]) if kind == COMPONENT else kind for kind, *ends in law.entries)
+
+    @property
+    def follows_time(self):
+        return self.traced.follows_time
+
+    def refusal(self, instant, along):
+        """Return why it has no derivatives: its time, states and events."""
+        law = self.traced
+        return ('its force may jump at its event, within a step'
+                if along and law.gap is not None else
+                'it follows the time' if law.follows_time and not instant else
+                'it has states of its own' if law.states else None)
+
+    def __reduce__(self):
+        return TracedLaw, (self.traced,)
+
+    def __deepcopy__(self, _):
+        return self
 
 
-def _address(law):
-    """Return the address of a law's routine."""
-    key = law.arithmetic
-    if key not in compiled:
-        outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
-        compiled[key] = machine_code(
-            ('law', key), lambda: [Routine('law', law.graph, outputs)], KERNEL)('law')
-        laws[compiled[key]] = law
-    return compiled[key]
+def _act(law, forces):
+    """Apply a traced law."""
+    clock = int(law.follows_time)
+    inputs = {PARAMETERS: forces.values, MEASURED: FIRST_COORDINATE * [None],
+              STATES: [forces.state(clock + n) for n in range(len(law.states))]}
+    measured, pushes = inputs[MEASURED], []
+    if clock:
+        measured[TIME] = forces.state(0) if forces.held is None else forces.held
+    joints, bodies, size, place = iter(forces.joints), iter(forces.bodies), forces.size, 0
+    for kind, *ends in law.entries:
+        if kind == JOINT:
+            joint = next(joints)
+            measured += [joint.value, joint.rate]
+            pushes.append(joint.push)
+        elif kind == COMPONENT:
+            body, axis = next(bodies), AXES.index(ends[1])
+            offset = forces.turned(body, forces.entries(place, size))
+            measured += [each[axis] for each in forces.place(body, offset)]
+            pushes.append(partial(_push_along, forces, axis, body, offset))
+            place += size
+        else:
+            both = next(bodies), next(bodies)
+            offsets, direction, length, rate = line_between(
+                forces, both, [forces.entries(place + size * n, size) for n in range(2)])
+            measured += [length, rate]
+            pushes.append(partial(push_apart, forces, both, offsets, direction))
+            place += 2 * size
+
+    def found(results):
+        return replayed(law.graph, results, lambda source, place: inputs[source][place])
+
+    if law.gap is not None:
+        # The gap is the same on both sides of the event.
+        measured[SIDE] = chosen(forces.touches(*found(law.results[-2:])), 1.0, 0.0)
+    results = found(law.results)
+    for push, force in zip(pushes, results):
+        push(force)
+    count, own = len(pushes), len(law.states)
+    power = dot(results[:count], measured[FIRST_COORDINATE + 1::2])
+    stored, lost, *readings = results[count + own:count + own + 2 + MOST_READINGS]
+    forces.store(stored)
+    forces.flow(*clock * (1.0,), *results[count:count + own], lost if law.is_booked else power)
+    forces.read(power, *readings)
+
+
+def _push_along(forces, axis, body, offset, force):
+    forces.push(body, offset, tuple(force if k == axis else 0.0 for k in range(3)))

@@ -179,6 +179,8 @@ auto read(PyObject * from, Type & to, Place place)
   to = static_cast<Type>(number);
 }
 
+inline void read(PyObject *, Unread &, Place) {}
+
 /// Read a tuple of records.
 template<class Record>
 void read(PyObject * from, std::vector<Record> & to, Place place)

@@ -6,32 +6,32 @@
 
 #include "effect_table.hpp"
 
-// Effects along a weighted sum of joint coordinates, as of a tendon: l = sum_j r_j q_j. Entries of
-// such an effect begin with the joints and their moment arms r_j, two numbers each; without any,
-// the effect acts in the joint of EffectTable.index.
+// Effects along a weighted sum of joint coordinates, as of a tendon: l = sum_j r_j q_j. Data of
+// such an effect begin with the moment arms r_j. One that is not summed acts in its first joint.
 
 namespace closedloop
 {
 
-/// How many joints an effect has with moment arms.
-inline Index arm_count(const EffectTable & table, Index row)
+/// Whether an effect has moment arms.
+inline bool has_arms(const EffectTable & table, Index row)
 {
-  const Index entries = table.index(row, effect::ENTRIES);
-  // Behind those of a spring and damper are two entries, their coefficients.
-  return table.kind[row] == effect::TENDON ? entries - 2 : entries;
+  return table.index(row, effect::SUMMED) == 1;
 }
+
+/// The first joint of an effect.
+inline Index joint_of(const EffectTable & table, Index row) {return *table.places_of(row);}
 
 /// An effect's weighted sum of quantities of all joints, shape (nv + nk,).
 inline double along(const EffectTable & table, Index row, Values joints)
 {
-  const Index count = arm_count(table, row);
-  if (count == 0) {
-    return joints[table.index(row, effect::FIRST)];
+  if (!has_arms(table, row)) {
+    return joints[joint_of(table, row)];
   }
+  const Index * places = table.places_of(row);
   const double * arms = table.data.data + table.index(row, effect::DATA);
   double sum = 0.0;
-  for (Index k = 0; k < count; ++k) {
-    sum += arms[2 * k + 1] * joints[static_cast<Index>(arms[2 * k])];
+  for (Index k = 0; k < table.index(row, effect::JOINTS); ++k) {
+    sum += arms[k] * joints[places[k]];
   }
   return sum;
 }
@@ -39,14 +39,14 @@ inline double along(const EffectTable & table, Index row, Values joints)
 /// Add a force along that sum to the joints.
 inline void exert_along(const EffectTable & table, Index row, double force)
 {
-  const Index count = arm_count(table, row);
-  if (count == 0) {
-    table.applied[table.index(row, effect::FIRST)] += force;
+  if (!has_arms(table, row)) {
+    table.applied[joint_of(table, row)] += force;
     return;
   }
+  const Index * places = table.places_of(row);
   const double * arms = table.data.data + table.index(row, effect::DATA);
-  for (Index k = 0; k < count; ++k) {
-    table.applied[static_cast<Index>(arms[2 * k])] += arms[2 * k + 1] * force;
+  for (Index k = 0; k < table.index(row, effect::JOINTS); ++k) {
+    table.applied[places[k]] += arms[k] * force;
   }
 }
 

@@ -243,9 +243,9 @@ bool fits(const Batch & batch)
          (batch.energies.size == 0 || batch.energies.size == 3 * LANES) && batch.manifold.fits(batch.nq(), nv);
 }
 
-bool lists(const EffectTable & effects, Index kind)
+bool lists(const EffectTable & effects, Index role)
 {
-  return std::find(effects.kind.begin(), effects.kind.end(), kind) != effects.kind.end();
+  return std::find(effects.role.begin(), effects.role.end(), role) != effects.role.end();
 }
 
 bool same(Indices one, Indices other)
@@ -263,9 +263,10 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          LANES * lane.system->effects.sticking.right.size == batch.friction.size &&
          batch.friction.size / LANES * (batch.qdd.size + batch.closure.size) ==
          batch.response.size &&
-         same(lane.system->effects.kind, first.system->effects.kind) &&
+         same(lane.system->effects.role, first.system->effects.role) &&
+         same(lane.system->effects.places, first.system->effects.places) &&
          (batch.table[routine::AT_REST] != 0 ||
-         !lists(lane.system->effects, effect::JOINT_FRICTION)) &&
+         !lists(lane.system->effects, effect::FRICTION)) &&
          lane.system->tau.size == batch.nv() && lane.run.stepper->fixed_tableau() != nullptr &&
          lane.run.stepper->stabilisation() == first.run.stepper->stabilisation() &&
          lane.run.numbers.size == guard::NUMBERS &&

@@ -362,7 +362,8 @@ const Entry entries[] = {
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
   entry<keep_law>(
-    "keep_law", "keep_law(kind, address): of generated code, for all tables of effects"),
+    "keep_law", "keep_law(address, joints, bodies, states, numbers, listed, spatial): what a row "
+    "must have for a routine"),
   entry<library_function>(
     "library_function", "library_function(which): address of a function for generated code"),
   entry<curve_distance>(

@@ -54,8 +54,8 @@ constexpr double SHORTER = 0.2;
 // Dissipated energy may fall by this share of it, or of the stored energy, by errors of
 // integration.
 constexpr double FALLS = 1e-3;
-// Columns of EffectTable.values of contacts between bodies, and the entry of planes in space.
-constexpr Index RADIUS = 4, OTHER_RADIUS = 5, SIDE = 11, FLAT = 9;
+// Columns of EffectTable.values of contacts between bodies.
+constexpr Index RADIUS = 4, OTHER_RADIUS = 5;
 
 /// Prepare for the evaluations of another trial.
 void clear(const Contacts & contacts)
@@ -162,10 +162,9 @@ bool is_judged(const EffectTable & effects, Index row)
 /// integration: no law does that, except laws that account for it otherwise.
 bool has_gained(const EffectTable & effects, Index row)
 {
-  const Index kind = effects.kind[row];
   const double lost = effects.states[effects.index(row, effect::STATE)];
   const double before = effects.contacts.trial(row, contact::LOST);
-  return kind != effect::TRACED && kind != effect::SPATIAL_TRACED &&
+  return effects.index(row, effect::GAP_OF) != effect::EVENT &&
          lost < before - FALLS * (std::abs(before) + effects.output(row, effect::STORED)) - CLOSED;
 }
 
@@ -366,7 +365,7 @@ ChordDistance nearest_to_body(
   const EffectTable & effects, Index row, const double * left, const double * right)
 {
   const double radius = effects.values(row, RADIUS);
-  if (effects.kind[row] == effect::CURVE_CONTACT) {
+  if (effects.index(row, effect::GAP_OF) == effect::OUTLINE) {
     const ChordDistance found = nearest_to_chord(
       pieces_of_curve(effects, row), vector2(left + PLACE), vector2(right + PLACE));
     return {found.distance - radius, found.along};
@@ -544,11 +543,8 @@ void update_gaps(const System & system, Values state)
 
 bool is_finite(const EffectTable & effects, Index row)
 {
-  const Index kind = effects.kind[row];
-  const bool outside = effects.values(row, SIDE) > 0.0;
-  return kind == effect::CURVE_CONTACT || (kind == effect::CIRCLE_CONTACT && outside) || (
-    kind == effect::SPATIAL_BODY_CONTACT && outside &&
-    effects.data[effects.index(row, effect::DATA) + FLAT] == 0.0);
+  const Index gap = effects.index(row, effect::GAP_OF);
+  return gap == effect::ROUND || gap == effect::OUTLINE;
 }
 
 bool may_miss_contact(double gap, double other, double wrong, double fastest, double size)

@@ -11,12 +11,22 @@ namespace closedloop
 
 namespace
 {
+Law * law_of(Index role)
+{
+  switch (role) {
+    case effect::MOTION: return apply_prescribed_motion;
+    case effect::FRICTION: return apply_friction;
+    case effect::INERTIA: return apply_reflected_inertia;
+    default: return apply_generated;
+  }
+}
+
 /// Apply the laws to the joints that the arrays have.
 void apply_laws(const EffectTable & table, Table body, Values q, Values qd, Values tau)
 {
   for (Index row = 0; row < table.count(); ++row) {
     if (table.enabled[row] == 1) {
-      law_of(table.kind[row])(table, row, body, q, qd, tau);
+      law_of(table.role[row])(table, row, body, q, qd, tau);
     }
   }
 }
@@ -46,21 +56,6 @@ void exert_efforts(const EffectTable & table, Table body, Index nv)
   apply_cut_efforts(cuts.index, cuts.values, body, table.applied, nv);
 }
 }  // namespace
-
-Law * law_of(Index kind)
-{
-  switch (kind) {
-    case effect::JOINT_FRICTION: return apply_joint_friction;
-    case effect::CABLE: return apply_cable;
-    case effect::SPATIAL_CABLE: return apply_spatial_cable;
-    case effect::PRESCRIBED_MOTION: return apply_prescribed_motion;
-    case effect::REFLECTED_INERTIA: return apply_reflected_inertia;
-    case effect::TENDON: return apply_tendon;
-    case effect::TRACED: return apply_traced;
-    case effect::SPATIAL_TRACED: return apply_spatial_traced;
-    default: return has_generated_law(kind) ? apply_generated : nullptr;
-  }
-}
 
 void apply_effects(const EffectTable & table, Table body, Values q, Values qd, Values tau)
 {

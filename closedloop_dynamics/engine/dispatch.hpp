@@ -11,9 +11,6 @@
 namespace closedloop
 {
 
-/// The law of a kind of effect; null where it is generated code that was not given yet.
-Law * law_of(Index kind);
-
 /// Apply all effects that are switched on to bodies after `outward`: forces at points reduce their
 /// bias forces. EffectTable.states is read; `applied` (commands and joint torques), `rates`,
 /// `output` and which joints stick are written. `q`, `qd`, shape (nv,); `tau`, shape (nv + nk,):

@@ -15,21 +15,18 @@ namespace closedloop
 /// Columns of EffectTable.index.
 namespace effect
 {
-enum : Index {STATE, FIRST, SECOND, LOADED, DATA, ENTRIES};
+enum : Index {STATE, PLACES, JOINTS, BODIES, SUMMED, LOADED, DATA, ENTRIES, GAP_OF};
 /// Column of EffectTable.values where a law is LOADED, and of EffectTable.output.
 enum Column : Index {STORED = 0, LOAD_TIME = 11};
-/// Values of EffectTable.kind.
-enum Kind : Index
-{
-  JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
-  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
-  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
-  CIRCLE_CONTACT, CURVE_CONTACT, FACE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
-  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE, REFLECTED_INERTIA,
-  TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, ORIENTATION_SPRING, TRACED, SPATIAL_TRACED, KINDS
-};
+/// Roles of laws: a force; one in the place of a command; force or motion over time; dry friction;
+/// inertia whose force follows from accelerations.
+enum Role : Index {FORCE, DRIVE, COURSE, MOTION, FRICTION, INERTIA};
+/// Gap: none; from a boundary without end; from a body that may be passed, about its point or as a
+/// curve; of a user's law.
+enum Gap : Index {NO_GAP, BOUNDARY, ROUND, OUTLINE, EVENT};
+/// Places of a prescribed motion: row of Model.cut, multiplier, column of Model.cut_point.
+enum Equation : Index {CUT_ROW, MULTIPLIER, COLUMN, EQUATION_PLACES};
 }
-
 /// Values of Contacts.mode, and columns of its arrays.
 namespace contact
 {
@@ -61,23 +58,6 @@ enum : Index
 {
   NUMBER, PERIOD_START, PIECE_START, COEFFICIENTS, PRESENT_COLUMNS = 12
 };
-}
-
-/// Data of laws that were traced on symbols (effects/traced_effect.py).
-namespace traced
-{
-/// The most coordinates and own states of a law, and readings beside its power.
-constexpr Index MOST_COORDINATES = 16, MOST_STATES = 16, READINGS = 3;
-
-/// Numbers of the first entry: number of leading states that are the time; other states; whether
-/// the law gives stored and dissipated energy, so that the rest is no external work; whether it has
-/// an event, that is, gap and rate behind its other results.
-enum Head : Index {CLOCK, OWN, BOOKED, EVENT};
-/// Numbers of the other entries: measured quantity, joint or bodies or axis, and points.
-enum Entry : Index {MEASURED, FIRST, SECOND, POINT_A, POINT_B = 6, COLUMNS = 9};
-/// Measured quantity: coordinate of a joint, distance of two points, component of a point's
-/// position.
-enum Measured : Index {JOINT, DISTANCE, COMPONENT};
 }
 
 /// Joints at rest under dry friction, and their holding forces.
@@ -143,12 +123,19 @@ struct SceneCode
   void fields(Visitor && visit) {visit(fits, present, sides);}
 };
 
+/// A field of a named tuple that the engine has no use for.
+struct Unread {};
+
 /// The listed effects.
 struct EffectTable
 {
-  Indices kind;
+  Unread laws;
+  Indices role;
+  Indices routine;
   Indices enabled;
   Indexes index;
+  Indices places;
+  Indices calls;
   Table values;
   Table output;
   Values states;
@@ -164,13 +151,25 @@ struct EffectTable
   CutCoordinates cuts;
   SceneCode code;
 
-  Index count() const {return kind.size;}
+  Index count() const {return role.size;}
+  /// Places of the joints of a law, behind them rows of its bodies; or those of an equation.
+  const Index * places_of(Index row) const
+  {
+    return places.data + index(row, effect::PLACES);
+  }
+  /// Numbers of a law behind the arms of a sum.
+  const double * numbers_of(Index row) const
+  {
+    return data.data + index(row, effect::DATA) +
+           (index(row, effect::SUMMED) == 1 ? index(row, effect::JOINTS) : 0);
+  }
 
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(kind, enabled, index, values, output, states, rates, scale, loaded, applied, reaction,
-      sticking, data, contacts, motions, cuts, code);
+    visit(
+      laws, role, routine, enabled, index, places, calls, values, output, states, rates, scale,
+      loaded, applied, reaction, sticking, data, contacts, motions, cuts, code);
   }
 };
 

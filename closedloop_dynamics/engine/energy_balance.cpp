@@ -5,6 +5,7 @@
 
 #include <stdexcept>
 
+#include "arms.hpp"
 #include "evaluation.hpp"
 #include "manifold.hpp"
 #include "recursion.hpp"
@@ -20,8 +21,8 @@ enum : Index {OWN, DISSIPATED, WORK};
 bool is_driven(const EffectTable & effects, Index freedom)
 {
   for (Index row = 0; row < effects.count(); ++row) {
-    if (effects.kind[row] == effect::ACTUATOR && effects.enabled[row] != 0 &&
-      effects.index(row, effect::FIRST) == freedom)
+    if (effects.role[row] == effect::DRIVE && effects.enabled[row] != 0 &&
+      joint_of(effects, row) == freedom)
     {
       return true;
     }
@@ -100,7 +101,7 @@ Energies draw(const System & system, const EnergyAccount & account, Values state
   double stored = 0.0, rotors = 0.0;
   for (Index row = 0; row < effects.count(); ++row) {
     stored += effects.output(row, effect::STORED);
-    if (effects.kind[row] == effect::REFLECTED_INERTIA) {
+    if (effects.role[row] == effect::INERTIA) {
       rotors += effects.output(row, effect::STORED);
     }
   }

@@ -4,11 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__FORCES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__FORCES_HPP_
 
-#include <cmath>
-
 #include "array.hpp"
 #include "columns.hpp"
-#include "effect_table.hpp"
 
 // Vectors, and forces at points of bodies, in the plane and in space. `body` is Workspace.body
 // after `outward`, `row` a body's row, 0 for the ground; vectors are in world axes unless stated
@@ -63,8 +60,6 @@ inline Vector3 cross(Vector3 a, Vector3 b)
 /// The two or three numbers at a place, as a vector.
 inline Vector2 vector2(const double * at) {return {at[0], at[1]};}
 inline Vector3 vector3(const double * at) {return {at[0], at[1], at[2]};}
-inline Vector2 vector_at(const double * at, Vector2) {return vector2(at);}
-inline Vector3 vector_at(const double * at, Vector3) {return vector3(at);}
 
 /// Place of a body's origin [m].
 inline Vector2 origin_in_plane(Table body, Index row)
@@ -106,29 +101,6 @@ inline V position(Table body, Index row, V point)
   return origin(body, row, point) + to_world(body, row, point);
 }
 
-/// Velocity of a body's point at an offset from its origin [m, m/s].
-inline Vector2 velocity_at_offset(Table body, Index row, Vector2 offset)
-{
-  const double omega = body(row, plane::OMEGA);
-  return {body(row, plane::VX) - omega * offset.y, body(row, plane::VY) + omega * offset.x};
-}
-inline Vector3 velocity_at_offset(Table body, Index row, Vector3 offset)
-{
-  const Vector3 spin = spin_in_space(body, row);
-  const double * origin = body.row(row) + space::VELOCITY;
-  return {
-    origin[0] + spin.y * offset.z - spin.z * offset.y,
-    origin[1] + spin.z * offset.x - spin.x * offset.z,
-    origin[2] + spin.x * offset.y - spin.y * offset.x};
-}
-
-/// Velocity of a body's point at a position in the world [m, m/s].
-template<class V>
-inline V velocity_at(Table body, Index row, V position)
-{
-  return velocity_at_offset(body, row, position - origin(body, row, position));
-}
-
 /// Apply a torque to a body [N m]: its bias force is reduced.
 inline void apply_torque(Table body, Index row, double torque) {body(row, plane::FZ) -= torque;}
 inline void apply_torque(Table body, Index row, Vector3 torque)
@@ -154,50 +126,6 @@ inline void apply_force(Table body, Index row, Vector3 offset, Vector3 force)
   bias[4] -= force.y;
   bias[5] -= force.z;
 }
-
-/// Apply a force to a body at a position in the world [m, N].
-template<class V>
-inline void apply_force_at(Table body, Index row, V position, V force)
-{
-  apply_force(body, row, position - origin(body, row, position), force);
-}
-
-/// The line between points of two bodies, in the plane or in space.
-template<class V>
-struct Line
-{
-  /// Positions of both points [m].
-  V start;
-  V end;
-  /// Zero where they meet.
-  V direction;
-  /// [m], [m/s]
-  double length;
-  double rate;
-};
-
-/// The line from a point of body `a` to one of body `b`, each in its body's frame [m].
-template<class V>
-Line<V> line_between(Table body, Index a, V point_a, Index b, V point_b)
-{
-  const V start = position(body, a, point_a), end = position(body, b, point_b);
-  const V velocity = velocity_at(body, b, end) - velocity_at(body, a, start);
-  Line<V> line = {start, end, end - start, 0.0, 0.0};
-  line.length = std::sqrt(dot(line.direction, line.direction));
-  if (line.length > 0.0) {
-    line.direction = line.direction / line.length;
-    line.rate = dot(line.direction, velocity);
-  }
-  return line;
-}
-
-/// Store a gap [m, rad], negative where bodies touch, and its rate; return whether there is
-/// contact.
-bool update_contact(const Contacts &, Index row, double gap, double rate);
-
-/// Store the path of a roller beside a body of finite extent that it may pass: the place of its
-/// center, in axes in which the body rests, and its speed relative to the body [m, m/s].
-void store_path(const Contacts &, Index row, Vector3 place, double speed);
 
 }  // namespace closedloop
 

@@ -1,8 +1,10 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-#include <atomic>
+#include <map>
+#include <mutex>
 
+#include "arms.hpp"
 #include "columns.hpp"
 #include "laws.hpp"
 #include "library.hpp"
@@ -13,55 +15,87 @@ namespace closedloop
 
 namespace
 {
-/// Addresses of the routines, by kind: those of one process, which runs of other threads may read
-/// while one is added.
-std::atomic<Index> routines[effect::KINDS];
+/// Routines of this process by their addresses, which runs of other threads may look up while one
+/// is added.
+std::map<Index, Needs> & routines()
+{
+  static std::map<Index, Needs> found;
+  return found;
+}
 
-/// Address of a number of an array. What a law has no joint or body for is not read, and need not
-/// be there.
+std::mutex & lock()
+{
+  static std::mutex one;
+  return one;
+}
+
+/// Address of a number of an array. What a law has no use for is not read, and need not be there.
 Index address(const double * first, Index place = 0)
 {
   return reinterpret_cast<Index>(first) + place * static_cast<Index>(sizeof(double));
 }
-
-/// The number at an address, and what is behind it.
-Values at(Index address) {return {reinterpret_cast<double *>(address), 1};}
 }  // namespace
 
-void keep_law(Index kind, Index address) {routines[kind] = address;}
+void keep_law(
+  Index address, Index joints, Index bodies, Index states, Index numbers, Index listed,
+  bool spatial)
+{
+  const std::lock_guard<std::mutex> locked(lock());
+  routines()[address] = {joints, bodies, states, numbers, listed, spatial};
+}
 
-bool has_generated_law(Index kind) {return routines[kind] != 0;}
+const Needs * needs_of(Index address)
+{
+  const std::lock_guard<std::mutex> locked(lock());
+  const auto found = routines().find(address);
+  // Places in a map remain when others are added.
+  return found == routines().end() ? nullptr : &found->second;
+}
 
 void apply_generated(
   const EffectTable & table, Index row, Table body, Values q, Values qd, Values tau)
 {
   using namespace routine;  // NOLINT: places of one table
-  const Index * index = table.index.row(row);
-  const Index joint = index[effect::FIRST], state = index[effect::STATE];
-  const double count = static_cast<double>(index[effect::ENTRIES]);
-  Index places[law_routine::LAW_COLUMNS];
-  places[EVALUATION] = routines[table.kind[row]];
-  places[BODY] = address(body.data, index[effect::FIRST] * body.columns);
-  places[law_routine::OTHER_BODY] = address(body.data, index[effect::SECOND] * body.columns);
-  places[TAU] = address(table.applied.data, joint);
-  places[COMMAND] = address(tau.data, joint);
+  const Index * index = table.index.row(row), * joints = table.places_of(row);
+  const Index * bodies = joints + index[effect::JOINTS], state = index[effect::STATE];
+  const bool summed = index[effect::SUMMED] == 1;
+  const Index coordinates = summed ? 1 : index[effect::JOINTS];
+  const double count = static_cast<double>(index[effect::ENTRIES] - (summed ? 1 : 0));
+  double position[MOST_COORDINATES], rate[MOST_COORDINATES], effort[MOST_COORDINATES], command[MOST_COORDINATES];
+  for (Index k = 0; k < coordinates; ++k) {
+    position[k] = summed ? along(table, row, q) : q[joints[k]];
+    rate[k] = summed ? along(table, row, qd) : qd[joints[k]];
+    command[k] = summed ? 0.0 : tau[joints[k]];
+    effort[k] = 0.0;
+  }
+  Index * places = table.calls.data;
+  places[EVALUATION] = table.routine[row];
+  places[TAU] = address(effort);
+  places[COMMAND] = address(command);
   places[VALUES] = address(table.values.row(row));
+  places[ENTRIES] = address(table.numbers_of(row));
   places[law_routine::STATES] = address(table.states.data, state);
   places[RATES] = address(table.rates.data, state);
   places[law_routine::OUTPUT] = address(table.output.row(row));
+  places[law_routine::COUNT] = address(&count);
   places[SIDES] = address(&table.code.sides[row]);
   places[GAPS] = address(table.contacts.now.row(row));
   places[TRIALS] = address(table.contacts.trial.row(row));
-  if (index[effect::ENTRIES] > 0) {
-    places[ENTRIES] = address(table.data.data, index[effect::DATA]);
-    places[law_routine::COUNT] = address(&count);
-    places[PRESENT] = address(table.code.present.row(row));
-    for (Index which : {library::LOOK_UP, library::NEAREST, library::FURTHEST}) {
-      places[which] = library_function(which);
-    }
+  places[PRESENT] = address(table.code.present.row(row));
+  for (Index which : {library::PIECE, library::NEAREST, library::FURTHEST}) {
+    places[which] = library_function(which);
   }
-  call({places, law_routine::LAW_COLUMNS}, EVALUATION, at(address(q.data, joint)),
-    at(address(qd.data, joint)));
+  for (Index k = 0; k < index[effect::BODIES]; ++k) {
+    places[law_routine::LAW_COLUMNS + k] = address(body.data, bodies[k] * body.columns);
+  }
+  call(table.calls, EVALUATION, {position, coordinates}, {rate, coordinates});
+  if (summed) {
+    exert_along(table, row, effort[0]);
+    return;
+  }
+  for (Index k = 0; k < coordinates; ++k) {
+    table.applied[joints[k]] += effort[k];
+  }
 }
 
 }  // namespace closedloop

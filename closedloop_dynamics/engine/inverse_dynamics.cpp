@@ -107,9 +107,9 @@ void find_need(
     Scratch<Index, FEW> room(table.count());
     const Indices enabled = room.copy_of(table.enabled);
     for (Index row = 0; row < table.count(); ++row) {
-      if (table.kind[row] == effect::ACTUATOR) {
+      if (table.role[row] == effect::DRIVE) {
         table.enabled[row] = 0;
-      } else if (table.kind[row] == effect::REFLECTED_INERTIA) {
+      } else if (table.role[row] == effect::INERTIA) {
         table.sticking.hold[row] = -table.values(row, 0) * along(table, row, qdd);
       }
     }

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "arms.hpp"
 #include "cut_coordinates.hpp"
 #include "evaluation.hpp"
 #include "forces.hpp"
@@ -113,8 +114,8 @@ void update_joint_loads(
 {
   const bool planar = work.planar();
   for (Index row = 0; row < table.count(); ++row) {
-    if (is_loaded(table, row) && table.index(row, effect::FIRST) < qd.size) {
-      const Index i = table.index(row, effect::SECOND);
+    if (is_loaded(table, row) && joint_of(table, row) < qd.size) {
+      const Index i = table.places_of(row)[1];
       follow_load(
         table, row, planar ? planar_load(model.tree, work.body, table.reaction, i) :
         spatial_load(model.tree, work.body, table.reaction, i));
@@ -122,10 +123,10 @@ void update_joint_loads(
   }
   if (table.cuts.index.rows > 0) {
     for (Index row = 0; row < table.count(); ++row) {
-      if (is_loaded(table, row) && table.index(row, effect::FIRST) >= qd.size) {
+      if (is_loaded(table, row) && joint_of(table, row) >= qd.size) {
         follow_load(
           table, row,
-          cut_load(table, model, work, lam, table.index(row, effect::FIRST) - qd.size));
+          cut_load(table, model, work, lam, joint_of(table, row) - qd.size));
       }
     }
   }

@@ -17,7 +17,7 @@ LaneEvents::LaneEvents(const Batch & batch, const std::vector<Lane> & lanes)
 : batch_(batch), lanes_(lanes), effects_(lanes[0].system->effects)
 {
   for (Index row = 0; row < effects_.count(); ++row) {
-    if (effects_.kind[row] == effect::JOINT_FRICTION) {
+    if (effects_.role[row] == effect::FRICTION) {
       frictions_.push_back(row);
     }
   }
@@ -109,15 +109,15 @@ void LaneEvents::store_start()
 double LaneEvents::along(Index row, Values out, std::size_t lane) const
 {
   const Values rates = out.from(LANES * batch_.nq());
-  const Index count = arm_count(effects_, row);
-  if (count == 0) {
-    return rates[LANES * effects_.index(row, effect::FIRST) + lane];
+  const Index * places = effects_.places_of(row);
+  if (!has_arms(effects_, row)) {
+    return rates[LANES * places[0] + lane];
   }
   const double * arms = lanes_[std::min(lane, lanes_.size() - 1)].system->effects.data.data +
     effects_.index(row, effect::DATA);
   double sum = 0.0;
-  for (Index k = 0; k < count; ++k) {
-    sum += arms[2 * k + 1] * rates[LANES * static_cast<Index>(arms[2 * k]) + lane];
+  for (Index k = 0; k < effects_.index(row, effect::JOINTS); ++k) {
+    sum += arms[k] * rates[LANES * places[k] + lane];
   }
   return sum;
 }
@@ -133,8 +133,8 @@ bool LaneEvents::creeps(Index row, Values out, std::size_t lane) const
   if (!(std::abs(rate) <= RATE_ROUNDING)) {
     return true;
   }
-  if (arm_count(effects_, row) == 0) {
-    out[LANES * (batch_.nq() + effects_.index(row, effect::FIRST)) + lane] = 0.0;
+  if (!has_arms(effects_, row)) {
+    out[LANES * (batch_.nq() + joint_of(effects_, row)) + lane] = 0.0;
   }
   return false;
 }

@@ -17,30 +17,38 @@ namespace closedloop
 
 using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd, Values tau);
 
-// Generated code, from the laws on symbols (generated_law.cpp).
-Law apply_generated;
-/// Keep the address of the routine of a kind, for all tables of effects.
-void keep_law(Index kind, Index address);
-bool has_generated_law(Index kind);
+/// The most coordinates of joints that one law reads.
+constexpr Index MOST_COORDINATES = 16;
 
-// In joints (joint_laws.cpp).
-/// Spring and damper along a weighted sum of coordinates.
-Law apply_tendon;
-/// Friction of a joint or tendon that slides; one at rest is listed in EffectTable.sticking.
-Law apply_joint_friction;
-/// List inertia reflected at a cut joint or along a tendon in EffectTable.sticking: its force
-/// follows from accelerations.
+/// What a row must have for the routine of its law: coordinates of joints, a sum being one; bodies,
+/// of the plane or of space; states; numbers; or entries of so many numbers each, one or more.
+struct Needs
+{
+  Index joints;
+  Index bodies;
+  Index states;
+  Index numbers;
+  Index listed;
+  bool spatial;
+};
+
+/// Keep the needs of a generated routine, by its address, for all tables of effects.
+void keep_law(
+  Index address, Index joints, Index bodies, Index states, Index numbers, Index listed,
+  bool spatial);
+/// Find them; null where there is no such routine.
+const Needs * needs_of(Index address);
+
+/// Generated code, from the laws on symbols (generated_law.cpp).
+Law apply_generated;
+
+// Whose force may follow from accelerations (resting_laws.cpp).
+/// Friction of a joint or tendon; one at rest is listed in EffectTable.sticking.
+Law apply_friction;
+/// List inertia reflected at a cut joint or along a tendon there.
 Law apply_reflected_inertia;
 
-// Laws that were traced on symbols, as generated code (traced_laws.cpp).
-Law apply_traced;
-Law apply_spatial_traced;
-
-// Cables over guides and pulleys (cable_laws.cpp).
-Law apply_cable;
-Law apply_spatial_cable;
-
-// Given over time (prescribed_motion.cpp).
+/// A motion given over time (prescribed_motion.cpp).
 Law apply_prescribed_motion;
 
 /// Set the right-hand sides of all prescribed motions to the time in their states.

@@ -3,6 +3,8 @@
 
 #include "library.hpp"
 
+#include <algorithm>
+
 #include "curve.hpp"
 
 namespace closedloop
@@ -11,7 +13,7 @@ namespace closedloop
 namespace
 {
 /// `entries`: of the effect, so many numbers; `memory`: its row of SceneCode.present; `flag`, `x`,
-/// `y`: arguments of the search; `results`: up to three results after the returned one.
+/// `y`: arguments of the search; `results`: up to five results after the returned one.
 using Function = double (
   const double * entries, double * memory, double length, double flag, double x, double y,
   double * results);
@@ -22,27 +24,25 @@ Values as_values(const double * entries, double length)
   return {const_cast<double *>(entries), static_cast<Index>(length)};
 }
 
-// Numbers of an entry of a force table: stroke at which a piece begins, coefficients, energy there.
-constexpr Index COLUMNS = 6;
-
-/// Force [N; N m] at a stroke, x [m; rad], and energy there [J].
-double look_up(
-  const double * entries, double *, double length, double, double x, double, double * results)
+/// The last entry that begins before x, `flag` numbers each: where it begins, and its others.
+double piece(
+  const double * entries, double *, double length, double flag, double x, double,
+  double * results)
 {
-  // The piece before the table begins where its first one does.
-  Index low = 0, high = x < entries[0] ? 0 : static_cast<Index>(length) / COLUMNS - 1;
+  // Before the table its first entry is the one.
+  const Index columns = static_cast<Index>(flag);
+  Index low = 0, high = x < entries[0] ? 0 : static_cast<Index>(length) / columns - 1;
   while (high - low > 0) {
     const Index middle = (low + high + 1) / 2;
-    if (entries[COLUMNS * middle] <= x) {
+    if (entries[columns * middle] <= x) {
       low = middle;
     } else {
       high = middle - 1;
     }
   }
-  const double * c = entries + COLUMNS * low;
-  const double u = x - c[0];
-  results[0] = c[5] + u * (c[1] + u * (c[2] / 2.0 + u * (c[3] / 3.0 + u * c[4] / 4.0)));
-  return c[1] + u * (c[2] + u * (c[3] + u * c[4]));
+  const double * found = entries + columns * low;
+  std::copy(found + 1, found + columns, results);
+  return found[0];
 }
 
 /// Distance of a point (x, y) from a curve, closed where the flag is one, and the normal.
@@ -69,7 +69,7 @@ double furthest(
 
 Index library_function(Index which)
 {
-  const Function * found = which == library::LOOK_UP ? look_up :
+  const Function * found = which == library::PIECE ? piece :
     which == library::NEAREST ? nearest : which == library::FURTHEST ? furthest : nullptr;
   return reinterpret_cast<Index>(found);
 }

@@ -398,8 +398,11 @@ inline constexpr auto precondition<spread_torques> =
 
 template<>
 inline constexpr auto precondition<keep_law> =
-  [](Index kind, Index address) {
-    return expected::unless(kind >= 0 && kind < effect::KINDS && address != 0, expected::places);
+  [](
+    Index address, Index joints, Index bodies, Index states, Index numbers, Index listed, bool) {
+    return expected::unless(
+      address != 0 && joints >= 0 && joints <= MOST_COORDINATES && bodies >= 0 && states >= 0 &&
+      numbers >= 0 && listed >= 0, expected::places);
   };
 
 template<>

@@ -12,8 +12,8 @@ namespace
 /// Position, rate and acceleration that the closure equation of a prescribed motion is to have.
 double * right_sides(const EffectTable & table, Index row)
 {
-  return table.motions.row(table.index(row, effect::FIRST)) +
-         static_cast<Index>(table.values(row, 3));
+  const Index * places = table.places_of(row);
+  return table.motions.row(places[effect::CUT_ROW]) + places[effect::COLUMN];
 }
 
 /// Set the right-hand sides of a prescribed motion to the time in its state.
@@ -26,8 +26,8 @@ void update_driven_motion(const EffectTable & table, Index row)
     const Index begin = table.index(row, effect::DATA);
     const double time = table.states[table.index(row, effect::STATE)];
     value = expression_value(table, begin, time);
-    rate = expression_value(table, begin + static_cast<Index>(values[4]), time);
-    change = expression_value(table, begin + static_cast<Index>(values[5]), time);
+    rate = expression_value(table, begin + static_cast<Index>(values[3]), time);
+    change = expression_value(table, begin + static_cast<Index>(values[4]), time);
   } else {
     const CourseDerivatives derivatives = course_derivatives(table, row, values[0]);
     value = course_value(table, row, values[0]);
@@ -50,7 +50,7 @@ void apply_prescribed_motion(
 void update_driven_motions(const EffectTable & table)
 {
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.kind[row] == effect::PRESCRIBED_MOTION) {
+    if (table.role[row] == effect::MOTION) {
       update_driven_motion(table, row);
     }
   }
@@ -59,10 +59,10 @@ void update_driven_motions(const EffectTable & table)
 void output_driving_forces(const EffectTable & table, Values lam)
 {
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.kind[row] == effect::PRESCRIBED_MOTION) {
+    if (table.role[row] == effect::MOTION) {
       const double * right = right_sides(table, row);
       const Values output = table.output[row];
-      const double force = lam[table.index(row, effect::SECOND)], rate = right[1];
+      const double force = lam[table.places_of(row)[effect::MULTIPLIER]], rate = right[1];
       table.rates[table.index(row, effect::STATE) + 2] = force * rate;
       output[1] = force;
       output[2] = force * rate;

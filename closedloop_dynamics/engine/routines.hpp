@@ -20,16 +20,6 @@ inline void call_joint_kernel(
   reinterpret_cast<Kernel>(address)(constant, own, other, first, second);
 }
 
-/// Call the code generated for a force law with its parameters, measured coordinates, each with its
-/// rate, states, and results.
-inline void run_law(
-  Index address, const double * parameters, const double * measured, const double * states,
-  double * results)
-{
-  using Law = Index (*)(const double *, const double *, const double *, double *, double *);
-  reinterpret_cast<Law>(address)(parameters, measured, states, results, nullptr);
-}
-
 /// Call a routine generated for a mechanism; return whether its results are good.
 inline bool call(Indices table, Index which, Vector<double> q, Vector<double> qd)
 {

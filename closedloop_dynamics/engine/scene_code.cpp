@@ -24,10 +24,10 @@ void take_piece(const EffectTable & table, Index row)
     const Index at = table.index(row, effect::DATA);
     const double time = table.states[state];
     held[present::COEFFICIENTS] = expression_value(table, at, time);
-    if (table.kind[row] == effect::PRESCRIBED_MOTION) {
+    if (table.role[row] == effect::MOTION) {
       for (Index k = 1; k < 3; ++k) {
         held[present::COEFFICIENTS + k] =
-          expression_value(table, at + static_cast<Index>(values[3 + k]), time);
+          expression_value(table, at + static_cast<Index>(values[2 + k]), time);
       }
     }
   } else if (!(held[present::NUMBER] == table.states[state + 1])) {
@@ -49,15 +49,8 @@ void store_sides(const EffectTable & table)
 void take_pieces(const EffectTable & table)
 {
   for (Index row = 0; row < table.count(); ++row) {
-    switch (table.kind[row]) {
-      case effect::PRESCRIBED_TORQUE:
-      case effect::PRESCRIBED_FORCE:
-      case effect::SPATIAL_PRESCRIBED_FORCE:
-      case effect::PRESCRIBED_MOTION:
-        take_piece(table, row);
-        break;
-      default:
-        break;
+    if (table.role[row] == effect::COURSE || table.role[row] == effect::MOTION) {
+      take_piece(table, row);
     }
   }
 }
@@ -72,7 +65,7 @@ Index prepare_code(const EffectTable & table)
     if (table.enabled[row] != 1) {
       return -1;
     }
-    if (table.kind[row] == effect::JOINT_FRICTION) {
+    if (table.role[row] == effect::FRICTION) {
       resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
     }
   }

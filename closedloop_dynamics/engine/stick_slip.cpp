@@ -24,14 +24,14 @@ constexpr double LEAST_PART = 1e-12;
 
 bool has_friction(const EffectTable & effects, Index row)
 {
-  return effects.kind[row] == effect::JOINT_FRICTION && effects.enabled[row] == 1;
+  return effects.role[row] == effect::FRICTION && effects.enabled[row] == 1;
 }
 
 /// Whether any effect listed is dry friction, switched on or not.
 bool lists_friction(const System & system)
 {
-  for (Index kind : system.effects.kind) {
-    if (kind == effect::JOINT_FRICTION) {
+  for (Index role : system.effects.role) {
+    if (role == effect::FRICTION) {
       return true;
     }
   }
@@ -65,8 +65,7 @@ bool stick(const EffectTable & effects, Values rates, Values own)
   const Index first = rates.size - effects.cuts.index.rows;
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
-      const bool in_tree = arm_count(effects, row) == 0 &&
-        effects.index(row, effect::FIRST) < first;
+      const bool in_tree = !has_arms(effects, row) && joint_of(effects, row) < first;
       double & mode = own[effects.index(row, effect::STATE)];
       const double rate = along(effects, row, rates);
       if (std::abs(rate) > REST) {
@@ -75,7 +74,7 @@ bool stick(const EffectTable & effects, Values rates, Values own)
         mode = 0.0;
         slow = slow || std::abs(rate) > RATE_ROUNDING;
         if (in_tree && std::abs(rate) <= RATE_ROUNDING) {
-          rates[effects.index(row, effect::FIRST)] = 0.0;
+          rates[joint_of(effects, row)] = 0.0;
         }
       }
     }

@@ -24,8 +24,8 @@ constexpr Index MOST_CHANGES = 5;
 void clear(const EffectTable & table, Index place, Values joints)
 {
   const Index row = table.sticking.rows[place + 1];
-  if (arm_count(table, row) == 0) {
-    joints[table.index(row, effect::FIRST)] = 0.0;
+  if (!has_arms(table, row)) {
+    joints[joint_of(table, row)] = 0.0;
   }
 }
 
@@ -97,7 +97,7 @@ Index steepest_bound(const Sticking & sticking, Index count, Values out)
 bool stays_at_rest(const EffectTable & table, Index place)
 {
   const Sticking & sticking = table.sticking;
-  return table.kind[sticking.rows[place + 1]] != effect::REFLECTED_INERTIA &&
+  return table.role[sticking.rows[place + 1]] != effect::INERTIA &&
          std::fabs(sticking.share[place]) < 1.0 && sticking.matrix(place, place) > 0.0;
 }
 }  // namespace
@@ -186,7 +186,7 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
     for (Index b = 0; b < count; ++b) {
       sticking.matrix(a, b) = limit * along(table, row, response[b]);
     }
-    if (table.kind[row] == effect::REFLECTED_INERTIA) {
+    if (table.role[row] == effect::INERTIA) {
       // Its limit is its inertia: the force of a unit acceleration.
       sticking.bound[a] = std::numeric_limits<double>::infinity();
       sticking.matrix(a, a) += limit;
@@ -225,7 +225,7 @@ void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
   Index number = 0;
   count = 0;
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.kind[row] == effect::JOINT_FRICTION) {
+    if (table.role[row] == effect::FRICTION) {
       const double limit = sticking.right[number];
       if (limit > 0.0) {
         if (count < number) {

@@ -17,11 +17,9 @@ namespace
 /// Whether an effect follows the time.
 bool follows_time(const EffectTable & effects, Index row)
 {
-  const Index kind = effects.kind[row];
-  return effects.enabled[row] == 1 && (
-    kind == effect::PRESCRIBED_TORQUE || kind == effect::PRESCRIBED_FORCE ||
-    kind == effect::SPATIAL_PRESCRIBED_FORCE ||
-    (kind == effect::PRESCRIBED_MOTION && effects.values(row, 1) == 0.0));
+  const Index role = effects.role[row];
+  return effects.enabled[row] == 1 && (role == effect::COURSE ||
+         (role == effect::MOTION && effects.values(row, 1) == 0.0));
 }
 
 }  // namespace

@@ -6,18 +6,20 @@
 #include <algorithm>
 #include <cmath>
 
+#include "batch.hpp"
 #include "bounds.hpp"
-#include "dispatch.hpp"
+#include "columns.hpp"
+#include "course.hpp"
+#include "curve.hpp"
+#include "laws.hpp"
 
 namespace closedloop
 {
 
 namespace
 {
-constexpr Index INDEX_COLUMNS = 6, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
+constexpr Index INDEX_COLUMNS = 9, VALUE_COLUMNS = 13, OUTPUT_COLUMNS = 5;
 constexpr Index CUT_INDEX_COLUMNS = 8, CUT_VALUE_COLUMNS = 20;
-// Among the values of a cable in space: the row of the body that the axis turns with.
-constexpr Index CARRIER = 3;
 // Operations of an expression: those without a number to work on, and those on two.
 constexpr double LAST_CONSTANT = 1, FIRST_OF_TWO = 15, LAST_OPERATION = 23;
 
@@ -95,192 +97,97 @@ bool is_expression(Values data, Index at)
   return true;
 }
 
-/// How many entries of a kind are data, and numbers each; laws with a fixed number have one.
-Index numbers_of_entry(Index kind, bool planar)
+/// Whether an effect over time has its course: pieces, or expressions.
+bool has_course(const EffectTable & effects, Index row)
 {
-  switch (kind) {
-    case effect::PRESCRIBED_TORQUE:
-    case effect::PRESCRIBED_FORCE:
-    case effect::SPATIAL_PRESCRIBED_FORCE:
-    case effect::PRESCRIBED_MOTION:
-      return 10;
-    case effect::JOINT_FORCE_TABLE:
-    case effect::POINT_FORCE_TABLE:
-    case effect::SPATIAL_FORCE_TABLE:
-      return 6;
-    case effect::CABLE:
-    case effect::SPATIAL_CABLE:
-      return planar ? 5 : 6;
-    case effect::CURVE_CONTACT:
-    case effect::FACE_CONTACT:
-      return 8;
-    default:
-      return 0;
-  }
-}
-
-/// Numbers of a law with a fixed number of them.
-Index fixed_numbers(Index kind)
-{
-  return kind == effect::BUSHING ? 8 : kind == effect::SPATIAL_BUSHING ? 30 :
-    kind == effect::SPATIAL_BODY_CONTACT ? 11 : kind == effect::SPATIAL_FLUID_DRAG ? 21 :
-    kind == effect::ORIENTATION_SPRING ? 18 : 0;
-}
-
-/// Whether the joints that an effect has with moment arms are there.
-bool has_arms(Values data, Index count, Index joints)
-{
-  if (count < 0 || count > data.size / 2) {
-    return false;
-  }
-  for (Index k = 0; k < count; ++k) {
-    if (as_place(data[2 * k], joints) < 0) {
-      return false;
-    }
-  }
-  return true;
-}
-
-/// Whether the joints of a tendon are there, and its coefficients behind them.
-bool is_tendon(Values data, Index entries, Values values, Index joints)
-{
-  const Index springs = as_place(values[0], data.size), dampers = as_place(values[1], data.size);
-  return springs >= 0 && dampers >= 0 && springs + dampers <= data.size &&
-    has_arms(data.part(0, data.size - springs - dampers), entries - 2, joints);
-}
-
-bool is_traced(Index kind) {return kind == effect::TRACED || kind == effect::SPATIAL_TRACED;}
-
-/// Number of states of a traced law: time, its own, and dissipation or work; negative where an
-/// entry is invalid, or a measured coordinate does not exist.
-Index states_of_traced(Values data, Index count, Index joints, Index bodies, bool planar)
-{
-  if (count < 0 || count > traced::MOST_COORDINATES ||
-    data.size < (count + 1) * traced::COLUMNS)
-  {
-    return -1;
-  }
-  const Index clock = as_place(data[traced::CLOCK], 2);
-  const Index own = as_place(data[traced::OWN], traced::MOST_STATES + 1);
-  for (Index k = 1; k <= count; ++k) {
-    const Values entry = data.part(k * traced::COLUMNS, traced::COLUMNS);
-    const Index kind = as_place(entry[traced::MEASURED], traced::COMPONENT + 1);
-    const Index first = as_place(entry[traced::FIRST], kind == traced::JOINT ? joints : bodies);
-    const Index second = as_place(
-      entry[traced::SECOND], kind == traced::COMPONENT ? (planar ? 2 : 3) : bodies);
-    if (kind < 0 || first < 0 || second < 0) {
-      return -1;
-    }
-  }
-  return clock < 0 || own < 0 ? -1 : clock + own + 1;
-}
-
-bool is_course(Index kind) {return numbers_of_entry(kind, true) == 10;}
-
-bool has_data(const EffectTable & effects, Index row, Index joints, Index bodies, bool planar)
-{
-  const Index kind = effects.kind[row], at = effects.index(row, effect::DATA);
-  const Index entries = effects.index(row, effect::ENTRIES), left = effects.data.size - at;
+  const Index at = effects.index(row, effect::DATA), entries = effects.index(row, effect::ENTRIES);
+  const Index left = effects.data.size - at;
   const Values values = effects.values[row];
-  if (at < 0 || left < fixed_numbers(kind)) {
+  if (values[1] != 1.0) {
+    return entries >= 1 && entries <= left / course::COLUMNS;
+  }
+  if (effects.role[row] != effect::MOTION) {
+    return is_expression(effects.data, at);
+  }
+  const Index rate = as_place(values[3], left), change = as_place(values[4], left);
+  return rate >= 0 && change >= 0 && is_expression(effects.data, at) &&
+         is_expression(effects.data, at + rate) && is_expression(effects.data, at + change);
+}
+
+bool has_equation(const EffectTable & effects, Index row)
+{
+  const Index begin = effects.index(row, effect::PLACES);
+  if (!is_range(begin, begin + effect::EQUATION_PLACES, effects.places.size)) {
     return false;
   }
-  if (kind == effect::TENDON) {
-    return is_tendon(effects.data.from(at), entries, values, joints);
+  const Index * places = effects.places_of(row);
+  return is_place(places[effect::CUT_ROW], effects.motions.rows) &&
+         places[effect::MULTIPLIER] >= 0 &&
+         is_place(places[effect::COLUMN], effects.motions.columns - cut::MOTION_COLUMNS + 1);
+}
+
+/// What laws need that the engine has itself, or applies a part of.
+Needs needs_of_role(const EffectTable & effects, Index row, bool planar)
+{
+  switch (effects.role[row]) {
+    case effect::MOTION: return {0, 0, 3, 0, 0, !planar};
+    case effect::INERTIA: return {1, 0, 0, 0, 0, !planar};
+    case effect::FRICTION:
+      return {1, effects.index(row, effect::LOADED) == 1 ? 1 : 0, 3, 0, 0, !planar};
+    case effect::COURSE: return {0, 0, 3, 0, 0, !planar};
+    case effect::DRIVE: return {1, 0, 2, 0, 0, !planar};
+    default: return {};
   }
-  if (kind == effect::JOINT_FRICTION || kind == effect::REFLECTED_INERTIA) {
-    return has_arms(effects.data.from(at), entries, joints);
-  }
-  if (is_course(kind) && values[1] == 1.0) {
-    if (kind != effect::PRESCRIBED_MOTION) {
-      return is_expression(effects.data, at);
-    }
-    const Index rate = as_place(values[4], left), change = as_place(values[5], left);
-    return rate >= 0 && change >= 0 && is_expression(effects.data, at) &&
-      is_expression(effects.data, at + rate) && is_expression(effects.data, at + change);
-  }
-  const Index each = numbers_of_entry(kind, planar);
-  if (each > 0 && (entries < 1 || entries > left / each)) {
+}
+
+bool has(const EffectTable & effects, Index row, const Needs & needs, bool planar)
+{
+  const Index * index = effects.index.row(row);
+  const Index state = index[effect::STATE], at = index[effect::DATA];
+  if (!is_place(at, effects.data.size + 1) || index[effect::ENTRIES] < 0) {
     return false;
   }
-  if (kind == effect::CABLE || kind == effect::SPATIAL_CABLE) {
-    for (Index k = 0; k < entries; ++k) {
-      if (as_place(effects.data[at + each * k], bodies) < 0) {
-        return false;
-      }
-    }
-    // Less than zero where no pulley has a radius.
-    return planar || !(values[CARRIER] >= 0.0) || as_place(values[CARRIER], bodies) >= 0;
-  }
-  return true;
+  const bool summed = index[effect::SUMMED] == 1;
+  const Index arms = summed ? index[effect::JOINTS] : 0, left = effects.data.size - at - arms;
+  const Index entries = index[effect::ENTRIES] - (summed ? 1 : 0);
+  return needs.joints <= (summed ? 1 : index[effect::JOINTS]) &&
+         needs.bodies <= index[effect::BODIES] &&
+         (needs.bodies == 0 || needs.spatial != planar) &&
+         is_range(state, state + needs.states, effects.states.size) &&
+         left >= needs.numbers && entries >= 0 &&
+         (needs.listed == 0 || (entries >= 1 && entries <= left / needs.listed));
 }
 
-/// States that a law reads or writes.
-Index states_of(Index kind, bool loaded)
-{
-  switch (kind) {
-    case effect::JOINT_SPRING:
-    case effect::ORIENTATION_SPRING:
-    case effect::REFLECTED_INERTIA:
-      return loaded ? 2 : 0;
-    case effect::JOINT_FRICTION:
-    case effect::PRESCRIBED_TORQUE:
-    case effect::PRESCRIBED_FORCE:
-    case effect::SPATIAL_PRESCRIBED_FORCE:
-    case effect::PRESCRIBED_MOTION:
-      return 3;
-    case effect::ACTUATOR:
-    case effect::FLUID_DRAG:
-    case effect::SPATIAL_FLUID_DRAG:
-      return 2;
-    default:
-      return loaded ? 2 : 1;
-  }
-}
-
-bool acts_in_joint(Index kind)
-{
-  switch (kind) {
-    case effect::JOINT_DAMPING:
-    case effect::JOINT_SPRING:
-    case effect::END_STOP:
-    case effect::JOINT_FRICTION:
-    case effect::ACTUATOR:
-    case effect::PRESCRIBED_TORQUE:
-    case effect::JOINT_FORCE_TABLE:
-    case effect::REFLECTED_INERTIA:
-      return true;
-    default:
-      return false;
-  }
-}
-
-/// Whether a law finds all that it reads.
+/// Whether a law finds all that it reads, and so does the engine of its row.
 bool fits(const EffectTable & effects, Index row, Index nv, Index bodies, bool planar)
 {
-  const Index kind = effects.kind[row], * index = effects.index.row(row);
-  const Index joints = nv + effects.cuts.index.rows, first = index[effect::FIRST];
-  const bool loaded = index[effect::LOADED] == 1;
-  if (is_traced(kind)) {
-    const Index at = index[effect::DATA];
-    const Index states = is_range(at, at, effects.data.size) ?
-      states_of_traced(effects.data.from(at), first, joints, bodies, planar) : -1;
-    return states >= 0 && index[effect::SECOND] != 0 && planar == (kind == effect::TRACED) &&
-           is_range(index[effect::STATE], index[effect::STATE] + states, effects.states.size);
-  }
-  if (!is_place(kind, effect::KINDS) || law_of(kind) == nullptr || !is_range(
-      index[effect::STATE], index[effect::STATE] + states_of(kind, loaded), effects.states.size) ||
-    !has_data(effects, row, joints, bodies, planar))
+  const Index * index = effects.index.row(row), role = effects.role[row];
+  const Index begin = index[effect::PLACES], joints = index[effect::JOINTS];
+  const bool alone = role == effect::MOTION || role == effect::INERTIA;
+  const bool summed = index[effect::SUMMED] == 1;
+  if (!is_place(role, effect::INERTIA + 1) || joints < 0 || index[effect::BODIES] < 0 ||
+    joints > effects.places.size || index[effect::BODIES] > effects.places.size ||
+    (summed && (joints < 1 || joints > effects.data.size)) ||
+    (!summed && joints > MOST_COORDINATES) ||
+    !is_range(begin, begin + joints + index[effect::BODIES], effects.places.size) ||
+    !is_place(index[effect::GAP_OF], effect::EVENT + 1))
   {
     return false;
   }
-  if (kind == effect::PRESCRIBED_MOTION) {
-    const Index last = effects.motions.columns - cut::MOTION_COLUMNS;
-    return is_place(first, effects.motions.rows) && index[effect::SECOND] >= 0 &&
-      as_place(effects.values(row, 3), last + 1) >= 0;
-  }
-  return is_place(first, acts_in_joint(kind) ? joints : bodies) &&
-    is_place(index[effect::SECOND], bodies);
+  const Needs * needs = alone ? nullptr : needs_of(effects.routine[row]);
+  const Indices places = effects.places.from(begin);
+  return (alone || needs != nullptr) &&
+         law_routine::LAW_COLUMNS + index[effect::BODIES] <= effects.calls.size &&
+         within(places.part(0, joints), 0, nv + effects.cuts.index.rows - 1) &&
+         within(places.part(joints, index[effect::BODIES]), 0, bodies - 1) &&
+         has(effects, row, needs_of_role(effects, row, planar), planar) &&
+         (alone || has(effects, row, *needs, planar)) &&
+         (role != effect::DRIVE || !summed) &&
+         (index[effect::LOADED] == 0 || (role == effect::FRICTION && !summed)) &&
+         ((role != effect::COURSE && role != effect::MOTION) || has_course(effects, row)) &&
+         (role != effect::MOTION || has_equation(effects, row)) &&
+         (index[effect::GAP_OF] != effect::OUTLINE ||
+         has(effects, row, {0, 0, 0, 0, curve::COLUMNS, !planar}, planar));
 }
 
 const char * misfit(const EffectTable & effects, Index nv, Index bodies, bool planar)
@@ -288,6 +195,7 @@ const char * misfit(const EffectTable & effects, Index nv, Index bodies, bool pl
   const Index count = effects.count(), most = effects.sticking.rows.size - 1;
   const bool arrays =
     effects.enabled.size == count && effects.index.rows == count &&
+    effects.routine.size == count &&
     effects.index.columns == INDEX_COLUMNS && has_shape(effects.values, count, VALUE_COLUMNS) &&
     has_shape(effects.output, count, OUTPUT_COLUMNS) && effects.loaded.size == 1 &&
     effects.rates.size == effects.states.size && effects.scale.size == effects.states.size &&
@@ -308,8 +216,7 @@ const char * misfit(const EffectTable & effects, Index nv, Index bodies, bool pl
     if (!fits(effects, row, nv, bodies, planar)) {
       return "effects: what a law reads";
     }
-    sticks += effects.kind[row] == effect::JOINT_FRICTION ||
-      effects.kind[row] == effect::REFLECTED_INERTIA ? 1 : 0;
+    sticks += effects.role[row] == effect::FRICTION || effects.role[row] == effect::INERTIA ? 1 : 0;
   }
   return sticks <= most ? nullptr : "effects.sticking";
 }
@@ -326,8 +233,8 @@ const char * misfit(const EffectTable & effects, const Data & data)
   }
   const char * found = misfit(effects, model.joints(), model.tree.rows, model.planar());
   for (Index row = 0; found == nullptr && row < effects.count(); ++row) {
-    if (effects.kind[row] == effect::PRESCRIBED_MOTION &&
-      effects.index(row, effect::SECOND) >= all)
+    if (effects.role[row] == effect::MOTION &&
+      effects.places_of(row)[effect::MULTIPLIER] >= all)
     {
       found = "effects: multiplier of a motion";
     }

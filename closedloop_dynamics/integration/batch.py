@@ -111,7 +111,7 @@ def _arrays_of_effects(tables):
         calls.VALUES: lanes.spread([table.values for table in tables]),
         calls.ENTRIES: lanes.spread([table.data for table in tables]),
         # Where nothing is decided, the gap decides.
-        calls.SIDES: np.zeros(LANES * len(first.kind)),
+        calls.SIDES: np.zeros(LANES * len(first.role)),
         calls.GAPS: np.zeros(LANES * first.contacts.now.size),
         calls.TRIALS: np.zeros(LANES * first.contacts.trial.size),
         calls.RESPONSE: np.zeros(LANES * first.sticking.response[:-1].size),

@@ -60,7 +60,7 @@ def allocate_buffer(system, instants, evaluated, body, point):
     ``point``: of the named points and in its frame [m], shapes (n,) and (n, 2).
     """
     count = instants if evaluated else 0
-    effects = 0 if system.effects is None else len(system.effects.kind)
+    effects = 0 if system.effects is None else len(system.effects.role)
     return RunBuffer(
         state=np.zeros((instants, number_of_states(system))),
         qdd=np.zeros((count, len(system.qdd))), lam=np.zeros((count, len(system.lam))),

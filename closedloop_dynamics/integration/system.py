@@ -15,7 +15,8 @@ from ..core.formulations import SUBSYSTEM
 from ..core.manifold import manifold_of
 from ..core.types import Handle, KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT
 from ..effects import law_code, scene_code
-from ..effects.table import build_table, JOINT_FRICTION
+from ..effects.force_law import FRICTION
+from ..effects.table import build_table
 from ..engine import native
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
@@ -180,7 +181,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         elements, np.zeros(nv + (0 if cuts is None else len(cuts[0]))), nv,
         len(whole.column) - 1, space.is_spatial(model), model.cut_point, cuts)
     # Friction may come to depend on the reaction in its joint later.
-    reactions = effects is not None and JOINT_FRICTION in effects.kind
+    reactions = effects is not None and FRICTION in effects.role
     code = Code((*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
                  *((codegen.REACTIONS,) if reactions else ()),
                  *_routines_of_forces(model, joints)) if unrolled else (), None)

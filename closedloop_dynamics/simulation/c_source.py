@@ -108,7 +108,6 @@ class _Text:
         self.simulation, self.name, self.derivatives = simulation, name, derivatives
         self.system, self.model = simulation.system, simulation.system.model
         self.planar, table = simulation.mechanism.planar, self.system.effects
-        self.laws = simulation.effect_set.laws
         values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
         self.rows, places = simulation.point_rows
         body, cut = ((_BODY_COLUMNS, _CUT_COLUMNS) if self.planar
@@ -250,7 +249,7 @@ class _Text:
         """Return a routine of a new unrolling, but for an output that it has no use for."""
         table = self.system.effects
         one = kind(
-            self.model, lambda forces: act(table, forces, self.laws),
+            self.model, lambda forces: act(table, forces),
             self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
         what(one)
         one.outputs = [output for output in one.outputs if output[0] != without]

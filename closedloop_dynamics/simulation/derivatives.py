@@ -12,7 +12,7 @@ from .derivative_code import DerivativeCode
 from .errors import SimulationError, SingularityError
 from .parameters import parameter_arrays
 from .step_derivatives import StepDerivatives
-from .traced_scene import laws_of, require_derivatives, TracedScene
+from .traced_scene import require_derivatives, structure, TracedScene
 from ..core.codegen.function_table import LANES
 from ..engine import native
 
@@ -123,7 +123,7 @@ class Differentiator:
         self._steps = StepDerivatives(
             simulation, parameter_arrays(simulation, parameters), self._scene)
         self._simulation = simulation
-        self._enabled, self._laws = dict(simulation.effect_set.enabled), laws_of(simulation)
+        self._enabled, self._laws = dict(simulation.effect_set.enabled), structure(simulation)
         self._system = system = simulation.system
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
@@ -224,7 +224,7 @@ class Differentiator:
         if self._enabled != self._simulation.effect_set.enabled:
             raise SimulationError(
                 'Other effects are switched on now: make a new Differentiator.')
-        if self._laws and self._laws != laws_of(self._simulation):
+        if self._laws != structure(self._simulation):
             raise SimulationError(
                 'Effects have other expressions, ends or lists of numbers now: make a new '
                 'Differentiator.')

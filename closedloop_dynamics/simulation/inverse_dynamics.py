@@ -89,7 +89,7 @@ class InverseDynamics:
         """
         need, table, system = np.zeros(len(qd)), self._table, self._system
         native.outward(system.model, q, qd, system.work)
-        if len(table.kind):
+        if len(table.role):
             self._effects.steady(q, qd)
             if len(table.cuts.index):
                 native.cut_accelerations(
@@ -103,7 +103,7 @@ class InverseDynamics:
             self._effects.unsteady()
             native.bias_forces(system.work, table.reaction)
         native.tree_torque(system.model, system.work, qdd, need)
-        return need - table.applied[:len(need)] if len(table.kind) else need
+        return need - table.applied[:len(need)] if len(table.role) else need
 
     def _least_torques(self, need, jac):
         """Return the least torques of the actuated joints, and multipliers, that add up to it."""

@@ -7,8 +7,9 @@ import numpy as np
 
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
-from ..effects.table import ENTRIES, FIRST, SECOND, VALUE_COLUMNS
-from ..effects.traced_laws import act, constants_of, FORCES_OVER_TIME, refused
+from ..effects.force_law import COURSE
+from ..effects.table import Row, VALUE_COLUMNS
+from ..effects.traced_laws import act, refused
 
 
 def refusals(simulation, instant=False, along=False):
@@ -49,7 +50,7 @@ class TracedScene:
 
     def __init__(self, simulation, instant=False):
         self._model, self._effects = simulation.system.model, simulation.system.effects
-        self._laws, effects = simulation.effect_set.laws, self._effects
+        effects = self._effects
         self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values
         self._simulation = None
         if instant and simulation.effect_set.follows_time:
@@ -57,12 +58,7 @@ class TracedScene:
             count = len(effects.values)
             self.values = np.zeros((count - -count // VALUE_COLUMNS, VALUE_COLUMNS))
             self.update()
-        measured = laws_of(simulation)
-        rows = () if effects is None else tuple(
-            (row, int(effects.kind[row]),
-             *measured.get(row, effects.index[row, [FIRST, SECOND]].tolist()))
-            for row in np.flatnonzero(effects.enabled).tolist())
-        self.key = rows, self.values.shape
+        self.key = structure(simulation), self.values.shape
 
     def update(self):
         """Take the numbers of the present time, where that is held."""
@@ -74,12 +70,12 @@ class TracedScene:
         present = self.values[count:].reshape(-1)
         present[:] = simulation.time
         for row, name in enumerate(simulation.effect_set.by_name):
-            if self._effects.enabled[row] and self._effects.kind[row] in FORCES_OVER_TIME:
+            if self._effects.enabled[row] and self._effects.role[row] == COURSE:
                 present[row] = simulation.effect_readings(name)['force']
 
     def act(self, forces):
         """Apply the effects to a ``core.codegen.scene_routines.Forces``."""
-        act(self._effects, forces, self._laws)
+        act(self._effects, forces)
 
     def table(self, arrays, columns):
         """
@@ -95,13 +91,14 @@ class TracedScene:
         return table
 
 
-def laws_of(simulation):
-    """Return the code's dependence on laws with lists of numbers, or of users, by rows."""
-    table, laws, found = simulation.system.effects, simulation.effect_set.laws, {}
-    for row in () if table is None else np.flatnonzero(
-            table.enabled * table.index[:, ENTRIES]).tolist():
-        # A user's law is called by its address, which says nothing.
-        own = ((laws[row].arithmetic,) if row in laws else
-               tuple(table.index[row, [FIRST, SECOND]].tolist()))
-        found[row] = (*own, constants_of(table, row))
-    return found
+def structure(simulation):
+    """Return what code depends on of the effects that are switched on: their laws, by rows."""
+    table = simulation.system.effects
+    rows = () if table is None else [
+        Row(table, number) for number in np.flatnonzero(table.enabled).tolist()]
+    return tuple((
+        row.number, row.law.name, *row.law.parts(row), *row.joints, *row.bodies,
+        # Of a course the force is a number.
+        *(() if row.law.role == COURSE else (
+            *row.law.terms(row), *row.arms.tolist(), *row.data.tolist())))
+        for row in rows)

@@ -35,7 +35,8 @@ from .inertial_parameters import (
 from ..core import types as t
 from ..core.codegen import space
 from ..effects.registry import effect_type
-from ..effects.table import JOINT_FRICTION, OWN
+from ..effects.force_law import FRICTION
+from ..effects.table import OWN
 from ..engine import native
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
@@ -794,7 +795,7 @@ def _moving(along):
     """Return the samples in which nothing with dry friction rests."""
     data, effects = along.data, along.data.effect_set
     frictions = [effects.records[name] for name, element in effects.by_name.items()
-                 if element.kind == JOINT_FRICTION and effects.enabled[name]]
+                 if element.law.role == FRICTION and effects.enabled[name]]
     if not frictions:
         return np.arange(len(along.states))
 
@@ -857,7 +858,7 @@ def _refuse(data):
         reason = (
             'depends on the force in its joint' if record.depends_on_reactions else
             'follows the time' if record.clock(0.0) is not None else
-            'has states of its own' if element.kind != JOINT_FRICTION and any(
+            'has states of its own' if element.law.role != FRICTION and any(
                 state.role == OWN for state in element.states) else None)
         if reason is not None:
             raise IdentificationError(

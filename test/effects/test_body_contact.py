@@ -337,3 +337,14 @@ def test_a_joint_with_clearance_is_that_of_an_independent_program():
     # It is lost and found again.
     assert min(forces) == 0.0 and max(forces) > 1000.0
     assert simulation.effect_readings('contact')['dissipated_energy'] > 0.1
+
+
+def test_another_shape_takes_another_scene():
+    """It obeys a law of other code, which is not compiled in a run."""
+    simulation = Simulation.from_scene('geneva_drive')
+    before = simulation.effects['outline']
+    with pytest.raises(FieldError, match='outline.*the kind that it had when the scene was load'):
+        simulation.set_effect(
+            'outline', shape='line', x=None, y=None, closed=None, interpolation=None)
+    assert simulation.effects['outline'] is before
+    simulation.step(duration=0.01)

@@ -214,7 +214,7 @@ def counted(model):
 def rows_and_states(simulation):
     """Return how many laws an evaluation calls, and how many states they have."""
     table = simulation.system.effects
-    return np.array([len(table.kind), len(table.states)]) if table is not None else np.zeros(2)
+    return np.array([len(table.laws), len(table.states)]) if table is not None else np.zeros(2)
 
 
 @pytest.mark.parametrize('kind', EFFECTS)

@@ -6,10 +6,11 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.effects.dry_friction import dry_friction
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.table import build_table, ForceElement, JOINT_FRICTION
+from closedloop_dynamics.effects.table import build_table, ForceElement
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY
@@ -196,7 +197,7 @@ def test_friction_at_rest_makes_the_accelerations_least():
         root = rng.normal(size=(int(rng.integers(1, count + 1)), count)) * 10.0 ** rng.uniform(
             -2, 2, count)
         free = 10.0 * rng.normal(size=len(root))
-        rows = [ForceElement(JOINT_FRICTION, (0,), (), sticks=True)] * count
+        rows = [ForceElement(dry_friction, (0,))] * count
         table = build_table(rows, np.zeros(1), 1, 0).sticking
         table.matrix[:], table.right[:], table.bound[:] = root.T @ root, root.T @ free, 1.0
         found = np.zeros(count)

@@ -7,7 +7,7 @@ from dataclasses import astuple
 import math
 
 from closedloop_dynamics import load_scene, Simulation, write_scene
-from closedloop_dynamics.effects import traced_effect
+from closedloop_dynamics.core.codegen import law_routine
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -169,11 +169,11 @@ def test_expressions_have_their_values(text, function):
 def test_a_change_of_parameters_compiles_nothing():
     law = Law({'x': '-k*x - c*v'}, parameters={'k': 10.0, 'c': 0.0}, **X)
     one = simulated(block(), {'it': law}, [0.5])
-    known = len(traced_effect.compiled)
+    known = len(law_routine.compiled)
     for stiffness in (20.0, 0.0, 1.0):
         one.set_effect('it', parameters={'k': stiffness, 'c': 0.5})
         assert one.acceleration[0] == pytest.approx(-0.5 * stiffness)
-    assert len(traced_effect.compiled) == known
+    assert len(law_routine.compiled) == known
     with pytest.raises(FieldError, match='effects.it'):
         one.set_effect('it', parameters={'k': 1.0})
     with pytest.raises(FieldError, match='effects.it.parameters.k'):

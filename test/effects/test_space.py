@@ -48,7 +48,7 @@ def accelerations(mechanism, q, qd, tau, effects):
         record.fit(mechanism)
     chosen = EffectSet(effects, built.model, Machine(mechanism, built.placements))
     numbers = Numbers(built.model)
-    table = build_table(chosen.elements, tau, numbers.nv, numbers.nc)
+    table = build_table(chosen.elements, tau, numbers.nv, numbers.nc, spatial=True)
     law_code.link(table)
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))

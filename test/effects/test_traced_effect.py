@@ -13,7 +13,8 @@ from closedloop_dynamics import load_scene, Simulation, write_scene
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.commands import COMMANDS, parser
 from closedloop_dynamics.core.codegen.expression_graph import chosen, exponential, larger
-from closedloop_dynamics.effects import registration, registry, traced_effect
+from closedloop_dynamics.core.codegen import law_routine
+from closedloop_dynamics.effects import registration, registry
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
@@ -112,12 +113,12 @@ def test_a_stop_of_a_user_is_that_of_the_package(machine):
 
 def test_parameters_change_without_compiling_and_in_rollouts():
     one = simulated(block(), {'it': Stop('slide')}, [-0.1])
-    known = len(traced_effect.compiled)
+    known = len(law_routine.compiled)
     one.set_effect('it', stiffness=50.0)
     assert one.acceleration[0] == pytest.approx(5.0)
     found = one.rollout(steps=100, every=100, parameters={
         'effects.it.stiffness': [10.0, 50.0, 300.0]})
-    assert len(traced_effect.compiled) == known
+    assert len(law_routine.compiled) == known
     for k, stiffness in enumerate((10.0, 50.0, 300.0)):
         alone = simulated(block(), {'it': Stop('slide', stiffness)}, [-0.1])
         alone.step(duration=100 * alone.step_size)

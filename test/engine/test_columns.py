@@ -9,10 +9,9 @@ import re
 from closedloop_dynamics import engine
 from closedloop_dynamics.core import formulations, manifold, types
 from closedloop_dynamics.core.codegen import (
-    elimination, function_table, refinement, sensitivities, space as code_in_space)
+    elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
-    cable, course, curve, energy_balance, expression, force_table, stick_slip, table,
-    traced_effect)
+    course, curve, energy_balance, expression, force_law, table, traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, guarded_run, recorded_run, registry, stepped_run,
     steppers, system, tableau)
@@ -42,7 +41,8 @@ ENUMS = {
     'Status': (control, {}),
     'effect': (table, {}),
     'effect.Column': (table, {}),
-    'effect.Kind': (table, {}),
+    'effect.Role': (force_law, {}),
+    'effect.Gap': (force_law, {}),
     'contact': (table, {}),
     'contact.Node': (table, {}),
     'contact.Trial': (table, {}),
@@ -62,15 +62,13 @@ ENUMS = {
     'Pause': (guarded_run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),
-    'traced.Measured': (traced_effect, {}),
     'manifold_derivatives.cpp: QUATERNION': (manifold, {}),
     'step_routine': (sensitivities, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
-         'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'traced.Entry',
-         'traced.Head', 'traced_laws.cpp: Input', 'nearby', 'scratch',
-         'independent.cpp: CHOSEN_RATIO'}
+         'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
+         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
@@ -83,10 +81,9 @@ CONSTANTS = {
     'manifold.cpp': (manifold, ('HALF',)),
     'course.hpp': (course, ('SAME_TIME', 'COLUMNS')),
     'curve.hpp': (curve, ('COLUMNS',)),
-    'cable_laws.cpp': (cable, ('COLUMNS', 'SPATIAL_COLUMNS', 'CARRIER', 'AXIS')),
-    'library.cpp': (force_table, ('COLUMNS',)),
+    'laws.hpp': (traced_effect, ('MOST_COORDINATES',)),
     'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),
-    'sticking.hpp': (stick_slip, ('REST',)),
+    'sticking.hpp': (live_scene, ('REST',)),
     'model.cpp': (types, ('TREE_COLUMNS', 'BODY_COLUMNS', 'CUT_COLUMNS', 'BODY_KERNELS')),
     'workspace.cpp': (types, ('WORK_COLUMNS', 'COUPLED_WORK_COLUMNS', 'JOINT_COLUMNS',
                               'HEALTH_COLUMNS')),

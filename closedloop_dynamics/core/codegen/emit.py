@@ -7,12 +7,12 @@ from . import arctangent, sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
-from .function_table import BODY, ENTRIES, OTHER_BODY, PRESENT, PRESENT_COLUMNS, TAU
+from .function_table import ENTRIES, LAW_COLUMNS, PRESENT, PRESENT_COLUMNS, TAU
 from .llvm_text import BIT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
 # Functions of the C library, of laws of force.
 _LIBRARY = {EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
-_MOST_RESULTS = 3
+_MOST_RESULTS = 5
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 _COMPARISONS = {LESS: 'fcmp olt', GREATER_EQUAL: 'fcmp oge'}
 
@@ -25,8 +25,8 @@ class Writer:
     """
 
     ARGUMENTS, ROOT = (WORDS, DOUBLES, DOUBLES), 'llvm.sqrt.f64'
-    # Outputs that are added to what is there; and whether it is asked if the results are good.
-    ADDED, ANSWERS = (), True
+    # Whether it is asked if the results are good.
+    ANSWERS = True
 
     def __init__(self, routine, declared):
         self.routine = routine
@@ -52,6 +52,10 @@ class Writer:
                 self.pointers[source] = function.convert(
                     'inttoptr', function.load(function.address(table, source)), DOUBLES)
         return self.function.address(self.pointers[source], place)
+
+    def is_added(self, _):
+        """Whether outputs are added to what is there."""
+        return False
 
     def write(self):
         """Write the function."""
@@ -96,7 +100,7 @@ class Writer:
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             result, address = self.number(known), self.address(source, place)
-            if source in self.ADDED:
+            if self.is_added(source):
                 result = self.function.binary('fadd', self.function.load(address), result)
             self.function.store(result, address)
         guard = self.routine.graph.guard
@@ -197,7 +201,11 @@ class Writer:
 class RowWriter(Writer):
     """Writes a law of force for any row of the table of effects."""
 
-    ADDED, ANSWERS = (TAU, BODY, OTHER_BODY), False
+    ANSWERS = False
+
+    def is_added(self, source):
+        """Whether outputs are added: forces in joints and on bodies."""
+        return source == TAU or source >= LAW_COLUMNS
 
 
 class KernelWriter(Writer):

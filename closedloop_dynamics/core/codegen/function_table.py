@@ -32,7 +32,7 @@ OF_SCENE = (EVALUATION, AT_REST, RESPONSES)
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
  RATES) = range(14, 36)
 # Addresses of functions of the engine (``engine/library.hpp``).
-LOOK_UP, NEAREST, FURTHEST = FUNCTIONS = range(36, 39)
+PIECE, NEAREST, FURTHEST = FUNCTIONS = range(36, 39)
 # Addresses of the arrays that the routines of forces read and write.
 WRENCH, JOINT_POINT, LAM_OF_ALL = range(39, 42)
 # Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
@@ -44,10 +44,10 @@ ENERGY = 44
 RESPONSE, LIMIT = range(45, 47)
 TABLE_COLUMNS = 47
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
-# which BODY is the row of its first body and TAU the effort in its joint: the row of its second
-# body, its states, its row of ``EffectTable.output``, and how many entries it has.
-OTHER_BODY, STATES, OUTPUT, COUNT = range(47, 51)
-LAW_COLUMNS = 51
+# which TAU and COMMAND are those of its joints: its states, its row of ``EffectTable.output``, and
+# how many entries it has. Behind are the rows of its bodies.
+STATES, OUTPUT, COUNT = range(47, 50)
+LAW_COLUMNS = 50
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-The law of one kind of effect by itself, for any row of the table of effects.
+A law of effects by itself, for any row of the table of effects that obeys it.
 
 The engine calls it between the motion of the bodies and their accelerations, where no routine of
 the whole scene acts, and where it is asked what effects store and read (``engine/dispatch.cpp``).
@@ -14,70 +14,81 @@ from types import SimpleNamespace
 import numpy as np
 
 from . import space
-from .expression_graph import ExpressionGraph, LOAD, Q, QD, Routine
-from .function_table import (
-    BODY, COUNT, ENTRIES, OTHER_BODY, OUTPUT, RATES, STATES, TAU, VALUES)
+from .expression_graph import chosen, ExpressionGraph, LOAD, Q, QD, Routine
+from .function_table import COUNT, ENTRIES, LAW_COLUMNS, OUTPUT, RATES, STATES, TAU, VALUES
 from .joint_kernels import NO_JOINT
-from .live_scene import LiveForces
+from .live_scene import LiveForces, REST
 from .machine_code import machine_code, ROW
 from .rows import by_column
 from .spatial import Recursion
 from .vectors import is_number, ZERO
-from ..types import TREE_COLUMNS
+from ..types import COORDINATE, DOF, TREE_COLUMNS
 
-# What stands for the joint of a row, and for its bodies.
-JOINT, FIRST_BODY, SECOND_BODY = 0, 1, 2
-_addresses = {}
+# Addresses of routines by what they depend on.
+compiled = {}
 
 
-def addresses_of_laws(laws, numbers):
+def addresses_of_laws(traces):
     """
     Return the addresses of the routines of laws, compiled unless they are stored.
 
     Parameters
     ----------
-    laws : dict of int to tuple
-        By kind of effect ``plane`` or ``space``, whose bodies it acts on, and the law, which takes
-        a ``RowForces`` and applies the effect.
-    numbers : int
-        Of a row of the table.
+    traces : dict of tuple to callable
+        By what a routine depends on; returns its ``RowTrace``.
 
     Returns
     -------
-    dict of int to int
+    dict of tuple to int
 
     """
-    missing = tuple(sorted(laws.keys() - _addresses.keys()))
+    missing = sorted(traces.keys() - compiled.keys(), key=repr)
     if missing:
-        find = machine_code(('laws', missing), lambda: [
-            RowTrace(laws[kind][0], numbers).routine(f'law_{kind}', laws[kind][1])
-            for kind in missing], ROW)
-        _addresses.update((kind, find(f'law_{kind}')) for kind in missing)
-    return _addresses
+        names = {key: f'law_{number}' for number, key in enumerate(missing)}
+        find = machine_code(('laws', *missing), lambda: [
+            traces[key]().routine(name) for key, name in names.items()], ROW)
+        compiled.update((key, find(name)) for key, name in names.items())
+    return compiled
 
 
 class RowTrace:
     """
-    One joint and two bodies, as ``live_scene.LiveTrace`` has those of a mechanism.
+    Joints and bodies of one law, as ``live_scene.LiveTrace`` has those of a mechanism.
 
-    In ``plane`` or ``space``, with so many numbers of a row of the table.
+    Parameters
+    ----------
+    arrays : module
+        ``plane`` or ``space``, whose bodies it acts on.
+    numbers : int
+        Of a row of the table.
+    coordinates : int
+        Of joints, that it reads.
+    row : effects.table.Row
+        One that obeys the law.
+
     """
 
-    nv = 1
-
-    def __init__(self, arrays, numbers):
-        self.graph, self._arrays = ExpressionGraph(), arrays
+    def __init__(self, arrays, numbers, coordinates, row):
+        self.graph, self._arrays, self.nv = ExpressionGraph(), arrays, coordinates
+        self.row, self.size = row, 3 if arrays is space else 2
         # Arrays begin with the row in question: how long rows are does not matter.
         self.laws = SimpleNamespace(columns=defaultdict(int, {VALUES: numbers}), cuts=(), states=0)
-        self.q, self.qd = ([self.graph.put(LOAD, source, 0)] for source in (Q, QD))
-        self.constant = SimpleNamespace(tree=np.zeros((2, TREE_COLUMNS), dtype=np.int64))
+        self.q, self.qd = ([self.graph.put(LOAD, source, joint) for joint in range(self.nv)]
+                           for source in (Q, QD))
+        tree = np.zeros((1 + self.nv, TREE_COLUMNS), dtype=np.int64)
+        tree[1:, [DOF, COORDINATE]] = np.arange(self.nv)[:, np.newaxis]
+        self.constant = SimpleNamespace(tree=tree)
         self.recursion = Recursion([], [], ZERO)
+        self.bodies = range(1, 1 + len(row.bodies))
         self.recursion.motion = [None, *(arrays.motion_of(
-            self._row(source), NO_JOINT, self.recursion.ground) for source in (BODY, OTHER_BODY))]
-        self.recursion.force = [None, ZERO + ZERO, ZERO + ZERO]
+            [self.graph.put(LOAD, self._body(body), n) for n in range(space.WORK_COLUMNS)],
+            NO_JOINT, self.recursion.ground) for body in self.bodies)]
+        self.recursion.force = [None, *(ZERO + ZERO for _ in self.bodies)]
 
-    def _row(self, source):
-        return [self.graph.put(LOAD, source, n) for n in range(space.WORK_COLUMNS)]
+    @staticmethod
+    def _body(body):
+        """Return the place of the address of a body's row, behind those of arrays."""
+        return LAW_COLUMNS - 1 + body
 
     def state(self, place):
         """Return one of the effect's states."""
@@ -91,28 +102,15 @@ class RowTrace:
         """Return a number of the row of an array of the effects."""
         return self.graph.put(LOAD, source, column)
 
-    def routine(self, name, law):
-        """
-        Return the routine of a law.
-
-        Parameters
-        ----------
-        name : str
-            Of the machine code's symbol.
-        law : callable
-            Takes a ``RowForces`` and applies the effect.
-
-        Returns
-        -------
-        Routine
-
-        """
+    def routine(self, name):
+        """Return the routine of the law, ``name`` being that of the machine code's symbol."""
         forces = RowForces(self)
-        law(forces)
+        forces.turn_to(self.row)
+        self.row.law.act(forces)
         forces.record(OUTPUT, 0, forces.stored)
         added = {TAU: dict(enumerate(forces.torque)), **{
-            source: by_column(force, self._arrays.FORCES)
-            for source, force in zip((BODY, OTHER_BODY), self.recursion.force[FIRST_BODY:])}}
+            self._body(body): by_column(self.recursion.force[body], self._arrays.FORCES)
+            for body in self.bodies}}
         return Routine(name, self.graph, forces.outputs + [
             (RATES, place, rate) for place, rate in forces.rates.items()] + [
             (source, place, value) for source, values in added.items()
@@ -124,8 +122,33 @@ class RowForces(LiveForces):
 
     def __init__(self, trace):
         super().__init__(trace)
-        self.rates, self.count = {}, trace.at(COUNT, 0, 0)
+        self.rates = {}
 
-    def read(self, *values):
-        """Store the readings of the effect."""
-        self.record(OUTPUT, 1, *values)
+    @property
+    def size(self):
+        return self.trace.size
+
+    def turn_to(self, row, held=None):
+        """Have joints and bodies of any row, and all terms that the law may have."""
+        super().turn_to(row)
+        self.row = self.first = self.begin = 0
+        self.count, self.terms = self.trace.at(COUNT, 0, 0), None
+        self.bodies = list(self.trace.bodies)
+        self.joints = [self.freedom((joint, 1.0)) for joint in range(self.nv)]
+
+    def read(self, *values, first=1):
+        """Store the readings of the effect, from one on."""
+        self.record(OUTPUT, first, *values)
+
+    def keep_entry(self, number, value):
+        self.record(ENTRIES, number, value)
+
+    def rub(self, most, limit):
+        """Return the force of dry friction that slides; the engine holds what is at rest."""
+        rate, direction = self.joint.rate, self.state(0)
+        rests = abs(direction) < 0.5
+        # One that breaks away within a step slides from then on.
+        leaves = abs(rate) > REST
+        direction = chosen(rests, rate, direction)
+        sliding = chosen(direction < 0.0, most, -most)
+        return chosen(rests, chosen(leaves, sliding, 0.0), sliding)

@@ -17,8 +17,8 @@ import numpy as np
 
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smaller, TAKE
 from .function_table import (
-    ALWAYS, AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, RATES,
-    RESPONSE, RESPONSES, SIDES, TRIALS, VALUES)
+    ALWAYS, AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, PIECE,
+    PRESENT, PRESENT_COLUMNS, RATES, RESPONSE, RESPONSES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
 from .routines import A_SECOND, form_for, MechanismTrace, NAMES, topology, unrolled_size, zeros
 from .scene_routines import energies_of_bodies, Forces
@@ -28,6 +28,8 @@ from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 _addresses = {}
 # Added and subtracted, it rounds to a whole number.
 _ROUNDER = 6755399441055744.0
+# As of ``engine/sticking.hpp`` [rad/s; m/s].
+REST = 1e-6
 
 
 def address_of_scene(model, structure, laws, form=SCALAR, which=EVALUATION):
@@ -56,7 +58,7 @@ class LiveTrace(MechanismTrace):
     model : Model
         Constant arrays of the mechanism.
     laws : object
-        ``effects.live_laws.LiveLaws``: ``act(forces)`` applies the effects, ``motions(trace)``
+        ``effects.scene_code.LiveLaws``: ``act(forces)`` applies the effects, ``motions(trace)``
         returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
         gives how many numbers the rows of arrays have, by their places; ``states`` how many states
         the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``
@@ -159,13 +161,11 @@ class LiveForces(Forces):
 
     ``driven``: states whose rates are multipliers times something; ``resting``: as of
     ``LiveTrace.held``; ``outputs``: as of ``Routine``; ``begin``, ``count``: where the entries of
-    the effect whose turn it is begin, and how many they are; ``shape``: which terms its law has,
-    None: all of them.
+    the effect whose turn it is begin, and how many they are.
     """
 
     def __init__(self, trace):
-        trace.values = self.shape = None
-        self.begin = self.count = 0
+        trace.values = None
         super().__init__(trace)
         self.trace, self.nv = trace, trace.nv
         self.efforts = zeros(len(trace.laws.cuts))
@@ -173,15 +173,28 @@ class LiveForces(Forces):
         self.driven, self.outputs = [], []
         self.resting = []
 
+    def turn_to(self, row, held=None):
+        """Have the turn of a row."""
+        super().turn_to(row)
+        self.begin, self.count = row.begin, row.count
+
+    def arms(self, row):
+        return [self.trace.entry(row.begin - row.summed + k) for k in range(row.summed)]
+
     def numbers(self, row):
-        """Return the numbers of a row of the table of effects."""
         return [self.trace.at(VALUES, row, n) for n in range(self.trace.laws.columns[VALUES])]
 
     def state(self, number):
         """Return a state of the effect."""
         return self.trace.state(self.first + number)
 
-    def command(self, joint):
+    @property
+    def command(self):
+        """Return the commanded torque of the effect's joint."""
+        (joint, _), = self.joint.arms
+        return self.commanded(joint)
+
+    def commanded(self, joint):
         """Return the commanded torque of a joint."""
         return self.trace.graph.put(LOAD, COMMAND, joint)
 
@@ -233,6 +246,37 @@ class LiveForces(Forces):
         """Return a number of the effect's entries."""
         return self.trace.entry(self.begin + number)
 
+    def piece(self, columns, place):
+        """Return the numbers of the last of the effect's entries that begins before a place."""
+        return self.call_engine(PIECE, columns, float(columns), place, results=columns - 1)
+
+    def keep_entry(self, number, value):
+        """Keep a number for readings among the entries; no step does."""
+
+    def present_piece(self):
+        """Return when the period and the piece of a course began, and its coefficients."""
+        return [self.trace.at(PRESENT, self.row, n) for n in range(1, PRESENT_COLUMNS)]
+
+    def drive(self, rate, state):
+        """Have a motion do the work of its multiplier at a rate, in one of its states."""
+        self.driven.append((self.first + state, self._turn.equation[1], rate))
+
+    def rub(self, most, limit):
+        """Return the force of dry friction, up to most; at rest a limit of zero holds nothing."""
+        rate, direction = self.joint.rate, self.state(0)
+        slides = abs(direction) > 0.5
+        if self.trace.laws.at_rest == EVALUATION:
+            # At rest other forces follow from accelerations.
+            bool(slides)
+            return chosen(direction < 0.0, most, -most)
+        # One that breaks away within a step goes on as one that slides.
+        breaks_away = abs(rate) > REST
+        direction = chosen(slides, direction, rate)
+        self.resting.append((
+            chosen(slides, 0.0, chosen(breaks_away, 0.0, limit)), self.joint.arms))
+        sliding = chosen(direction < 0.0, most, -most)
+        return chosen(slides, sliding, chosen(breaks_away, sliding, 0.0))
+
     def call_engine(self, function, columns, flag, x, y=0.0, results=0):
         """Call a function of the engine on the effect's entries of so many numbers each."""
         graph = self.trace.graph
@@ -244,7 +288,7 @@ class LiveForces(Forces):
     def exert(self):
         """Apply the efforts along cut joints, commanded ones too, and update their angles."""
         for k in range(len(self.efforts)):
-            self._cut(k).exert(self.efforts[k] + self.command(self.nv + k))
+            self._cut(k).exert(self.efforts[k] + self.commanded(self.nv + k))
 
     def _cut(self, k):
         return CutFreedom(self, k)

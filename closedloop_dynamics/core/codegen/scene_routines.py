@@ -104,34 +104,106 @@ def energies_of_bodies(trace):
     return 0.5 * kinetic, weight
 
 
+class Freedom:
+    """What an effect in a joint acts along: its coordinate, or a sum r_1 q_1 + r_2 q_2 ..."""
+
+    def __init__(self, forces, *arms):
+        """Have the joints and arms, pairs, of a ``Forces``."""
+        self._forces, self.arms = forces, arms
+
+    @property
+    def value(self):
+        """Return the coordinate [rad, m]."""
+        return sum(arm * self._forces.coordinate(joint) for joint, arm in self.arms)
+
+    @property
+    def rate(self):
+        return sum(arm * self._forces.rate(joint) for joint, arm in self.arms)
+
+    def push(self, force):
+        """Apply a force along it [N m; N]."""
+        for joint, arm in self.arms:
+            self._forces.twist(joint, arm * force)
+
+
 class Forces:
     """
     Inputs and outputs of laws of force while they are traced, after the outward recursion.
 
-    ``torque``, shape (nv,): of effects in the joints; ``stored``: energy; ``row``, ``first``: of
-    the effect whose turn it is, in the table, and the place of its first state; ``rates``: of the
+    Of the effect whose turn it is (``turn_to``): ``row`` in the table and place of its ``first``
+    state; ``joints``, each a Freedom, one for all where the law acts along a sum; rows of
+    ``bodies``; ``values``: its parameters; ``terms`` that its law has, None: all that it may have;
+    ``held``: its force, where the time is held, or the time. ``size``: numbers of a place in a
+    body. ``torque``, shape (nv,): of effects in the joints; ``stored``: energy; ``rates``: of the
     effects' states, such as losses, by their places.
     """
 
     def __init__(self, unrolling):
-        self._one, self._values = unrolling.recursion, unrolling.values
-        self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
-        self._row = {row[DOF]: row for row in tree[1:]}
+        self._unrolling, self._values = unrolling, unrolling.values
+        self._joints = {row[DOF]: row for row in unrolling.constant.tree[1:]}
         self.torque, self.stored = zeros(unrolling.nv), 0.0
-        self.row = self.first = 0
-        self.rates, self._unrolling = {}, unrolling
+        self.rates = {}
+
+    @property
+    def _one(self):
+        return self._unrolling.recursion
+
+    @property
+    def size(self):
+        return len(self._unrolling.model.gravity)
+
+    def turn_to(self, row, held=None):
+        """Have the turn of a ``effects.table.Row``."""
+        self._turn, self.row, self.first, self.held = row, row.number, row.state, held
+        self.values, self.terms = self.numbers(row.number), row.law.terms(row)
+        self.bodies = row.bodies
+        arms = self.arms(row) if row.summed else len(row.joints) * (1.0,)
+        pairs = tuple(zip(row.joints, arms))
+        self.joints = [self.freedom(*pairs)] if row.summed else [
+            self.freedom(pair) for pair in pairs]
+
+    def freedom(self, *arms):
+        return Freedom(self, *arms)
+
+    @property
+    def joint(self):
+        """Return the only freedom of an effect in a joint, or along a sum."""
+        only, = self.joints
+        return only
+
+    def arms(self, row):
+        """Return the arms of a sum."""
+        return row.arms.tolist()
 
     def numbers(self, row):
         """Return the numbers of a row of the table of effects."""
         return self._values[row]
 
+    def entry(self, number):
+        """Return a number of the effect's entries, here a constant."""
+        return float(self._turn.data[number])
+
+    def entries(self, first, count):
+        """Return several of them."""
+        return [self.entry(number) for number in range(first, first + count)]
+
+    def piece(self, columns, place):
+        """Return the numbers of the last of the effect's entries that begins before a place."""
+        pieces = self._turn.data.reshape(-1, columns).tolist()
+        found = pieces[0]
+        for piece in pieces[1:]:
+            begun = place >= piece[0]
+            found = [chosen(begun, one, before) if one != before else before
+                     for one, before in zip(piece, found)]
+        return found
+
     def coordinate(self, joint):
         """Return the coordinate of a joint of one degree of freedom."""
-        assert self._row[joint][TYPE] != BALL
-        return self._q[self._row[joint][COORDINATE]]
+        assert self._joints[joint][TYPE] != BALL
+        return self._unrolling.q[self._joints[joint][COORDINATE]]
 
     def rate(self, joint):
-        return self._qd[joint]
+        return self._unrolling.qd[joint]
 
     def twist(self, joint, torque):
         """Apply a torque or force in a joint."""
@@ -172,7 +244,7 @@ class Forces:
         for place, rate in enumerate(rates, start=self.first + first):
             self.rates[place] = rate
 
-    def read(self, *values):
+    def read(self, *values, first=1):
         """Take the readings of the effect, which nothing asks for here."""
 
     def touches(self, gap, rate):
