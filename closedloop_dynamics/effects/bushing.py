@@ -123,14 +123,13 @@ class Bushing(Effect):
     def element(self, machine):
         """Return the effect as a row of the table."""
         planar = machine.mechanism.planar
-        row_a, place_a = machine.point(self.point_a)
-        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        bodies, places = machine.two_points(self.point_a, self.point_b, self.anchor)
         values, axes = self._in_plane() if planar else self._in_space(machine)
         along, damping = map(machine.vector, (self.stiffness, self.damping))
         return ForceElement(
-            bushing_in_plane if planar else bushing_in_space, bodies=(row_a, row_b),
+            bushing_in_plane if planar else bushing_in_space, bodies=bodies,
             values=values, states=(State(DISSIPATED),),
-            data=((*place_a, *place_b, *axes, *along, *damping),))
+            data=((*places, *axes, *along, *damping),))
 
     def _in_plane(self):
         """Return the rotational stiffness and damping, for an angle that counts turns; no axes."""

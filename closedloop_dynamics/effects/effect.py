@@ -93,6 +93,12 @@ class Machine:
         """Return the name of the body that a point belongs to."""
         return self._points[name].body
 
+    def two_points(self, first, second, anchor):
+        """Return rows and places, one behind the other, of a point and of another or an anchor."""
+        row_a, place_a = self.point(first)
+        row_b, place_b = self.point(second) if second else (0, anchor)
+        return (row_a, row_b), (*place_a, *place_b)
+
     def vector(self, values):
         """Return a vector with as many numbers as there are dimensions; no numbers are zeros."""
         return values if self.mechanism.planar or len(values) == 3 else (0.0, 0.0, 0.0)
@@ -151,6 +157,8 @@ class Effect:
     ENDS_STEPS = False
     # Whether the effect exerts the torque that a drive of its joint would be commanded.
     COMMANDS = False
+    # Whether a page shows a spring between its points, ``point_a`` and ``point_b`` or ``anchor``.
+    DRAWN_AS_SPRING = False
     # Files that a scene may name: key -> the fields that take their columns.
     FILES = {}
 

@@ -62,6 +62,7 @@ class ForceTable(Effect):
     FILES = {'file': ('strokes', 'forces')}
     VECTORS = ('anchor',)
     READINGS = ('force', 'stroke')
+    DRAWN_AS_SPRING = True
 
     strokes: Tuple[float, ...]
     forces: Tuple[float, ...]
@@ -100,10 +101,9 @@ class ForceTable(Effect):
             return ForceElement(
                 table_in_joint, joints=(machine.joint(self.joint),), values=(self.damping,),
                 states=states, data=data)
-        row_a, place_a = machine.point(self.point_a)
-        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        return ForceElement(table_between_points, bodies=(row_a, row_b), values=(
-            self.damping, *place_a, *place_b), states=states, data=data)
+        bodies, places = machine.two_points(self.point_a, self.point_b, self.anchor)
+        return ForceElement(table_between_points, bodies=bodies, values=(self.damping, *places),
+                            states=states, data=data)
 
 
 @force_law(listed=COLUMNS, in_lanes=False)

@@ -49,6 +49,7 @@ class PointSpring(Effect):
               'free_length': not_negative, 'point_b': name, 'anchor': vector}
     VECTORS = ('anchor',)
     READINGS = ('tension', 'length')
+    DRAWN_AS_SPRING = True
 
     point_a: str
     point_b: Optional[str] = None
@@ -66,11 +67,10 @@ class PointSpring(Effect):
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        row_a, place_a = machine.point(self.point_a)
-        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        return ForceElement(point_spring, bodies=(row_a, row_b), values=(
-            self.stiffness, self.damping, self.free_length, *place_a, *place_b),
-            states=(State(DISSIPATED),))
+        bodies, places = machine.two_points(self.point_a, self.point_b, self.anchor)
+        return ForceElement(
+            point_spring, bodies=bodies, states=(State(DISSIPATED),),
+            values=(self.stiffness, self.damping, self.free_length, *places))
 
 
 @force_law()

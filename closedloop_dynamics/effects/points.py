@@ -47,14 +47,15 @@ def pull_together(forces, places, tension):
         Of the points.
     tension : callable
         Returns the tension of the length and its rate [N], the energy stored [J], and the power
-        dissipated [W].
+        dissipated [W], or None where nothing is.
 
     """
     offsets, direction, length, rate = line_between(forces, forces.bodies, places)
     pull, stored, lost = tension(length, rate)
     push_apart(forces, forces.bodies, offsets, direction, -pull)
     forces.store(stored)
-    forces.flow(lost)
+    if lost is not None:
+        forces.flow(lost)
     forces.read(chosen(length > 0.0, pull, 0.0), length)
 
 

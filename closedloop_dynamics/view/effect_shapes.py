@@ -9,8 +9,6 @@ import numpy as np
 from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
 from ..effects.contact import Contact
-from ..effects.force_table import ForceTable
-from ..effects.point_spring import PointSpring
 from ..mechanism.rotations import direction, in_three, turned
 
 # Pieces of a circle, and of a piece of a spline.
@@ -47,7 +45,7 @@ def effect_lines(mechanism, effects, rows, heights, above):
                 first = next(k for k, radius in enumerate(record.radii) if radius)
                 ropes['axis'] = [ropes['ends'][first][0], list(record.axis)]
             found.append(ropes)
-        elif isinstance(record, (PointSpring, ForceTable)) and record.point_a is not None:
+        elif record.DRAWN_AS_SPRING and record.point_a is not None:
             line = {'kind': 'spring', 'name': name, 'ends': ends(
                 [name for name in (record.point_a, record.point_b) if name is not None])}
             if record.point_b is None:
