@@ -22,6 +22,7 @@ from .joint_damping import JointDamping
 from .joint_friction import JointFriction
 from .joint_spring import JointSpring
 from .law import Law
+from .magnetic_spring import MagneticSpring
 from .payload import Payload
 from .point_spring import PointSpring
 from .prescribed_force import PrescribedForce
@@ -47,6 +48,7 @@ EFFECTS = {
     'joint_friction': JointFriction,
     'joint_spring': JointSpring,
     'law': Law,
+    'magnetic_spring': MagneticSpring,
     'payload': Payload,
     'point_spring': PointSpring,
     'prescribed_force': PrescribedForce,
