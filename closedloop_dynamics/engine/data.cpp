@@ -40,6 +40,7 @@ public:
 
 private:
   void add(const char *) {}
+  void add(Unread) {}
   void add(const std::shared_ptr<Settings> &) {}
   void add(Values each) {reals.push_back(each);}
   void add(Table each) {reals.push_back(each.all());}
