@@ -3,6 +3,8 @@
 
 """Closure equations that a motion can change, and those that it cannot."""
 
+from functools import cache, partial
+
 import numpy as np
 
 from ..core import types as t
@@ -83,7 +85,38 @@ def _is_held(model):
         found.flat = [graph.put(LOAD, source, place) for place in range(found.size)]
         return found
 
-    symbolic = _outward(model, symbols(0, model.body.shape), symbols(1, model.cut_point.shape),
-                        symbols(2, (nq,)), symbols(3, (nv,)))
-    return [[isinstance(equation.value, float) or is_zero((equation.rate,))
-             for equation in symbolic.equations(model, a)] for a in range(len(model.cut))]
+    inputs = [symbols(*each) for each in enumerate(
+        (model.body.shape, model.cut_point.shape, (nq,), (nv,)))]
+    by_carriers, on_ground = {}, cache(partial(_on_ground, model))
+
+    def held(a, model, carriers):
+        """Return that of a cut joint's equations, the bodies that carry its loop at rest."""
+        key = id(model), *carriers
+        if key not in by_carriers:
+            q, qd = inputs[2:]
+            still = np.isin(np.arange(nv), model.tree[list(carriers), t.DOF])
+            by_carriers[key] = model, _outward(
+                model, *inputs[:2], q, np.where(still, 0.0, qd))
+        return [isinstance(equation.value, float) or is_zero((equation.rate,))
+                for equation in by_carriers[key][1].equations(model, a)]
+
+    found = []
+    for a, cut in enumerate(model.cut):
+        # However these move, it changes nothing that the loop holds.
+        carriers = model.path_body[cut[t.PATH_COMMON]:cut[t.PATH_END]].tolist()
+        found.append(held(a, model, carriers))
+        for carrier in carriers[:1]:
+            here, along = held(a, on_ground(carrier), ()), len(space.HELD[cut[t.CUT_TYPE]][1])
+            if along == 3 and not all(here[:along]):
+                # These are along the world's axes, in which it turns.
+                here[:along] = along * [False]
+            found[-1] = [one or other for one, other in zip(found[-1], here)]
+    return found
+
+
+def _on_ground(model, carrier):
+    """Return a model in which what a body carries is on the ground."""
+    tree, cut = model.tree.copy(), model.cut.copy()
+    for array, column in ((tree, t.PARENT), (cut, t.BODY_A), (cut, t.BODY_B)):
+        array[array[:, column] == carrier, column] = 0
+    return model._replace(tree=tree, cut=cut)

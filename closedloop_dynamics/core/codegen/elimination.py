@@ -11,6 +11,7 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 """
 
 from .expression_graph import chosen, larger
+from .vectors import is_zero
 from ..types import (
     CUT_PRISMATIC, CUT_TYPE, LENGTHS, PATH_A, PATH_END, RANK, ROW, ROWS, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
@@ -103,11 +104,16 @@ def factorize(model, work):
                     scatter[row[t]] -= factor[t] * share
             for t in range(first, last):
                 factor[t] = scatter[row[t]]
-        ratio = factor[first] / scale[j]
+        ratio, inverse[j] = compared(factor[first], scale[j])
         # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
         smallest = chosen(ratio >= smallest, smallest, chosen(ratio > 0.0, ratio, 0.0))
-        inverse[j] = 1.0 / factor[first]
     return smallest
+
+
+def compared(pivot, scale):
+    """Return a pivot relative to its reference value, and one over it; zeros where it is none."""
+    # Of equations before any are left out: one that no motion changes, or that repeats another.
+    return (0.0, 0.0) if is_zero((pivot,)) else (pivot / scale, 1.0 / pivot)
 
 
 def good(model, smallest, limit):

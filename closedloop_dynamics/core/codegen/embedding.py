@@ -102,11 +102,10 @@ class _Loops:
         # Columns of L, times D, and what is left of the unit multipliers' wrenches.
         wrenches, self.wrenches = [wrench for _, wrench in found], []
         for k in range(count):
-            ratio = left[k][k] / scales[k]
+            ratio, inverse = elimination.compared(left[k][k], scales[k])
             # Written so that a NaN counts as poor, as in ``elimination``.
             self.smallest = chosen(ratio >= self.smallest, self.smallest,
                                    chosen(ratio > 0.0, ratio, 0.0))
-            inverse = 1.0 / left[k][k]
             column = [left[m][k] for m in range(k + 1, count)]
             for m in range(k + 1, count):
                 share = left[m][k] * inverse
@@ -207,7 +206,8 @@ def _solve(recursion, model, work, tau, right, qdd):
 
     recursion.inward(model, tau, work, before=close)
     recursion.outward_acceleration(model, work, qdd, after=opened)
-    least = smallest[0]
+    # Where equations of all loops hold anyway none is left.
+    least = smallest[0] if smallest else 1.0
     for one in smallest[1:]:
         least = chosen(one >= least, least, one)
     return least

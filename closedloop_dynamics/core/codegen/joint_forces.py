@@ -13,7 +13,7 @@ where none of them depends on those before it.
 import numpy as np
 
 from . import space
-from .expression_graph import square_root
+from .expression_graph import hold_nowhere, square_root
 from .spatial import at_parent, rigid
 from .vectors import add, cross, dot, is_zero, scale, subtract, times, ZERO
 from ..types import (
@@ -204,7 +204,7 @@ def least_forces(trace, qdd, lam):
     present = wrenches(trace, qdd, lam, [closures[n] for n in kept])
     # Unit multipliers of the equations left out, and what of the others undoes their levers.
     columns = [{n: 1.0, **{k: 0.0 - share for k, share in shares.items()}}
-               for n, shares in zip(idle, _shares(levers, kept, idle))]
+               for n, shares in zip(idle, _shares(levers, kept, idle, qdd))]
     felt = [_in_joints(closures, passages, column) for column in columns]
     now = {**{int(row): present[row] for row in joints.row}, **{
         place: wrench for place, wrench in _in_joints(closures, passages, given).items()
@@ -278,8 +278,8 @@ def _require_closed(closures, levers, qdd):
     bool(left <= dot(parts, parts) * (CLOSED ** 2 / len(parts)))
 
 
-def _shares(levers_of, kept, idle):
-    """Return each redundant equation as a combination of the retained ones."""
+def _shares(levers_of, kept, idle, qdd):
+    """Return each redundant equation as a combination of the retained ones, at accelerations."""
     units, lengths, known = [], [], []
     for n in kept:
         levers, parts = levers_of[n], []
@@ -289,6 +289,9 @@ def _shares(levers_of, kept, idle):
             parts.append(part)
             levers = _without(levers, unit, part)
         square = _product(levers, levers)
+        if is_zero((square,)):
+            hold_nowhere(qdd[0])
+            square = 1.0
         bool(square >= (DISTINCT ** 2) * whole)
         length = square_root(square)
         units.append({dof: lever / length for dof, lever in levers.items()})
