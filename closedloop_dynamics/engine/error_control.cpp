@@ -27,14 +27,19 @@ constexpr double SIGNIFICANT = 1e-2;
 constexpr int GUESSES = 4;
 constexpr double FARTHER = 100.0;
 
+/// What a mean over the numbers of a state is divided by; there are none where all is fixed.
+double number_of(Values state)
+{
+  return static_cast<double>(std::max<Index>(state.size, 1));
+}
+
 /// Error of a step relative to the tolerance (1: just accepted). Hairer, Norsett and Wanner (1993),
 /// section II.10: a coarser estimate, where the method has one, keeps the finer from being fooled.
 double error_norm(
   const Tableau & tableau, double step_size, Table slopes, Values state, Values out, Table scale)
 {
   double fine = 0.0, coarse = 0.0;
-  const Index count = state.size;
-  for (Index i = 0; i < count; ++i) {
+  for (Index i = 0; i < state.size; ++i) {
     double first = 0.0, second = 0.0;
     for (Index k = 0; k < tableau.error.columns; ++k) {
       first += tableau.error(0, k) * slopes(k, i);
@@ -45,10 +50,11 @@ double error_norm(
     fine += (first * weight) * (first * weight);
     coarse += (second * weight) * (second * weight);
   }
+  const double count = number_of(state);
   if (coarse > 0.0) {
-    return step_size * fine / std::sqrt((fine + 0.01 * coarse) * static_cast<double>(count));
+    return step_size * fine / std::sqrt((fine + 0.01 * coarse) * count);
   }
-  return step_size * std::sqrt(fine / static_cast<double>(count));
+  return step_size * std::sqrt(fine / count);
 }
 
 /// Guess the size of the first step [s] (Hairer, Norsett and Wanner 1993, section II.4). Where
@@ -68,8 +74,8 @@ double first_step(
     size += one * one;
     slope += other * other;
   }
-  size = std::sqrt(size / static_cast<double>(count));
-  slope = std::sqrt(slope / static_cast<double>(count));
+  size = std::sqrt(size / number_of(state));
+  slope = std::sqrt(slope / number_of(state));
   double guess = size < 1e-5 || slope < 1e-5 ? 1e-6 : 0.01 * size / slope;
   for (int n = 0; n < GUESSES; ++n) {
     for (Index i = 0; i < count; ++i) {
@@ -82,7 +88,7 @@ double first_step(
       bend += change * change;
     }
     const double steepest =
-      std::max(slope, std::sqrt(bend / static_cast<double>(count)) / guess);
+      std::max(slope, std::sqrt(bend / number_of(state)) / guess);
     if (steepest <= 1e-15) {
       return std::max(1e-6, guess * 1e-3);
     }

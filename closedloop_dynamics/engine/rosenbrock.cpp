@@ -309,7 +309,7 @@ Status StiffStep::make(
         scale(0, i) + scale(1, i) * std::max(std::abs(state[i]), std::abs(out[i])));
       total += each * each;
     }
-    error = std::sqrt(total / static_cast<double>(n));
+    error = std::sqrt(total / static_cast<double>(std::max<Index>(n, 1)));
     factor = error < 1e30 ? SAFETY * std::pow(std::max(error, 1e-10), -0.25) : 0.0;
     factor = std::min(6.0, std::max(0.2, factor));
     // Written so that a NaN counts as an error too large.

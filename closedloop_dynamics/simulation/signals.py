@@ -14,6 +14,8 @@ import signal
 import threading
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# How long a program may take to end by itself [s], at what it checks for signals between.
+PATIENCE = 1.5
 
 
 class Interrupted(KeyboardInterrupt):
@@ -80,15 +82,27 @@ class SignalWatch:
 
     @contextmanager
     def noting(self):
-        """Yield a list to which the first signal is appended; then react as before the body."""
-        received = []
+        """
+        Yield a list to which the first signal is appended; then react as before the body.
+
+        A body that does not end by itself for ``PATIENCE`` seconds gets the signal once more.
+        """
+        received, timers = [], []
 
         def note(number):
             self._reactions.pop()
             received.append(number)
+            timers.append(threading.Timer(
+                PATIENCE, signal.pthread_kill, (threading.main_thread().ident, number)))
+            timers[0].daemon = True
+            timers[0].start()
 
-        with self.reacting(note):
-            yield received
+        try:
+            with self.reacting(note):
+                yield received
+        finally:
+            for timer in timers:
+                timer.cancel()
 
     def _handle_with(self, handler):
         for number in self._numbers:

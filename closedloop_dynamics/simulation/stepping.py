@@ -38,6 +38,8 @@ from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
 from ..integration.steppers import build_stepper
 from ..integration.system import AccelerationDerivatives, LENIENT, OPENED, System
 
+# How often equations are exchanged while the motion goes on by less than a share of a step.
+MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
 # Of the closure error at which loops count as open: from here on they may contradict one another.
@@ -560,13 +562,17 @@ class Stepping(Readings):
         if failed:
             status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
         begin, worked = perf_counter_ns(), thread_time_ns()
+        reached, exchanged = elapsed, 0
         try:
             while status != DONE:
                 if status == INTERRUPTED:
                     # Another thread was.
                     raise KeyboardInterrupt
                 if status is not None:
-                    if not self.choose_equations(status):
+                    if elapsed > reached + LEAST_PROGRESS * size:
+                        reached, exchanged = elapsed, 0
+                    exchanged += 1
+                    if exchanged > MOST_EXCHANGES or not self.choose_equations(status):
                         break
                     driver.go_on()
                 status, elapsed = driver.advance(self._state, *grid, size, portion)
@@ -591,6 +597,12 @@ class Stepping(Readings):
         # What stopped it may be a cable at its limit, or steps that cannot be stable.
         explain(self)
         self._stiffness.check(self._state, size)
+        if exchanged > MOST_EXCHANGES:
+            raise NumericalError(
+                f'The motion does not go on at t = {self.time:.9g} s, whichever closure equations '
+                f'are left out as repeating others ({MOST_EXCHANGES} choices were tried); the '
+                'last good state is kept. Make lengths and axes of the loops agree to more '
+                'digits, or start elsewhere.')
         stopped, undecided = self._stopped(status, size), self._branch_finding()
         raise type(stopped)(' '.join(
             [str(stopped), *(f'Before that, {one}' for one in undecided)]))
