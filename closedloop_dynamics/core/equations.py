@@ -8,8 +8,10 @@ import numpy as np
 from .codegen import joint_kernels
 from .codegen.workspace import allocate
 from .manifold import manifold_of
+from .ranks import null_space
 from .types import (
-    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
+    CUT_COUPLING, CUT_NUMBER, CUT_ROW, CUT_TYPE, DOF, KEPT, NO_RESPONSES, number_of_coordinates,
+    PATH_A, PATH_COMMON, POSSIBLE, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, ROW, ROWS, TYPE)
 from ..engine import native
 
 
@@ -68,6 +70,7 @@ class Equations:
             rows = np.arange(cut[ROWS])
             self._order[cut[CUT_ROW] + rows] = cut[ROW] + rows
         self.counts = self.model.cut[by_user, ROWS].tolist()
+        self._cut_of = np.repeat(by_user, self.counts)
         self.kept, groups = np.ones(self.nc, dtype=bool), []
         group_of = joint_kernels.arrays_of(model).group_of
         for number, (cut, count) in enumerate(zip(model.cut[by_user], self.counts)):
@@ -84,6 +87,8 @@ class Equations:
         self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
         self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
         self._largest = native.bind('largest', self.work.closure)
+        self._sizes = np.zeros(len(model.cut))
+        self._measure_loops = native.bind('loop_sizes', self.model, self._sizes)
         self._closed = np.zeros(nq)
         self._close_loops = native.bind(
             'close_loops', self.model, self.work, manifold_of(self.model),
@@ -143,6 +148,45 @@ class Equations:
             self._jacobian = np.zeros((self.nc, self.nv))
             native.constraint_jacobian(self.model, self.work, self._jacobian)
         return self._jacobian
+
+    def units(self):
+        """
+        Return what closure errors, shape (nc,), and coordinates, (nv,), are counted in.
+
+        Angles in radians, places and slides in sizes of the loops that they belong to [m],
+        couplings, which have factors of any size, in what they change by.
+        """
+        model = self.model
+        self._measure_loops()
+        columns = np.ones(self.nv)
+        slides = model.tree[1:, TYPE] == PRISMATIC
+        columns[model.tree[1:, DOF][slides]] = 0.0
+        for cut, size in zip(model.cut, self._sizes):
+            own = model.path_body[cut[PATH_A]:cut[PATH_COMMON]]
+            moved = model.tree[own[model.tree[own, TYPE] == PRISMATIC], DOF]
+            columns[moved] = np.maximum(columns[moved], size)
+        columns[columns == 0.0] = self._sizes.max(initial=0.0) or 1.0
+        rows = np.where(self.places, self._sizes[self._cut_of], 1.0)
+        kind = model.cut[self._cut_of, CUT_TYPE]
+        coupled = (kind >= CUT_COUPLING) & (kind != PRESCRIBED_PLACE) & (kind != PRESCRIBED_TURN)
+        if coupled.any():
+            changes = np.abs(self.jacobian()[coupled] * columns).max(axis=1, initial=0.0)
+            rows[coupled] = np.where(changes > 0.0, changes, 1.0)
+        return rows, columns
+
+    def dimensionless(self, columns=None):
+        """
+        Return J in ``units``, shape (nc, nv): what ranks are decided on.
+
+        Entries are about 1 where a joint moves an equation at all, rounding is far below.
+        ``columns``, shape (nv,): units of the coordinates that are others.
+        """
+        rows, own = self.units()
+        return self.jacobian() * (own if columns is None else columns) / rows[:, np.newaxis]
+
+    def free_motions(self):
+        """Return rates that keep all equations, rows that are orthonormal in ``units``."""
+        return null_space(self.dimensionless()) * self.units()[1]
 
     def inertia(self):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""

@@ -330,6 +330,7 @@ const Entry entries[] = {
     "close_loops(model, work, manifold, jac, gim, q, free, closed, limit): whether this was plain"),
   entry<energies>("energies", "energies(model, work, qd, out): kinetic and potential energy"),
   entry<constraint_jacobian>("constraint_jacobian", "constraint_jacobian(model, work, jac)"),
+  entry<loop_sizes>("loop_sizes", "loop_sizes(model, out): size of each cut joint's loop"),
   entry<generalized_inertia_matrix>(
     "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
   entry<cut_wrenches>("cut_wrenches", "cut_wrenches(model, body, lam, share, out)"),

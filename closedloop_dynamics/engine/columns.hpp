@@ -25,25 +25,25 @@ namespace work
 enum : Index {DINV, RHS, DZ};
 }
 
-/// Workspace.body in the plane.
+/// Workspace.body in the plane, and places in Model.body and Model.cut_point.
 namespace plane
 {
 enum : Index
 {
   ALPHA = 3, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY,
   IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY, UZ, UX, UY, SX, SY, DX, DY,
-  POSITION, RATE, CUT_POINT_COLUMNS = 5
+  POSITION, RATE, JOINT_X = 4, JOINT_Y, A_X = 0, A_Y, B_X, B_Y, CUT_POINT_COLUMNS = 5
 };
 }
 
-/// Workspace.body in space.
+/// The same in space.
 namespace space
 {
 enum : Index
 {
   ORIGIN = 3, FRAME = 6, SPIN = 15, VELOCITY = 18, FORCE = 21, OFFSET = 27, SPIN_RATE = 30,
-  ACCELERATION = 33, JOINT_AXIS = 36, JOINT_POSITION = 75, JOINT_RATE = 76,
-  CUT_POINT_COLUMNS = 25
+  ACCELERATION = 33, JOINT_AXIS = 36, JOINT_POSITION = 75, JOINT_RATE = 76, PLACE = 10,
+  POINT_A = 0, POINT_B = 3, CUT_POINT_COLUMNS = 25
 };
 }
 

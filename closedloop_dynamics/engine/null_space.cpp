@@ -23,6 +23,9 @@ constexpr double DEPENDENT = 1e-11;
 constexpr double DOUBT = 3.0;
 // Entries of J against the largest: less is the rounding of a zero, not to be scaled up.
 constexpr double NOTHING = 1e-12;
+// Shortest lever of a cut joint's equations that others are compared with, against the size of its
+// loop: all of them are rounding where the equations hold anyway.
+constexpr double SHORTEST = 1e-3;
 // Inertia of a motion, against the largest, below which it is zero.
 constexpr double NO_INERTIA = 1e-14;
 // Square roots of pivots above which all motions certainly have inertia.
@@ -138,6 +141,57 @@ void make_least(
   lam -= idle * share;
 }
 
+double length(const double * place, Index size)
+{
+  return Eigen::Map<const Eigen::VectorXd>(place, size).norm();
+}
+
+/// Longest distance of two joints on one body of a cut joint's loop; 0 where there is none.
+double loop_size(const Model & model, Index a)
+{
+  const Indexes & cut = model.cut;
+  if (cut(a, cut::TYPE) == cut::COUPLING || cut(a, cut::TYPE) == cut::PRESCRIBED_JOINT) {
+    return 0.0;
+  }
+  const Index size = model.gravity.size;
+  const bool planar = size == 2;
+  const double * point_a = model.cut_point.row(a), * point_b = point_a;
+  point_a += planar ? static_cast<Index>(plane::A_X) : static_cast<Index>(space::POINT_A);
+  point_b += planar ? static_cast<Index>(plane::B_X) : static_cast<Index>(space::POINT_B);
+  Index i = cut(a, cut::BODY_A), k = cut(a, cut::BODY_B);
+  double longest = 0.0;
+  // Inwards to the body that carries both; a parent has a smaller number than its children.
+  while (i != k) {
+    Index & outer = i > k ? i : k;
+    const double * & point = i > k ? point_a : point_b;
+    longest = std::max(longest, length(point, size));
+    point = model.body.row(outer) + (
+      planar ? static_cast<Index>(plane::JOINT_X) : static_cast<Index>(space::PLACE));
+    outer = model.tree(outer, tree::PARENT);
+  }
+  double apart = 0.0;
+  for (Index n = 0; n < size; ++n) {
+    apart = std::hypot(apart, point_a[n] - point_b[n]);
+  }
+  return std::max(longest, apart);
+}
+
+double largest_loop(const Model & model)
+{
+  double largest = 0.0;
+  for (Index a = 0; a < model.cut.rows; ++a) {
+    largest = std::max(largest, loop_size(model, a));
+  }
+  return largest;
+}
+
+/// The same, given that of the largest loop; cut points a rounding error apart are in one place.
+double loop_size(const Model & model, Index a, double largest)
+{
+  const double own = loop_size(model, a);
+  return own > NOTHING * largest ? own : largest > 0.0 ? largest : 1.0;
+}
+
 /// The rows of a matrix that are kept.
 DenseMatrix rows_of(const Eigen::Map<DenseMatrix> & all, Indices kept, Index count)
 {
@@ -164,6 +218,14 @@ void solve_least(const Eigen::MatrixXd & matrix, const DenseVector & right, Valu
 }
 }  // namespace
 
+void loop_sizes(const Model & model, Values out)
+{
+  const double largest = largest_loop(model);
+  for (Index a = 0; a < out.size; ++a) {
+    out[a] = loop_size(model, a, largest);
+  }
+}
+
 void scales(const Model & model, Table jac, Values row_scale, Values column_scale)
 {
   const Index nv = jac.columns;
@@ -172,6 +234,7 @@ void scales(const Model & model, Table jac, Values row_scale, Values column_scal
   const Values & lever = column_scale;
   lever.fill(0.0);
   row_scale.fill(1.0);
+  const double largest = largest_loop(model);
   double longest = 0.0;
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::CUT_ROW), last = first + cut(a, cut::LENGTHS);
@@ -183,6 +246,7 @@ void scales(const Model & model, Table jac, Values row_scale, Values column_scal
         }
       }
     }
+    here = std::max(here, SHORTEST * loop_size(model, a, largest));
     longest = std::max(longest, here);
     for (Index i = first; i < last; ++i) {
       for (Index j = 0; j < nv; ++j) {
@@ -256,7 +320,8 @@ Rank solve(
   const auto & right = place.singular.matrixV();
   const auto & values = place.singular.singularValues();
   const Index count = values.size(), independent = std::min(count, most);
-  const double strongest = count > 0 ? values[0] : 0.0;
+  // Rows that anything moves have entries of 1: where all are less there is rounding alone.
+  const double strongest = count > 0 ? std::max(values[0], 1.0) : 0.0;
   const Vector wanted = equations.right.cwiseProduct(row_scale);
   Choice<Most> choice;
   choice.wanted = left.transpose() * wanted;

@@ -93,6 +93,10 @@ struct Decomposition
   void decompose(const Model &, Table jac, Table gim);
 };
 
+/// Sizes of the loops that the cut joints close [m], shape (number of cuts,): the longest distance
+/// of two of a loop's joints on one body; where there is none, the largest of all.
+void loop_sizes(const Model &, Values out);
+
 /// Scales of the rows and columns of J that make its entries comparable lengths.
 void scales(const Model &, Table jac, Values row, Values column);
 

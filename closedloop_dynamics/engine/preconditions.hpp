@@ -163,6 +163,12 @@ inline constexpr auto precondition<constraint_jacobian> =
   };
 
 template<>
+inline constexpr auto precondition<loop_sizes> =
+  [](const Model & model, Values out) {
+    return expected::first_of(misfit(model), expected::unless(out.size == model.cut.rows));
+  };
+
+template<>
 inline constexpr auto precondition<generalized_inertia_matrix> =
   [](const Model & model, const Workspace & work, Table gim) {
     return expected::machine(model, work, [&] {

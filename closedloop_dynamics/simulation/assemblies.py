@@ -8,17 +8,20 @@ from typing import List, NamedTuple, Optional
 
 import numpy as np
 
-from .assembly import Assembler, rank_of, TOLERANCE
+from .assembly import Assembler, TOLERANCE
 from .errors import AssemblyError
 from .geometry import Geometry
 from .modeling import extent
 from .planar_assemblies import all_planar, NotProved
 from .state import State
 from ..core import types as t
+from ..core.ranks import least_solution, null_space
 from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, SPHERICAL
 
 # Random starts, where no method finds all; Newton corrections of each, and the longest.
 STARTS, CORRECTIONS, LONGEST = 400, 40, 0.5
+# Singular values up to which equations are left out of a correction.
+DEPENDENT = 1e-10
 # Assemblies whose joints, cut points and named points are nearer are the same [of the size].
 SAME = 1e-6
 # Speeds of points in a motion without effect, against the size, that are rounding.
@@ -74,7 +77,7 @@ def find_assemblies(mechanism, equations, values, start):
     """
     unit = np.where(mechanism.coordinates.lengths, extent(mechanism), 1.0)
     needed, free, _ = drives_needed(
-        mechanism, equations.move(start).jacobian() * unit, unit, start)
+        mechanism, equations.move(start).dimensionless(unit), unit, start)
     if len(values) < needed:
         raise ValueError(too_few(mechanism, needed, free * unit))
     assembler = _driven(mechanism, equations, values)
@@ -116,7 +119,7 @@ def closed_from(mechanism, equations, unit, q):
         psi = moved.closures()[0]
         if np.abs(psi).max() <= TOLERANCE * unit.max():
             return q
-        change = np.linalg.lstsq(moved.jacobian() * unit, -psi, rcond=1e-10)[0]
+        change = least_solution(moved.dimensionless(unit), -psi / moved.units()[0], DEPENDENT)
         longest = np.abs(change).max()
         if not longest < np.inf:
             return None
@@ -160,7 +163,7 @@ def drives_needed(mechanism, jacobian, unit, position):
 
     Its ``motions`` are what is driven; ``jacobian``, shape (n, nv), is that of the loops and the
     driving equations at the closed ``position``, shape (nq,), by scaled displacements, whose
-    factors are ``unit``, shape (nv,) [rad or m].
+    factors are ``unit``, shape (nv,) [rad or m], of errors without units.
 
     Returns the degrees of freedom at and near the position, without idle ones; scaled
     displacements with the driven values at rest, shape (n, nv), without idle ones; and those that
@@ -168,7 +171,7 @@ def drives_needed(mechanism, jacobian, unit, position):
     """
     loops = replace(mechanism, motions=())
     freedoms = Assembler(loops, Geometry(loops).equations).degrees_of_freedom(position)
-    null = np.linalg.svd(jacobian)[2][rank_of(jacobian):]
+    null = null_space(jacobian)
     if all(_is_idle(mechanism, position, row * unit) for row in null):
         return freedoms - len(null), null[:0], np.ascontiguousarray(null)
     return freedoms, null, null[:0].copy()

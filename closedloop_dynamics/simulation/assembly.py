@@ -19,6 +19,7 @@ import numpy as np
 
 from .errors import AssemblyError
 from .modeling import extent
+from ..core.ranks import null_space, RANK_TOLERANCE, rank_from, rank_of, singular_values
 from ..mechanism.digits import EVERYDAY, suspicions
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
@@ -29,12 +30,9 @@ MOST_ITERATIONS = 200
 LARGEST_CORRECTION = 0.25
 # Damping of corrections at which they have become too short to go on with.
 MOST_DAMPING = 1e12
-# Singular values of the Jacobian below this times the largest belong to dependent equations: axes
-# that were written with six digits are parallel to 1e-6 rad.
-RANK_TOLERANCE = 3e-6
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-13
-# What a joint moves in the loops, against the most that one moves: less is nothing.
+# What a joint moves in the loops, in units: less is nothing.
 NO_LEVER = 1e-12
 # Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
 MOST_EQUATIONS = 300
@@ -102,6 +100,10 @@ class Assembler:
     def jacobian(self, q):
         """Return J = d psi / d q, shape (nc, nv)."""
         return self._equations.move(q).jacobian()[self._kept]
+
+    def dimensionless(self, q):
+        """Return J in units of the mechanism, as ``Equations.dimensionless``."""
+        return self._equations.move(q).dimensionless()[self._kept]
 
     def inertia(self, q):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
@@ -187,8 +189,7 @@ class Assembler:
             error = np.linalg.norm(psi)
             if np.abs(psi).max() <= 0.01 * TOLERANCE * self.extent or damping > MOST_DAMPING:
                 break
-            change = _least_change(
-                self.jacobian(q)[:, free], psi, metric, damping * error / self.extent)
+            change = self._least_change(q, free, psi, metric, damping * error / self.extent)
             largest = np.abs(change).max(initial=0.0)
             trial = self._changed(
                 q, free, -change * min(1.0, self._limit / max(largest, self._limit)))
@@ -247,13 +248,15 @@ class Assembler:
         free, qd = self._free(hold), np.array(guess, dtype=float)
         if len(hold) > 0:
             qd[free] = 0.0
+        change, before = jac @ qd - self._wanted_rates(jac), np.abs(guess).max(initial=0.0)
 
         def metric():
             self.by_masses = True
             return self._metric(q, free)
 
-        qd[free] -= _least_change(
-            jac[:, free], jac @ qd - self._wanted_rates(jac), metric, tolerance=tolerance)
+        qd[free] -= self._least_change(q, free, change, metric, tolerance=tolerance)
+        # Rounding of rates that are not possible is no motion.
+        qd[free[np.abs(qd[free]) <= TOLERANCE * before]] = 0.0
         return qd
 
     def _rates_apart(self, q, left, hold):
@@ -279,10 +282,10 @@ class Assembler:
         """
         if self.nc > MOST_EQUATIONS or self.prescribed_rates.size:
             return None
-        jac, free = self.jacobian(q), self._free(hold)
-        for columns in (jac, jac[:, free]):
-            singular = _singular(columns)
-            weak = singular / max(singular.max(initial=0.0), 1e-300)
+        jac, free, scaled = self.jacobian(q), self._free(hold), self.dimensionless(q)
+        for columns in (scaled, scaled[:, free]):
+            singular = singular_values(columns)
+            weak = singular / singular.max(initial=1.0)
             if ((weak > BRANCH_DIGITS) & (weak <= RANK_TOLERANCE)).any():
                 break
         else:
@@ -308,18 +311,18 @@ class Assembler:
         """Return rates, unless the position is singular and no motion continues with them."""
         if self.nc > MOST_EQUATIONS or not qd.any():
             return qd
-        left, singular, _ = np.linalg.svd(jac)
-        dependent = left[:, rank_from(singular):]
+        dependent = null_space(self._equations.move(q).dimensionless()[self._kept].T)
         if not dependent.size:
             return qd
+        units = self._equations.units()[0][self._kept]
         fastest = np.abs(qd).max()
         ahead = qd * (1e-4 / fastest)
         bias = (self.jacobian(self._coordinates.moved(q, ahead))
                 - self.jacobian(self._coordinates.moved(q, -ahead))) @ qd * (0.5e4 * fastest)
-        if np.abs(dependent.T @ bias).max() > CONTINUATION_TOLERANCE * self.extent * fastest ** 2:
+        if np.abs(dependent @ (bias / units)).max() > CONTINUATION_TOLERANCE * fastest ** 2:
             raise AssemblyError(
                 f'{self.mechanism.name} stands at a change point (a singular position): '
-                f'{self._dependence(dependent.shape[1])}, and the velocities '
+                f'{self._dependence(len(dependent))}, and the velocities '
                 f'{"that follow from those held" if len(hold) > 0 else "nearest to those given"} '
                 f'belong to none of the ways in which the loops can move on. '
                 f'{self._beside(hold)}')
@@ -336,19 +339,19 @@ class Assembler:
         Positive at a change point or another singular position; zero where equations depend on one
         another everywhere nearby.
         """
-        return self._largest_rank(q)[0] - rank_of(self.jacobian(q))
+        return self._largest_rank(q)[0] - rank_of(self.dimensionless(q))
 
     def _largest_rank(self, q, seed=0):
         """Return the largest rank of the Jacobian at a closed position and near it, and where."""
-        rank = rank_of(self.jacobian(q))
+        rank = rank_of(self.dimensionless(q))
         if rank == min(self.nc, self.nv):
             return rank, q
-        return max(((rank, q), *((rank_of(self.jacobian(near)), near)
+        return max(((rank, q), *((rank_of(self.dimensionless(near)), near)
                                  for near in self.neighbours(q, seed))), key=itemgetter(0))
 
     def jacobian_of_largest_rank(self, q):
-        """Return the Jacobian of a closed position, or of one nearby if that has a larger rank."""
-        return self.jacobian(self.of_largest_rank(q))
+        """Return J, without units, of a closed position, or of one nearby of a larger rank."""
+        return self.dimensionless(self.of_largest_rank(q))
 
     def of_largest_rank(self, q, seed=0):
         """Return a closed position, or one nearby where the Jacobian has a larger rank."""
@@ -387,9 +390,9 @@ class Assembler:
         if not 0 < self.nc <= MOST_EQUATIONS:
             return found
         for near in chain((q,), self.neighbours(q)):
-            _, singular, rows = np.linalg.svd(self.jacobian(near))
-            rank = rank_from(singular)
-            free = np.abs(derivatives(near) @ rows[rank:].T).max(axis=1, initial=0.0)
+            rows = self._equations.move(near).free_motions()
+            rank = self.nv - len(rows)
+            free = np.abs(derivatives(near) @ rows.T).max(axis=1, initial=0.0)
             if rank >= most:
                 # Where equations are lost, rates seem free; at a dead centre they seem decided.
                 found = (free <= RANK_TOLERANCE) & (found | (rank > most))
@@ -403,8 +406,9 @@ class Assembler:
         if not 0 < self.nc <= MOST_EQUATIONS:
             return ''
         rank, _ = self._largest_rank(q)
-        away = [_singular(self.jacobian(near))[rank - 1] for near in self.neighbours(q)]
-        if not away or _singular(self.jacobian(q))[rank - 1] > 0.1 * max(away):
+        away = [singular_values(self.dimensionless(near))[rank - 1]
+                for near in self.neighbours(q)]
+        if not away or singular_values(self.dimensionless(q))[rank - 1] > 0.1 * max(away):
             return ''
         return ('The mechanism is at a change point (a singular position), where the loops can '
                 'move on in more than one way, and forces or velocities push it out of all of '
@@ -552,9 +556,9 @@ class Assembler:
         free = self._free(hold)
         if len(free) != self.nc or not 0 < self.nc <= MOST_EQUATIONS:
             return False
-        before, after = (self.jacobian(place)[:, free] for place in (guess, q))
-        if min(singular[-1] / max(singular[0], 1e-300)
-               for singular in map(_singular, (before, after))) < UNDECIDED:
+        before, after = (self.dimensionless(place)[:, free] for place in (guess, q))
+        if min(singular[-1] / max(singular[0], 1.0)
+               for singular in map(singular_values, (before, after))) < UNDECIDED:
             return False
         return np.linalg.slogdet(before)[0] != np.linalg.slogdet(after)[0]
 
@@ -584,7 +588,7 @@ class Assembler:
         AssemblyError where a method needs them independent, and they are not.
         """
         kept = self._equations.kept
-        rank, count = rank_of(self.jacobian(q)[kept]), np.count_nonzero(kept)
+        rank, count = rank_of(self.dimensionless(q)[kept]), np.count_nonzero(kept)
         if rank < count:
             raise AssemblyError(
                 f'{count - rank} of {count} closure equations of {self.mechanism.name} depend '
@@ -614,10 +618,7 @@ class Assembler:
 
     def _require_inertia(self, q):
         """Refuse massless bodies that the loops leave free to move."""
-        jac = self.jacobian(q)
-        levers = _levers(jac)
-        _, singular, right = np.linalg.svd(jac / levers)
-        basis = right[rank_from(singular):] / levers
+        basis = self._equations.move(q).free_motions()
         if not len(basis):
             return
         inertia = basis @ self.inertia(q) @ basis.T
@@ -640,7 +641,7 @@ class Assembler:
 
     def _correct(self, q, psi, free, metric):
         """Return the state after one damped Newton correction, and whether it helped."""
-        change = _least_change(self.jacobian(q)[:, free], psi, metric)
+        change = self._least_change(q, free, psi, metric)
         largest = np.abs(change).max(initial=0.0)
         change *= min(1.0, self._limit / largest) if largest > 0.0 else 0.0
         before = np.linalg.norm(psi)
@@ -651,6 +652,38 @@ class Assembler:
                 return trial, trial_psi, True
             change *= 0.5
         return q, psi, False
+
+    def _least_change(self, q, free, error, metric, damping=0.0, tolerance=RANK_TOLERANCE):
+        """
+        Return the change of the free coordinates with J x = ``error`` that is least in a metric.
+
+        ``metric`` returns L of the metric L L^T, and is called where there is a choice.
+        With a ``damping``, as a share of the largest singular value, it is shorter, and no
+        solution. ``tolerance`` is that of ``rank_from``.
+
+        Which equations depend on others is decided on levers alone: in the mass metric those that
+        move a light body all look alike. What they leave open is decided by the masses.
+        """
+        if damping > 0.0:
+            root = metric()
+            weighted = np.linalg.solve(root, self.jacobian(q)[:, free].T).T
+            left, singular, right = np.linalg.svd(weighted, full_matrices=False)
+            damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
+            y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
+            return np.linalg.solve(root.T, y)
+        rows, columns = self._equations.units()
+        jac = self.dimensionless(q)
+        levers = np.abs(jac).max(axis=0, initial=0.0)
+        # These are rounding errors: nothing to scale by.
+        levers = np.where(levers <= NO_LEVER, 1.0, levers)[free]
+        left, singular, right = np.linalg.svd(jac[:, free] / levers)
+        rank, levers = rank_from(singular, tolerance), levers / columns[free]
+        x = right[:rank].T @ (left[:, :rank].T @ (error / rows[self._kept]) / singular[:rank])
+        x /= levers
+        if rank == len(x):
+            return x
+        open_ones, root = right[rank:].T / levers[:, np.newaxis], metric()
+        return x - open_ones @ np.linalg.lstsq(root.T @ open_ones, root.T @ x, rcond=None)[0]
 
     def _require_complete(self, q, free, hold):
         """Refuse held coordinates that leave others undetermined, here and all around."""
@@ -690,7 +723,7 @@ class Assembler:
         # No number holds the idle spin of a rod: beside orientations the nearest state will do.
         if self._coordinates.with_orientation:
             return 0
-        return len(free) - rank_of(self.jacobian(q)[:, free])
+        return len(free) - rank_of(self.dimensionless(q)[:, free])
 
     def _open_loops(self, guess, psi, hold):
         """Return a description of the loops that do not close."""
@@ -753,53 +786,3 @@ def _angle_notes(mechanism, position, counts):
     first = next(iter(large.values()))
     return [f'The position has angles beyond 2 pi: {angles}. They are taken as radians; in '
             f'degrees? {first:g} degrees are {math.radians(first):.6g} rad.']
-
-
-def _least_change(jac, error, metric, damping=0.0, tolerance=RANK_TOLERANCE):
-    """
-    Return the x with ``jac`` x = ``error`` that is least in a metric.
-
-    ``metric`` returns L of the metric L L^T, and is called where there is a choice.
-    With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
-    ``tolerance`` is that of ``rank_from``.
-
-    Which equations depend on others is decided on levers alone: in the mass metric those that
-    move a light body all look alike. What they leave open is decided by the masses.
-    """
-    if damping > 0.0:
-        root = metric()
-        weighted = np.linalg.solve(root, jac.T).T
-        left, singular, right = np.linalg.svd(weighted, full_matrices=False)
-        damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
-        y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
-        return np.linalg.solve(root.T, y)
-    levers = _levers(jac)
-    left, singular, right = np.linalg.svd(jac / levers)
-    rank = rank_from(singular, tolerance)
-    x = right[:rank].T @ (left[:, :rank].T @ error / singular[:rank]) / levers
-    if rank == len(x):
-        return x
-    open_ones, root = right[rank:].T / levers[:, np.newaxis], metric()
-    return x - open_ones @ np.linalg.lstsq(root.T @ open_ones, root.T @ x, rcond=None)[0]
-
-
-def _levers(jac):
-    """Return the longest lever of each coordinate; 1 of those that no equation moves."""
-    levers = np.abs(jac).max(axis=0, initial=0.0)
-    # These are rounding errors: nothing to scale by.
-    levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
-    return levers
-
-
-def rank_of(jac, tolerance=RANK_TOLERANCE):
-    """Return the number of independent rows of a matrix, as ``rank_from``."""
-    return rank_from(_singular(jac), tolerance)
-
-
-def _singular(jac):
-    return np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
-
-
-def rank_from(singular, tolerance=RANK_TOLERANCE):
-    """Return the rank of a matrix by its singular values, relative to the largest."""
-    return int(np.sum(singular > tolerance * singular.max(initial=1e-300)))

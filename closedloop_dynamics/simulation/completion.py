@@ -16,11 +16,12 @@ import math
 
 import numpy as np
 
-from .assembly import rank_from, TOLERANCE
+from .assembly import TOLERANCE
 from .errors import SimulationError
 from .geometry import Geometry
 from .modeling import extent
 from ..core.manifold import manifold_of
+from ..core.ranks import rank_from, rank_of
 from ..engine import native
 
 # Of lengths against the size of the mechanism; angles [rad]. A measured joint moves no further in
@@ -108,8 +109,7 @@ class Completion:
         self._values, self.residual, self.passed = self.position[self._places], 0.0, False
         self._basis, self._sign, self._turned, self._known = None, 0.0, False, None
         # Independent closure equations.
-        self._rank = rank_from(np.linalg.svd(
-            self._equations.move(self.position).jacobian() * self._unit, compute_uv=False))
+        self._rank = rank_of(self._equations.move(self.position).dimensionless())
         self._prepare(self.position)
         motions = self._basis.shape[1]
         # No number holds the idle spin of a rod between two spherical joints.

@@ -133,6 +133,8 @@ class Data(Names):
             self._prescribe(scene)
             if leaves_out:
                 self._geometry.leave_out_repeated(position, hold)
+        if not leaves_out:
+            self._geometry.leave_out_unchanging(position)
         self._motions.look_up(self._geometry.model)
 
     def _assemble_start(self) -> None:

@@ -277,8 +277,8 @@ class DrivenKinematics:
         return closed_from(self._mechanism, self._equations, self._unit, position)
 
     def _jacobian(self):
-        """Return the Jacobian of all equations, and of the loops and the driving ones alone."""
-        jac = self._equations.move(self.position).jacobian() * self._unit
+        """Return J of all equations, without units, and of the loops and drives alone."""
+        jac = self._equations.move(self.position).dimensionless(self._unit)
         loops = len(jac) - len(self._drives)
         return jac, jac[:loops], jac[loops:]
 
@@ -321,7 +321,7 @@ class DrivenKinematics:
             scaled(jac, self._equations.groups), np.where(columns > 0.0, columns, 1.0))
         if motion is None:
             # Equations that vanish as a whole are scaled out of sight.
-            left, motion = self._lost(jac)
+            left, motion = self._lost(self._equations.jacobian() * self._unit)
         values = self.values.copy()
         place = ', '.join(
             f'{name} = {self._shown(motion, value)}' for name, motion, value in zip(

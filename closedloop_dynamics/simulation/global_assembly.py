@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .assembly import rank_of
+from ..core.ranks import rank_of
 from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (

@@ -10,7 +10,8 @@ follow the independent ones: J_r dr = -(J_own d own + C_p dp), and their rates l
 
 import numpy as np
 
-# Singular values of the closure equations below this share of the largest are rounding.
+# Singular values below this share of the largest of all closure equations, which are independent,
+# are rounding.
 RANK_TOLERANCE = 1e-8
 
 
@@ -66,7 +67,7 @@ def dependent_on(jac, own, names):
     rest = np.setdiff1d(np.arange(nv), own)
     if nc:
         values = np.linalg.svd(jac[:, rest], compute_uv=False)
-        if values[-1] <= RANK_TOLERANCE * values[0]:
+        if values[-1] <= RANK_TOLERANCE * np.linalg.norm(jac, 2):
             raise ValueError(
                 'independent: expected coordinates that decide all others, got '
                 f'{", ".join(names[place] for place in own)}')

@@ -9,19 +9,20 @@ import math
 
 import numpy as np
 
-from .assembly import Assembler, MOST_EQUATIONS, MOST_OPEN, rank_of, RANK_TOLERANCE
+from .assembly import Assembler, MOST_EQUATIONS, MOST_OPEN, NEARBY, NEIGHBOURS
 from .errors import AssemblyError
 from .modeling import mechanism_arrays
 from ..core.codegen import unrolled_size
 from ..core.equations import Equations
+from ..core.ranks import rank_of, RANK_TOLERANCE
 from ..integration.system import JointPlaces, MOST_UNROLLED_OPERATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
-# Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
-# a closed position, are below this.
+# Rounding errors of a Jacobian without units, and what closure errors make of entries that are
+# zero in a closed position, are below this.
 ROUNDING = 1e-10
-# Singular values above the first, and above so many times the closure error, of the size, cannot
+# Singular values above the first, and above so many times the closure error, without units, cannot
 # become zero on the way to where the loops close.
 PLAIN, FAR = 1e-3, 10.0
 # How often, farther and farther away, a position without flat loops is looked for.
@@ -77,6 +78,8 @@ class LoopModel:
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._first, self._known, self.model = None, {}, None
+        # Which equations motions change by more than rounding, where some are not of these.
+        self._changing, self._has_looked = None, False
         # Where equations were last chosen, and those that have been worked on there.
         self._place, self._tried = b'', set()
         self._choices = self.unexplained = None
@@ -87,9 +90,10 @@ class LoopModel:
         """
         Return the model of some equations, and these.
 
-        ``kept``, bool of shape (nc,): which the elimination is to work on; all when None. The
-        model shares all that effects change with the others.
+        ``kept``, bool of shape (nc,): which the elimination is to work on; all that motions change
+        when None. The model shares all that effects change with the others.
         """
+        kept = self._changing if kept is None else kept
         key = None if kept is None else kept.tobytes()
         if key not in self._known:
             model, self.placements, _ = mechanism_arrays(
@@ -135,28 +139,53 @@ class LoopModel:
         with suppress(AssemblyError):
             place = assembler.positions(q, hold)
             self.by_masses = assembler.by_masses
-            dependent = rank_of(assembler.jacobian(place)) < self.equations.nc
+            dependent = rank_of(assembler.dimensionless(place)) < self.equations.nc
             self.choose(place)
             self._first = self._kept()
-            self.unexplained = place if dependent and self.equations.kept.all() else None
+            self.unexplained = place if dependent and (
+                self.model is self.model_of(None)[0]) else None
+
+    def leave_out_unchanging(self, q):
+        """
+        Leave out equations that motions change by rounding alone, near a position.
+
+        They hold as long as the joints of the tree do, wherever the loops drift to.
+        """
+        if self._has_looked or self.equations.nc > MOST_EQUATIONS:
+            return
+        self._has_looked = True
+        rng, coordinates, most = np.random.default_rng(0), self.mechanism.coordinates, 0.0
+        for _ in range(NEIGHBOURS):
+            near = coordinates.moved(q, NEARBY * self.equations.units()[1] * rng.uniform(
+                -1.0, 1.0, self.equations.nv))
+            jac = self.equations.move(near).dimensionless()
+            most = np.maximum(most, np.abs(jac).max(axis=1, initial=0.0))
+        all_equations = self.model_of(None)[1].kept
+        # What is exactly zero the elimination notices by itself: it divides by that.
+        changing = all_equations & ((most > RANK_TOLERANCE) | (most == 0.0))
+        if not np.array_equal(changing, all_equations):
+            self._changing = changing
+            self.select(None)
 
     def plainly_independent(self, q):
         """Return whether equations are so independent that closing the loops cannot change it."""
         if self.equations.nc > self.equations.nv:
             return False
         assembler = Assembler(self.mechanism, self.equations)
-        error = np.abs(assembler.closure(q)).max(initial=0.0) / assembler.extent
-        singular = np.linalg.svd(
-            scaled(assembler.jacobian(q), self.equations.groups), compute_uv=False)
+        # Not scaled by columns: what an open loop alone moves must not look like what moves it.
+        singular = np.linalg.svd(assembler.dimensionless(q), compute_uv=False)
+        rows, _ = self.equations.units()
+        error = np.abs(self.equations.closures()[0] / rows).max(initial=0.0)
         return singular.min(initial=1.0) > max(PLAIN, FAR * error)
 
     def choose(self, q):
         """Retain equations in the elimination that are independent at or near a position."""
+        self.leave_out_unchanging(q)
         assembler, place = Assembler(self.mechanism, self.equations), q
         for seed in range(MOST_TRIES):
             # Where many loops are flat at once, not all of them may have opened nearby.
             place = assembler.of_largest_rank(place, seed)
-            kept, apart = independent(assembler.jacobian(place), self.equations.groups)
+            kept, apart = independent(assembler.dimensionless(place), self.equations.groups)
             if kept.all():
                 break
             opening = max(AS_GOOD_AS_CLOSED, min(FARTHER * apart, MOST_OPEN))
@@ -182,7 +211,7 @@ class LoopModel:
         most = min(MOST_CHOICES, MOST_UNROLLED_OPERATIONS // unrolled_size(self.model))
         if not kept.all() and math.comb(len(kept), int(kept.sum())) > most:
             return found
-        jac = assembler.jacobian(assembler.of_largest_rank(q, 0))
+        jac = assembler.dimensionless(assembler.of_largest_rank(q, 0))
         count = int(independent(jac, self.equations.groups)[0].sum())
         if count == len(jac) or math.comb(len(jac), count) > most:
             return found
@@ -197,9 +226,9 @@ class LoopModel:
         return any(model is self.model_of(kept)[0] for kept in self.choices(q))
 
     def _jacobian(self, q):
-        """Return the Jacobian of all equations at a position, or near it where it is singular."""
+        """Return J of all equations, without units, at or near a position that is singular."""
         assembler = Assembler(self.mechanism, self.equations)
-        jac = assembler.jacobian(q)
+        jac = assembler.dimensionless(q)
         singular = rank_of(jac, self._digits) < self.equations.kept.sum()
         return assembler.jacobian_of_largest_rank(q) if singular else jac
 
@@ -235,7 +264,7 @@ class LoopModel:
             self._place, self._tried = q.tobytes(), set()
         self._tried.add(self.equations.kept.tobytes())
         jac = self._jacobian(q) if nearby else Assembler(
-            self.mechanism, self.equations).jacobian(q)
+            self.mechanism, self.equations).dimensionless(q)
         present = self.equations.kept
         kept, _ = independent(jac, self.equations.groups, self._digits)
         if kept.tobytes() in self._tried:
@@ -260,14 +289,14 @@ class LoopModel:
 
 def scaled(jac, groups):
     """
-    Scale a Jacobian so that neither units of coordinates nor those of equations decide.
+    Scale a Jacobian without units so that levers of coordinates and equations do not decide.
 
     Shape (nc, nv), of all equations. Rounding errors of entries that are zero are not scaled up.
     ``groups``, shape (nc,): equations of one kind, which are scaled alike: one that hardly changes
     stays small. So do those of a kind that change by the last digits of axes only.
     """
     columns = np.abs(jac).max(axis=0, initial=0.0)
-    moves = columns > ROUNDING * columns.max(initial=0.0)
+    moves = columns > ROUNDING
     found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
     rows = largest_of_group(np.linalg.norm(found, axis=1), groups)[:, np.newaxis]
     return found / np.where(rows > RANK_TOLERANCE, rows, 1.0)
@@ -282,7 +311,7 @@ def largest_of_group(values, groups):
 
 def independent(jac, groups, least=RANK_TOLERANCE):
     """
-    Choose rows of a Jacobian that do not depend on one another, by pivoting.
+    Choose rows of a Jacobian without units that do not depend on one another, by pivoting.
 
     ``groups`` are as for ``scaled``; what is left of a row up to the length ``least`` depends on
     others. Which rows are kept, bool of shape (nc,), and how far the others are from depending on

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from .assembly import rank_of
 from .errors import AssemblyError
 from .loop_model import scaled
 from ..core import types as t
+from ..core.ranks import rank_of
 from ..effects.prescribed_motion import COMMANDED, PrescribedMotion
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at, FieldError
@@ -275,7 +275,7 @@ class DrivingConstraints:
         """Return the reason why a run ends at a limit of a prescribed motion; '' otherwise."""
         if not self:
             return ''
-        jac = scaled(assembler.jacobian(q), assembler.groups)
+        jac = scaled(assembler.dimensionless(q), assembler.groups)
         if np.linalg.svd(jac, compute_uv=False)[self._rank - 1] > AT_LIMIT:
             return ''
         moved = ', '.join(motion.freedom or motion.point for motion in self.mechanism.motions)

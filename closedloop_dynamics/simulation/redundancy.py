@@ -8,11 +8,12 @@ from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import Assembler, rank_of
+from .assembly import Assembler
 from .errors import AssemblyError
 from .geometry import Geometry
 from .loop_model import scaled
 from ..core.codegen import joint_kernels, space
+from ..core.ranks import rank_of
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import GROUND, MechanismError
 
@@ -51,9 +52,9 @@ def find_redundancy(mechanism, q):
         return Redundancy((), (), {})
     kept, groups = geometry.equations.kept, geometry.equations.groups
     assembler = Assembler(mechanism, geometry.equations)
-    if rank_of(assembler.jacobian(q)) < kept.sum():
+    if rank_of(assembler.dimensionless(q)) < kept.sum():
         q = assembler.of_largest_rank(q, 0)
-    jac = assembler.jacobian(q)
+    jac = assembler.dimensionless(q)
     names = _names(mechanism, geometry)
     changed = _with_other_lengths(mechanism, q)
     changed = None if changed is None else scaled(changed, groups)
@@ -65,7 +66,8 @@ def find_redundancy(mechanism, q):
     common = np.linalg.svd(jac)[0][:, kept.sum():]
     sharing = np.abs(common).max(axis=1) > NO_SHARE
     components = _components(
-        mechanism, geometry, q, np.ascontiguousarray(common.T), assembler.extent)
+        mechanism, geometry, q, np.ascontiguousarray(
+            common.T / geometry.equations.move(q).units()[0]), assembler.extent)
     return Redundancy(tuple(repeated), tuple(dict.fromkeys((
         *components, *(name for (name, _), shares in zip(names, sharing) if shares)))),
         components)

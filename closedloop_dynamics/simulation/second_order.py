@@ -21,9 +21,10 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import Assembler, MOST_EQUATIONS, rank_from, rank_of
+from .assembly import Assembler, MOST_EQUATIONS
 from .errors import AssemblyError
 from .geometry import Geometry
+from ..core.ranks import rank_from, rank_of
 from ..mechanism.mechanism import COUPLED, Coupling, CutJoint, POINT_ON_LINE
 from ..mechanism.rotations import of_quaternion
 
@@ -237,8 +238,8 @@ class _Search:
                 yield near
 
     def jacobian(self, q):
-        """Return the Jacobian by scaled displacements."""
-        return self.assembler.jacobian(q) * self.unit
+        """Return J, without units, by scaled displacements."""
+        return self.geometry.equations.move(q).dimensionless(self.unit)
 
     def place(self, q, rank):
         """

@@ -34,13 +34,13 @@ from .inertial_parameters import (
     BodyParameters, numbers_of, pseudo_inertia, unit_rows)
 from ..core import types as t
 from ..core.codegen import space
+from ..core.ranks import rank_from
 from ..effects.registry import effect_type
 from ..effects.force_law import FRICTION
 from ..effects.table import OWN
 from ..engine import native
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
-from ..simulation.assembly import rank_from
 from ..simulation.completion import Completion, CompletionError
 from ..simulation.data import Data
 from ..simulation.errors import SimulationError
@@ -608,13 +608,9 @@ class _Along:
         """Find N of every instant, and the independent coordinates where they are not given."""
         index = self.scene.mechanism.coordinates.index
         places = [index[name] for name in self._driven]
-        nv = self.scene.mechanism.coordinates.nv
         self.own, tangents = own, []
         for k, (q, _, _) in enumerate(self.states):
-            jac = self._geometry.equations.move(q).jacobian()
-            _, singular, right = np.linalg.svd(jac) if len(jac) else (
-                None, np.zeros(0), np.eye(nv))
-            basis = right[rank_from(singular):].T
+            basis = self._geometry.equations.move(q).free_motions().T
             if not basis.size:
                 raise IdentificationError(
                     f'{self.scene.mechanism.name}: expected a mechanism that moves, got one '

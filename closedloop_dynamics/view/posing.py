@@ -9,8 +9,6 @@ import numpy as np
 # directions in which a point can hardly move, as a share of those in which it can best: it fades
 # as the goal comes near.
 CORRECTIONS, FARTHEST, DAMPING = 20, 0.2, 0.05
-# Singular values of the loops' Jacobian below this times the largest leave their motion free.
-FREE = 1e-9
 DIFFERENCE = 1e-6
 # A point that loops hold in one direction feels no heavier in it than so many times as in others.
 HEAVIEST = 20.0
@@ -60,9 +58,7 @@ def _moves(simulation, name, free):
 
 def _free(simulation):
     """Return motions that the loops allow, shape (nv, number of freedoms)."""
-    _, values, rows = np.linalg.svd(simulation.constraint_jacobian)
-    rank = int(np.sum(values > FREE * values.max(initial=0.0)))
-    return rows[rank:].T
+    return simulation.loop_model.equations.move(simulation.position).free_motions().T
 
 
 def point_to(simulation, name, place):
