@@ -104,9 +104,9 @@ def _agreeing(scene: Scene, tolerance: Optional[float]) -> Scene:
     """Return a scene whose mechanism has another tolerance of digits, if one is given."""
     if tolerance is None:
         return scene
-    data, given, _ = scene.source
     mechanism = _with_tolerance(scene.mechanism, tolerance)
-    return replace(scene, mechanism=mechanism, source=(data, given, mechanism))
+    return replace(scene, mechanism=mechanism, source=(
+        scene.source and (*scene.source[:2], mechanism)))
 
 
 def _with_tolerance(mechanism: Mechanism, tolerance: Optional[float]) -> Mechanism:

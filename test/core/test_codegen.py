@@ -11,7 +11,8 @@ from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
     arctangent, cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
-from closedloop_dynamics.core.codegen.machine_code import LANES, machine_code, PACKED, SCALAR
+from closedloop_dynamics.core.codegen.machine_code import (
+    engines, LANES, machine_code, PACKED, SCALAR)
 from closedloop_dynamics.core.codegen.packing import packing_of
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.engine import native
@@ -146,12 +147,13 @@ def test_machine_code_is_read_back(tmp_path, monkeypatch):
         half = run(machine_code(('test', 1), halves, SCALAR)('half'), np.array([3.0]), np.zeros(1))
         assert half[0] == 1.5
     assert len(made) == 1
-    # A file cut short by a full disk is no code: it is made again.
+    # A file cut short by a full disk is no code: it is made again, where it is not in memory.
     path, = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:100])
+    in_use = engines.pop(path.name.split('.')[1])
     half = run(machine_code(('test', 1), halves, SCALAR)('half'), np.ones(1), np.zeros(1))
     assert half[0] == 0.5
-    assert len(made) == 2
+    assert len(made) == 2 and in_use
 
 
 def test_code_that_takes_long_is_announced_before_it_is_made(tmp_path, monkeypatch):

@@ -58,7 +58,9 @@ def test_planar_motion_has_no_third_dimension(name):
 def test_equations_out_of_the_plane_fall_away(kind, left):
     _, mechanism, _, _ = cases.drawn('four_bar')
     model = build_model(mechanism)
-    model.cut[:, CUT_TYPE], model.cut[:, KEPT] = kind, possible(kind)
+    cut = model.cut.copy()
+    cut[:, CUT_TYPE], cut[:, KEPT] = kind, possible(kind)
+    model = model.replaced(cut=cut)
     one = routines.MechanismTrace(model)
     one.outward()
     held = one.recursion.cuts[0]
