@@ -203,18 +203,20 @@ def terms(row):
     return bool(pieces[:, 5:7].any()), bool(pieces[:, 7].any())
 
 
-def present_values(forces):
+def values_of_piece(c, u, high=True, turns=True):
     """
-    Return the value of the course of an effect at the present time, its rate and its change.
+    Return the value of a piece, its rate and its change, at a time since it began [s].
 
-    The engine has looked up the piece, or evaluated the expression. Where its terms are not known,
-    only the value is that of an expression, too.
+    Parameters
+    ----------
+    c : sequence
+        Coefficients c0 to c5, a, w and p; numbers or symbols.
+    u : float or Symbol
+        The time.
+    high, turns : bool
+        Whether there are c4 and c5, and a.
+
     """
-    begun, start, *c = forces.present_piece()
-    if forces.terms == ('expression',):
-        return c[:3]
-    high, turns = forces.terms or (True, True)
-    u = forces.state(0) - begun - start
     last = c[3] + u * (c[4] + u * c[5]) if high else c[3]
     value = c[0] + u * (c[1] + u * (c[2] + u * last))
     rate = c[1] + u * (2.0 * c[2] + 3.0 * u * c[3])
@@ -228,9 +230,23 @@ def present_values(forces):
         value = value + size * sine(angle)
         rate = rate + size * turning * cosine(angle)
         change = change - size * turning * turning * sine(angle)
-    if forces.terms is None:
-        value = chosen(forces.values[1] > 0.5, c[0], value)
     return value, rate, change
+
+
+def present_values(forces):
+    """
+    Return the value of the course of an effect at the present time, its rate and its change.
+
+    The engine has looked up the piece, or evaluated the expression and its derivatives.
+    """
+    begun, start, *c = forces.present_piece()
+    if forces.terms == ('expression',):
+        return c[:3]
+    found = values_of_piece(c, forces.state(0) - begun - start, *forces.terms or ())
+    if forces.terms is not None:
+        return found
+    written = forces.values[1] > 0.5
+    return tuple(chosen(written, *both) for both in zip(c, found))
 
 
 def value(forces):
@@ -238,7 +254,10 @@ def value(forces):
     return present_values(forces)[0] if forces.held is None else forces.held
 
 
-def right_sides(forces):
-    """Return what the closure equation of a motion is to have: value, rate and acceleration."""
-    value, rate, change = present_values(forces)
-    return forces.values[2] + value, rate, change
+def values_at(pieces, period, time):
+    """Return the value of a course at a time [s], its rate and its change."""
+    count = len(pieces)
+    number = int(present(pieces, period, time))
+    cycle = 0 if period is None else number // count
+    start, *c = pieces[number - cycle * count]
+    return values_of_piece(c, time - cycle * (period or 0.0) - start)

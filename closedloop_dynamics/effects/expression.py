@@ -10,6 +10,9 @@ Expressions in the time, as compiled code evaluates them: a list of operations o
 
 from functools import partial
 
+import numpy as np
+
+from ..engine import native
 from ..mechanism.expressions import FUNCTIONS, ON_NUMBERS, value_of
 from ..mechanism.fields import FieldError, shown
 
@@ -101,6 +104,11 @@ def program(text):
     FieldError.
     """
     return _program(_term(text), text)
+
+
+def value_at(entry, time):
+    """Return the value of an entry of ``program`` at a time [s]."""
+    return native.expression_value(np.array(entry), 0, time)
 
 
 def programs(text):

@@ -21,7 +21,7 @@ _known = set()
 def link(table):
     """Give a table the addresses of the routines of its laws; those missing are compiled."""
     rows = {number: Row(table, number) for number, law in enumerate(table.laws)
-            if law.role not in (MOTION, INERTIA)}
+            if law.role != INERTIA}
     keys = {number: _key(row, table) for number, row in rows.items()}
     found = addresses_of_laws({
         keys[number]: (lambda row=row: _trace(row, table)) for number, row in rows.items()})
@@ -50,7 +50,7 @@ def _is_spatial(table):
 def _needs(row, table):
     """Return what a row that has the routine must have: ``engine/laws.hpp``."""
     law = row.law
-    read_one_by_one = 0 if law.listed or law.role == COURSE else len(row.data)
+    read_one_by_one = 0 if law.listed or law.role in (COURSE, MOTION) else len(row.data)
     return (_coordinates(row), len(row.bodies), row.states, read_one_by_one, law.listed,
             _is_spatial(table))
 

@@ -23,8 +23,7 @@ import numpy as np
 from . import course, expression
 from .effect import Effect
 from .force_law import force_law, MOTION
-from .table import build_table, ForceElement, OWN, State, WORK
-from ..engine import native
+from .table import ForceElement, OWN, State, WORK
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
@@ -264,31 +263,27 @@ class PrescribedMotion(Effect):
         pieces = ((0.0,),) if self.expression is not None else self._data
         return time, course.present(pieces, self.period, time)
 
-    def element(self, machine):
-        """Return the effect as a row of the table."""
-        return self._element(*machine.motion(self.motion('')))
-
     def at(self, time, start=0.0):
         """
         Return where the motion is at a time [s], its rate and its acceleration, shape (3,).
 
         ``start``: where the joint or point starts in the scene [rad; m].
         """
-        held = np.zeros((1, 3))
-        table = build_table(
-            (self._element(0, 0, 0, start),), np.zeros(0), 0, 0, cut_point=held)
-        table.states[:2] = self.clock(time)
-        native.update_driven_motions(table)
-        return held[0]
+        found = [expression.value_at(entry, time) for entry in self._data] if (
+            self.expression is not None) else course.values_at(self._data, self.period, time)
+        return np.array(found) + [self._offset(start), 0.0, 0.0]
 
-    def _element(self, row, multiplier, place, start):
-        """Return the row of the table for an equation; see ``effect.Machine``."""
+    def _offset(self, start):
+        return start if self.from_start else self.offset or 0.0
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        *equation, start = machine.motion(self.motion(''))
         first, second = np.cumsum([len(entry) for entry in self._data[:2]]) if (
             self.expression is not None) else (0, 0)
-        offset = start if self.from_start else self.offset or 0.0
         return ForceElement(
-            motion_over_time, equation=(row, multiplier, place),
-            values=(self.period or 0.0, float(self.expression is not None), offset,
+            motion_over_time, equation=tuple(equation),
+            values=(self.period or 0.0, float(self.expression is not None), self._offset(start),
                     float(first), float(second)),
             states=(State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)),
             data=self._data)
@@ -297,10 +292,8 @@ class PrescribedMotion(Effect):
 @force_law(role=MOTION, terms=course.terms, in_lanes=False,
            engine_only='it follows the time')
 def motion_over_time(forces):
-    """Follow the time, and do the work; ``course.right_sides`` is where and how it moves."""
-    _, rate, _ = course.present_values(forces)
-    forces.flow(1.0, 0.0)
-    forces.drive(rate, state=2)
+    position, rate, change = course.present_values(forces)
+    forces.drive(forces.values[2] + position, rate, change)
 
 
 def _of_table(record):
@@ -416,8 +409,4 @@ def _require_smooth(pieces, period):
 
 def _at(piece, u):
     """Return value and rate of a piece after some time."""
-    height, turning, phase = piece[-3:]
-    angle, value, rate = turning * u + phase, 0.0, 0.0
-    for factor in piece[-4:0:-1]:
-        value, rate = factor + u * value, value + u * rate
-    return value + height * math.sin(angle), rate + height * turning * math.cos(angle)
+    return course.values_of_piece(piece[1:], u)[:2]

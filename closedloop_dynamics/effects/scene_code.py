@@ -13,7 +13,6 @@ joints under dry friction are at rest, or friction feels the reaction in its joi
 from functools import partial
 from types import SimpleNamespace
 
-from .course import right_sides
 from .force_law import FRICTION, INERTIA, MOTION
 from .table import (
     ACROSS_B, AXIS, CUT_VALUE_COLUMNS, FOLLOWED, IN_PLANE, NODE_COLUMNS, POINT_A, POINT_B,
@@ -169,8 +168,9 @@ class LiveLaws:
         for row in self._rows:
             if row.law.role == MOTION:
                 forces.turn_to(row)
+                row.law.act(forces)
                 closure, _, column = row.equation
-                found[closure, column] = right_sides(forces)
+                *_, found[closure, column] = forces.driven[-1]
         return found
 
     def act(self, forces):

@@ -9,6 +9,7 @@
 #include "assembly.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
+#include "course.hpp"
 #include "curve.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
@@ -361,7 +362,7 @@ const Entry entries[] = {
   entry<equations_suffice, Length::ANY, Length::STATE>(
     "equations_suffice", "equations_suffice(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
-  entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
+  entry<expression_value>("expression_value", "expression_value(data, at, time)"),
   entry<keep_law>(
     "keep_law", "keep_law(address, joints, bodies, states, numbers, listed, spatial): what a row "
     "must have for a routine"),

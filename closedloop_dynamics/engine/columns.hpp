@@ -115,7 +115,7 @@ enum Array : Index
 /// Of the table of a law's row what that of a mechanism does not have.
 namespace law_routine
 {
-enum : Index {STATES = 47, OUTPUT, COUNT, LAW_COLUMNS};
+enum : Index {STATES = 47, OUTPUT, COUNT, RIGHT_SIDE, LAW_COLUMNS};
 }
 
 /// Responses to unit cut forces that `update` computes.

@@ -30,12 +30,6 @@ Index floor_divide(Index number, Index divisor)
   return number % divisor < 0 ? quotient - 1 : quotient;
 }
 
-/// Time since the present piece of a course began [s].
-double since(const EffectTable & table, Index row, const PresentPiece & present)
-{
-  return table.states[table.index(row, effect::STATE)] - present.period_start - present.piece[0];
-}
-
 double of_one(Index operation, double x)
 {
   switch (operation) {
@@ -93,38 +87,6 @@ PresentPiece present_piece(const EffectTable & table, Index row, double period)
   return {table.data.data + at, period > 0.0 ? cycle * period : 0.0};
 }
 
-double course_value(const EffectTable & table, Index row, double period)
-{
-  const PresentPiece present = present_piece(table, row, period);
-  const double * c = present.piece;
-  const double u = since(table, row, present);
-  double y = c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * (c[5] + u * c[6]))));
-  if (c[7] != 0.0) {
-    y += c[7] * std::sin(c[8] * u + c[9]);
-  }
-  return y;
-}
-
-CourseDerivatives course_derivatives(const EffectTable & table, Index row, double period)
-{
-  const PresentPiece present = present_piece(table, row, period);
-  const double * c = present.piece;
-  const double u = since(table, row, present);
-  const double fourth = c[5], fifth = c[6];
-  double rate = c[2] + u * (2.0 * c[3] + 3.0 * u * c[4]);
-  double change = 2.0 * c[3] + 6.0 * u * c[4];
-  if (fourth != 0.0 || fifth != 0.0) {
-    rate += u * u * u * (4.0 * fourth + 5.0 * u * fifth);
-    change += u * u * (12.0 * fourth + 20.0 * u * fifth);
-  }
-  if (c[7] != 0.0) {
-    const double turning = c[8], angle = c[8] * u + c[9];
-    rate += c[7] * turning * std::cos(angle);
-    change -= c[7] * turning * turning * std::sin(angle);
-  }
-  return {rate, change};
-}
-
 double end_of_piece(const EffectTable & table, Index row, double period, Index piece)
 {
   const Index count = table.index(row, effect::ENTRIES), following = piece + 1;
@@ -138,9 +100,8 @@ double end_of_piece(const EffectTable & table, Index row, double period, Index p
   return table.data[at] + cycle * period;
 }
 
-double expression_value(const EffectTable & table, Index at, double time)
+double expression_value(Values data, Index at, double time)
 {
-  const Values & data = table.data;
   const Index count = static_cast<Index>(data[at]);
   Index top = at + 2 * count;
   for (Index k = 0; k < count; ++k) {

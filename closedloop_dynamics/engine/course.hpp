@@ -19,13 +19,6 @@ namespace closedloop
 /// Times closer than this, relative to their size, are the same.
 constexpr double SAME_TIME = 1e-12;
 
-/// First and second derivative by the time.
-struct CourseDerivatives
-{
-  double rate;
-  double change;
-};
-
 namespace course
 {
 /// Numbers of a piece: its start [s], c0 to c5, a, w, p.
@@ -46,18 +39,12 @@ PresentPiece present_piece(const EffectTable &, Index row, double period);
 /// methods take.
 Index piece_number(double state);
 
-/// Value of an effect's course at the time in its first state; `period` [s]: zero without.
-double course_value(const EffectTable &, Index row, double period);
-
-/// Derivatives of the same.
-CourseDerivatives course_derivatives(const EffectTable &, Index row, double period);
-
 /// When a piece of a course ends [s]; infinity where it is the last one.
 double end_of_piece(const EffectTable &, Index row, double period, Index piece);
 
-/// Value at a time of the expression whose entry begins at a place of EffectTable.data, with the
-/// room for its stack.
-double expression_value(const EffectTable &, Index at, double time);
+/// Value at a time of the expression whose entry begins at a place of the data, with the room for its
+/// stack.
+double expression_value(Values data, Index at, double time);
 
 }  // namespace closedloop
 

@@ -14,7 +14,6 @@ namespace
 Law * law_of(Index role)
 {
   switch (role) {
-    case effect::MOTION: return apply_prescribed_motion;
     case effect::FRICTION: return apply_friction;
     case effect::INERTIA: return apply_reflected_inertia;
     default: return apply_generated;

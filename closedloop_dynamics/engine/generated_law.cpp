@@ -78,6 +78,9 @@ void apply_generated(
   places[RATES] = address(table.rates.data, state);
   places[law_routine::OUTPUT] = address(table.output.row(row));
   places[law_routine::COUNT] = address(&count);
+  if (table.role[row] == effect::MOTION) {
+    places[law_routine::RIGHT_SIDE] = address(right_side(table, row));
+  }
   places[SIDES] = address(&table.code.sides[row]);
   places[GAPS] = address(table.contacts.now.row(row));
   places[TRIALS] = address(table.contacts.trial.row(row));

@@ -48,8 +48,9 @@ Law apply_friction;
 /// List inertia reflected at a cut joint or along a tendon there.
 Law apply_reflected_inertia;
 
-/// A motion given over time (prescribed_motion.cpp).
-Law apply_prescribed_motion;
+// Motions given over time (prescribed_motion.cpp).
+/// Position, rate and acceleration that the closure equation of a motion is to have.
+double * right_side(const EffectTable &, Index row);
 
 /// Set the right-hand sides of all prescribed motions to the time in their states.
 void update_driven_motions(const EffectTable &);

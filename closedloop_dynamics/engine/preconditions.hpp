@@ -253,10 +253,9 @@ inline constexpr auto precondition<apply_effects> =
   };
 
 template<>
-inline constexpr auto precondition<update_driven_motions> =
-  [](const EffectTable & effects) {
-    const Index nv = effects.applied.size - effects.cuts.index.rows;
-    return misfit(effects, nv, effects.cuts.scratch.rows, effects.reaction.columns == 6);
+inline constexpr auto precondition<expression_value> =
+  [](Values data, Index at, double) {
+    return expected::unless(is_expression(data, at));
   };
 
 template<>

@@ -23,11 +23,11 @@ void take_piece(const EffectTable & table, Index row)
   if (written) {
     const Index at = table.index(row, effect::DATA);
     const double time = table.states[state];
-    held[present::COEFFICIENTS] = expression_value(table, at, time);
+    held[present::COEFFICIENTS] = expression_value(table.data, at, time);
     if (table.role[row] == effect::MOTION) {
       for (Index k = 1; k < 3; ++k) {
         held[present::COEFFICIENTS + k] =
-          expression_value(table, at + static_cast<Index>(values[2 + k]), time);
+          expression_value(table.data, at + static_cast<Index>(values[2 + k]), time);
       }
     }
   } else if (!(held[present::NUMBER] == table.states[state + 1])) {

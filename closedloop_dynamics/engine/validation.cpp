@@ -76,7 +76,6 @@ Index as_place(double number, Index size)
   return number >= 0.0 && number < static_cast<double>(size) ? static_cast<Index>(number) : -1;
 }
 
-/// Whether an expression is whole: it has a result, and every operation has its operands.
 bool is_expression(Values data, Index at)
 {
   const Index count = is_place(at, data.size) ? as_place(data[at], data.size) : -1;
@@ -130,11 +129,12 @@ bool has_equation(const EffectTable & effects, Index row)
 Needs needs_of_role(const EffectTable & effects, Index row, bool planar)
 {
   switch (effects.role[row]) {
-    case effect::MOTION: return {0, 0, 3, 0, 0, !planar};
     case effect::INERTIA: return {1, 0, 0, 0, 0, !planar};
     case effect::FRICTION:
       return {1, effects.index(row, effect::LOADED) == 1 ? 1 : 0, 3, 0, 0, !planar};
-    case effect::COURSE: return {0, 0, 3, 0, 0, !planar};
+    case effect::COURSE:
+    case effect::MOTION:
+      return {0, 0, 3, 0, 0, !planar};
     case effect::DRIVE: return {1, 0, 2, 0, 0, !planar};
     default: return {};
   }
@@ -163,7 +163,7 @@ bool fits(const EffectTable & effects, Index row, Index nv, Index bodies, bool p
 {
   const Index * index = effects.index.row(row), role = effects.role[row];
   const Index begin = index[effect::PLACES], joints = index[effect::JOINTS];
-  const bool alone = role == effect::MOTION || role == effect::INERTIA;
+  const bool alone = role == effect::INERTIA;
   const bool summed = index[effect::SUMMED] == 1;
   if (!is_place(role, effect::INERTIA + 1) || joints < 0 || index[effect::BODIES] < 0 ||
     joints > effects.places.size || index[effect::BODIES] > effects.places.size ||

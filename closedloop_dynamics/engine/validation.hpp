@@ -19,6 +19,9 @@ const char * misfit(const CutCoordinates &, Index nv, Index bodies, bool planar,
 /// Whether the coordinates belong to existing cut joints.
 bool has_cuts(const CutCoordinates &, Index cuts);
 
+/// Whether an expression (course.hpp) has a result, and every operation its operands.
+bool is_expression(Values data, Index at);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__VALIDATION_HPP_

@@ -12,6 +12,7 @@ run.
 import random
 
 from closedloop_dynamics.core.equations import with_all_equations
+from closedloop_dynamics.effects.expression import program
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
@@ -180,7 +181,7 @@ def use_kernels(simulation, note):
     if effects is None:
         return
     call('apply_effects', effects, work.body, np.resize(q, nv), qd, system.tau)
-    call('update_driven_motions', effects)
+    call('expression_value', np.array(program('2*sin(3*t)')), 0, 0.1)
     call('load_joints', handle, model, work, qd, system.qdd, system.lam)
     call('minimise_in_box', effects.sticking, len(effects.sticking.rows) - 1,
          np.zeros(len(effects.sticking.rows)))

@@ -44,10 +44,11 @@ ENERGY = 44
 RESPONSE, LIMIT = range(45, 47)
 TABLE_COLUMNS = 47
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
-# which TAU and COMMAND are those of its joints: its states, its row of ``EffectTable.output``, and
-# how many entries it has. Behind are the rows of its bodies.
-STATES, OUTPUT, COUNT = range(47, 50)
-LAW_COLUMNS = 50
+# which TAU and COMMAND are those of its joints: its states, its row of ``EffectTable.output``, how
+# many entries it has, and of a motion what its closure equation is to have. Behind are the rows of
+# its bodies.
+STATES, OUTPUT, COUNT, RIGHT_SIDE = range(47, 51)
+LAW_COLUMNS = 51
 # Numbers of a row of PRESENT (``effects/table.py``).
 PRESENT_COLUMNS = 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.

@@ -15,7 +15,8 @@ import numpy as np
 
 from . import space
 from .expression_graph import chosen, ExpressionGraph, LOAD, Q, QD, Routine
-from .function_table import COUNT, ENTRIES, LAW_COLUMNS, OUTPUT, RATES, STATES, TAU, VALUES
+from .function_table import (
+    COUNT, ENTRIES, LAW_COLUMNS, OUTPUT, RATES, RIGHT_SIDE, STATES, TAU, VALUES)
 from .joint_kernels import NO_JOINT
 from .live_scene import LiveForces, REST
 from .machine_code import machine_code, ROW
@@ -139,6 +140,11 @@ class RowForces(LiveForces):
     def read(self, *values, first=1):
         """Store the readings of the effect, from one on."""
         self.record(OUTPUT, first, *values)
+
+    def drive(self, position, rate, change):
+        """Store what the closure equation of a motion is to have."""
+        self.flow(1.0, 0.0)
+        self.record(RIGHT_SIDE, 0, position, rate, change)
 
     def keep_entry(self, number, value):
         self.record(ENTRIES, number, value)

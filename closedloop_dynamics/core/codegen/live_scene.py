@@ -104,8 +104,8 @@ class LiveTrace(MechanismTrace):
             self.store_responses(forces.resting)
         self.store_accelerations(qdd, lam)
         self.store_closures()
-        for place, multiplier, factor in forces.driven:
-            forces.rates[place] = lam[multiplier] * factor
+        for place, multiplier, (_, rate, _) in forces.driven:
+            forces.rates[place] = lam[multiplier] * rate
         self.store(RATES, forces.rates)
         self.outputs += forces.outputs
 
@@ -159,7 +159,8 @@ class LiveForces(Forces):
     """
     Inputs and outputs of laws of force that are traced for the engine.
 
-    ``driven``: states whose rates are multipliers times something; ``resting``: as of
+    ``driven``: of motions the state of their work, the multiplier, and position, rate and
+    acceleration; ``resting``: as of
     ``LiveTrace.held``; ``outputs``: as of ``Routine``; ``begin``, ``count``: where the entries of
     the effect whose turn it is begin, and how many they are.
     """
@@ -257,9 +258,10 @@ class LiveForces(Forces):
         """Return when the period and the piece of a course began, and its coefficients."""
         return [self.trace.at(PRESENT, self.row, n) for n in range(1, PRESENT_COLUMNS)]
 
-    def drive(self, rate, state):
-        """Have a motion do the work of its multiplier at a rate, in one of its states."""
-        self.driven.append((self.first + state, self._turn.equation[1], rate))
+    def drive(self, position, rate, change):
+        """Have the closure equation of a motion follow the time, and do the multiplier's work."""
+        self.flow(1.0, 0.0)
+        self.driven.append((self.first + 2, self._turn.equation[1], (position, rate, change)))
 
     def rub(self, most, limit):
         """Return the force of dry friction, up to most; at rest a limit of zero holds nothing."""
