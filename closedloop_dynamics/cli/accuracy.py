@@ -6,8 +6,8 @@
 import warnings
 
 from .command import (
-    add_directory, add_motion, add_reading, add_scene, add_set, add_torque, checked_torques,
-    Command, free_paths, mapping, positive, scene_of)
+    Argument, checked_torques, Command, directory_options, free_paths, mapping, MOTION, OneOf,
+    positive, READING_OPTIONS, SCENE, scene_of, SET, TORQUE)
 from ..simulation.errors import InaccuracyWarning
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
@@ -15,26 +15,6 @@ from ..studies.advice import for_budget, for_target
 from ..visual.progress import parts_bar
 
 TARGET = 1e-6
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser)
-    add_directory(parser, 'SCENE_accuracy.csv and the diagram SCENE_accuracy.png')
-    parser.add_argument('--duration', type=positive, default=1.0, metavar='SECONDS',
-                        help='simulated time (default: 1)')
-    add_torque(parser)
-    add_motion(parser)
-    add_set(parser)
-    parser.add_argument('--quick', action='store_true',
-                        help='fewer and coarser settings: half a minute instead of two')
-    advice = parser.add_mutually_exclusive_group()
-    advice.add_argument('--target', type=positive, metavar='ERROR',
-                        help='print the cheapest setting whose positions are off by no more '
-                             f'[rad or m] (default: {TARGET:g}, unless --budget is given)')
-    advice.add_argument('--budget', type=positive, metavar='SHARE',
-                        help='print the most accurate setting that takes no more than this '
-                             'share of real time, such as 0.05')
 
 
 def _run(arguments):
@@ -90,5 +70,19 @@ examples:
   closedloop accuracy my_robot.urdf --duration 0.5
   closedloop accuracy my/scene.yaml --budget 0.05
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, *READING_OPTIONS,
+        *directory_options('SCENE_accuracy.csv and the diagram SCENE_accuracy.png'),
+        Argument('--duration', type=positive, default=1.0, metavar='SECONDS',
+                 help='simulated time (default: 1)'),
+        TORQUE, MOTION, SET,
+        Argument('--quick', action='store_true',
+                 help='fewer and coarser settings: half a minute instead of two'),
+        OneOf(
+            Argument('--target', type=positive, metavar='ERROR',
+                     help='print the cheapest setting whose positions are off by no more [rad or '
+                          f'm] (default: {TARGET:g}, unless --budget is given)'),
+            Argument('--budget', type=positive, metavar='SHARE',
+                     help='print the most accurate setting that takes no more than this share of '
+                          'real time, such as 0.05'))),
     run=_run)

@@ -3,29 +3,12 @@
 
 """``closedloop animate``: a run as a moving picture."""
 
-from pathlib import Path
 
-from .command import add_recording, Command, positive, recording_of, require_free, UsageError
+from .command import (
+    Argument, Command, Output, positive, recording_arguments, recording_of, UsageError)
 from ..recording.recording import since_the_last_reset
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
 from ..visual.progress import announced, progress_to
-
-
-def _add_arguments(parser):
-    add_recording(parser)
-    parser.add_argument('--output', metavar='FILE', type=Path, required=True,
-                        help='where to write it: a .gif, or a .mp4 where ffmpeg is installed')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    parser.add_argument('--point', metavar='NAME',
-                        help='whose path is drawn (default: the first one of the mechanism)')
-    parser.add_argument('--rate', metavar='HZ', type=positive, default=20.0,
-                        help='frames per second (default: 20)')
-    parser.add_argument('--speed', metavar='FACTOR', type=positive, default=1.0,
-                        help='seconds of motion per second; below 1: slow motion (default: 1)')
-    parser.add_argument('--start', metavar='SECONDS', type=float, default=0.0,
-                        help='time at which it begins (default: 0)')
-    parser.add_argument('--duration', metavar='SECONDS', type=positive,
-                        help='how much of the motion is shown (default: all)')
 
 
 def _run(arguments):
@@ -33,7 +16,6 @@ def _run(arguments):
         require_writable(arguments.output)
     except AnimationError as error:
         raise UsageError(f'--output: {error}') from None
-    require_free(arguments, arguments.output)
     recording = recording_of(arguments, arguments.recording)
     motion = _chosen(recording.motion, arguments)
     try:
@@ -85,5 +67,18 @@ examples:
   closedloop simulate three_rrr --torque theta_1=5 --output run.csv
   closedloop animate run.csv --output run.gif --speed 0.5
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        *recording_arguments(),
+        Output('--output', 'FILE', 'where to write it: a .gif, or a .mp4 where ffmpeg is '
+               'installed', required=True),
+        Argument('--point', metavar='NAME',
+                 help='whose path is drawn (default: the first one of the mechanism)'),
+        Argument('--rate', metavar='HZ', type=positive, default=20.0,
+                 help='frames per second (default: 20)'),
+        Argument('--speed', metavar='FACTOR', type=positive, default=1.0,
+                 help='seconds of motion per second; below 1: slow motion (default: 1)'),
+        Argument('--start', metavar='SECONDS', type=float, default=0.0,
+                 help='time at which it begins (default: 0)'),
+        Argument('--duration', metavar='SECONDS', type=positive,
+                 help='how much of the motion is shown (default: all)')),
     run=_run)

@@ -6,7 +6,7 @@
 import numpy as np
 
 from .command import (
-    add_reading, add_set, Command, complain, READING, reading, UsageError, with_numbers)
+    Argument, Command, complain, READING, reading, READING_OPTIONS, SET, UsageError, with_numbers)
 from ..formats.registry import is_model, read_model
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
@@ -14,15 +14,6 @@ from ..simulation.scene import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
 from ..studies.check import describe, describe_model
 from ..visual.progress import announced
-
-
-def _add_arguments(parser):
-    parser.add_argument(
-        'scene', metavar='FILE_OR_SCENE',
-        help='a shipped scene or mechanism by its name, a YAML file, or a model '
-             'in another format')
-    add_set(parser)
-    add_reading(parser)
 
 
 def _run(arguments):
@@ -82,5 +73,9 @@ examples:
   closedloop check four_bar
   closedloop check my/mechanism.yaml
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('scene', metavar='FILE_OR_SCENE',
+                 help='a shipped scene or mechanism by its name, a YAML file, or a model in '
+                      'another format'),
+        SET, *READING_OPTIONS),
     run=_run)

@@ -34,6 +34,63 @@ class UsageError(ValueError):
     """A wrong command line; the message says what was expected."""
 
 
+class Argument:
+    """An argument or option, as ``ArgumentParser.add_argument`` takes it."""
+
+    def __init__(self, *names, **settings):
+        self.names, self.settings = names, settings
+
+    def add_to(self, parser):
+        """Add it to a parser."""
+        parser.add_argument(*self.names, **self.settings)
+
+
+class Output(Argument):
+    """
+    The option of a file that a command writes.
+
+    ``endings``: of names that it may have, all if none are given. Commands with outputs have the
+    option ``--overwrite``, and refuse a file that cannot be written before they begin.
+    """
+
+    def __init__(self, name, metavar, explanation, endings=(), **settings):
+        super().__init__(name, metavar=metavar, type=Path, help=explanation, **settings)
+        self.endings = endings
+
+    def check(self, arguments):
+        """Refuse the file of a command line where it cannot be written, with UsageError."""
+        name, = self.names
+        path = getattr(arguments, name.removeprefix('--').replace('-', '_'))
+        if path is not None:
+            require_free(arguments, path, name, self.endings)
+
+
+class Group:
+    """Arguments under a title."""
+
+    def __init__(self, title, *arguments):
+        self.title, self.arguments = title, arguments
+
+    def add_to(self, parser):
+        """Add them to a parser."""
+        group = parser.add_argument_group(self.title)
+        for one in self.arguments:
+            one.add_to(group)
+
+
+class OneOf:
+    """Options of which at most one is given."""
+
+    def __init__(self, *arguments):
+        self.arguments = arguments
+
+    def add_to(self, parser):
+        """Add them to a parser or group."""
+        group = parser.add_mutually_exclusive_group()
+        for one in self.arguments:
+            one.add_to(group)
+
+
 @dataclass(frozen=True)
 class Command:
     """One sub-command."""
@@ -42,12 +99,32 @@ class Command:
     summary: str  # For the list of commands, in a few words
     #: ``description``, ``epilog``: For its own help, before and after the options.
     description: str
-    add_arguments: Callable  # Takes the command's parser
     #: Takes the parsed arguments, returns the exit code; prints its result. It may raise
     #: UsageError, SceneError, MechanismError (exit code 2), SimulationError and OSError (1).
     run: Callable
+    arguments: tuple = ()  # Of Argument, Group and OneOf
     epilog: str = ''
     reads_scenes: bool = True  # Whether it reads any, and so has the option ``--allow-code``
+
+    @property
+    def outputs(self):
+        """Return the files that it writes, which are checked before it runs."""
+        return [one for one in self.arguments if isinstance(one, Output)]
+
+    def add_to(self, parser):
+        """Add what it takes to its parser."""
+        for one in self.arguments:
+            one.add_to(parser)
+        if self.outputs and OVERWRITE not in self.arguments:
+            OVERWRITE.add_to(parser)
+        if self.reads_scenes:
+            ALLOW_CODE.add_to(parser)
+
+    def __call__(self, arguments):
+        """Run it; return the exit code."""
+        for one in self.outputs:
+            one.check(arguments)
+        return self.run(arguments)
 
 
 class HelpfulParser(ArgumentParser):
@@ -77,20 +154,6 @@ def _complete_scene(prefix, **_):
     return [*scene_names(), *FilesCompleter()(prefix)]
 
 
-def add_scene(parser):
-    """Add the argument of a scene."""
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene by its name, or a YAML file')
-
-
-def add_code(parser):
-    """Add the option of Python files of the user's own, which run while it is parsed."""
-    parser.add_argument('--allow-code', type=_run_code, action='append', metavar='FILE',
-                        help='run a Python file of your own first, which registers the effects '
-                             'that the scene names; may be repeated (no scene runs code by '
-                             'itself)')
-
-
 def _run_code(path):
     """Run a Python file that the user has named, and return its path."""
     try:
@@ -98,34 +161,6 @@ def _run_code(path):
     except ValueError as error:
         raise ArgumentTypeError(str(error)) from None
     return path
-
-
-def add_reading(parser, short=True):
-    """
-    Add the options of how a model is read, to be read by ``reading``.
-
-    ``short``: whether the command has no other ``--tolerance``.
-    """
-    group = parser.add_argument_group('how a model in another format is read')
-    group.add_argument('--mend-inertias', action='store_true',
-                       help='change moments of inertia that no body has, one being larger than '
-                            'the sum of the other two, by as little as makes them possible, and '
-                            'give links with inertia but no mass a negligible one')
-    group.add_argument('--model', metavar='NAME',
-                       help='which one of several models of a world')
-    group.add_argument('--argument', type=pair('NAME:=VALUE', ':=', empty=True), action='append',
-                       default=[], metavar='NAME:=VALUE',
-                       help='argument of a xacro file; may be repeated')
-    group.add_argument('--anywhere', action='store_true',
-                       help='read meshes and parts of a model from outside of its folder, too')
-    group.add_argument('--ignore', metavar='ELEMENT', action='append', default=[],
-                       help='leave out elements of URDF or SDF of this name, which nobody knows '
-                            'and which may change the motion; may be repeated')
-    parser.add_argument('--geometry-tolerance', *['--tolerance'] * short, type=not_negative,
-                        metavar='T',
-                        help='take axes and places that agree to so much, sines of angles and '
-                             'shares of the longest distance on a body, as parallel, at right '
-                             'angles or meeting (default: that of the mechanism, 1e-8)')
 
 
 def reading(arguments, path):
@@ -146,31 +181,6 @@ def reading(arguments, path):
     if arguments.geometry_tolerance is not None:
         found['tolerance'] = arguments.geometry_tolerance
     return found
-
-
-def add_torque(parser):
-    """Add the option of constant torques, to be read by ``mapping``."""
-    parser.add_argument('--torque', type=assignment, action='append', default=[],
-                        metavar='JOINT=VALUE',
-                        help='constant torque of an actuated joint [N m], or force of a '
-                             'prismatic one [N]; may be repeated (default: none)')
-
-
-def add_motion(parser):
-    """Add the option of prescribed motions, to be read by ``mapping``."""
-    parser.add_argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
-                        metavar='JOINT=EXPRESSION',
-                        help='motion of a joint as an expression in the time t [rad or m], such '
-                             'as theta_1=4.7124*t; the effort is reported; may be repeated '
-                             '(default: as the scene says)')
-
-
-def add_set(parser):
-    """Add the option of other numbers, to be put in place by ``with_numbers``."""
-    parser.add_argument('--set', type=assignment, action='append', default=[],
-                        metavar='KEY=VALUE',
-                        help='override a number of the scene or its mechanism, by its key path: '
-                             'parameters.l=0.3, mechanism.bodies.crank.mass=2; may be repeated')
 
 
 def with_numbers(scene, arguments):
@@ -206,35 +216,9 @@ def with_motion(scene, arguments):
         raise UsageError(f'--{error}') from None
 
 
-def add_picture(parser, what):
-    """Add the option of a picture, to be checked by ``require_picture``."""
-    parser.add_argument('--picture', metavar='FILE.png', type=Path,
-                        help=f'where to draw {what} (or .pdf, .svg)')
-
-
-def add_directory(parser, files, default=' (default: only print)'):
-    """Add the options of a directory where files are written."""
-    parser.add_argument('--output', metavar='DIR', type=Path, required=not default,
-                        help=f'where to write {files}{default}')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
-
-
-def add_recording(parser, name='recording', metavar='BAG_OR_CSV', nargs=None, what=(
-        'a bag, or what `closedloop simulate --output` wrote')):
-    """Add the arguments of ``recording_of``, the first one called and explained so."""
-    parser.add_argument(name, metavar=metavar, nargs=nargs, help=what)
-    parser.add_argument('--scene', metavar='SCENE',
-                        help='the scene that was simulated (default: the one in the bag, or '
-                             'beside the CSV file)')
-    add_set(parser)
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
-
-
 def recording_of(arguments, path, other_machine=False):
     """
-    Return the recording in a bag or a CSV file, by the arguments of ``add_recording``.
+    Return the recording in a bag or a CSV file, by the arguments of ``recording``.
 
     Numbers that are set are those of ``--scene``, which may have another mechanism than the bag if
     ``other_machine``. UsageError where it cannot be read, lacks something, or is of another
@@ -274,12 +258,6 @@ def require_free(arguments, path, option='--output', endings=()):
     require_writable(path if path.exists() else path.parent, option)
 
 
-def require_picture(arguments, path):
-    """Refuse, before anything is computed, a picture ``--picture`` that cannot be written."""
-    if path is not None:
-        require_free(arguments, path, '--picture', PICTURES)
-
-
 def free_paths(arguments, *names):
     """
     Return the paths of files in the directory ``--output``; none where it is not given.
@@ -310,35 +288,6 @@ def require_writable(path, option):
         raise UsageError(f'{option}: expected an existing directory, got {path}')
     if not os.access(path, os.W_OK):
         raise UsageError(f'{option}: expected a place that may be written to, got {path}')
-
-
-def add_measured(parser, joints, smoothed):
-    """Add the options of measured joints, given their default, and of how they are smoothed."""
-    parser.add_argument('--joints', metavar='NAMES', type=comma_separated,
-                        help=f'measured joints, with commas between them (default: {joints}); '
-                             'the others follow from the loops')
-    parser.add_argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
-                        help=f'standard deviation of a position [rad or m]: {smoothed}')
-
-
-def add_drawing(parser):
-    """Add the option of a line drawing, to be checked by ``require_drawing``."""
-    parser.add_argument('--drawing', metavar='FILE', type=Path,
-                        help='where to draw the first position and the paths of all points, to '
-                             'scale in millimetres with a layer for each: a .dxf, or a .svg')
-
-
-def require_drawing(arguments):
-    """Refuse, before anything is computed, a line drawing that cannot be written."""
-    if arguments.drawing is None:
-        return
-    # Only here, as in the commands: it takes long to load.
-    from ..visual.line_drawing import DrawingError, require_kind
-    try:
-        require_kind(arguments.drawing)
-    except DrawingError as error:
-        raise UsageError(f'--drawing: {error}') from None
-    require_free(arguments, arguments.drawing, '--drawing')
 
 
 def write_drawing(arguments, motion, title):
@@ -443,3 +392,104 @@ def _number(text):
         return float(text)
     except ValueError:
         return math.nan
+
+
+class _Drawing(Output):
+    """The option of a line drawing."""
+
+    def check(self, arguments):
+        """Refuse it where it cannot be written, or a library is missing, with UsageError."""
+        if arguments.drawing is not None:
+            # Only here, as in the commands: it takes long to load.
+            from ..visual.line_drawing import DrawingError, require_kind
+            try:
+                require_kind(arguments.drawing)
+            except DrawingError as error:
+                raise UsageError(f'--drawing: {error}') from None
+        super().check(arguments)
+
+
+def reading_options(short=True):
+    """
+    Return the options of how a model is read, to be read by ``reading``.
+
+    ``short``: whether the command has no other ``--tolerance``.
+    """
+    return (
+        Group(
+            'how a model in another format is read',
+            Argument('--mend-inertias', action='store_true',
+                     help='change moments of inertia that no body has, one being larger than the '
+                          'sum of the other two, by as little as makes them possible, and give '
+                          'links with inertia but no mass a negligible one'),
+            Argument('--model', metavar='NAME', help='which one of several models of a world'),
+            Argument('--argument', type=pair('NAME:=VALUE', ':=', empty=True), action='append',
+                     default=[], metavar='NAME:=VALUE',
+                     help='argument of a xacro file; may be repeated'),
+            Argument('--anywhere', action='store_true',
+                     help='read meshes and parts of a model from outside of its folder, too'),
+            Argument('--ignore', metavar='ELEMENT', action='append', default=[],
+                     help='leave out elements of URDF or SDF of this name, which nobody knows '
+                          'and which may change the motion; may be repeated')),
+        Argument('--geometry-tolerance', *['--tolerance'] * short, type=not_negative, metavar='T',
+                 help='take axes and places that agree to so much, sines of angles and shares of '
+                      'the longest distance on a body, as parallel, at right angles or meeting '
+                      '(default: that of the mechanism, 1e-8)'))
+
+
+def picture_option(what):
+    """Return the option of a picture."""
+    return Output('--picture', 'FILE.png', f'where to draw {what} (or .pdf, .svg)', PICTURES)
+
+
+def directory_options(files, default=' (default: only print)'):
+    """Return the options of a directory where files are written, for ``free_paths``."""
+    return (
+        Argument('--output', metavar='DIR', type=Path, required=not default,
+                 help=f'where to write {files}{default}'),
+        OVERWRITE)
+
+
+def recording_arguments(name='recording', metavar='BAG_OR_CSV', nargs=None, what=(
+        'a bag, or what `closedloop simulate --output` wrote')):
+    """Return the arguments of ``recording_of``, the first one called and explained so."""
+    return (
+        Argument(name, metavar=metavar, nargs=nargs, help=what),
+        Argument('--scene', metavar='SCENE',
+                 help='the scene that was simulated (default: the one in the bag, or beside the '
+                      'CSV file)'),
+        SET,
+        Argument('--namespace', metavar='NAME',
+                 help='of the simulator, where several are in the bag'))
+
+
+def measured_options(joints, smoothed):
+    """Return the options of measured joints, given their default, and of their smoothing."""
+    return (
+        Argument('--joints', metavar='NAMES', type=comma_separated,
+                 help=f'measured joints, with commas between them (default: {joints}); the '
+                      'others follow from the loops'),
+        Argument('--deviation', metavar='ERROR', type=not_negative, default=0.0,
+                 help=f'standard deviation of a position [rad or m]: {smoothed}'))
+
+
+SCENE = Argument('scene', metavar='SCENE', help='a shipped scene by its name, or a YAML file')
+SET = Argument('--set', type=assignment, action='append', default=[], metavar='KEY=VALUE',
+               help='override a number of the scene or its mechanism, by its key path: '
+                    'parameters.l=0.3, mechanism.bodies.crank.mass=2; may be repeated')
+TORQUE = Argument('--torque', type=assignment, action='append', default=[], metavar='JOINT=VALUE',
+                  help='constant torque of an actuated joint [N m], or force of a prismatic one '
+                       '[N]; may be repeated (default: none)')
+MOTION = Argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
+                  metavar='JOINT=EXPRESSION',
+                  help='motion of a joint as an expression in the time t [rad or m], such as '
+                       'theta_1=4.7124*t; the effort is reported; may be repeated (default: as '
+                       'the scene says)')
+DRAWING = _Drawing(
+    '--drawing', 'FILE', 'where to draw the first position and the paths of all points, to scale '
+    'in millimetres with a layer for each: a .dxf, or a .svg')
+OVERWRITE = Argument('--overwrite', action='store_true', help='replace files that exist')
+ALLOW_CODE = Argument('--allow-code', type=_run_code, action='append', metavar='FILE',
+                      help='run a Python file of your own first, which registers the effects that '
+                           'the scene names; may be repeated (no scene runs code by itself)')
+READING_OPTIONS = reading_options()

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 
-from .command import add_code, complain, HelpfulParser, UsageError
+from .command import complain, HelpfulParser, UsageError
 from .. import __version__
 from ..core.codegen import announced_by
 from ..mechanism.mechanism import MechanismError
@@ -60,10 +60,8 @@ def parser(names=tuple(COMMANDS)):
         one = commands.add_parser(
             command.name, help=command.summary, description=command.description,
             epilog=command.epilog)
-        command.add_arguments(one)
-        if command.reads_scenes:
-            add_code(one)
-        one.set_defaults(run=command.run, prog=one.prog, refuse=one.error)
+        command.add_to(one)
+        one.set_defaults(run=command, prog=one.prog, refuse=one.error)
     return whole
 
 

@@ -7,9 +7,9 @@ from argparse import ArgumentTypeError, Namespace
 import math
 
 from .command import (
-    add_directory, add_reading, assignment, Command, complain, FAILED, free_paths, read_scene,
-    UsageError, with_numbers)
-from .kinematics import add_drive, drive_axis, driven_run
+    Argument, assignment, Command, complain, directory_options, FAILED, free_paths, read_scene,
+    READING_OPTIONS, UsageError, with_numbers)
+from .kinematics import drive_axis, drive_options, driven_run
 from ..mechanism.rotations import in_three
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
@@ -18,20 +18,6 @@ from ..visual.progress import announced, progress_to
 from ..visual.tables import short, text_table, write_csv
 
 PATHS, CURVES, TABLE = 'paths.png', 'curves.png', 'differences.csv'
-
-
-def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE', nargs='+',
-                        help='shipped scenes by their names, or YAML files; two or more, or one '
-                             'with --set')
-    add_reading(parser)
-    add_drive(parser, ' (default: one turn of the one actuated joint, or from limit to limit)')
-    parser.add_argument('--set', type=_assignments, action='append', default=[],
-                        metavar='KEY=VALUE[,KEY=VALUE]',
-                        help='another machine: the one scene with other numbers, by their key '
-                             'paths; may be repeated. Given once, it is compared with the scene '
-                             'as it is')
-    add_directory(parser, f'{PATHS}, {CURVES}, {TABLE}, and the rows of each machine, 1.csv, ...')
 
 
 def _assignments(text):
@@ -166,5 +152,16 @@ examples:
   closedloop compare three_rrr_vertical three_rrr_horizontal --drive theta_1=2:2.1:11 \\
       --drive theta_6=3.4 --drive theta_7=4.7
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('scene', metavar='SCENE', nargs='+',
+                 help='shipped scenes by their names, or YAML files; two or more, or one with '
+                      '--set'),
+        *READING_OPTIONS,
+        *drive_options(' (default: one turn of the one actuated joint, or from limit to limit)'),
+        Argument('--set', type=_assignments, action='append', default=[],
+                 metavar='KEY=VALUE[,KEY=VALUE]',
+                 help='another machine: the one scene with other numbers, by their key paths; '
+                      'may be repeated. Given once, it is compared with the scene as it is'),
+        *directory_options(
+            f'{PATHS}, {CURVES}, {TABLE}, and the rows of each machine, 1.csv, ...')),
     run=_run)

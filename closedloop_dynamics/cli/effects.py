@@ -4,30 +4,12 @@
 """``closedloop effects``: cost and influence of each effect of a scene."""
 
 from .command import (
-    add_directory, add_motion, add_reading, add_scene, add_set, add_torque, assignment,
-    checked_torques, Command, free_paths, mapping, positive, scene_of, UsageError)
+    Argument, assignment, checked_torques, Command, directory_options, free_paths, mapping, MOTION,
+    positive, READING_OPTIONS, SCENE, scene_of, SET, TORQUE, UsageError)
 from ..simulation.motions import with_motions
 from ..studies import effects_report
 from ..studies.effects import study_effects
 from ..visual.progress import parts_bar
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser)
-    add_directory(parser, 'SCENE_effects.csv, .md and .png, and a picture of every contact')
-    parser.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
-                        help='simulated time (default: 2)')
-    add_torque(parser)
-    add_motion(parser)
-    add_set(parser)
-    parser.add_argument('--matters', type=positive, default=1e-3, metavar='CHANGE',
-                        help='change of positions that matters [rad or m]: effects that change '
-                             'less are advised against (default: 1e-3)')
-    parser.add_argument('--joint-rate', type=assignment, action='append', default=[],
-                        metavar='JOINT=VALUE',
-                        help='keep an actuated joint at this rate [rad/s, m/s] instead; one '
-                             'for every actuated joint')
 
 
 def _run(arguments):
@@ -80,5 +62,17 @@ examples:
   closedloop effects stewart_platform --matters 1e-4
   closedloop effects carpet_scraper_on_carpet --joint-rate theta_1=4.7124 --output results
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, *READING_OPTIONS,
+        *directory_options('SCENE_effects.csv, .md and .png, and a picture of every contact'),
+        Argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                 help='simulated time (default: 2)'),
+        TORQUE, MOTION, SET,
+        Argument('--matters', type=positive, default=1e-3, metavar='CHANGE',
+                 help='change of positions that matters [rad or m]: effects that change less are '
+                      'advised against (default: 1e-3)'),
+        Argument('--joint-rate', type=assignment, action='append', default=[],
+                 metavar='JOINT=VALUE',
+                 help='keep an actuated joint at this rate [rad/s, m/s] instead; one for every '
+                      'actuated joint')),
     run=_run)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .command import add_reading, Command, READING, reading, require_free, UsageError
+from .command import (
+    Argument, Command, OVERWRITE, READING, reading, READING_OPTIONS, require_free, UsageError)
 from ..effects.registry import effect_type
 from ..formats.building import Imported
 from ..formats.in_space import in_space
@@ -28,30 +29,6 @@ from ..visual.progress import announced
 # How the names of files end that code is written to.
 C, FMU = '.c', '.fmu'
 CODE = C, FMU
-
-
-def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene or mechanism by its name, a YAML file, or a model')
-    parser.add_argument('--output', metavar='FILE', type=Path, required=True,
-                        help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
-                             f'{C} or {FMU} gives the format')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    parser.add_argument('--drake', action='store_true',
-                        help='SDF for Drake, which refuses loops of joints: pins and ball joints '
-                             'that close loops become its ball constraints')
-    parser.add_argument('--loops', choices=tuple(FORMS), default=None,
-                        help='with an output that ends with .urdf, how loops are written: '
-                             'constraint, as proposed for URDF (the default); loop, as in URDF+; '
-                             'drake, ball constraints; gazebo, joints of SDF in an element gazebo '
-                             'of a robot that is drawn with its loops closed')
-    parser.add_argument('--derivatives', action='store_true',
-                        help=f'with an output that ends with {C} or {FMU}: derivatives, too: of '
-                             'accelerations and multipliers, and the Jacobian for CasADi; '
-                             'directional ones of a unit')
-    parser.add_argument('--fmi', metavar='VERSION', choices=('3.0', '2.0'), default=None,
-                        help=f'with an output that ends with {FMU}: 3.0 (the default) or 2.0')
-    add_reading(parser)
 
 
 def _run(arguments):
@@ -212,5 +189,26 @@ examples:
   closedloop export stewart_platform --output stewart_platform.c
   closedloop export three_rrr --output three_rrr.fmu
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('scene', metavar='SCENE',
+                 help='a shipped scene or mechanism by its name, a YAML file, or a model'),
+        Argument('--output', metavar='FILE', type=Path, required=True,
+                 help=f'where to write it; a name that ends with {", ".join(WRITERS)} {C} or '
+                      f'{FMU} gives the format'),
+        OVERWRITE,
+        Argument('--drake', action='store_true',
+                 help='SDF for Drake, which refuses loops of joints: pins and ball joints that '
+                      'close loops become its ball constraints'),
+        Argument('--loops', choices=tuple(FORMS), default=None,
+                 help='with an output that ends with .urdf, how loops are written: constraint, '
+                      'as proposed for URDF (the default); loop, as in URDF+; drake, ball '
+                      'constraints; gazebo, joints of SDF in an element gazebo of a robot that '
+                      'is drawn with its loops closed'),
+        Argument('--derivatives', action='store_true',
+                 help=f'with an output that ends with {C} or {FMU}: derivatives, too: of '
+                      'accelerations and multipliers, and the Jacobian for CasADi; directional '
+                      'ones of a unit'),
+        Argument('--fmi', metavar='VERSION', choices=('3.0', '2.0'), default=None,
+                 help=f'with an output that ends with {FMU}: 3.0 (the default) or 2.0'),
+        *READING_OPTIONS),
     run=_run)

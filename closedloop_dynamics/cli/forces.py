@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_measured, add_set, Command, complain, require_free, UsageError, with_numbers)
+    Argument, Command, complain, measured_options, OVERWRITE, require_free, SET, UsageError,
+    with_numbers)
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.reading import BagReadError
 from ..recording.recording import RecordingError
@@ -20,22 +21,6 @@ from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to
 from ..visual.trajectory import magnitudes
-
-
-def _add_arguments(parser):
-    parser.add_argument('bag', metavar='BAG', help='directory of the bag, or one of its files')
-    parser.add_argument('--scene', metavar='SCENE', required=True,
-                        help='the mechanism with its masses: a shipped scene by its name, or a '
-                             'YAML file')
-    add_set(parser)
-    parser.add_argument('--topic', metavar='NAME', default='/joint_states',
-                        help='whose positions are taken (default: /joint_states)')
-    add_measured(parser, 'the actuated ones', 'accelerations are those of splines as smooth as it '
-                 'allows (default: 0, through all of them)')
-    parser.add_argument('--output', metavar='BAG_OR_CSV', type=Path, required=True,
-                        help='a new bag with joint_states, constraint_forces/CUT and '
-                             'joint_forces/JOINT, or a file *.csv with the same')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE.csv if it exists')
 
 
 def _run(arguments):
@@ -126,5 +111,19 @@ examples:
   closedloop forces my_bag --scene three_rrr --output forces.csv
   closedloop forces robot_bag --scene delta_robot --deviation 1e-4 --output forces_bag
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('bag', metavar='BAG', help='directory of the bag, or one of its files'),
+        Argument('--scene', metavar='SCENE', required=True,
+                 help='the mechanism with its masses: a shipped scene by its name, or a YAML '
+                      'file'),
+        SET,
+        Argument('--topic', metavar='NAME', default='/joint_states',
+                 help='whose positions are taken (default: /joint_states)'),
+        *measured_options('the actuated ones',
+                          'accelerations are those of splines as smooth as it allows (default: 0, '
+                          'through all of them)'),
+        Argument('--output', metavar='BAG_OR_CSV', type=Path, required=True,
+                 help='a new bag with joint_states, constraint_forces/CUT and '
+                      'joint_forces/JOINT, or a file *.csv with the same'),
+        OVERWRITE),
     run=_run)

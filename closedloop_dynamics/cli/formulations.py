@@ -4,23 +4,12 @@
 """``closedloop formulations``: time and rounding error of formulations over size."""
 
 from .command import (
-    add_directory, add_reading, Command, free_paths, read_scene, whole)
+    Argument, Command, directory_options, free_paths, read_scene, READING_OPTIONS, whole)
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations, study_scenes
 from ..visual.progress import parts_bar
 
 FILES = ('formulations.csv', 'formulations.png')
-
-
-def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE', nargs='*',
-                        help='scenes to measure on, by name or file (default: two shipped '
-                             'mechanisms, ladders and chains that grow)')
-    add_reading(parser)
-    add_directory(parser, ' and the picture '.join(FILES))
-    parser.add_argument('--largest', type=whole(1), default=max(SIZES), metavar='N',
-                        help=f'no ladder or chain larger than this (default: {max(SIZES)})')
-    parser.add_argument('--quick', action='store_true', help='fewer and smaller ones')
 
 
 def _run(arguments):
@@ -60,5 +49,13 @@ examples:
   closedloop formulations --output results
   closedloop formulations stewart_platform delta_robot
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('scene', metavar='SCENE', nargs='*',
+                 help='scenes to measure on, by name or file (default: two shipped mechanisms, '
+                      'ladders and chains that grow)'),
+        *READING_OPTIONS,
+        *directory_options(' and the picture '.join(FILES)),
+        Argument('--largest', type=whole(1), default=max(SIZES), metavar='N',
+                 help=f'no ladder or chain larger than this (default: {max(SIZES)})'),
+        Argument('--quick', action='store_true', help='fewer and smaller ones')),
     run=_run)

@@ -4,8 +4,8 @@
 """``closedloop identify``: parameters of a mechanism from a recorded motion."""
 
 from .command import (
-    add_measured, add_picture, add_scene, add_set, Command, complain, FAILED, positive,
-    require_picture, UsageError, whole, with_numbers)
+    Argument, Command, complain, FAILED, Group, measured_options, picture_option, positive, SCENE,
+    SET, UsageError, whole, with_numbers)
 from ..recording.measurements import read_measurements
 from ..simulation.completion import CompletionError
 from ..simulation.scene import load_scene
@@ -17,38 +17,9 @@ from ..visual.tables import text_table
 AMPLITUDE, HARMONICS = 0.3, 3
 
 
-def _add_arguments(parser):
-    parser.add_argument('recording', metavar='BAG_OR_CSV', nargs='?',
-                        help='a bag, or what `closedloop simulate --output` wrote; none with '
-                             '--excite')
-    add_scene(parser)
-    parser.add_argument('--vary', metavar='KEY', nargs='+', action='extend', required=True,
-                        help='numbers to be identified, by their key paths: '
-                             'mechanism.bodies.crank.mass, effects.grease.coefficient, '
-                             'parameters.l; mechanism.bodies.crank: mass, centre of mass and '
-                             'inertia; mechanism.bodies: those of all bodies')
-    add_set(parser)
-    add_measured(parser, 'driven ones, where they decide all others', 'rates and accelerations '
-                 'are those of splines as smooth as it allows (default: 0, those recorded)')
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
-    add_picture(parser, 'recorded efforts, and what is left of them')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    group = parser.add_argument_group('a motion to record')
-    group.add_argument('--excite', metavar='SECONDS', type=positive,
-                       help='find a motion of this period that shows the numbers well, in place '
-                            'of identifying them')
-    group.add_argument('--amplitude', metavar='SIZE', type=positive, default=AMPLITUDE,
-                       help='the most that a joint moves away from its start [rad or m] '
-                            f'(default: {AMPLITUDE})')
-    group.add_argument('--harmonics', metavar='N', type=whole(2, 20), default=HARMONICS,
-                       help=f'terms of each Fourier series (default: {HARMONICS})')
-
-
 def _run(arguments):
     if (arguments.recording is None) == (arguments.excite is None):
         raise UsageError('expected a recording to identify from, or --excite, which needs none')
-    require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     try:
         joints = tuple(arguments.joints or measured_joints(scene))
@@ -135,5 +106,30 @@ examples:
   closedloop identify my_bag three_rrr_horizontal --vary mechanism.bodies --picture left.png
   closedloop identify four_bar --vary mechanism.bodies --excite 2 --amplitude 1
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('recording', metavar='BAG_OR_CSV', nargs='?',
+                 help='a bag, or what `closedloop simulate --output` wrote; none with --excite'),
+        SCENE,
+        Argument('--vary', metavar='KEY', nargs='+', action='extend', required=True,
+                 help='numbers to be identified, by their key paths: '
+                      'mechanism.bodies.crank.mass, effects.grease.coefficient, parameters.l; '
+                      'mechanism.bodies.crank: mass, centre of mass and inertia; '
+                      'mechanism.bodies: those of all bodies'),
+        SET,
+        *measured_options('driven ones, where they decide all others', 'rates and accelerations '
+                          'are those of splines as smooth as it allows (default: 0, those '
+                          'recorded)'),
+        Argument('--namespace', metavar='NAME',
+                 help='of the simulator, where several are in the bag'),
+        picture_option('recorded efforts, and what is left of them'),
+        Group(
+            'a motion to record',
+            Argument('--excite', metavar='SECONDS', type=positive,
+                     help='find a motion of this period that shows the numbers well, in place of '
+                          'identifying them'),
+            Argument('--amplitude', metavar='SIZE', type=positive, default=AMPLITUDE,
+                     help='the most that a joint moves away from its start [rad or m] (default: '
+                          f'{AMPLITUDE})'),
+            Argument('--harmonics', metavar='N', type=whole(2, 20), default=HARMONICS,
+                     help=f'terms of each Fourier series (default: {HARMONICS})'))),
     run=_run)

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from .command import (
-    add_reading, Command, complain, positive, reading, require_free, UsageError, YAML)
+    Argument, Command, complain, Output, positive, reading, READING_OPTIONS, UsageError, YAML)
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
@@ -17,26 +17,9 @@ from ..simulation.modeling import extent
 from ..visual.progress import announced
 
 
-def _add_arguments(parser):
-    parser.add_argument('file', metavar='FILE', type=Path,
-                        help=f'a model: a name that ends with {", ".join(READERS)}')
-    parser.add_argument('--output', metavar='FILE.yaml', type=Path, required=True,
-                        help='where to write the mechanism')
-    parser.add_argument('--scene', metavar='FILE.yaml', type=Path,
-                        help='where to write a scene of it, its loops closed (default: nowhere)')
-    parser.add_argument('--end-stops', metavar='STIFFNESS', type=positive,
-                        help='make limits of joints end stops of this stiffness, in the scene '
-                             '[N m/rad; N/m] (default: leave them out)')
-    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
-    add_reading(parser)
-
-
 def _run(arguments):
     if arguments.end_stops is not None and arguments.scene is None:
         raise UsageError('--end-stops: expected it with --scene, which they are written into')
-    require_free(arguments, arguments.output, endings=YAML)
-    if arguments.scene is not None:
-        require_free(arguments, arguments.scene, '--scene', YAML)
     with announced('Reading the model ...'):
         imported = read_model(
             arguments.file, arguments.end_stops, **reading(arguments, arguments.file))
@@ -72,6 +55,15 @@ examples:
   closedloop import robot.urdf --output my_robot.yaml
   closedloop import robot.urdf --output my_robot.yaml --scene my_robot_scene.yaml
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('file', metavar='FILE', type=Path,
+                 help=f'a model: a name that ends with {", ".join(READERS)}'),
+        Output('--output', 'FILE.yaml', 'where to write the mechanism', YAML, required=True),
+        Output('--scene', 'FILE.yaml', 'where to write a scene of it, its loops closed (default: '
+               'nowhere)', YAML),
+        Argument('--end-stops', metavar='STIFFNESS', type=positive,
+                 help='make limits of joints end stops of this stiffness, in the scene [N m/rad; '
+                      'N/m] (default: leave them out)'),
+        *READING_OPTIONS),
     run=_run,
     reads_scenes=False)

@@ -5,14 +5,12 @@
 
 from argparse import ArgumentTypeError
 import math
-from pathlib import Path
 
 import numpy as np
 
 from .command import (
-    add_drawing, add_picture, add_reading, add_scene, add_set, Command, complain, mapping, pair,
-    positive, require_drawing, require_free, require_picture, scene_to_change, TABLE, UsageError,
-    whole, write_drawing)
+    Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
+    READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
 from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import (
     assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
@@ -28,26 +26,6 @@ MOST_POSES = 1_000_000
 # Units of quantities, of angles and of lengths.
 QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
               'acceleration': ('rad/s^2', 'm/s^2')}
-
-
-def add_drive(parser, default=''):
-    """Add the options of drives, to be read by ``driven_run``; without a default they are due."""
-    parser.add_argument('--drive', type=_drive, action='append', default=[], required=not default,
-                        metavar='JOINT=FROM:TO:COUNT',
-                        help='drive a joint, or a coordinate of a point (tool.x), through COUNT '
-                             'values, such as crank_joint=0:360deg:361; units deg, rad, mm, m, a '
-                             'unit after one of both counts for both (default: rad and m). '
-                             'JOINT=VALUE holds it. As many as there are degrees of freedom'
-                             f'{default}')
-    pace = parser.add_mutually_exclusive_group()
-    pace.add_argument('--speed', type=positive, default=1.0, metavar='RATE',
-                      help='constant speed of the first drive that moves [rad/s or m/s]; the '
-                           'others take the same time (default: 1)')
-    pace.add_argument('--duration', type=positive, metavar='SECONDS',
-                      help='how long the motion takes instead')
-    parser.add_argument('--branch', type=whole(1), metavar='N',
-                        help='number of the assembly at the first pose, as --assemblies lists '
-                             "them (default: the branch of the scene's start, followed to there)")
 
 
 def driven_run(arguments, scene):
@@ -163,27 +141,7 @@ def ending(arguments, run):
         arguments, f'pose {len(run.time)}: {run.end.reason}')
 
 
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser)
-    add_drive(parser)
-    add_set(parser)
-    parser.add_argument('--assemblies', action='store_true',
-                        help='only list all assemblies at the first pose')
-    parser.add_argument('--output', metavar='FILE.csv', type=Path,
-                        help='where to write a row for each pose')
-    add_picture(parser, 'it')
-    parser.add_argument('--over', choices=('drive', 'time'), default='drive',
-                        help='the abscissa of the picture (default: drive)')
-    add_drawing(parser)
-    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
-
-
 def _run(arguments):
-    if arguments.output is not None:
-        require_free(arguments, arguments.output, endings=TABLE)
-    require_picture(arguments, arguments.picture)
-    require_drawing(arguments)
     scene = scene_to_change(arguments)
     if arguments.assemblies:
         return _list_assemblies(arguments, scene)
@@ -279,6 +237,26 @@ def _draw(arguments, run, table):
     over_drive(shown, label, f'{run.scene.name}: driven').savefig(arguments.picture)
 
 
+def drive_options(default=''):
+    """Return the options of drives, for ``driven_run``; without a default they are due."""
+    return (
+        Argument('--drive', type=_drive, action='append', default=[], required=not default,
+                 metavar='JOINT=FROM:TO:COUNT',
+                 help='drive a joint, or a coordinate of a point (tool.x), through COUNT values, '
+                      'such as crank_joint=0:360deg:361; units deg, rad, mm, m, a unit after one '
+                      'of both counts for both (default: rad and m). JOINT=VALUE holds it. As '
+                      f'many as there are degrees of freedom{default}'),
+        OneOf(
+            Argument('--speed', type=positive, default=1.0, metavar='RATE',
+                     help='constant speed of the first drive that moves [rad/s or m/s]; the '
+                          'others take the same time (default: 1)'),
+            Argument('--duration', type=positive, metavar='SECONDS',
+                     help='how long the motion takes instead')),
+        Argument('--branch', type=whole(1), metavar='N',
+                 help='number of the assembly at the first pose, as --assemblies lists them '
+                      "(default: the branch of the scene's start, followed to there)"))
+
+
 COMMAND = Command(
     name='kinematics',
     summary='motion, drive torques and joint forces over a driven motion',
@@ -305,5 +283,15 @@ examples:
   closedloop kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7
   closedloop kinematics four_bar --drive crank_joint=0:1:2 --assemblies
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, *READING_OPTIONS,
+        *drive_options(),
+        SET,
+        Argument('--assemblies', action='store_true',
+                 help='only list all assemblies at the first pose'),
+        Output('--output', 'FILE.csv', 'where to write a row for each pose', TABLE),
+        picture_option('it'),
+        Argument('--over', choices=('drive', 'time'), default='drive',
+                 help='the abscissa of the picture (default: drive)'),
+        DRAWING),
     run=_run)

@@ -40,6 +40,5 @@ it is.
 examples:
   closedloop list
 """,
-    add_arguments=lambda parser: None,
     run=_run,
     reads_scenes=False)

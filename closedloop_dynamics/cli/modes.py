@@ -4,13 +4,12 @@
 """``closedloop modes``: frequencies, damping and shapes of small motions about a position."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 
 from .command import (
-    add_picture, add_scene, add_set, add_torque, checked_torques, Command, mapping, positive,
-    require_free, require_picture, TABLE, UsageError, whole, with_numbers)
+    Argument, checked_torques, Command, mapping, Output, picture_option, positive, SCENE, SET,
+    TABLE, TORQUE, UsageError, whole, with_numbers)
 from ..recording.modes import mode_motion, mode_table, usual_amplitude
 from ..recording.rows import write_scene
 from ..simulation.linearisation import Linearisation
@@ -23,25 +22,6 @@ MOST_JOINTS, MOST_SHAPES = 4, 12
 STABILITY = {True: 'stable', False: 'unstable', None: 'not decided to first order'}
 
 
-def _add_arguments(parser):
-    add_scene(parser)
-    add_torque(parser)
-    parser.add_argument('--hold-start', action='store_true',
-                        help="stay in the scene's start, under the torques that hold it (default: "
-                             'go to the position near it that the torques given hold)')
-    add_set(parser)
-    add_picture(parser, f'the shapes of the first {MOST_SHAPES} modes')
-    parser.add_argument('--output', metavar='FILE.csv', type=Path,
-                        help='where to write the motion of one mode, without growth or decay, '
-                             'for animate and view')
-    parser.add_argument('--mode', metavar='NUMBER', type=whole(1),
-                        help='with --output, which one (default: 1)')
-    parser.add_argument('--amplitude', metavar='SIZE', type=positive,
-                        help='with --output or --picture, of the joint that moves most [rad or '
-                             'm] (default: one that can be seen)')
-    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
-
-
 def _run(arguments):
     torque = mapping(arguments.torque, '--torque')
     if arguments.hold_start and torque:
@@ -50,9 +30,6 @@ def _run(arguments):
         raise UsageError('--mode: expected it with --output')
     if arguments.amplitude is not None and arguments.output is arguments.picture:
         raise UsageError('--amplitude: expected it with --output or --picture')
-    if arguments.output is not None:
-        require_free(arguments, arguments.output, endings=TABLE)
-    require_picture(arguments, arguments.picture)
     scene = with_numbers(load_scene(arguments.scene), arguments)
     with announced('Compiling derivatives and looking for a position at rest ...'):
         simulation = checked_torques(arguments.scene, scene, torque)
@@ -139,5 +116,18 @@ examples:
   closedloop modes three_rrr_vertical --picture modes.png
   closedloop modes three_rrr_vertical --mode 2 --output mode_2.csv; closedloop view mode_2.csv
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, TORQUE,
+        Argument('--hold-start', action='store_true',
+                 help="stay in the scene's start, under the torques that hold it (default: go to "
+                      'the position near it that the torques given hold)'),
+        SET,
+        picture_option(f'the shapes of the first {MOST_SHAPES} modes'),
+        Output('--output', 'FILE.csv', 'where to write the motion of one mode, without growth or '
+               'decay, for animate and view', TABLE),
+        Argument('--mode', metavar='NUMBER', type=whole(1),
+                 help='with --output, which one (default: 1)'),
+        Argument('--amplitude', metavar='SIZE', type=positive,
+                 help='with --output or --picture, of the joint that moves most [rad or m] '
+                      '(default: one that can be seen)')),
     run=_run)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_directory, add_reading, add_scene, add_set, Command, complain, free_paths, interrupted,
-    mapping, require_writable, scene_to_change, UsageError, whole)
-from .kinematics import add_drive, interval, paced
+    Argument, Command, complain, directory_options, free_paths, Group, interrupted, mapping,
+    READING_OPTIONS, require_writable, SCENE, scene_to_change, SET, UsageError, whole)
+from .kinematics import drive_options, interval, paced
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.fields import at, FieldError
 from ..simulation.errors import AssemblyError
@@ -28,7 +28,7 @@ from ..studies.quantities import Infeasible
 from ..visual.progress import announced, parts_bar
 from ..visual.tables import short, text_table, write_csv
 
-SCENE, RESULTS, PATHS, TABLE, PICTURE = (
+OPTIMISED, RESULTS, PATHS, FRONT_TABLE, PICTURE = (
     'optimised.yaml', 'results.jsonl', 'paths.png', 'front.csv', 'front.png')
 # A number this near to the end of its range, of the range, is at it.
 AT_END = 1e-6
@@ -38,39 +38,6 @@ MOST_REASONS = 5
 DIGITS = '.6g'
 # Poses at least of paths that are drawn.
 FINE = 361
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser)
-    what = parser.add_argument_group('problem')
-    what.add_argument('--vary', type=interval('KEY=LOW:HIGH'), action='append', required=True,
-                      metavar='KEY=LOW:HIGH',
-                      help='a number of the scene or its mechanism by its key path, and its '
-                           'range; units deg, rad, mm, m; may be repeated')
-    what.add_argument('--minimise', action='append', required=True, metavar='EXPRESSION',
-                      help='of quantities over the motion, see below; given twice, the Pareto '
-                           'front of both is found')
-    what.add_argument('--subject-to', action='append', default=[], metavar='REQUIREMENT',
-                      help='"EXPRESSION >= EXPRESSION", or <=; may be repeated')
-    add_drive(parser, f' (default: one turn of the one actuated joint, or from limit to limit, in '
-                      f'{POSES} poses)')
-    add_set(parser)
-    how = parser.add_argument_group('how to search')
-    how.add_argument('--starts', type=whole(1), default=STARTS, metavar='N',
-                     help='the scene as it is, and N - 1 machines that are drawn (default: '
-                          f'{STARTS})')
-    how.add_argument('--front', type=whole(1), default=FRONT, metavar='N',
-                     help=f'machines on the front of two aims, 3 or more (default: {FRONT})')
-    how.add_argument('--seed', type=whole(), default=0, metavar='N',
-                     help='of the draws; the same seed finds the same (default: 0)')
-    how.add_argument('--workers', type=whole(1), metavar='N',
-                     help='processes on this machine (default: one for each processor, as soon '
-                          'as there is enough to do)')
-    how.add_argument('--resume', action='store_true',
-                     help='continue the search in the directory')
-    add_directory(parser, f'{SCENE}, {PATHS} (before and after) and {RESULTS}; of two aims '
-                          f'{TABLE}, {PICTURE} and a scene of each machine, front_1.yaml, ...')
 
 
 def _run(arguments):
@@ -83,10 +50,10 @@ def _run(arguments):
         raise UsageError(f'--front: expected 3 machines or more, got {arguments.front}')
     directory = arguments.output
     if not arguments.resume:
-        scenes = [SCENE] if not two else _front_names(arguments.front)
+        scenes = [OPTIMISED] if not two else _front_names(arguments.front)
         free_paths(arguments, RESULTS, PATHS, *scenes, *(
             MECHANISM.format(Path(name).stem) for name in scenes),
-            *([TABLE, PICTURE] if two else []))
+            *([FRONT_TABLE, PICTURE] if two else []))
     if directory is not None:
         directory.mkdir(parents=True, exist_ok=True)
         require_writable(directory, '--output')
@@ -109,7 +76,7 @@ def _run(arguments):
         return complain(arguments, 'no machine was found that meets all requirements')
     if directory is None:
         return 0
-    machines = {SCENE: best} if not two else dict(
+    machines = {OPTIMISED: best} if not two else dict(
         zip(_front_names(len(optimum.front)), optimum.front))
     written = [file for name, one in machines.items()
                for file in _write(arguments, optimum, one, directory / name)]
@@ -248,7 +215,7 @@ def _draw(optimum, machines, directory):
     if len(problem.aims) == 2:
         front = np.array([one.aims for one in optimum.front])
         labels = [one.text for one in problem.aims]
-        write_csv(directory / TABLE, ['scene', *labels, *(
+        write_csv(directory / FRONT_TABLE, ['scene', *labels, *(
             one.key for one in problem.variables)], [
                 [name, *one.aims, *one.values] for name, one in machines.items()])
         others = [one.aims for one in optimum.starts.values()
@@ -257,7 +224,7 @@ def _draw(optimum, machines, directory):
         pictures.pareto_front(
             front, np.array(others), problem.before, labels,
             f'{problem.scene.name}: Pareto front').savefig(directory / PICTURE)
-        files += [directory / TABLE, directory / PICTURE]
+        files += [directory / FRONT_TABLE, directory / PICTURE]
     return files
 
 
@@ -293,5 +260,37 @@ examples:
 
 Exit code 1 where no machine meets all requirements.
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, *READING_OPTIONS,
+        Group(
+            'problem',
+            Argument('--vary', type=interval('KEY=LOW:HIGH'), action='append', required=True,
+                     metavar='KEY=LOW:HIGH',
+                     help='a number of the scene or its mechanism by its key path, and its '
+                          'range; units deg, rad, mm, m; may be repeated'),
+            Argument('--minimise', action='append', required=True, metavar='EXPRESSION',
+                     help='of quantities over the motion, see below; given twice, the Pareto '
+                          'front of both is found'),
+            Argument('--subject-to', action='append', default=[], metavar='REQUIREMENT',
+                     help='"EXPRESSION >= EXPRESSION", or <=; may be repeated')),
+        *drive_options(' (default: one turn of the one actuated joint, or from limit to limit, in '
+                       f'{POSES} poses)'),
+        SET,
+        Group(
+            'how to search',
+            Argument('--starts', type=whole(1), default=STARTS, metavar='N',
+                     help='the scene as it is, and N - 1 machines that are drawn (default: '
+                          f'{STARTS})'),
+            Argument('--front', type=whole(1), default=FRONT, metavar='N',
+                     help=f'machines on the front of two aims, 3 or more (default: {FRONT})'),
+            Argument('--seed', type=whole(), default=0, metavar='N',
+                     help='of the draws; the same seed finds the same (default: 0)'),
+            Argument('--workers', type=whole(1), metavar='N',
+                     help='processes on this machine (default: one for each processor, as soon '
+                          'as there is enough to do)'),
+            Argument('--resume', action='store_true',
+                     help='continue the search in the directory')),
+        *directory_options(
+            f'{OPTIMISED}, {PATHS} (before and after) and {RESULTS}; of two aims {FRONT_TABLE}, '
+            f'{PICTURE} and a scene of each machine, front_1.yaml, ...')),
     run=_run)

@@ -4,7 +4,7 @@
 """``closedloop plot``: pictures of a run."""
 
 from .command import (
-    add_directory, add_drawing, add_recording, Command, free_paths, recording_of, require_drawing,
+    Command, directory_options, DRAWING, free_paths, recording_arguments, recording_of,
     write_drawing)
 from ..recording.recording import since_the_last_reset
 from ..visual import pictures
@@ -17,14 +17,7 @@ DRAWERS = {
 }
 
 
-def _add_arguments(parser):
-    add_recording(parser)
-    add_directory(parser, ', '.join(f'{name}.png' for name in DRAWERS), '')
-    add_drawing(parser)
-
-
 def _run(arguments):
-    require_drawing(arguments)
     files = dict(zip(DRAWERS, free_paths(arguments, *(f'{name}.png' for name in DRAWERS))))
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.recording)
@@ -53,5 +46,8 @@ examples:
   closedloop plot run.csv --output pictures
   closedloop plot run.csv --output pictures --drawing run.svg
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        *recording_arguments(),
+        *directory_options(', '.join(f'{name}.png' for name in DRAWERS), ''),
+        DRAWING),
     run=_run)

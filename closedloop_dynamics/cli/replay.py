@@ -6,23 +6,13 @@
 import math
 
 from .command import (
-    add_picture, add_recording, Command, complain, positive, recording_of, require_picture)
+    Argument, Command, complain, picture_option, positive, recording_arguments, recording_of)
 from ..recording.replay import PERTURBATION, replay, table
 from ..visual import pictures
 from ..visual.progress import announced, progress_to
 
 
-def _add_arguments(parser):
-    add_recording(parser, 'bag', 'BAG', what='directory of the bag, or one of its files')
-    parser.add_argument('--tolerance', metavar='ERROR', type=positive,
-                        help='exit with 1 if a position is further off [rad or m] (default: than '
-                             'rounding explains)')
-    add_picture(parser, 'the deviations over time')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-
-
 def _run(arguments):
-    require_picture(arguments, arguments.picture)
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.bag, other_machine=True)
     with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:
@@ -84,5 +74,10 @@ examples:
   closedloop replay my_bag
   closedloop replay my_bag --tolerance 1e-9 --picture deviations.png
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        *recording_arguments('bag', 'BAG', what='directory of the bag, or one of its files'),
+        Argument('--tolerance', metavar='ERROR', type=positive,
+                 help='exit with 1 if a position is further off [rad or m] (default: than '
+                      'rounding explains)'),
+        picture_option('the deviations over time')),
     run=_run)

@@ -7,16 +7,15 @@ from base64 import b64encode
 from html import escape
 from io import BytesIO
 import math
-from pathlib import Path
 import time
 
 import numpy as np
 from scipy.integrate import trapezoid
 
 from .command import (
-    add_reading, add_scene, add_set, Command, mapping, positive, require_free, scene_to_change,
+    Argument, Command, mapping, Output, positive, reading_options, SCENE, scene_to_change, SET,
     UsageError)
-from .kinematics import add_drive, curves, drive_axis, driven_run, ending
+from .kinematics import curves, drive_axis, drive_options, driven_run, ending
 from ..mechanism.four_bar import four_bar
 from ..recording import design
 from ..recording.kinematics import by_name, forces, torques
@@ -41,21 +40,7 @@ img {display: block; max-width: 100%}
 WIDEST = 4
 
 
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser, short=False)
-    add_drive(parser, ' (default: one turn of the one actuated joint, or from limit to limit)')
-    add_set(parser)
-    parser.add_argument('--tolerance', type=positive, default=1e-4, metavar='LENGTH',
-                        help='of every length, plus or minus [m]; three standard deviations '
-                             '(default: 1e-4)')
-    parser.add_argument('--output', metavar='FILE.html', type=Path, required=True,
-                        help='where to write the page')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-
-
 def _run(arguments):
-    require_free(arguments, arguments.output, endings=('.html',))
     scene = scene_to_change(arguments)
     begin = time.process_time()
     with announced('Following the branch ...'):
@@ -274,5 +259,13 @@ examples:
   closedloop report four_bar --speed 20 --set mechanism.bodies.coupler.mass=2 --output heavy.html
   closedloop report slider_crank --drive crank_joint=0:360deg:721 --output slider.html
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE,
+        *reading_options(short=False),
+        *drive_options(' (default: one turn of the one actuated joint, or from limit to limit)'),
+        SET,
+        Argument('--tolerance', type=positive, default=1e-4, metavar='LENGTH',
+                 help='of every length, plus or minus [m]; three standard deviations (default: '
+                      '1e-4)'),
+        Output('--output', 'FILE.html', 'where to write the page', ('.html',), required=True)),
     run=_run)

@@ -11,8 +11,8 @@ import sys
 import warnings
 
 from .command import (
-    add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, complain,
-    FAILED, mapping, positive, require_free, scene_of, TABLE, UsageError)
+    Argument, checked_torques, Command, complain, FAILED, Group, mapping, MOTION, OVERWRITE,
+    positive, reading_options, require_free, SCENE, scene_of, SET, TABLE, TORQUE, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
@@ -31,53 +31,6 @@ LONGEST_ESTIMATED = 10.0
 # Beyond it the numbers of rows are not exact.
 MOST_ROWS = 1e15
 LOADING = 'Loading; code is generated for a mechanism that is new ...'
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser, short=False)
-    run_options = parser.add_argument_group('what to do')
-    run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
-                             help='simulated time (default: 2)')
-    add_torque(run_options)
-    add_motion(run_options)
-    add_set(run_options)
-    run_options.add_argument('--output', metavar='FILE.csv',
-                             help='where to write a row of numbers for each instant; - '
-                                  'is the standard output (default: no rows, only a summary)')
-    run_options.add_argument('--rate', type=positive, default=100.0, metavar='HZ',
-                             help='rows per simulated second, at exact multiples of 1 / HZ '
-                                  '(default: 100)')
-    run_options.add_argument('--overwrite', action='store_true',
-                             help='replace the output file if it exists')
-    run_options.add_argument('--forces', choices=('cuts', 'all'), default='cuts',
-                             help='whose forces are written: those of the cut joints, or of all '
-                                  'joints (default: cuts)')
-    run_options.add_argument('--costs', action='store_true',
-                             help='write what accuracy costs, too: the error of each row, and '
-                                  'evaluations and CPU time per simulated second')
-    run_options.add_argument('--dry-run', action='store_true',
-                             help='print what the run will cost, from a probe of its first part '
-                                  'that takes a second or so, and write nothing')
-    run_options.add_argument('--error-estimate', action=argparse.BooleanOptionalAction,
-                             help='run a second, finer simulation that estimates the error '
-                                  f'(default: up to {LONGEST_ESTIMATED:g} s)')
-    method = parser.add_argument_group('how to compute it (default: as the scene says)')
-    method.add_argument('--step-size', type=positive, metavar='SECONDS')
-    method.add_argument('--integrator', choices=INTEGRATORS)
-    method.add_argument('--tolerance', type=positive, metavar='ERROR',
-                        help='local error that an error-controlled integrator named here or in '
-                             'the scene allows per step')
-    method.add_argument('--accuracy', type=positive, metavar='ERROR',
-                        help='error of positions that the integrator auto keeps within a second '
-                             '[rad or m]; with --budget, at the start')
-    method.add_argument('--budget', type=positive, metavar='SHARE',
-                        help='computing time per simulated second that the integrator auto may '
-                             'take: it keeps the best accuracy that this allows')
-    method.add_argument('--stabilisation', choices=STABILISATIONS,
-                        help='how the loops are kept closed')
-    method.add_argument('--formulation', choices=FORMULATIONS,
-                        help='how the accelerations are found; all give the same')
 
 
 def _run(arguments):
@@ -293,5 +246,48 @@ examples:
   closedloop simulate four_bar --set mechanism.bodies.crank.mass=2
   closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE,
+        *reading_options(short=False),
+        Group(
+            'what to do',
+            Argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                     help='simulated time (default: 2)'),
+            TORQUE, MOTION, SET,
+            Argument('--output', metavar='FILE.csv',
+                     help='where to write a row of numbers for each instant; - is the standard '
+                          'output (default: no rows, only a summary)'),
+            Argument('--rate', type=positive, default=100.0, metavar='HZ',
+                     help='rows per simulated second, at exact multiples of 1 / HZ (default: '
+                          '100)'),
+            OVERWRITE,
+            Argument('--forces', choices=('cuts', 'all'), default='cuts',
+                     help='whose forces are written: those of the cut joints, or of all joints '
+                          '(default: cuts)'),
+            Argument('--costs', action='store_true',
+                     help='write what accuracy costs, too: the error of each row, and '
+                          'evaluations and CPU time per simulated second'),
+            Argument('--dry-run', action='store_true',
+                     help='print what the run will cost, from a probe of its first part that '
+                          'takes a second or so, and write nothing'),
+            Argument('--error-estimate', action=argparse.BooleanOptionalAction,
+                     help='run a second, finer simulation that estimates the error (default: up '
+                          f'to {LONGEST_ESTIMATED:g} s)')),
+        Group(
+            'how to compute it (default: as the scene says)',
+            Argument('--step-size', type=positive, metavar='SECONDS'),
+            Argument('--integrator', choices=INTEGRATORS),
+            Argument('--tolerance', type=positive, metavar='ERROR',
+                     help='local error that an error-controlled integrator named here or in the '
+                          'scene allows per step'),
+            Argument('--accuracy', type=positive, metavar='ERROR',
+                     help='error of positions that the integrator auto keeps within a second '
+                          '[rad or m]; with --budget, at the start'),
+            Argument('--budget', type=positive, metavar='SHARE',
+                     help='computing time per simulated second that the integrator auto may '
+                          'take: it keeps the best accuracy that this allows'),
+            Argument('--stabilisation', choices=STABILISATIONS,
+                     help='how the loops are kept closed'),
+            Argument('--formulation', choices=FORMULATIONS,
+                     help='how the accelerations are found; all give the same'))),
     run=_run)

@@ -5,22 +5,12 @@
 
 import warnings
 
-from .command import add_directory, Command, FAILED, free_paths, UsageError
+from .command import Argument, Command, directory_options, FAILED, free_paths, UsageError
 from ..simulation.errors import InaccuracyWarning
 from ..studies import stability
 from ..visual.progress import parts_bar
 
 FILES = ('stability.csv', 'stability_table.md', 'stability_atlas.png')
-
-
-def _add_arguments(parser):
-    add_directory(parser, ', '.join(FILES))
-    parser.add_argument('--quick', action='store_true',
-                        help='fewer trials and shorter runs of the default method, too')
-    parser.add_argument('--case', action='append', metavar='NAME', default=[],
-                        help='only the cases whose name contains this; may be repeated')
-    parser.add_argument('--default-only', action='store_true',
-                        help='only the default method, and RODAS4 for stiff scenes')
 
 
 def _run(arguments):
@@ -66,6 +56,13 @@ examples:
   closedloop stability --output results --default-only
   closedloop stability --quick --case flat --case loops
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        *directory_options(', '.join(FILES)),
+        Argument('--quick', action='store_true',
+                 help='fewer trials and shorter runs of the default method, too'),
+        Argument('--case', action='append', metavar='NAME', default=[],
+                 help='only the cases whose name contains this; may be repeated'),
+        Argument('--default-only', action='store_true',
+                 help='only the default method, and RODAS4 for stiff scenes')),
     run=_run,
     reads_scenes=False)

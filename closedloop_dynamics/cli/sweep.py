@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_scene, add_torque, Command, FAILED, interrupted, mapping, positive, require_writable,
-    UsageError, whole)
+    Argument, Command, FAILED, Group, interrupted, mapping, OneOf, OVERWRITE, positive,
+    require_writable, SCENE, TORQUE, UsageError, whole)
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
@@ -22,48 +22,6 @@ from ..visual.progress import progress_bar
 
 NOTHING = 'nothing'
 MOST_REASONS = 5
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    parser.add_argument('--output', required=True, metavar='FILE',
-                        help='where the results go: FILE.nc (NetCDF) or FILE.zarr')
-    what = parser.add_argument_group('what is varied')
-    what.add_argument('--vary', action='append', default=[], metavar='KEY=VALUES',
-                      help=f'a number of the scene or its mechanism by its key path, and '
-                           f'{FORMS}; may be repeated')
-    what.add_argument('--samples', type=whole(), default=1, metavar='N',
-                      help='draws from the distributions, at each point of the grid (default: 1)')
-    what.add_argument('--seed', type=whole(), default=0, metavar='N',
-                      help='of the draws; the same seed draws the same (default: 0)')
-    run = parser.add_argument_group('what is run')
-    run.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
-                     help='simulated time of each sample (default: 2)')
-    add_torque(run)
-    run.add_argument('--torques', metavar='FILE.npy',
-                     help='sequences of torques instead: an array of NumPy of shape (rows, '
-                          'actuated joints) or (samples, rows, actuated joints); the rows act for '
-                          'equal parts of the duration')
-    kept = parser.add_argument_group('what is kept')
-    kept.add_argument('--rate', type=positive, default=100.0, metavar='HZ',
-                      help='instants per simulated second that are kept or looked at '
-                           '(default: 100)')
-    kept.add_argument('--keep', action='append', choices=(*QUANTITIES, NOTHING),
-                      metavar='QUANTITY',
-                      help='of every instant, beside the final values and the peaks, which are '
-                           f'always kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be '
-                           f'repeated (default: {", ".join(STATE)})')
-    again = kept.add_mutually_exclusive_group()
-    again.add_argument('--resume', action='store_true',
-                       help='go on where the file ends, if there is one')
-    again.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
-    where = parser.add_argument_group('where it is computed')
-    where.add_argument('--workers', type=whole(), metavar='N',
-                       help='processes on this machine (default: one for each processor, as '
-                            'soon as there is enough to do)')
-    where.add_argument('--scheduler', type=_address, metavar='ADDRESS',
-                       help='scheduler of a Dask cluster to compute on instead, such as '
-                            'tcp://192.0.2.1:8786')
 
 
 def _address(text):
@@ -165,5 +123,48 @@ examples:
 
 Exit code 1 where no sample succeeded. doc/sweep.md states what is in the file.
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE,
+        Argument('--output', required=True, metavar='FILE',
+                 help='where the results go: FILE.nc (NetCDF) or FILE.zarr'),
+        Group(
+            'what is varied',
+            Argument('--vary', action='append', default=[], metavar='KEY=VALUES',
+                     help=f'a number of the scene or its mechanism by its key path, and {FORMS}; '
+                          'may be repeated'),
+            Argument('--samples', type=whole(), default=1, metavar='N',
+                     help='draws from the distributions, at each point of the grid (default: 1)'),
+            Argument('--seed', type=whole(), default=0, metavar='N',
+                     help='of the draws; the same seed draws the same (default: 0)')),
+        Group(
+            'what is run',
+            Argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                     help='simulated time of each sample (default: 2)'),
+            TORQUE,
+            Argument('--torques', metavar='FILE.npy',
+                     help='sequences of torques instead: an array of NumPy of shape (rows, '
+                          'actuated joints) or (samples, rows, actuated joints); the rows act '
+                          'for equal parts of the duration')),
+        Group(
+            'what is kept',
+            Argument('--rate', type=positive, default=100.0, metavar='HZ',
+                     help='instants per simulated second that are kept or looked at (default: '
+                          '100)'),
+            Argument('--keep', action='append', choices=(*QUANTITIES, NOTHING),
+                     metavar='QUANTITY',
+                     help='of every instant, beside the final values and the peaks, which are '
+                          f'always kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be repeated '
+                          f'(default: {", ".join(STATE)})'),
+            OneOf(
+                Argument('--resume', action='store_true',
+                         help='go on where the file ends, if there is one'),
+                OVERWRITE)),
+        Group(
+            'where it is computed',
+            Argument('--workers', type=whole(), metavar='N',
+                     help='processes on this machine (default: one for each processor, as soon '
+                          'as there is enough to do)'),
+            Argument('--scheduler', type=_address, metavar='ADDRESS',
+                     help='scheduler of a Dask cluster to compute on instead, such as '
+                          'tcp://192.0.2.1:8786'))),
     run=_run)

@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from .command import Command, require_free, UsageError
+from .command import Argument, Command, Output, UsageError
 from ..effects.end_stop import stops_of
 from ..formats.urdf_loops import CONSTRAINT, DRAKES, LOOP
 from ..simulation.scene import load_scene_or_mechanism
@@ -14,28 +14,7 @@ from ..visual.srdf import srdf
 from ..visual.urdf import urdf
 
 
-def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene or mechanism by its name, or a YAML file')
-    parser.add_argument('--output', metavar='FILE.urdf', type=Path,
-                        help='where to write it (default: the standard output)')
-    parser.add_argument('--loops', choices=(CONSTRAINT, LOOP, DRAKES), default=CONSTRAINT,
-                        help='how loops are written: as proposed for URDF (the default), as in '
-                             'URDF+, or as ball constraints of Drake')
-    parser.add_argument('--srdf', metavar='FILE.srdf', type=Path,
-                        help='also write the SRDF for MoveIt: the group of the driven '
-                             'joints, the start of a scene as its state, all others passive')
-    parser.add_argument('--hardware', metavar='MODEL', type=Path,
-                        help='have ros2_control simulate the scene, by closedloop_hardware: '
-                             'MODEL is the C of `closedloop export`, compiled as a library')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-
-
 def _run(arguments):
-    for option, ending in (('--output', '.urdf'), ('--srdf', '.srdf')):
-        path = getattr(arguments, option[2:])
-        if path is not None:
-            require_free(arguments, path, option, (ending,))
     subject = load_scene_or_mechanism(arguments.scene)
     mechanism = getattr(subject, 'mechanism', subject)
     hardware = None
@@ -81,5 +60,17 @@ examples:
   closedloop urdf three_rrr --hardware three_rrr.so --output three_rrr.urdf
   closedloop urdf carpet_scraper --output carpet_scraper.urdf
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        Argument('scene', metavar='SCENE',
+                 help='a shipped scene or mechanism by its name, or a YAML file'),
+        Output('--output', 'FILE.urdf', 'where to write it (default: the standard output)',
+               ('.urdf',)),
+        Argument('--loops', choices=(CONSTRAINT, LOOP, DRAKES), default=CONSTRAINT,
+                 help='how loops are written: as proposed for URDF (the default), as in URDF+, '
+                      'or as ball constraints of Drake'),
+        Output('--srdf', 'FILE.srdf', 'also write the SRDF for MoveIt: the group of the driven '
+               'joints, the start of a scene as its state, all others passive', ('.srdf',)),
+        Argument('--hardware', metavar='MODEL', type=Path,
+                 help='have ros2_control simulate the scene, by closedloop_hardware: MODEL is '
+                      'the C of `closedloop export`, compiled as a library')),
     run=_run)

@@ -13,8 +13,9 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, assignment, checked_torques, Command, mapping, pair, positive,
-    read_scene, recording_of, require_free, UsageError, whole, with_motion, with_numbers)
+    Argument, assignment, checked_torques, Command, mapping, Output, pair, positive, read_scene,
+    READING_OPTIONS, recording_arguments, recording_of, UsageError, whole, with_motion,
+    with_numbers)
 from ..control.errors import StartError
 from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
@@ -41,49 +42,6 @@ VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
 LOADING = 'Loading; code is generated for a mechanism that is new ...'
 
 
-def _add_arguments(parser):
-    add_recording(parser, 'what', 'SCENE_OR_RECORDING', '?',
-                  'a shipped scene by its name, a YAML file, a bag, or what `closedloop simulate '
-                  '--output` wrote')
-    parser.add_argument('--node', metavar='NAME', action='append', default=[],
-                        help='show a running simulator of this name, through its topics; may be '
-                             'repeated')
-    parser.add_argument('--save', metavar='FILE', type=Path,
-                        help='write one HTML file that plays the motion anywhere, offline, '
-                             'instead of showing it')
-    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    parser.add_argument('--duration', metavar='SECONDS', type=positive,
-                        help='with --save, how much of a scene is simulated (default: '
-                             f'{DURATION:g})')
-    parser.add_argument('--rate', metavar='HZ', type=positive,
-                        help='with --save, states per simulated second, beside those between '
-                             'that paths and plots need '
-                             f'(default: {RATE:g}, fewer beyond {MOST_ROWS} rows)')
-    for name, what in (('torque', 'constant torque of an actuated joint [N m], or force of a '
-                        'prismatic one [N]'),
-                       ('speed', 'speed that a drive holds [rad/s or m/s]'),
-                       ('position', 'position that a drive holds [rad or m]')):
-        parser.add_argument(f'--{name}', type=assignment, action='append', default=[],
-                            metavar='JOINT=VALUE', help=f'{what}; may be repeated')
-    parser.add_argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
-                        metavar='JOINT=EXPRESSION',
-                        help='position that a drive tracks, an expression in the time t, such as '
-                             'theta_1=1.05+2*pi*t [rad or m]; with --save the exact motion of the '
-                             'joint; may be repeated')
-    parser.add_argument('--drives', choices=(OWN, HELD, FREE), default=OWN,
-                        help='how the other joints are driven: by the motion of its own that a '
-                             'shipped machine has, held where they are, or free (default: own)')
-    parser.add_argument('--controller', metavar='FILE.yaml', type=Path,
-                        help='drive the machine by a controller, as in config/controllers')
-    parser.add_argument('--host', metavar='ADDRESS', default='127.0.0.1',
-                        help='address to listen on; any but that of this host needs the token in '
-                             'the address that is printed (default: 127.0.0.1)')
-    parser.add_argument('--port', metavar='NUMBER', type=whole(0, 65535),
-                        help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
-    parser.add_argument('--no-open', action='store_true', help='do not open a browser')
-    add_reading(parser)
-
-
 def _run(arguments):
     if arguments.set and (arguments.what is None or _is_recording(arguments.what)):
         raise UsageError('--set: expected a scene, as a recording has the numbers it was made '
@@ -101,7 +59,6 @@ def _run(arguments):
             if getattr(arguments, option) is not None:
                 raise UsageError(f'--{option}: expected a recording, got {arguments.what}')
     if arguments.save is not None:
-        require_free(arguments, arguments.save, '--save', ('.html',))
         return _save(arguments)
     if _is_recording(arguments.what):
         for option in DRIVING:
@@ -269,5 +226,41 @@ examples:
   closedloop view --node /closedloop_simulator
   closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        *recording_arguments('what', 'SCENE_OR_RECORDING', '?', 'a shipped scene by its name, a '
+                             'YAML file, a bag, or what `closedloop simulate --output` wrote'),
+        Argument('--node', metavar='NAME', action='append', default=[],
+                 help='show a running simulator of this name, through its topics; may be '
+                      'repeated'),
+        Output('--save', 'FILE', 'write one HTML file that plays the motion anywhere, offline, '
+               'instead of showing it', ('.html',)),
+        Argument('--duration', metavar='SECONDS', type=positive,
+                 help=f'with --save, how much of a scene is simulated (default: {DURATION:g})'),
+        Argument('--rate', metavar='HZ', type=positive,
+                 help='with --save, states per simulated second, beside those between that paths '
+                      f'and plots need (default: {RATE:g}, fewer beyond {MOST_ROWS} rows)'),
+        *(Argument(f'--{name}', type=assignment, action='append', default=[],
+                   metavar='JOINT=VALUE', help=f'{what}; may be repeated')
+          for name, what in (
+              ('torque', 'constant torque of an actuated joint [N m], or force of a prismatic one '
+               '[N]'),
+              ('speed', 'speed that a drive holds [rad/s or m/s]'),
+              ('position', 'position that a drive holds [rad or m]'))),
+        Argument('--motion', type=pair('JOINT=EXPRESSION'), action='append', default=[],
+                 metavar='JOINT=EXPRESSION',
+                 help='position that a drive tracks, an expression in the time t, such as '
+                      'theta_1=1.05+2*pi*t [rad or m]; with --save the exact motion of the '
+                      'joint; may be repeated'),
+        Argument('--drives', choices=(OWN, HELD, FREE), default=OWN,
+                 help='how the other joints are driven: by the motion of its own that a shipped '
+                      'machine has, held where they are, or free (default: own)'),
+        Argument('--controller', metavar='FILE.yaml', type=Path,
+                 help='drive the machine by a controller, as in config/controllers'),
+        Argument('--host', metavar='ADDRESS', default='127.0.0.1',
+                 help='address to listen on; any but that of this host needs the token in the '
+                      'address that is printed (default: 127.0.0.1)'),
+        Argument('--port', metavar='NUMBER', type=whole(0, 65535),
+                 help=f'to listen on (default: {USUAL_PORT}, or any that is free)'),
+        Argument('--no-open', action='store_true', help='do not open a browser'),
+        *READING_OPTIONS),
     run=_run)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from .command import (
-    add_picture, add_reading, add_scene, add_set, assignment, Command, interrupted, mapping,
-    positive, require_free, require_picture, scene_to_change, UsageError, whole)
+    Argument, assignment, Command, Group, interrupted, mapping, picture_option, positive,
+    READING_OPTIONS, require_free, SCENE, scene_to_change, SET, UsageError, whole)
 from .kinematics import course, interval, value_of
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
@@ -24,49 +24,6 @@ STATUS = 'status'
 PERCENT = 100.0
 # What a request is made of.
 OPTIONS = 'point', 'grid', 'orientation', 'turn', 'limit', 'clearance', 'torque-limit', 'stiffness'
-
-
-def _add_arguments(parser):
-    add_scene(parser)
-    add_reading(parser)
-    add_set(parser)
-    what = parser.add_argument_group('what is mapped')
-    what.add_argument('--point', metavar='NAME',
-                      help='named point of the platform; its body is the platform (default: the '
-                           'one named point on a body, if there is one)')
-    what.add_argument('--grid', type=_axis, action='append', default=[],
-                      metavar='AXIS=FROM:TO:COUNT',
-                      help="values of the point's x, y or z, such as x=-200mm:600mm:500, or one "
-                           'value that is held, z=0.5; units mm, m (default: around what is '
-                           'reached, 200 values in the plane, 40 in space)')
-    what.add_argument('--orientation', type=_angles, metavar='ANGLE[,ANGLE,ANGLE]',
-                      help='that is held: one angle in the plane, in space three about x, y and z '
-                           'of the world, one after the other; units deg, rad (default: that of '
-                           "the scene's start)")
-    what.add_argument('--turn', type=_axis, action='append', default=[],
-                      metavar='AXIS=FROM:TO:COUNT',
-                      help='many orientations instead, such as z=0:350deg:36: what is reached in '
-                           'one of them, and in all (the dexterous workspace)')
-    what.add_argument('--limit', type=interval('JOINT=LOW:HIGH'), action='append', default=[],
-                      metavar='JOINT=LOW:HIGH', help='range of a joint; may be repeated')
-    what.add_argument('--clearance', type=positive, metavar='METRES',
-                      help='least distance of links that no joint joins, each a segment between '
-                           'its joints (default: links may cross)')
-    what.add_argument('--torque-limit', type=assignment, action='append', default=[],
-                      metavar='JOINT=VALUE',
-                      help='of an actuated joint [N m or N], for the map of forces (default: 1)')
-    what.add_argument('--stiffness', type=assignment, action='append', default=[],
-                      metavar='JOINT=VALUE',
-                      help='of an actuated joint [N m/rad or N/m] (default: 1)')
-    parser.add_argument('--workers', type=whole(1), metavar='N',
-                        help='threads (default: one for each processor)')
-    parser.add_argument('--output', type=Path, metavar='FILE.nc', help='where to write the map')
-    add_picture(parser, 'it')
-    parser.add_argument('--show', choices=(*QUANTITIES, STATUS),
-                        help='the quantity to draw (default: condition)')
-    parser.add_argument('--resume', action='store_true',
-                        help='go on with FILE.nc, if there is one')
-    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 
 
 def _axis(text):
@@ -93,7 +50,6 @@ def _run(arguments):
                          'orientations a place is reached')
     if arguments.output is not None and not (arguments.resume and arguments.output.exists()):
         require_free(arguments, arguments.output, endings=('.nc',))
-    require_picture(arguments, arguments.picture)
     scene = scene_to_change(arguments)
     request = Request(
         _point(arguments, scene), mapping(arguments.grid, '--grid'), arguments.orientation,
@@ -227,5 +183,42 @@ examples:
   closedloop workspace three_rrr --point platform_center --turn z=0:350deg:36
   closedloop workspace stewart_platform --point platform_center --limit leg_1=-0.1:0.2
 """,
-    add_arguments=_add_arguments,
+    arguments=(
+        SCENE, *READING_OPTIONS, SET,
+        Group(
+            'what is mapped',
+            Argument('--point', metavar='NAME',
+                     help='named point of the platform; its body is the platform (default: the '
+                          'one named point on a body, if there is one)'),
+            Argument('--grid', type=_axis, action='append', default=[],
+                     metavar='AXIS=FROM:TO:COUNT',
+                     help="values of the point's x, y or z, such as x=-200mm:600mm:500, or one "
+                          'value that is held, z=0.5; units mm, m (default: around what is '
+                          'reached, 200 values in the plane, 40 in space)'),
+            Argument('--orientation', type=_angles, metavar='ANGLE[,ANGLE,ANGLE]',
+                     help='that is held: one angle in the plane, in space three about x, y and z '
+                          'of the world, one after the other; units deg, rad (default: that of '
+                          "the scene's start)"),
+            Argument('--turn', type=_axis, action='append', default=[],
+                     metavar='AXIS=FROM:TO:COUNT',
+                     help='many orientations instead, such as z=0:350deg:36: what is reached in '
+                          'one of them, and in all (the dexterous workspace)'),
+            Argument('--limit', type=interval('JOINT=LOW:HIGH'), action='append', default=[],
+                     metavar='JOINT=LOW:HIGH', help='range of a joint; may be repeated'),
+            Argument('--clearance', type=positive, metavar='METRES',
+                     help='least distance of links that no joint joins, each a segment between '
+                          'its joints (default: links may cross)'),
+            Argument('--torque-limit', type=assignment, action='append', default=[],
+                     metavar='JOINT=VALUE',
+                     help='of an actuated joint [N m or N], for the map of forces (default: 1)'),
+            Argument('--stiffness', type=assignment, action='append', default=[],
+                     metavar='JOINT=VALUE',
+                     help='of an actuated joint [N m/rad or N/m] (default: 1)')),
+        Argument('--workers', type=whole(1), metavar='N',
+                 help='threads (default: one for each processor)'),
+        Argument('--output', type=Path, metavar='FILE.nc', help='where to write the map'),
+        picture_option('it'),
+        Argument('--show', choices=(*QUANTITIES, STATUS),
+                 help='the quantity to draw (default: condition)'),
+        Argument('--resume', action='store_true', help='go on with FILE.nc, if there is one')),
     run=_run)
