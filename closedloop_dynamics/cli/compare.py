@@ -9,10 +9,10 @@ import math
 from .command import (
     Argument, assignment, Command, complain, directory_options, FAILED, free_paths, read_scene,
     READING_OPTIONS, UsageError, with_numbers)
-from .kinematics import drive_axis, drive_options, driven_run
+from .kinematics import drive_options, driven_run
 from ..mechanism.rotations import in_three
 from ..recording import design
-from ..recording.kinematics import by_name, forces, torques
+from ..recording.kinematics import by_name, drive_axis, forces, torques
 from ..recording.rows import write_scene
 from ..visual.progress import announced, progress_to
 from ..visual.tables import short, text_table, write_csv

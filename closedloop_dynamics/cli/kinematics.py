@@ -13,7 +13,7 @@ from .command import (
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
 from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import (
-    assemblies, by_name, Drive, DrivenRun, forces, torques, UNITS)
+    assemblies, by_name, curves, Drive, drive_axis, DrivenRun, forces, torques, UNITS)
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
@@ -23,9 +23,6 @@ from ..visual.trajectory import from_rows
 
 ANGLES, LENGTHS = ('deg', 'rad'), ('mm', 'm')
 MOST_POSES = 1_000_000
-# Units of quantities, of angles and of lengths.
-QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
-              'acceleration': ('rad/s^2', 'm/s^2')}
 
 
 def driven_run(arguments, scene):
@@ -200,32 +197,6 @@ def summary(run, table):
         lines.append(f'  end stop  {what}: {joint} goes beyond it by at most {most.value:.6g} '
                      f'at {name} = {most.drive:.6g}')
     return '\n'.join(lines)
-
-
-def curves(run, table):
-    """Return the curves over the drive, by quantity and name, each shape (n,)."""
-    column, coordinates = by_name(table), run.mechanism.coordinates
-    names = coordinates.names
-    found = {}
-    for quantity, units in QUANTITIES.items():
-        for unit, length in zip(units, (False, True)):
-            shown = {name: column[f'{quantity}.{name}'] for k, name in enumerate(names)
-                     if bool(coordinates.lengths[k]) is length and f'{quantity}.{name}' in column}
-            if shown:
-                found[f'{quantity} [{unit}]'] = shown
-    found['drive torque [N m], force [N]'] = torques(run, column)
-    found['joint force [N]'] = forces(column)
-    return found
-
-
-def drive_axis(run):
-    """Return the values of the first drive that moves, in degrees or metres, and their label."""
-    name, values = next((name, values) for name, values in run.driven.items()
-                        if len(values) < 2 or np.ptp(values) > 0.0)
-    for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates):
-        if name in coordinates.names and not coordinates.lengths[coordinates.names.index(name)]:
-            return np.degrees(values), f'{name} [deg]'
-    return values, f'{name} [m]'
 
 
 def _draw(arguments, run, table):

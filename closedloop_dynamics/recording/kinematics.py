@@ -24,6 +24,9 @@ from ..visual.trajectory import without_marks
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
+# Units of quantities, of angles and of lengths.
+QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
+              'acceleration': ('rad/s^2', 'm/s^2')}
 # Units of values that are written with one.
 UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
@@ -192,6 +195,32 @@ def forces(column):
                           if name.startswith('force.'))
     return {name: np.linalg.norm([column[f'force.{name}.{axis}'] for axis in 'xyz'
                                   if f'force.{name}.{axis}' in column], axis=0) for name in names}
+
+
+def curves(run, table):
+    """Return the curves over the drive, by quantity and name, each shape (n,)."""
+    column, coordinates = by_name(table), run.mechanism.coordinates
+    names = coordinates.names
+    found = {}
+    for quantity, units in QUANTITIES.items():
+        for unit, length in zip(units, (False, True)):
+            shown = {name: column[f'{quantity}.{name}'] for k, name in enumerate(names)
+                     if bool(coordinates.lengths[k]) is length and f'{quantity}.{name}' in column}
+            if shown:
+                found[f'{quantity} [{unit}]'] = shown
+    found['drive torque [N m], force [N]'] = torques(run, column)
+    found['joint force [N]'] = forces(column)
+    return found
+
+
+def drive_axis(run):
+    """Return the values of the first drive that moves, in degrees or metres, and their label."""
+    name, values = next((name, values) for name, values in run.driven.items()
+                        if len(values) < 2 or np.ptp(values) > 0.0)
+    for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates):
+        if name in coordinates.names and not coordinates.lengths[coordinates.names.index(name)]:
+            return np.degrees(values), f'{name} [deg]'
+    return values, f'{name} [m]'
 
 
 def _is_freedom(scene, name):
