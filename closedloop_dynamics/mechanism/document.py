@@ -233,7 +233,7 @@ def with_scalars(text, values):
     Return YAML with some scalars replaced; all else, comments included, is unchanged.
 
     ``values``: what is written in the place of a scalar, by keys, with places in lists as numbers
-    in text. None where one of them stands nowhere in the text, or within something with an anchor.
+    in text. None where one of them stands nowhere in the text, or within what an alias repeats.
     """
     root, places = _composed(text), []
     for keys, value in values.items():
@@ -247,15 +247,26 @@ def with_scalars(text, values):
 
 
 def _composed(text):
-    """Return the nodes of YAML; None where some occur in several places."""
-    if any(isinstance(token, (yaml.AnchorToken, yaml.AliasToken)) for token in yaml.scan(
-            text, Loader=yaml.SafeLoader)):
-        return None
-    return yaml.compose(text, Loader=yaml.SafeLoader)
+    """Return the root of YAML, and the nodes that stand for several places, by identity."""
+    root, seen, shared = yaml.compose(text, Loader=yaml.SafeLoader), set(), {}
+
+    def visit(node):
+        if id(node) in seen:
+            shared[id(node)] = node
+            return
+        seen.add(id(node))
+        for below in node.value if isinstance(node, yaml.CollectionNode) else ():
+            for one in below if isinstance(below, tuple) else (below,):
+                visit(one)
+
+    if root is not None:
+        visit(root)
+    return root, shared
 
 
-def _node(node, keys):
-    """Return the node of a key path; None where there is none."""
+def _node(composed, keys):
+    """Return the node of a key path; None where there is none, or it stands for others, too."""
+    node, shared = composed
     for key in keys:
         if isinstance(node, yaml.MappingNode):
             node = next((below for one, below in node.value if one.value == key), None)
@@ -263,6 +274,8 @@ def _node(node, keys):
                 int(key) < len(node.value)):
             node = node.value[int(key)]
         else:
+            return None
+        if id(node) in shared:
             return None
     return node
 
@@ -276,7 +289,9 @@ def with_entry(text, keys, name, value):
     """
     root = _composed(text)
     node = _node(root, keys)
-    if node is None and keys and isinstance(_node(root, keys[:-1]), yaml.MappingNode):
+    above = _node(root, keys[:-1]) if node is None and keys else None
+    if isinstance(above, yaml.MappingNode) and all(
+            key.value != keys[-1] for key, _ in above.value):
         return with_entry(text, keys[:-1], keys[-1], {name: value})
     entry = f'{name}: {in_one_line(value)}'
     if isinstance(node, yaml.ScalarNode) and not node.value:

@@ -170,6 +170,16 @@ def _evaluated(node, text, known, functions, expected, takes):
                      f'the functions {among(takes)}')
 
 
+def names_of(text):
+    """Return the names that an expression is made of, in order, but for those of constants."""
+    root = parsed(text)
+    nodes = [] if root is None else list(ast.walk(root))
+    called = [node.func for node in nodes if isinstance(node, ast.Call)]
+    names = [node for node in nodes if isinstance(node, ast.Name) and node not in called
+             and node.id not in CONSTANTS]
+    return [node.id for node in sorted(names, key=lambda node: node.col_offset)]
+
+
 def parsed(text):
     """Return the root of an expression's tree, None where the text cannot be one."""
     if len(text) > LONGEST or not _CHARACTERS.fullmatch(text):

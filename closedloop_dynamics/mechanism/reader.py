@@ -28,8 +28,8 @@ _NOTHING = {'mass': 0.0, 'inertia': 0.0}
 # Keys of a body that follow from its shape.
 _SHAPE_KEYS = ('shape', 'density')
 
-__all__ = ['mechanism_of', 'read_mechanism', 'validate_mechanism', 'with_cuts', 'with_kept',
-           'with_parameters']
+__all__ = ['mechanism_of', 'read_mechanism', 'validate_mechanism', 'with_cuts', 'with_data',
+           'with_kept', 'with_parameters']
 
 
 def read_mechanism(
@@ -117,6 +117,29 @@ def with_parameters(mechanism: Mechanism, parameters: Mapping[str, float]) -> Me
     return checked(put_changes(
         mechanism, _mechanism(data, given, orders),
         _mechanism(data, {**given, **parameters}, orders)))
+
+
+def with_data(mechanism: Mechanism, data: Mapping[str, Any],
+              parameters: Mapping[str, float]) -> Mechanism:
+    """
+    Return the mechanism of other data, with the same joints cut.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As it was read.
+    data : mapping
+        As its file would have them.
+    parameters : mapping of str to float
+        Values in the place of those of the data.
+
+    Raises
+    ------
+    FieldError, MechanismError
+
+    """
+    _, given, orders = mechanism.source
+    return _mechanism(data, {**given, **parameters}, orders)
 
 
 def with_cuts(mechanism: Mechanism, cut: Sequence[str]) -> Mechanism:

@@ -4,11 +4,11 @@
 """
 A scene that is edited by hand: numbers, places of pins and points, parts added or removed; undone.
 
-A pin is moved in the position that the machine stands in: all other pins, and how bodies are
-turned, stay as they are there, so that the loops remain closed. In the frame of a body whose own
-joint moves, all else moves the other way.
+What a hand moves or sets is written into the text, and the scene read from that: expressions stay,
+and what follows from shapes and parameters follows (``dragging``).
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 import math
 from pathlib import Path
@@ -17,9 +17,10 @@ import time
 import numpy as np
 
 from .adding import SHORTEST, with_part
-from .body_frames import BodyFrames
+from .dragging import CUT, JOINT, POINT, Words
 from .removing import without
 from ..mechanism.checks import number
+from ..mechanism.document import with_scalars
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import DISTANCE, GROUND
 from ..simulation.key_paths import changed, numbers, resolve
@@ -31,10 +32,9 @@ from ..simulation.scene_text import scene_yaml
 GESTURE, MOST_STEPS = 1.0, 200
 # Cut joints whose two points coincide: pins that can be moved.
 PINS = ('revolute', 'spherical', 'universal', 'cylindrical', 'fixed')
-LENGTH = 'length'
+LENGTH, BODIES = 'length', 'mechanism.bodies.'
 # A hand finds nothing among the numbers of more.
 MOST_BODIES = 100
-JOINT, CUT, POINT = 'joint', 'cut', 'point'
 
 
 class Editor:
@@ -130,13 +130,19 @@ class Editor:
         """Give a number another value; FieldError, MechanismError where that is impossible."""
         value = number(value)
         with at(key):
-            if key.startswith(f'{LENGTH}.'):
-                values = self._with_length(key, value)
+            kind, _, name = key.partition('.')
+            body, _, last = name.rpartition('.')
+            if kind == LENGTH:
+                if not value > SHORTEST:
+                    raise FieldError(f'a length above {SHORTEST:g} m', shown(value))
+                self._renumber(lambda words: words.with_length(body, last, value), ('set', key))
+            elif key.startswith(BODIES) and last == 'mass':
+                body = key[len(BODIES):].rpartition('.')[0]
+                self._renumber(lambda words: words.with_mass(body, value), ('set', key))
             else:
-                values = {key: value}
-            scene = self._with(values)
-        self._keep(('set', key))
-        self.scene = scene
+                scene = changed(self.scene, {resolve(self.scene, key): value})
+                self._keep(('set', key))
+                self.scene = scene
 
     def effect(self, name, acts, record):
         """Store the present record of an effect, and whether it is on."""
@@ -156,10 +162,6 @@ class Editor:
         self.scene = replace(self.scene, initial=replace(
             self.scene.initial, position=tuple(np.array(position).tolist())))
 
-    def _with(self, values):
-        return changed(self.scene, {resolve(self.scene, key): value
-                                    for key, value in values.items()})
-
     def _pins(self, body):
         """Return names, key paths and places of the joints of a body, its own one first."""
         mechanism = self.scene.mechanism
@@ -172,19 +174,6 @@ class Editor:
                       for side, of, place in (('a', cut.body_a, cut.point_a),
                                               ('b', cut.body_b, cut.point_b)) if of == body]
         return found or [('', None, np.zeros(2 if mechanism.planar else 3))]
-
-    def _with_length(self, key, value):
-        """Return the numbers that move a pin of a body along the line from its first one."""
-        body, _, name = key[len(LENGTH) + 1:].rpartition('.')
-        (_, _, origin), *others = self._pins(body)
-        for each, keys, place in others:
-            if each == name and keys is not None:
-                if not value > SHORTEST:
-                    raise FieldError(f'a length above {SHORTEST:g} m', shown(value))
-                away = np.subtract(place, origin)
-                place = origin + away * (value / np.linalg.norm(away))
-                return {f'{keys}.{k}': float(one) for k, one in enumerate(place)}
-        raise FieldError('a body and a joint of it', shown(key))
 
     # Places.
 
@@ -221,47 +210,8 @@ class Editor:
         """
         if not any((kind, name) == (handle['kind'], handle['name']) for handle in self.handles()):
             raise FieldError('a pin or a point that can be moved', f'{kind} {name}')
-        frames = BodyFrames(self.scene.mechanism, position)
-        scene = self._with(self._moved(kind, name, np.array(place, dtype=float), frames))
-        self._keep(('move', kind, name))
-        self.scene = scene
-
-    def _moved(self, kind, name, place, frames):
-        """Return the numbers that change with a pin or a point."""
-        mechanism = self.scene.mechanism
-        if kind == POINT:
-            point = mechanism.point(name)
-            return _keyed(f'mechanism.points.{name}.position', frames.local(point.body, place))
-        if kind.startswith(CUT):
-            cut, values = mechanism.cut_joint(name), {}
-            for side, body in (('a', cut.body_a), ('b', cut.body_b)):
-                if kind in (CUT, f'{CUT}_{side}'):
-                    values.update(_keyed(f'mechanism.cut_joints.{name}.point_{side}',
-                                         frames.local(body, place)))
-            if cut.type == DISTANCE:
-                other = (frames.world(cut.body_b, cut.point_b) if kind.endswith('a')
-                         else frames.world(cut.body_a, cut.point_a))
-                size = len(cut.point_a)
-                values[f'mechanism.cut_joints.{name}.length'] = math.dist(
-                    other[:size], place[:size])
-            return values
-        joint = next(joint for joint in mechanism.joints if joint.name == name)
-        before = frames.world(joint.parent, joint.position)
-        place = np.array([*place[:len(joint.position)], 0.0][:3])
-        values = _keyed(f'mechanism.joints.{name}.position', frames.local(joint.parent, place))
-        back = frames.turned_back(joint.child, before - place)
-        for key, old in self._fixed_to(joint.child):
-            values.update(_keyed(key, np.add(old, back[:len(old)])))
-        return values
-
-    def _fixed_to(self, body):
-        """Return key paths and places of all that is given in the frame of a body."""
-        mechanism = self.scene.mechanism
-        mass = next(one for one in mechanism.bodies if one.name == body)
-        return [(f'mechanism.bodies.{body}.center_of_mass', mass.center_of_mass),
-                *((key, place) for _, key, place in self._pins(body) if key is not None),
-                *((f'mechanism.points.{point.name}.position', point.position)
-                  for point in mechanism.points if point.body == body)]
+        self._renumber(lambda words: words.moved(kind, name, place, position),
+                       ('move', kind, name))
 
     # Parts.
 
@@ -291,7 +241,17 @@ class Editor:
         self._rewrite(less, kind)
         return also
 
-    def _rewrite(self, change, what):
+    def _renumber(self, values, tag):
+        """Replace numbers of the text, which ``values`` returns for its words, and read it."""
+        def change(text):
+            found = self.scene if text is self._text and self.scene is self._base and isinstance(
+                self.scene.source[0]['mechanism'], Mapping) else self._read(text)
+            return with_scalars(text, {
+                keys: repr(value) for keys, value in values(Words(found)).items()})
+
+        self._rewrite(change, tag[0], tag)
+
+    def _rewrite(self, change, what, tag=None):
         """Change the text, and read the scene from it."""
         text, kept = self.text()
         other = change(text)
@@ -300,7 +260,7 @@ class Editor:
         if other is None:
             raise FieldError('a place for it in the file', 'none', path=(what,))
         scene = self._read(other)
-        self._keep(None)
+        self._keep(tag)
         self.scene = self._base = scene
         self._text, self.words_kept = other, kept
 
@@ -317,7 +277,3 @@ class Editor:
         if text is None:
             return scene_yaml(self.scene), False
         return text, self.words_kept
-
-
-def _keyed(key, values):
-    return {f'{key}.{k}': float(value) for k, value in enumerate(values)}

@@ -5,16 +5,19 @@
 
 import json
 from pathlib import Path
+import re
 from threading import Event
 import time
 
 from closedloop_dynamics.control.files import Controller as OwnController
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
-from closedloop_dynamics.simulation.scene import load_scene, scene_of_yaml
+from closedloop_dynamics.simulation.modeling import extent
+from closedloop_dynamics.simulation.scene import load_scene, scene_names, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view import rebuilding
 from closedloop_dynamics.view.adding import NEEDED
+from closedloop_dynamics.view.body_frames import BodyFrames
 from closedloop_dynamics.view.coupler_curves import curves
 from closedloop_dynamics.view.editing import Editor
 from closedloop_dynamics.view.library import Library
@@ -142,6 +145,183 @@ def test_the_words_of_the_author_stay(tmp_path):
     assert editor.text()[0] == path.read_text()
     editor.redo()
     assert editor.scene.mechanism != load_scene(path).mechanism
+
+
+PARAMETRIC = """\
+# A four-bar of mine.
+mechanism:
+  name: mine
+  parameters: {a: 0.1, b: 0.35, c: 0.25, d: 0.4, e: 0.0, r: b/40}  # lengths [m]
+  bodies:
+    crank: {shape: {rod: {to: [a, 0], radius: r}}, density: 7800}
+    coupler: {shape: {rod: {to: [b, 0], radius: r}}, density: 7800}  # of steel
+    rocker: {shape: {rod: {to: [c, 0], radius: r}}, mass: 2}
+  joints:
+    crank_joint: {type: revolute, parent: ground, child: crank, position: [0, 0], actuated: true}
+    coupler_joint: {type: revolute, parent: crank, child: coupler, position: [a, 0]}
+    rocker_joint: {type: revolute, parent: ground, child: rocker, position: [d + e, 0]}
+  cut_joints:
+    tip: {type: revolute, body_a: coupler, point_a: [b, 0], body_b: rocker, point_b: [c, 0]}
+initial:
+  position: {crank_joint: pi/3, coupler_joint: -0.6, rocker_joint: 1.7}
+  hold: [crank_joint]
+"""
+# The same with joints between bodies, whose frames lie anywhere in them.
+BETWEEN = """\
+# A four-bar of mine.
+mechanism:
+  name: mine
+  bodies:
+    crank: {shape: {rod: {from: [-0.05, 0], to: [0.05, 0], radius: 0.01}}, density: 7800}
+    coupler: {shape: {rod: {from: [-0.175, 0], to: [0.175, 0], radius: 0.01}}, density: 7800}
+    rocker: {shape: {rod: {to: [0.25, 0], radius: 0.01}}, density: 7800}
+  joints:
+    crank_joint: {type: revolute, between: [ground, crank], points: [[0, 0], [-0.05, 0]],
+                  actuated: true}
+    coupler_joint: {type: revolute, between: [crank, coupler], points: [[0.05, 0], [-0.175, 0]]}
+    tip: {type: revolute, between: [coupler, rocker], points: [[0.175, 0], [0.25, 0]]}
+    rocker_joint: {type: revolute, between: [ground, rocker], points: [[0.4, 0], [0, 0]]}
+initial:
+  position: {crank_joint: 1.0, coupler_joint: -0.6, rocker_joint: 1.7}
+  hold: [crank_joint]
+"""
+
+
+def _written(folder, text):
+    """Return the scene of a file."""
+    path = folder / 'mine.yaml'
+    path.write_text(text)
+    return load_scene(path)
+
+
+def _pin(scene, kind, name, position):
+    """Return where a pin is in the world."""
+    handle = next(one for one in Editor(scene).handles() if (kind, name) == (
+        one['kind'], one['name']))
+    names = ['ground', *(body.name for body in scene.mechanism.bodies)]
+    size = 2 if scene.mechanism.planar else 3
+    return BodyFrames(scene.mechanism, position).world(
+        names[handle['body'] + 1], handle['place'][:size])
+
+
+def _lines_changed(before, after):
+    """Return pairs of lines that differ; there are as many lines in both."""
+    before, after = before.split('\n'), after.split('\n')
+    assert len(before) == len(after)
+    return [pair for pair in zip(before, after) if pair[0] != pair[1]]
+
+
+@pytest.mark.parametrize('kind, pin', [('joint', 'coupler_joint'), ('cut', 'tip')])
+def test_a_pin_takes_the_parameters_that_its_place_follows_from(kind, pin, tmp_path):
+    scene = _written(tmp_path, PARAMETRIC)
+    editor, position = Editor(scene), Simulation(scene).position
+    wanted = _pin(scene, kind, pin, position) + [0.012, -0.017, 0.0]
+    editor.move(kind, pin, wanted, position)
+    after = Simulation(editor.scene)
+    # The loops are closed where the pin is; the other three pins are where they were.
+    crank, coupler = (_pin(editor.scene, *one, after.position) for one in (
+        ('joint', 'coupler_joint'), ('cut', 'tip')))
+    a, b, c = (editor.scene.parameters[name] for name in 'abc')
+    np.testing.assert_allclose({'joint': crank, 'cut': coupler}[kind], wanted, atol=1e-10)
+    np.testing.assert_allclose({'joint': coupler, 'cut': crank}[kind], _pin(
+        scene, *{'joint': ('cut', 'tip'), 'cut': ('joint', 'coupler_joint')}[kind], position),
+        atol=1e-10)
+    assert (a, b, c) == pytest.approx((np.hypot(*crank[:2]), np.hypot(*(coupler - crank)[:2]),
+                                       np.hypot(*(coupler - (0.4, 0.0, 0.0))[:2])), abs=1e-10)
+    # Mass and inertia follow, of a rod whose radius does, too.
+    body = editor.scene.mechanism.bodies[1]
+    assert body.mass == pytest.approx(7800.0 * np.pi * (b / 40) ** 2 * b)
+    assert body.center_of_mass == pytest.approx((b / 2.0, 0.0))
+    text, kept = editor.text()
+    assert kept and 'r: b/40}  # lengths [m]' in text and 'point_a: [b, 0]' in text
+    assert [line.split(':')[0].strip() for line, _ in _lines_changed(PARAMETRIC, text)] in (
+        ['parameters', 'position'], ['parameters'])
+    editor.undo()
+    assert editor.text() == (PARAMETRIC, True)
+
+
+def test_a_place_that_several_parameters_give_is_asked_about(tmp_path):
+    scene = _written(tmp_path, PARAMETRIC)
+    editor, position = Editor(scene), Simulation(scene).position
+    with pytest.raises(FieldError, match='several values of d, e give.*change one of these'):
+        editor.move('joint', 'rocker_joint', (0.43, 0.0, 0.0), position)
+    editor.set('mechanism.bodies.rocker.mass', 1.0)
+    assert editor.scene.mechanism.bodies[2].mass == 1.0
+    editor.set('length.rocker.tip', 0.27)
+    assert editor.scene.parameters['c'] == pytest.approx(0.27, abs=1e-12)
+    text, kept = editor.text()
+    assert kept and len(_lines_changed(PARAMETRIC, text)) == 2
+    other = Editor(_written(tmp_path, PARAMETRIC.replace('mass: 2', 'mass: 2*c*d')))
+    with pytest.raises(FieldError, match='the mass of rocker, which follows from c, d'):
+        other.set('mechanism.bodies.rocker.mass', 1.0)
+
+
+def test_a_mass_of_a_shape_keeps_it_and_takes_its_density(tmp_path):
+    editor = Editor(_written(tmp_path, BETWEEN))
+    before = editor.scene.mechanism.bodies[0]
+    editor.set('mechanism.bodies.crank.mass', 2.0 * before.mass)
+    after = editor.scene.mechanism.bodies[0]
+    assert after.mass == pytest.approx(2.0 * before.mass)
+    assert after.inertia == pytest.approx(2.0 * before.inertia)
+    assert 'radius: 0.01}}, density: 15600.0}' in editor.text()[0]
+
+
+@pytest.mark.parametrize('kind, pin', [('joint', 'coupler_joint'), ('cut', 'tip')])
+def test_places_of_joints_between_bodies_are_moved_with_their_rods(kind, pin, tmp_path):
+    scene = _written(tmp_path, BETWEEN)
+    kind = 'cut' if pin in scene.mechanism.tree.cut else 'joint'
+    editor, position = Editor(scene), Simulation(scene).position
+    wanted = _pin(scene, kind, pin, position) + [0.012, -0.017, 0.0]
+    editor.move(kind, pin, wanted, position)
+    after = Simulation(editor.scene)
+    assert np.abs(after.position - position).max() < 1e-9
+    np.testing.assert_allclose(_pin(editor.scene, kind, pin, after.position), wanted, atol=1e-11)
+    text, kept = editor.text()
+    bodies = {'coupler_joint': ('crank', 'coupler'), 'tip': ('coupler', 'rocker')}[pin]
+    assert kept and [one.split(':')[0].strip() for one, _ in _lines_changed(
+        BETWEEN, text)] == [*bodies, pin]
+    # The rods reach from pin to pin, and weigh as much.
+    length = editor.scene.mechanism.bodies[1].mass / (7800.0 * np.pi * 0.01 ** 2)
+    ends = [_pin(editor.scene, 'cut' if one in editor.scene.mechanism.tree.cut else 'joint', one,
+                 position) for one in ('coupler_joint', 'tip')]
+    assert length == pytest.approx(np.linalg.norm(ends[1] - ends[0]), abs=1e-9)
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_an_edit_changes_the_lines_that_it_is_about(name):
+    editor = Editor(load_scene(name))
+    scene, position, before = editor.scene, Simulation(editor.scene).position, editor.text()
+    assert before[1]
+    moves = editor.handles()
+    moved = 0
+    for handle in {each['name']: each for each in (moves[0], moves[len(moves) // 2], moves[-1])
+                   }.values():
+        kind, pin = handle['kind'], handle['name']
+        # Within the plane of bars in space, which most of them are driven in.
+        place = _pin(scene, kind, pin, position) + 0.01 * extent(scene.mechanism) * np.array(
+            [0.8, 0.6, 0.0])
+        try:
+            editor.move(kind, pin, place, position)
+        except FieldError as error:
+            # No parameters, or several of them, give such a place.
+            assert re.search('can bring it|several values', str(error))
+            assert editor.text() == before
+            continue
+        moved += 1
+        text, kept = editor.text()
+        changed = _lines_changed(before[0], text)
+        assert kept and changed
+        for pair in changed:
+            # Numbers in the places of numbers, and of angles that are computed from none else.
+            one, other = (re.sub(r'radians\(-?[\d.]+\)|-?pi/\d+|-?\d[\d.]*(e[-+]?\d+)?', '#', line)
+                          for line in pair)
+            assert one == other
+        assert Simulation(editor.scene).closure < 1e-9
+        again = scene_of_yaml(text, scene.path)
+        assert again.mechanism == editor.scene.mechanism and again.initial == editor.scene.initial
+        editor.undo()
+        assert editor.text() == before
+    assert moved or name == 'bennett'
 
 
 def test_effects_are_saved_as_they_were_changed(tmp_path):
