@@ -320,10 +320,10 @@ class EffectSet:
         of a course was found last, too.
         """
         attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}
-        work = self._system.work
+        model, system = self._model, self._system
         arrays = [(array, array.copy()) for array in _arrays((
-            self._model, self._table, self._system.table, work.kernel, work.cut_kernel,
-            work.health))]
+            model.tree, model.body, model.gravity, model.cut_point, model.kernel, model.cut_kernel,
+            self._table, system.table, system.work.health))]
 
         def undo():
             vars(self).update(attributes)
