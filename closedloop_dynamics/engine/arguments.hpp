@@ -17,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "bounds.hpp"
 #include "data.hpp"
 #include "forces.hpp"
 #include "handles.hpp"
@@ -439,22 +440,52 @@ private:
   std::vector<PyObject *> owners;
 };
 
-/// Required length of an argument, by the system, which is the first one: not checked; nq; nv; ns;
-/// rows of ns.
-enum class Length {ANY, Q, QD, STATE, ROWS_OF_STATE};
+/// Required shape of an argument, by the system or model, which is the first one: not checked; nq;
+/// nv; nc; ns; 2; (nc, nv); (nv, nv); wrenches and accelerations of all bodies; rows of ns.
+enum class Length
+{
+  ANY, Q, QD, MULTIPLIERS, STATE, PAIR, JACOBIAN, INERTIA, WRENCHES, ROWS_OF_STATE
+};
 
-template<class Type>
-bool has_length(const System &, Length, const Type &) {return true;}
-inline bool has_length(const System & system, Length length, const Values & values)
+inline Index coordinates(const System & system) {return system.nq();}
+inline Index coordinates(const Model & model) {return model.coordinates();}
+inline Index states(const System & system) {return system.ns();}
+inline Index states(const Model & model) {return model.coordinates() + model.joints();}
+inline const Model & model_of(const System & system) {return system.model;}
+inline const Model & model_of(const Model & model) {return model;}
+
+template<class First, class Type>
+bool has_length(const First &, Length, const Type &) {return true;}
+template<class First>
+bool has_length(const First & first, Length length, const Values & values)
 {
-  return length == Length::ANY ||
-         values.size == (length == Length::Q ? system.nq() :
-         length == Length::QD ? system.nv() : system.ns());
+  const Model & model = model_of(first);
+  return length == Length::ANY || values.size == (
+    length == Length::Q ? coordinates(first) : length == Length::QD ? model.joints() :
+    length == Length::MULTIPLIERS ? model.equations() :
+    length == Length::PAIR ? 2 : states(first));
 }
-inline bool has_length(const System & system, Length length, const Table & table)
+template<class First>
+bool has_length(const First & first, Length length, const Table & table)
 {
-  return length == Length::ANY || table.columns == system.ns();
+  const Model & model = model_of(first);
+  switch (length) {
+    case Length::JACOBIAN:
+      return has_shape(table, model.equations(), model.joints());
+    case Length::INERTIA:
+      return has_shape(table, model.joints(), model.joints());
+    case Length::WRENCHES:
+      return has_shape(table, model.tree.rows, 2 * model.size());
+    default:
+      return length == Length::ANY || table.columns == states(first);
+  }
 }
+
+/// A model or a workspace among arguments; nullptr for others, and where it has not been read.
+template<class Object, class Argument>
+const Object * find(const Argument &) {return nullptr;}
+template<class Object>
+const Object * find(const Holder<Object> & holder) {return holder.value.get();}
 
 /// Precondition of a function: a function of all its parameters, or of the first ones, that returns
 /// an error message, or nullptr. The default: no precondition (preconditions.hpp).
@@ -488,12 +519,18 @@ struct Kernel<Function, Releases, lengths...>: Bound
     if (first + count > parameters) {
       refuse(count);
     }
+    if (count == 0) {
+      return;
+    }
     std::apply(
       [&](auto & ... holder) {
         Py_ssize_t n = 0;
         ((n >= first && n < first + count ? holder.take(from[n - first], {name, n + 1}) : void(),
         ++n), ...);
       }, arguments);
+    if constexpr ((std::is_same_v<std::decay_t<Parameters>, Workspace> || ...)) {
+      check_machine();
+    }
     if constexpr (sizeof...(lengths) > 0) {
       check_lengths(
         static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
@@ -540,6 +577,24 @@ struct Kernel<Function, Releases, lengths...>: Bound
   }
 
 private:
+  /// Refuse a workspace that is not one of the model beside it.
+  void check_machine()
+  {
+    const Model * model = nullptr;
+    const Workspace * work = nullptr;
+    std::apply(
+      [&](const auto & ... holder) {
+        ((model = model != nullptr ? model : find<Model>(holder)), ...);
+        ((work = work != nullptr ? work : find<Workspace>(holder)), ...);
+      }, arguments);
+    if (model != nullptr && work != nullptr && !(work->fits(*model) && model->is_connected())) {
+      PyErr_Format(
+        PyExc_ValueError, "%s: expected a model whose joints have code, and a workspace of it",
+        name);
+      throw PythonError();
+    }
+  }
+
   template<std::size_t ... Places>
   void check_together(std::index_sequence<Places...>)
   {
@@ -558,14 +613,16 @@ private:
     }
     constexpr std::size_t count = sizeof...(lengths) + 1;
     constexpr Length wanted[count] = {Length::ANY, lengths ...};
-    const System & system = std::get<0>(arguments).get();
+    const auto & first = std::get<0>(arguments).get();
     const auto check = [&](std::size_t place, const auto & value) {
-        if (place < count && place < read && !has_length(system, wanted[place], value)) {
+        if (place < count && place < read && !has_length(first, wanted[place], value)) {
           PyErr_Format(
-            PyExc_ValueError, "%s, argument %zd: expected the length that the system has "
-            "(coordinates %zd, rates %zd, state %zd)", name, static_cast<Py_ssize_t>(place) + 1,
-            static_cast<Py_ssize_t>(system.nq()), static_cast<Py_ssize_t>(system.nv()),
-            static_cast<Py_ssize_t>(system.ns()));
+            PyExc_ValueError, "%s, argument %zd: expected the shape that the mechanism asks "
+            "for (coordinates %zd, rates %zd, equations %zd, state %zd)", name, static_cast<Py_ssize_t>(place) + 1,
+            static_cast<Py_ssize_t>(coordinates(first)),
+            static_cast<Py_ssize_t>(model_of(first).joints()),
+            static_cast<Py_ssize_t>(model_of(first).equations()),
+            static_cast<Py_ssize_t>(states(first)));
           throw PythonError();
         }
       };
@@ -640,7 +697,7 @@ Entry make_entry(const char * name, const char * doc)
     }};
 }
 
-/// A function of Python; `lengths`: of the arguments behind the first one, a system.
+/// A function of Python; `lengths`: of the arguments behind the first one, a system or a model.
 template<auto Function, Length ... lengths>
 Entry entry(const char * name, const char * doc)
 {

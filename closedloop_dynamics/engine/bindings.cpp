@@ -152,12 +152,6 @@ inline constexpr auto precondition<recall_memory> =
   };
 
 template<>
-inline constexpr auto precondition<factorize_constraints> =
-  [](const Model & model, const Workspace & work) {
-    return expected::machine(model, work, [] {return true;});
-  };
-
-template<>
 inline constexpr auto precondition<move_coordinates> =
   [](const Manifold & manifold, Values q, Values change) {
     return expected::unless(manifold.fits(q.size, change.size));
@@ -174,18 +168,15 @@ namespace expected
 /// Check the arguments of driven kinematics, and a further condition.
 template<class Condition>
 const char * driven(
-  const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
-  Indices kept, Values unit, Table anchors, Condition && condition)
+  const Model & model, const Manifold & manifold, Indices drives, Indices kept, Values unit,
+  Table anchors, Condition && condition)
 {
   const Index nv = model.joints(), nc = model.equations();
-  const char * found = machine(
-    model, work, [&] {
-      return nv > 0 && unit.size == nv && drives.size <= nc &&
-             are_places(drives, 0, model.cut.rows) &&
-             model.cut_point.columns >= cut::MOTION_COLUMNS && are_places(kept, 0, nc) &&
-             has_shape(anchors, nv - kept.size, nv) && condition();
-    });
-  return first_of(found, unless(manifold.fits(model.coordinates(), nv)));
+  return unless(
+    nv > 0 && unit.size == nv && drives.size <= nc && are_places(drives, 0, model.cut.rows) &&
+    model.cut_point.columns >= cut::MOTION_COLUMNS && are_places(kept, 0, nc) &&
+    has_shape(anchors, nv - kept.size, nv) && manifold.fits(model.coordinates(), nv) &&
+    condition());
 }
 
 /// A grid of so many nodes, and the part of it that may be written.
@@ -205,11 +196,11 @@ inline bool is_grid(Indexes grid, Index nodes)
 
 template<>
 inline constexpr auto precondition<follow> =
-  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  [](const Model & model, const Workspace &, const Manifold & manifold, Indices drives,
     Indices kept, Values unit, Table anchors, double, Values begin, Cube<double> values, Values q,
     Table position, Table velocity, Table acceleration) {
     return expected::driven(
-      model, work, manifold, drives, kept, unit, anchors, [&] {
+      model, manifold, drives, kept, unit, anchors, [&] {
         const Index nv = model.joints(), poses = values.pages;
         return begin.size == drives.size && values.rows == drives.size &&
                values.columns == cut::MOTION_COLUMNS && q.size == model.coordinates() &&
@@ -221,11 +212,11 @@ inline constexpr auto precondition<follow> =
 
 template<>
 inline constexpr auto precondition<reach_poses> =
-  [](const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
+  [](const Model & model, const Workspace &, const Manifold & manifold, Indices drives,
     Indices kept, Values unit, Table anchors, double, Indexes grid, Indices seeds, Table values,
     Indices actuated, Indices reached, Table position, Table rates) {
     return expected::driven(
-      model, work, manifold, drives, kept, unit, anchors, [&] {
+      model, manifold, drives, kept, unit, anchors, [&] {
         const Index nodes = reached.size;
         return expected::is_grid(grid, nodes) && are_places(seeds, 0, nodes) &&
                are_places(actuated, 0, model.joints()) &&
@@ -316,9 +307,9 @@ const Entry entries[] = {
   entry<forget>("forget", "forget(system): the motion so far"),
   entry<model_of>("model_of", "model_of(system): a handle of its own model"),
   entry<workspace_of>("workspace_of", "workspace_of(system): a handle of its own workspace"),
-  entry<outward>(
+  entry<outward, Length::Q, Length::QD>(
     "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
-  entry<inward>(
+  entry<inward, Length::QD>(
     "inward", "inward(model, tau, work, massless): articulated-body inertias and bias forces"),
   entry<update>(
     "update", "update(model, work, responses): closure errors, their rates and biases"),
@@ -326,20 +317,26 @@ const Entry entries[] = {
   entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
   entry<factorize_constraints>(
     "factorize", "factorize(model, work): factors of the constraint matrix; smallest pivot"),
-  entry<close_loops>(
+  entry<close_loops, Length::ANY, Length::ANY, Length::JACOBIAN, Length::INERTIA, Length::Q>(
     "close_loops",
     "close_loops(model, work, manifold, jac, gim, q, free, closed, limit): whether this was plain"),
-  entry<energies>("energies", "energies(model, work, qd, out): kinetic and potential energy"),
-  entry<constraint_jacobian>("constraint_jacobian", "constraint_jacobian(model, work, jac)"),
+  entry<energies, Length::ANY, Length::QD, Length::PAIR>(
+    "energies", "energies(model, work, qd, out): kinetic and potential energy"),
+  entry<constraint_jacobian, Length::ANY, Length::JACOBIAN>(
+    "constraint_jacobian", "constraint_jacobian(model, work, jac)"),
   entry<loop_sizes>("loop_sizes", "loop_sizes(model, out): size of each cut joint's loop"),
-  entry<generalized_inertia_matrix>(
+  entry<generalized_inertia_matrix, Length::ANY, Length::INERTIA>(
     "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
   entry<cut_wrenches>("cut_wrenches", "cut_wrenches(model, body, lam, share, out)"),
   entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
-  entry<joint_wrenches>("joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
-  entry<tree_torque>("tree_torque", "tree_torque(model, work, qdd, out)"),
-  entry<to_user_order>("to_user_order", "to_user_order(model, ordered, out)"),
-  entry<forward_dynamics>(
+  entry<joint_wrenches, Length::ANY, Length::QD, Length::MULTIPLIERS, Length::WRENCHES>(
+    "joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
+  entry<tree_torque, Length::ANY, Length::QD, Length::QD>(
+    "tree_torque", "tree_torque(model, work, qdd, out)"),
+  entry<to_user_order, Length::MULTIPLIERS, Length::MULTIPLIERS>(
+    "to_user_order", "to_user_order(model, ordered, out)"),
+  entry<forward_dynamics, Length::ANY, Length::Q, Length::QD,
+    Length::QD, Length::QD, Length::MULTIPLIERS>(
     "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
   entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
   entry<rates_of_coordinates>(

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstring>
 #include <stdexcept>
 #include <vector>
 
@@ -28,40 +29,29 @@ void require(bool good, const char * what)
   }
 }
 
-/// Collects where the numbers of arrays are.
+/// Collects where the numbers of arrays are: all have eight bytes.
 class Numbers
 {
 public:
   template<class ... Field>
   void operator()(Field & ... field) {(add(field), ...);}
 
-  std::vector<Values> reals;
-  std::vector<Indices> wholes;
+  std::vector<Values> found;
 
 private:
   void add(const char *) {}
   void add(Unread) {}
   void add(const std::shared_ptr<Settings> &) {}
-  void add(Values each) {reals.push_back(each);}
-  void add(Table each) {reals.push_back(each.all());}
-  void add(const Cube<double> & each) {reals.push_back(each.all());}
-  void add(Indices each) {wholes.push_back(each);}
-  void add(Indexes each) {wholes.push_back(each.all());}
+  template<class View>
+  auto add(View & view)->decltype(view.all(), void())
+  {
+    found.push_back({reinterpret_cast<double *>(view.all().data), view.all().size});
+  }
   template<class Record>
   auto add(Record & record)->decltype(record.arrays(*this)) {record.arrays(*this);}
   template<class Record>
   auto add(Record & record)->decltype(record.fields(*this)) {record.fields(*this);}
 };
-
-template<class Number>
-void take(const std::vector<Vector<Number>> & from, const std::vector<Vector<Number>> & to)
-{
-  require(from.size() == to.size(), "expected a copy of the same data");
-  for (std::size_t n = 0; n < from.size(); ++n) {
-    require(from[n].size == to[n].size, "expected a copy of the same data");
-    copy(from[n], to[n]);
-  }
-}
 }  // namespace
 
 AllEquations::AllEquations(const Model & all, const Model & some, const Workspace & shared)
@@ -154,8 +144,14 @@ void Data::take(const Data & from)
   effects.fields(own);
   other.arrays(others);
   other.effects.fields(others);
-  closedloop::take(others.reals, own.reals);
-  closedloop::take(others.wholes, own.wholes);
+  require(
+    std::equal(
+      own.found.begin(), own.found.end(), others.found.begin(), others.found.end(),
+      [](Values one, Values another) {return one.size == another.size;}),
+    "expected a copy of the same data");
+  for (std::size_t n = 0; n < own.found.size(); ++n) {
+    std::memcpy(own.found[n].data, others.found[n].data, own.found[n].size * sizeof(double));
+  }
   std::copy(addresses.begin(), addresses.end(), table.begin() + routine::BODY);
   *settings = *from.settings;
 }

@@ -237,8 +237,6 @@ void Model::find_factor()
   const Index nc = equations();
   const std::vector<std::set<Index>> structure = structure_of(*this);
   std::vector<Index> rows;
-  // Place of the first row of a later cut joint in a column.
-  std::map<std::pair<Index, Index>, Index> places;
   Index next = 0, most = 3;
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::ROW), count = cut(a, cut::ROWS);
@@ -251,7 +249,6 @@ void Model::find_factor()
         rows.push_back(below);
       }
       for (Index later : structure[a]) {
-        places[{later, c}] = static_cast<Index>(rows.size());
         for (Index k = 0; k < cut(later, cut::ROWS); ++k) {
           rows.push_back(cut(later, cut::ROW) + k);
         }
@@ -264,7 +261,8 @@ void Model::find_factor()
   for (Index n = 0; n < block.rows; ++n) {
     const Index later = block(n, 0), earlier = block(n, 1);
     for (Index c = 0; c < cut(earlier, cut::ROWS); ++c) {
-      entry(n, c) = places.at({later, cut(earlier, cut::ROW) + c});
+      Index * first = row.data + column[cut(earlier, cut::ROW) + c];
+      entry(n, c) = std::find(first, row.end(), cut(later, cut::ROW)) - row.data;
     }
   }
   std::vector<std::vector<Index>> left(static_cast<std::size_t>(nc));

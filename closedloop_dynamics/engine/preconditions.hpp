@@ -51,13 +51,6 @@ inline const char * first_of(const char * one, const char * other)
   return one != nullptr ? one : other;
 }
 
-/// A model and its workspace, and a further condition.
-template<class Condition>
-const char * machine(const Model & model, const Workspace & work, Condition && condition)
-{
-  return unless(work.fits(model) && model.is_connected() && condition());
-}
-
 /// Whether rows are long enough to be those of Workspace.body, in the plane or in space.
 inline bool are_bodies(Table body, bool planar) {return body.columns >= (planar ? 31 : 81);}
 
@@ -124,55 +117,9 @@ inline const char * effects(const EffectTable & effects, Table body, Index nv)
 }  // namespace expected
 
 template<>
-inline constexpr auto precondition<outward> =
-  [](const Model & model, Values q, Values qd, const Workspace & work) {
-    return expected::machine(model, work, [&] {
-          return q.size >= model.coordinates() && qd.size >= model.joints();});
-  };
-
-template<>
-inline constexpr auto precondition<inward> =
-  [](const Model & model, Values tau, const Workspace & work) {
-    return expected::machine(model, work, [&] {return tau.size >= model.joints();});
-  };
-
-template<>
-inline constexpr auto precondition<update> =
-  [](const Model & model, const Workspace & work) {
-    return expected::machine(model, work, [] {return true;});
-  };
-
-template<>
-inline constexpr auto precondition<assemble> =
-  [](const Model & model, const Workspace & work) {
-    return expected::machine(model, work, [] {return true;});
-  };
-
-template<>
-inline constexpr auto precondition<energies> =
-  [](const Model & model, const Workspace & work, Values qd, Values out) {
-    return expected::machine(model, work, [&] {
-          return qd.size >= model.joints() && out.size >= 2;});
-  };
-
-template<>
-inline constexpr auto precondition<constraint_jacobian> =
-  [](const Model & model, const Workspace & work, Table jac) {
-    return expected::machine(model, work, [&] {
-          return has_shape(jac, model.equations(), model.joints());});
-  };
-
-template<>
 inline constexpr auto precondition<loop_sizes> =
   [](const Model & model, Values out) {
     return expected::unless(out.size == model.cut.rows);
-  };
-
-template<>
-inline constexpr auto precondition<generalized_inertia_matrix> =
-  [](const Model & model, const Workspace & work, Table gim) {
-    return expected::machine(model, work, [&] {
-          return has_shape(gim, model.joints(), model.joints());});
   };
 
 template<>
@@ -190,38 +137,6 @@ inline constexpr auto precondition<bias_forces> =
     return expected::unless(
       (work.size() == 3 || work.size() == 6) && expected::are_bodies(work.body, work.planar()) &&
       out.rows <= work.body.rows && out.columns >= work.size());
-  };
-
-template<>
-inline constexpr auto precondition<joint_wrenches> =
-  [](const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench) {
-    return expected::machine(model, work, [&] {
-          return qdd.size >= model.joints() && lam.size >= model.equations() &&
-                 has_shape(wrench, model.tree.rows, 2 * work.size());});
-  };
-
-template<>
-inline constexpr auto precondition<tree_torque> =
-  [](const Model & model, const Workspace & work, Values qdd, Values out) {
-    return expected::machine(model, work, [&] {
-          return qdd.size >= model.joints() && out.size >= model.joints();});
-  };
-
-template<>
-inline constexpr auto precondition<to_user_order> =
-  [](const Model & model, Values ordered, Values out) {
-    return expected::unless(
-      ordered.size >= model.equations() && out.size >= model.equations());
-  };
-
-template<>
-inline constexpr auto precondition<forward_dynamics> =
-  [](const Model & model, const Workspace & work, Values q, Values qd, Values tau, Values qdd,
-    Values lam) {
-    return expected::machine(model, work, [&] {
-          return q.size >= model.coordinates() && qd.size >= model.joints() &&
-                 tau.size >= model.joints() && qdd.size >= model.joints() &&
-                 lam.size >= model.equations();});
   };
 
 template<>
@@ -268,14 +183,12 @@ template<>
 inline constexpr auto precondition<load_joints> =
   [](const System & system, const Model & model, const Workspace & work, Values qd, Values qdd,
     Values lam) {
-    return expected::machine(
-      model, work, [&] {
-        const Index nv = system.nv(), bodies = system.model.tree.rows;
-        return model.joints() == nv && qd.size == nv && qdd.size == nv &&
-               work.size() == system.work.size() && lam.size == model.equations() &&
-               has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
-               has_cuts(system.effects.cuts, model.cut.rows);
-      });
+    const Index nv = system.nv(), bodies = system.model.tree.rows;
+    return expected::unless(
+      model.joints() == nv && qd.size == nv && qdd.size == nv &&
+      work.size() == system.work.size() && lam.size == model.equations() &&
+      has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
+      has_cuts(system.effects.cuts, model.cut.rows));
   };
 
 template<>
@@ -297,13 +210,11 @@ template<>
 inline constexpr auto precondition<accelerations> =
   [](const CutCoordinates & cuts, const Model & model, const Workspace & work, Values qdd, bool,
     Values out) {
-    const char * found = expected::machine(
-      model, work, [&] {
-        return qdd.size >= model.joints() && out.size >= model.joints() + cuts.index.rows &&
-               cuts.scratch.columns >= 2 * work.size();
-      });
-    return found != nullptr ? found : misfit(
-      cuts, model.joints(), model.tree.rows, work.planar(), std::numeric_limits<Index>::max());
+    return expected::first_of(
+      expected::unless(
+        qdd.size >= model.joints() && out.size >= model.joints() + cuts.index.rows &&
+        cuts.scratch.columns >= 2 * work.size()), misfit(
+        cuts, model.joints(), model.tree.rows, work.planar(), std::numeric_limits<Index>::max()));
   };
 
 template<>
@@ -467,16 +378,10 @@ inline constexpr auto precondition<find_joint_forces> =
 
 template<>
 inline constexpr auto precondition<close_loops> =
-  [](const Model & model, const Workspace & work, const Manifold & manifold, Table jac, Table gim,
-    Values q, Indices free) {
-    const char * found = expected::machine(
-      model, work, [&] {
-        const Index nv = model.joints();
-        return has_shape(jac, model.equations(), nv) &&
-               has_shape(gim, nv, nv) && q.size == model.coordinates() &&
-               are_places(free, 0, nv);
-      });
-    return found != nullptr ? found : expected::unless(manifold.fits(q.size, model.joints()));
+  [](const Model & model, const Workspace &, const Manifold & manifold, Table, Table, Values q,
+    Indices free) {
+    return expected::unless(
+      manifold.fits(q.size, model.joints()) && are_places(free, 0, model.joints()));
   };
 
 }  // namespace closedloop

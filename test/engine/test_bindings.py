@@ -237,7 +237,7 @@ def test_a_system_is_of_one_mechanism_and_linked(system):
     unconnected = native.model(*description(one).values())[0]
     with pytest.raises(ValueError, match='addresses of code'):
         native.system(unconnected, unconnected, None, *none, *values, table)
-    with pytest.raises(ValueError, match='fit together'):
+    with pytest.raises(ValueError, match='joints have code'):
         native.outward(unconnected, np.zeros(7), np.zeros(7), one.work)
 
 
