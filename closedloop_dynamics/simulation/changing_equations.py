@@ -119,4 +119,4 @@ def _on_ground(model, carrier):
     tree, cut = model.tree.copy(), model.cut.copy()
     for array, column in ((tree, t.PARENT), (cut, t.BODY_A), (cut, t.BODY_B)):
         array[array[:, column] == carrier, column] = 0
-    return model._replace(tree=tree, cut=cut)
+    return model.replaced(tree=tree, cut=cut)
