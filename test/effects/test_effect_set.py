@@ -22,6 +22,7 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
+from closedloop_dynamics.effects.magnetic_spring import MagneticSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
@@ -114,6 +115,7 @@ def every_element(rng, mechanism, q):
                       joints={'a': joint()}, distances={'d': (point(), place)},
                       rates={'da': 'a', 'dd': 'd'}, parameters={'k': 8.0, 'c': 0.05},
                       states={'z': '4*dd - 20*z'}),
+        'catch': MagneticSpring(point(), 0.5, 0.2, anchor=place),
         'rope': Cable((point(), point(), point()), 50.0, 0.1, damping=0.1),
         'roller': BodyContact(point(), 'base', 'line', 300.0, radius=0.02, exponent=1.5,
                               damping=0.4, friction=0.3, slip_velocity=0.2)}
