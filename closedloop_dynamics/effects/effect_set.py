@@ -21,7 +21,7 @@ from .traced_effect import TracedEffect, TracedLaw
 from ..core import codegen
 from ..core.codegen import joint_kernels
 from ..core.codegen.function_table import EVALUATION
-from ..core.types import TYPE, VARIES
+from ..core.types import Arrays, TYPE, VARIES
 from ..engine import native
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -504,10 +504,13 @@ class EffectSet:
 
 
 def _arrays(given):
-    """Return all arrays and lists of nested tuples."""
-    if isinstance(given, (np.ndarray, list)):
+    """Return all arrays that may be written, and lists, of nested tuples and records."""
+    if isinstance(given, np.ndarray):
+        return [given] if given.flags.writeable else []
+    if isinstance(given, list):
         return [given]
-    return [array for each in given if isinstance(each, (tuple, np.ndarray, list))
+    parts = vars(given).values() if isinstance(given, Arrays) else given
+    return [array for each in parts if isinstance(each, (tuple, np.ndarray, list, Arrays))
             for array in _arrays(each)]
 
 
