@@ -17,13 +17,16 @@ from .checks import boolean, listed, one_of
 from .fields import among, at, FieldError, mapping, normalise, shown
 from .mechanism import (
     CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint, CYLINDRICAL,
-    FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, MEASURED, PLANAR, PRISMATIC, REVOLUTE,
-    SPATIAL_CUT_JOINT_EQUATIONS, SPATIAL_MEASURED, UNIVERSAL)
+    DISTANCE, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES, MEASURED, PLANAR,
+    POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS,
+    SPATIAL_MEASURED, UNIVERSAL)
 from .rotations import rotated
 from .spanning_tree import choose_tree, Edge
 from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS
 
 BETWEEN = 'between'
+# What closes loops and never carries a body.
+CLOSING = (DISTANCE, POINT_ON_LINE, POINT_ON_PLANE)
 # Joints whose coordinates mean the same whichever body carries the other.
 REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, FIXED)
 
@@ -66,6 +69,11 @@ def link(name, values, bodies, spatial):
         for index, point in enumerate(points):
             with at(index):
                 places.append(checks['position'](point))
+    if values['type'] in CLOSING:
+        raise FieldError(
+            f'a joint that may carry a body: {among(JOINT_FREEDOMS if spatial else JOINT_TYPES)}',
+            f'{values["type"]}, which only closes a loop', 'it belongs under cut_joints, with '
+            'body_a, point_a, body_b and point_b', ('type',))
     joint = normalise(Joint(name, values.pop('type'), *pair, places[0], **values), **checks)
     if cut is not None:
         with at('cut'):

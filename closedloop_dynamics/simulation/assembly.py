@@ -20,6 +20,7 @@ import numpy as np
 from .errors import AssemblyError
 from .modeling import extent
 from ..core.ranks import null_space, RANK_TOLERANCE, rank_from, rank_of, singular_values
+from ..mechanism.closure import open_parts
 from ..mechanism.digits import EVERYDAY, suspicions
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
@@ -125,7 +126,7 @@ class Assembler:
         q, psi = self.solve_closure(np.array(guess, dtype=float), free)
         if not (self._is_closed(psi) or self._is_closed_to_digits(guess, psi, hold)):
             self._require_no_surplus(guess, hold)
-            raise AssemblyError(self._open_loops(guess, psi, hold))
+            raise AssemblyError(self._open_loops(guess, q, psi, hold))
         if len(hold) > 0:
             self._require_complete(q, free, hold)
         if self.is_light:
@@ -725,18 +726,33 @@ class Assembler:
             return 0
         return len(free) - rank_of(self.dimensionless(q)[:, free])
 
-    def _open_loops(self, guess, psi, hold):
+    def _open_loops(self, guess, q, psi, hold):
         """Return a description of the loops that do not close."""
         worst, gaps = [], self._gaps(psi)
         for cut in self.mechanism.closures:
             gap = gaps[cut.name]
             if not gap <= TOLERANCE * self.extent:
-                worst.append(f'{self._section(cut)}.{cut.name} open by {gap:.3g}')
+                worst.append(f'{self._section(cut)}.{cut.name} open by ' + (
+                    self._parts(cut, q) or f'{gap:.3g} (m or rad)'))
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
-                f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(
+                f'expected loops that close, got {", ".join(worst)}. ' + ' '.join(
                     [self._advice_on_assembly(guess, psi, hold),
                      *angle_notes(self.mechanism, guess), *suspicions(self.mechanism)]))
+
+    def _parts(self, cut, q):
+        """Return which parts of a cut joint are open, where it has several or an axis."""
+        if cut not in self.mechanism.cut_joints:
+            return ''
+        parts = [f'{gap:.3g} {words}' for words, gap in open_parts(
+            self.mechanism, q, cut).items() if not gap <= TOLERANCE * self.extent]
+        return ' and '.join(parts)
+
+    def closes(self, guess):
+        """Return whether the loops close next to a position, shape (nq,), with nothing held."""
+        guess = np.array(guess, dtype=float)
+        _, psi = self.solve_closure(guess, np.arange(self.nv))
+        return self._is_closed(psi) or self._is_closed_to_digits(guess, psi, ())
 
     def _advice_on_digits(self, psi):
         """Return what there is to do where loops may be open by rounded digits."""

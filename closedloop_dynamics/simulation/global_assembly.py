@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.ranks import rank_of
+from ..core.ranks import rank_from, rank_of
 from ..mechanism.inertia import inertia_matrix
 from ..mechanism.kinematics import steps_of
 from ..mechanism.mechanism import (
@@ -43,6 +43,8 @@ STARTS_ALONE = 12
 NEARBY, NEIGHBOURS = 0.1, 2
 FROM_THE_START = 'from the start'
 _UNIT = np.eye(3)
+# Of a motion of unit size, what is none: positions are closed to the root of rounding errors.
+STILL = 1e-7
 
 
 class ClosureResult(NamedTuple):
@@ -275,6 +277,40 @@ class ClosureProblem:
             if self.is_closed(near):
                 ranks.append(rank_of(self.residual(near)[1]))
         return max(ranks)
+
+    def idle(self, q):
+        """
+        Return the bodies that may turn about themselves while nothing else moves.
+
+        As a rod between two ball joints does, at a position that closes the loops: all points of
+        its joints, two at least, stay, and so does what is actuated.
+        """
+        _, singular, right = np.linalg.svd(self.residual(q, size=self.size)[1] * self.scale)
+        motions = self.scale[:, None] * right[rank_from(singular):].T
+        frames, origins, spins, moments = self.kinematics(q)
+        driven = [k for name in self.mechanism.actuated_joints if name in self._rate for k in
+                  range(self.nv)[self.coordinates.rates[name]]]
+        found = []
+
+        def twist(body, point):
+            chain = self._chain[body]
+            return (moments[chain] + cross(spins[chain], point)).T @ motions[chain] / self.size
+
+        for body in (one.name for one in self.mechanism.bodies):
+            points = [origins[body], *(
+                origins[body] + frames[body] @ place for place in (
+                    *(joint.position for joint in self._joints if joint.parent == body),
+                    *(point for cut in self.mechanism.cut_joints for of, point in (
+                        (cut.body_a, cut.point_a), (cut.body_b, cut.point_b)) if of == body)))]
+            if np.ptp(points, axis=0).max() <= CLOSED * self.size:
+                continue
+            still = [motions[driven], *(twist(body, point) for point in points), *(
+                rows for other in self._chain if other not in (body, GROUND) for rows in (
+                    twist(other, origins[other]),
+                    spins[self._chain[other]].T @ motions[self._chain[other]]))]
+            if np.linalg.matrix_rank(np.concatenate(still), tol=STILL) < motions.shape[1]:
+                found.append(body)
+        return found
 
     def is_closed(self, q):
         """Return whether every loop is closed and every limit respected."""

@@ -46,6 +46,8 @@ BETTER = 3.0
 CONTRADICTION = 0.1
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
+# Contacts that a message names.
+MOST_NAMED = 3
 
 
 class Stepping(Readings):
@@ -652,13 +654,23 @@ class Stepping(Readings):
         if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
             return ('Take smaller torques (largest now '
                     f'{np.abs(self.system.tau).max(initial=0.0):g}), allow a larger error, or '
-                    'leave out the effect that is so fast.')
+                    'leave out the effect that is so fast.' + self._pressing())
         return ('Closure equations depend on others next to this position, where an evaluation '
                 f'counts as {RANK_REVEALING_WORK}. ' + (
                     'No independent coordinates describe the motion through it: take '
                     'stabilisation: projection.'
                     if self.scene.method.stabilisation == 'independent' else
                     'Allow a larger error, or keep away from it by stops or another start.'))
+
+    def _pressing(self) -> str:
+        """Return the contacts that press, the hardest first, with depths and forces."""
+        readings = {name: self.effect_readings(name) for name in self.enabled_effects}
+        pressing = sorted(((one['normal_force'], name, one['depth'])
+                           for name, one in readings.items()
+                           if one.get('normal_force', 0.0) > 0.0), reverse=True)
+        found = ', '.join(f'{name} ({depth:.3g} m deep, normal force {force:.3g} N)'
+                          for force, name, depth in pressing[:MOST_NAMED])
+        return f' In contact: {found}.' if found else ''
 
     def _branch_finding(self) -> List[str]:
         """Return a finding where a change point was passed that the lengths miss by little."""

@@ -14,7 +14,7 @@ from ..mechanism.digits import digit_notes
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
-from ..simulation.assembly import MOST_EQUATIONS
+from ..simulation.assembly import Assembler, MOST_EQUATIONS
 from ..simulation.geometry import Geometry
 from ..simulation.global_assembly import ClosureProblem, find_closed
 from ..simulation.model_scene import assembled
@@ -80,7 +80,7 @@ def _scene(scene, simulation):
     return [
         _heading('Scene', scene),
         *_parameters(scene),
-        *_mechanism(scene.mechanism, simulation, parameters=False),
+        *_mechanism(scene.mechanism, simulation, parameters=False, start=scene.initial.position),
         _initial(scene.mechanism, scene.initial, simulation),
         _effects(scene),
         _method(scene.method),
@@ -95,7 +95,7 @@ def _parameters(described):
         (name, _value(value)) for name, value in described.parameters.items()])]
 
 
-def _mechanism(mechanism, simulation=None, parameters=True, found=None):
+def _mechanism(mechanism, simulation=None, parameters=True, found=None, start=None):
     decomposition = decompose(mechanism)
     parts = [
         _heading('Mechanism', mechanism),
@@ -116,7 +116,7 @@ def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     if found is None and simulation is None and not mechanism.planar:
         found = _closed(mechanism)
     parts += [*_chosen(mechanism), *_repeated(mechanism, simulation, found)]
-    return [*parts, _summary(mechanism, decomposition, simulation, found)]
+    return [*parts, _summary(mechanism, decomposition, simulation, found, start)]
 
 
 def _joints(mechanism):
@@ -207,11 +207,12 @@ def _repeated(mechanism, simulation, found):
                     for name in redundancy.shared])]
 
 
-def _summary(mechanism, decomposition, simulation, found):
+def _summary(mechanism, decomposition, simulation, found, start):
     order = ', '.join(decomposition.elimination_order) or 'none'
     return _lines('Summary', (
         ('constraint equations', _number_of_equations(mechanism)),
-        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation, found)),
+        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation, found, start)),
+        *_idle(mechanism, simulation, found),
         ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
         ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
     ))
@@ -226,9 +227,24 @@ def _number_of_equations(mechanism):
     return f'{left}, beside {always} that always hold' if always else left
 
 
-def _degrees_of_freedom(mechanism, simulation, found):
+def _idle(mechanism, simulation, found):
+    """Return the line of freedoms that move one body about itself and nothing else."""
+    if mechanism.planar or not mechanism.closures or simulation is None and not found.closed:
+        return []
+    position = found.q if simulation is None else simulation.position
+    names = ClosureProblem(mechanism, extent(mechanism)).idle(position)
+    turns = 'turns' if len(names) == 1 else 'turn'
+    return [('idle freedoms', f'{len(names)} of these: {", ".join(names)} {turns} about '
+             'the line through the joints and nothing else moves')] * bool(names)
+
+
+def _degrees_of_freedom(mechanism, simulation, found, start):
     joints = mechanism.coordinates.nv
     equations = sum(_equations(mechanism))
+    if simulation is None and start is not None and not Assembler(
+            mechanism, Geometry(mechanism).equations).closes(start):
+        return (f'not known: the loops do not close next to the start ({joints} joints, '
+                f'{equations} equations)')
     forbidden = 0
     if simulation is not None:
         freedoms = simulation.degrees_of_freedom()

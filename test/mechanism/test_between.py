@@ -254,3 +254,14 @@ def test_shapes_stay_on_their_masses_when_frames_are_moved(name):
     for body in load_scene(name).mechanism.bodies:
         if len(body.visual) == 1:
             np.testing.assert_allclose(body.visual[0].center, body.center_of_mass, atol=1e-12)
+
+
+@pytest.mark.parametrize('kind', ['point_on_line', 'distance'])
+def test_what_only_closes_loops_is_sent_to_the_cut_joints(kind):
+    with pytest.raises(MechanismError, match=f'got {kind}, which only closes a loop .it belongs '
+                       'under cut_joints'):
+        read_mechanism({
+            'name': 'slotted', 'bodies': {'crank': {
+                'mass': 1.0, 'center_of_mass': [0.0, 0.0], 'inertia': 0.1}},
+            'joints': {'slot': {'type': kind, 'between': ['ground', 'crank'],
+                                'points': [[0.0, 0.0], [0.0, 0.0]]}}})

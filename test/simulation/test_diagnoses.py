@@ -7,6 +7,7 @@ import re
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.integration.control import TOO_MUCH_WORK
 from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 import pytest
@@ -29,6 +30,21 @@ def bouncing(**method):
         'right': Contact('center', (0.0, 0.0), angle=0.5 * np.pi, **walls),
         'left': Contact('center', (-0.4, 0.0), angle=-0.5 * np.pi, **walls)},
         [-0.2], [10.0], step_size=STEP, **method)
+
+
+def test_contacts_that_press_are_named_where_the_work_is_too_much():
+    walls = {'stiffness': 1e6}
+    jammed = simulated(block(), {
+        'right': Contact('center', (-0.01, 0.0), angle=0.5 * np.pi, **walls),
+        'left': Contact('center', (0.02, 0.0), angle=-0.5 * np.pi, **walls),
+        'far': Contact('center', (-9.0, 0.0), angle=-0.5 * np.pi, **walls)},
+        [0.0], [0.0], step_size=STEP)
+    found = dict(re.findall(r'(\w+) \((.*?)\)', str(
+        jammed._stopped(TOO_MUCH_WORK, STEP)).partition('In contact: ')[2]))
+    # Depth times stiffness, the deepest first.
+    assert list(found.items()) == [
+        ('left', '0.02 m deep, normal force 2e+04 N'),
+        ('right', '0.01 m deep, normal force 1e+04 N')]
 
 
 # A kernel of its own, RODAS4 with effects.

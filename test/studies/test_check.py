@@ -3,9 +3,11 @@
 
 """The description that ``closedloop check`` prints says what was understood."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
+from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.motions import moving
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -25,6 +27,46 @@ def paragraphs(*described):
 def cells(lines):
     """Return the cells of a table, which stand two or more spaces apart."""
     return [[cell.strip() for cell in line.split('  ') if cell.strip()] for line in lines]
+
+
+# A jack whose nut is 0.413 mm beside the axis of its screw.
+JACK = {
+    'mechanism': {
+        'name': 'jack',
+        'bodies': {
+            'screw': {'mass': 1.0, 'center_of_mass': [0, 0, 0.1], 'inertia': [0.01, 0.01, 0.001]},
+            'head': {'mass': 2.0, 'center_of_mass': [0, 0, 0], 'inertia': [0.01, 0.01, 0.01]}},
+        'joints': {
+            'bearing': {'type': 'revolute', 'parent': 'ground', 'child': 'screw',
+                        'position': [0, 0, 0], 'axis': [0, 0, 1]},
+            'guide': {'type': 'prismatic', 'parent': 'ground', 'child': 'head',
+                      'position': [0.1, 0, 0.2], 'axis': [0, 0, 1]}},
+        'cut_joints': {
+            'nut': {'type': 'helical', 'body_a': 'head', 'point_a': [-0.099587, 0, 0],
+                    'body_b': 'screw', 'point_b': [0, 0, 0.2], 'axis_b': [0, 0, 1],
+                    'lead': 0.00048}}},
+    'initial': {'position': {'bearing': 0, 'guide': 0}, 'hold': ['bearing']}}
+
+
+def test_a_machine_that_cannot_be_assembled_has_no_degrees_of_freedom():
+    scene = load_scene(JACK)
+    with pytest.raises(AssemblyError, match=r'nut open by 0\.000413 m beside its axis\.'):
+        Simulation(scene)
+    count = next(line for line in paragraphs(scene)['Summary'] if 'degrees' in line)
+    assert 'not known: the loops do not close next to the start' in count
+    # With the nut on the axis it is the machine of one freedom that it was drawn as.
+    straight = deepcopy(JACK)
+    straight['mechanism']['cut_joints']['nut']['point_a'] = [-0.1, 0, 0]
+    assert 'degrees of freedom  ' in describe(load_scene(straight))
+    assert Simulation(load_scene(straight)).degrees_of_freedom() == 1
+
+
+def test_idle_freedoms_are_told():
+    found = paragraphs(load_scene('rssr_four_bar'), Simulation(load_scene('rssr_four_bar')))
+    assert any('1 of these: rod turns about' in line for line in found['Summary'])
+    # A shaft between two bearings is driven, a platform moves with its legs.
+    for name in ('bennett', 'stewart_platform', 'excavator_arm'):
+        assert 'idle' not in describe(load_scene(name), Simulation(load_scene(name)))
 
 
 def test_three_rrr_is_described_whole():
