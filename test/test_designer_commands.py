@@ -7,14 +7,16 @@ import csv
 from dataclasses import replace
 import json
 import math
+from pathlib import Path
 import re
 
 from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
-from closedloop_dynamics.recording import design
+from closedloop_dynamics.recording import cycle, design
 from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
 from closedloop_dynamics.recording.transmission import transmission_angle
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
+from closedloop_dynamics.simulation.scene import scene_of_yaml
 import numpy as np
 import pytest
 from scipy.integrate import simpson
@@ -191,6 +193,21 @@ def test_pictures_show_no_other_machine_than_the_recorded_one(capsys, tmp_path):
         assert code == 2 and '--set: expected it with --scene' in errors
 
 
+GEARED = '''
+mechanism:
+  name: geared
+  bodies:
+    crank: {mass: 1.0, center_of_mass: [0.05, 0.0], inertia: 0.001}
+    wheel: {mass: 1.0, center_of_mass: [0.05, 0.0], inertia: 0.001}
+  joints:
+    leader: {type: revolute, parent: ground, child: crank, position: [0.0, 0.0], actuated: true}
+    follower: {type: revolute, parent: ground, child: wheel, position: [0.5, 0.0]}
+  couplings:
+    gears: {joints: {leader: 1.5, follower: 1.0}, offset: 0.0}
+initial: {position: {leader: 0.0, follower: 0.0}, hold: [leader]}
+'''
+
+
 def driven_turn(scene, start=0.0, end=2.0 * math.pi, count=361, speed=1.0):
     run = DrivenRun(scene, {'crank_joint': Drive(start, end)}, count, speed)
     assert run.end is None
@@ -207,7 +224,8 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
     code, text, errors = call(
         capsys, 'report', tmp_path / 'scene.yaml', '--output', tmp_path / 'page.html')
     assert code == 0, errors
-    assert 'minimum  angle [deg] 25.2088  at 0 deg' in text
+    assert 'least  angle 25.2088 deg  at 0 deg' in text
+    assert 'other extreme  angle 58.4119 deg  at 180 deg' in text
     assert 'four-bar linkage  crank-rocker (Grashof)' in text
     # A zero has no sign.
     assert re.search(r'largest \S+ N m  at .* rms \S+ N m ', text) and '] -0 ' not in text
@@ -366,6 +384,118 @@ def test_time_ratio_is_that_of_the_dead_centres(tmp_path):
     share = 0.5 + (other - one) / (2.0 * math.pi)
     expected = max(share, 1.0 - share) / min(share, 1.0 - share)
     np.testing.assert_allclose(ratio, expected, rtol=1e-5)
+
+
+def test_transmission_and_advantage_are_those_of_two_circles(tmp_path):
+    crank, coupler, rocker, base = lengths = 2.0, 7.0, 9.0, 6.0
+    # Poses that meet none of the places that are sought.
+    turn = Drive(0.05, 0.05 + 2.0 * math.pi)
+    run = DrivenRun(four_bar(tmp_path, *lengths), {'crank_joint': turn}, 91, 1.0)
+    # The angle between coupler and rocker is least where crank and base are in line.
+    expected = sorted(
+        min(angle, math.pi - angle) for reach in (base - crank, base + crank)
+        for angle in [math.acos((coupler ** 2 + rocker ** 2 - reach ** 2)
+                                / (2.0 * coupler * rocker))])
+    found = cycle.transmission_extremes(run)
+    np.testing.assert_allclose([one.value for one in found], expected, atol=1e-12)
+    np.testing.assert_allclose(np.sin([one.drive for one in found]), 0.0, atol=1e-6)
+    # The rocker stands still where crank and coupler are in line.
+    gain = cycle.advantages(run)['rocker_joint']
+    lines = [math.acos((reach ** 2 + base ** 2 - rocker ** 2) / (2.0 * reach * base))
+             for reach in (coupler + crank, coupler - crank)]
+    lines[1] += math.pi
+    np.testing.assert_allclose(sorted(np.mod(gain.dead_centres, 2.0 * math.pi)),
+                               sorted(np.mod(lines, 2.0 * math.pi)), atol=1e-10)
+    # Rates of crank and rocker by the closure of the two circles.
+    angles = np.linspace(0.0, 2.0 * math.pi, 20001)
+    psi = np.unwrap([closed(*lengths, angle)[1] for angle in angles])
+    np.testing.assert_allclose(
+        gain.least.value, (1.0 / np.abs(np.gradient(psi, angles)[1:-1])).min(), rtol=1e-6)
+
+
+def test_a_pin_in_a_slot_pushes_across_it():
+    # Of a quick-return drive the slot leads through the pivot of its lever: a right angle always,
+    # and the lever turns as fast as the pin crosses it.
+    scene = scene_of_yaml("""
+mechanism:
+  name: quick_return
+  bodies:
+    crank: {mass: 1.0, center_of_mass: [0.05, 0.0], inertia: 0.001}
+    lever: {mass: 1.0, center_of_mass: [0.1, 0.0], inertia: 0.001}
+  joints:
+    crank_joint: {type: revolute, parent: ground, child: crank, position: [0.0, 0.25],
+                  actuated: true}
+    lever_joint: {type: revolute, parent: ground, child: lever, position: [0.0, 0.0]}
+  cut_joints:
+    slot: {type: point_on_line, body_a: crank, point_a: [0.1, 0.0], body_b: lever,
+           point_b: [0.0, 0.0], angle: 0.0}
+initial: {position: {crank_joint: 0.0, lever_joint: 1.19}, hold: [crank_joint]}
+""", Path('quick_return.yaml'))
+    run = DrivenRun(scene, {'crank_joint': Drive(0.0, 2.0 * math.pi)}, 181, 1.0)
+    assert transmission_angle(run.mechanism, run.position, 'crank_joint') == pytest.approx(
+        math.pi / 2.0)
+    gain = cycle.advantages(run)['lever_joint']
+    # The pin moves across the slot where that touches the crank's circle.
+    np.testing.assert_allclose(np.sin(gain.dead_centres), -0.1 / 0.25, atol=1e-10)
+    assert gain.least.value == pytest.approx((0.25 - 0.1) / 0.1)
+    assert cycle.opened(run) == {}
+
+
+def test_a_linkage_that_does_not_return_is_told(tmp_path, capsys):
+    # Of two cranks geared three to two a turn of the one is no turn of the other.
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(GEARED)
+    page = tmp_path / 'page.html'
+    code, _, errors = call(capsys, 'report', scene, '--output', page)
+    assert code == 0, errors
+    assert 'does not return (follower by 180 deg' in page.read_text()
+    assert cycle.opened(driven_turn(load_scene('four_bar'), count=31)) == {}
+
+
+def test_points_move_as_the_crank_does():
+    run = driven_turn(load_scene('slider_crank'), count=61)
+    column, length = by_name(run.table()), 0.1
+    angle, speed = run.driven['crank_joint'], np.ptp(run.driven['crank_joint']) / run.time[-1]
+    for axis, way in (('x', np.cos), ('y', np.sin)):
+        turned = way(angle + math.pi / 2.0)
+        np.testing.assert_allclose(
+            column[f'point_velocity.crank_pin.{axis}'], length * speed * turned, atol=1e-8)
+        np.testing.assert_allclose(column[f'point_acceleration.crank_pin.{axis}'],
+                                   -length * speed ** 2 * way(angle), atol=1e-8)
+
+
+def test_tolerances_are_by_kind(tmp_path, capsys):
+    scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
+    assert set(design.tolerated_keys(scene).values()) == {'length'}
+    text = Path(scene.path).read_text()
+    page = tmp_path / 'page.html'
+    for given, told in ((['--tolerance', '0.2mm'], '(length) 0.0002 m'),
+                        (['--tolerance', 'coupler=0.5mm'], 'coupler (length) 0.0005 m')):
+        code, _, errors = call(capsys, 'report', scene.path, '--output', page, '--overwrite',
+                               '--drive', 'crank_joint=0:1:5', *given)
+        assert code == 0, errors
+        assert told in page.read_text(), text
+    code, _, errors = call(capsys, 'report', scene.path, '--output', page, '--overwrite',
+                           '--tolerance', 'nothing=1')
+    assert code == 2 and 'expected one of length, lead, angle, ratio' in errors
+
+
+def test_ranges_of_a_load_are_counted():
+    pytest.importorskip('rainflow')
+    # The example of ASTM E1049-85, figure 6, with ranges as the standard counts them.
+    found = cycle.load_spectrum(np.array([-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]))
+    counted = {}
+    for size, _, count in found:
+        counted[size] = counted.get(size, 0.0) + count
+    assert counted == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
+
+
+def test_a_report_is_written_as_a_document(tmp_path, capsys):
+    pytest.importorskip('fpdf')
+    document = tmp_path / 'report.pdf'
+    code, _, errors = call(capsys, 'report', 'four_bar', '--output', document)
+    assert code == 0, errors
+    assert document.read_bytes()[:5] == b'%PDF-' and len(document.read_bytes()) > 50_000
 
 
 def test_sensitivities_are_those_of_two_circles(tmp_path):

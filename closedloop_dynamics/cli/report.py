@@ -3,12 +3,13 @@
 
 """``closedloop report``: the key figures of a mechanism, on one page."""
 
+from argparse import ArgumentTypeError
 import time
 
 from .command import (
-    Argument, Command, mapping, Output, positive, reading_options, SCENE, scene_to_change, SET,
-    UsageError)
-from .kinematics import drive_options, driven_run, ending
+    Argument, Command, mapping, Output, reading_options, SCENE, scene_to_change, SET, UsageError)
+from .kinematics import drive_options, driven_run, ending, value_of
+from ..recording.design import TOLERANCES
 from ..recording.design_report import write_report
 from ..visual.progress import announced, progress_to
 
@@ -25,11 +26,24 @@ def _run(arguments):
         table = run.table(show)
     spent = time.process_time() - begin
     with announced('Finding sensitivities and drawing ...'):
-        text = write_report(arguments.output, scene, run, table, arguments.tolerance,
-                            mapping(arguments.set, '--set'), spent)
+        try:
+            text = write_report(arguments.output, scene, run, table,
+                                mapping(arguments.tolerance, '--tolerance'),
+                                mapping(arguments.set, '--set'), spent)
+        except ValueError as error:
+            raise UsageError(f'--{error}') from None
     print(text)
     print(arguments.output)
     return ending(arguments, run)
+
+
+def _tolerance(text):
+    """Convert ``VALUE``, of lengths, or ``WHAT=VALUE``, with units."""
+    what, equals, value = text.rpartition('=')
+    number = value_of(value)
+    if number is None or not number > 0.0 or bool(equals) != bool(what):
+        raise ArgumentTypeError(f'expected a finite number > 0, or WHAT=NUMBER, got {text!r}')
+    return what or 'length', number
 
 
 COMMAND = Command(
@@ -38,8 +52,9 @@ COMMAND = Command(
     description="""\
 Drive a mechanism over a cycle and write one HTML page that needs no other file (print
 it for a PDF): pictures, degrees of freedom, Grashof class and where a four-bar linkage
-folds, strokes, dwells and time ratios, transmission angle, drive torque and power, work
-per cycle, the largest force in every joint with its place, shaking force and moment,
+folds, strokes, dwells, time ratios and a timing chart, transmission angles, mechanical
+advantage and dead centres, drive torque and power, work per cycle, the largest force in
+every joint with its place, its hodograph and load spectrum, shaking force and moment,
 sensitivity to every length, and tolerances.
 """,
     epilog="""\
@@ -53,8 +68,13 @@ examples:
         *reading_options(short=False),
         *drive_options(' (default: one turn of the one actuated joint, or from limit to limit)'),
         SET,
-        Argument('--tolerance', type=positive, default=1e-4, metavar='LENGTH',
-                 help='of every length, plus or minus [m]; three standard deviations (default: '
-                      '1e-4)'),
-        Output('--output', 'FILE.html', 'where to write the page', ('.html',), required=True)),
+        Argument('--tolerance', type=_tolerance, action='append', default=[],
+                 metavar='[WHAT=]VALUE',
+                 help='plus or minus, three standard deviations: of every length [m, mm], or, '
+                      'with WHAT=, of a kind (length, lead, angle, ratio) or of one parameter; '
+                      'may be repeated (default: ' + ', '.join(
+                          f'{kind}={value:g} {unit}'
+                          for kind, (unit, value) in TOLERANCES.items()) + ')'),
+        Output('--output', 'FILE.html', 'where to write the page; FILE.pdf: a document of the '
+               'same', ('.html', '.pdf'), required=True)),
     run=_run)

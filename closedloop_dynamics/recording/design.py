@@ -8,7 +8,7 @@ from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
 
-from .kinematics import by_name, Drive, DrivenRun
+from .kinematics import by_name, Drive, DrivenRun, SECOND
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
 from ..mechanism.inertia import second_moments
@@ -23,8 +23,6 @@ from ..simulation.second_order import as_it_moves
 TURN = 2.0 * math.pi
 # Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.
 POSES, SHORT_OF_LIMIT = 361, 0.01
-# Displacement in a step of the differences that accelerations of masses are found by [rad, m].
-STEP = 1e-2
 # Share of its stroke within which an output dwells.
 DWELL = 0.01
 # Differences of the sixth order: weights by steps, and the step as a share of a length.
@@ -33,6 +31,15 @@ STENCIL_STEP = 1e-2
 # Below this share singular values are zero; above the other one closure equations contradict one
 # another.
 NOTHING, OPENS = 1e-9, 1e-7
+
+
+# What a number with a tolerance is, by the fields of joints, points and couplings that follow it:
+# the first that applies; with its unit and usual tolerance in ``TOLERANCES``.
+KINDS = {'length': ('position', 'point_a', 'point_b', 'length'), 'lead': ('lead',),
+         'angle': ('angle', 'orientation', 'axis', 'second_axis', 'axis_a', 'axis_b'),
+         'ratio': ('joints', 'offset')}
+TOLERANCES = {'length': ('m', 1e-4), 'lead': ('m/rad', 1e-6), 'angle': ('rad', 1e-3),
+              'ratio': ('1', 0.0)}
 
 
 class Extreme(NamedTuple):
@@ -164,19 +171,17 @@ def shaking(run):
     Forces [N], shape (n, 2), in space (n, 3); moments about the origin of the world [N m], shape
     (n,), in space (n, 3).
     """
-    mechanism, coordinates = run.mechanism, run.mechanism.coordinates
-    fastest = np.abs(run.velocity).max()
-    step = STEP / max(fastest, np.sqrt(np.abs(run.acceleration).max()), 1e-12)
+    mechanism = run.mechanism
     bodies = [(body.name, *_point_masses(body, extent(mechanism))) for body in mechanism.bodies]
-    mass, places = np.concatenate([masses for _, masses, _ in bodies]), []
-    for n in range(-2, 3):
-        ahead = coordinates.moved(
-            run.position, n * step * run.velocity + 0.5 * (n * step) ** 2 * run.acceleration)
-        poses = body_poses(mechanism, ahead)
-        places.append(np.concatenate([world_points(pose_of(mechanism, poses, name), points)
-                                      for name, _, points in bodies], axis=1))
-    weights = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / (12.0 * step * step)
-    acceleration = np.tensordot(weights, np.array(places), 1)
+    mass = np.concatenate([masses for _, masses, _ in bodies])
+
+    def places_of(position):
+        poses = body_poses(mechanism, position)
+        return np.concatenate([world_points(pose_of(mechanism, poses, name), points)
+                               for name, _, points in bodies], axis=1)
+
+    places, step = run.along(places_of)
+    acceleration = np.tensordot(SECOND / step ** 2, places, 1)
     force = -mass[:, np.newaxis] * acceleration
     if not mechanism.planar:
         return force.sum(axis=1), np.cross(places[2], force).sum(axis=1)
@@ -252,12 +257,46 @@ class Sensitivity(NamedTuple):
     derivatives: np.ndarray
 
     def worst(self, tolerance):
-        """Return the largest error of each output where every length is off by as much."""
-        return (np.abs(self.derivatives).sum(axis=2) * tolerance).max(axis=0)
+        """
+        Return the largest error of each output where every number is off by its tolerance.
+
+        ``tolerance``: of all numbers, or shape (number of keys,).
+        """
+        return (np.abs(self.derivatives) * tolerance).sum(axis=2).max(axis=0)
 
     def sigma(self, tolerance):
-        """Return the largest standard deviation where those of the lengths are a third of it."""
-        return (np.linalg.norm(self.derivatives, axis=2) * tolerance / 3.0).max(axis=0)
+        """Return the largest standard deviation where those of the numbers are a third of it."""
+        return np.linalg.norm(self.derivatives * tolerance / 3.0, axis=2).max(axis=0)
+
+
+def tolerated_keys(scene) -> Dict[str, str]:
+    """
+    Return the key paths of the numbers with tolerances, each with its kind of ``KINDS``.
+
+    They are the parameters that change where joints and points are, how they are turned or how
+    they are coupled; of a scene without parameters the places of its joints.
+    """
+    kinds = {key: _kind(scene, key) if scene.parameters else 'length'
+             for key in length_keys(scene)}
+    return {key: kind for key, kind in kinds.items() if kind is not None}
+
+
+def _kind(scene, key):
+    """Return the kind of a parameter by what it changes; None where that moves nothing."""
+    path = resolve(scene, key)
+    value = numbers(scene)['.'.join(path)]
+    other = changed(scene, {path: value + STENCIL_STEP * max(abs(value), 1e-3)}).mechanism
+    fields = {name for section in ('joints', 'cut_joints', 'points', 'couplings')
+              for one, new in zip(getattr(scene.mechanism, section), getattr(other, section))
+              for name, before in vars(one).items() if before != getattr(new, name)}
+    kind = next((kind for kind, names in KINDS.items() if fields & set(names)), None)
+    # Of a screw or a rack, which couple turns with slides.
+    mechanism = scene.mechanism
+    slides = any(len({bool(coordinates.lengths[coordinates.index[name]]) for name in one.joints
+                      for coordinates in (mechanism.coordinates, mechanism.cut_coordinates)
+                      if name in coordinates.index}) > 1
+                 for one, new in zip(mechanism.couplings, other.couplings) if one != new)
+    return 'lead' if kind == 'ratio' and slides else kind
 
 
 def length_keys(scene):

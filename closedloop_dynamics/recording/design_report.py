@@ -5,15 +5,19 @@
 
 from base64 import b64encode
 from html import escape
+from importlib.util import find_spec
 from io import BytesIO
 import math
+import re
 
 import numpy as np
 from scipy.integrate import trapezoid
 
 from . import design
+from .cycle import advantages, load_spectrum, opened, transmission_extremes
 from .kinematics import by_name, curves, drive_axis, forces, torques
 from .transmission import transmission_angle
+from ..mechanism.fields import among
 from ..mechanism.four_bar import four_bar
 from ..visual.trajectory import from_rows
 
@@ -30,28 +34,33 @@ img {display: block; max-width: 100%}
   h2 {break-after: avoid} img, table {break-inside: avoid} img {max-height: 16cm}
 }
 """
-# Lengths in one table of sensitivities.
-WIDEST = 4
+# Lengths in one table of sensitivities; ranges of a load spectrum that are shown.
+WIDEST, RANGES = 4, 3
+# Share of the largest work below which work is rounding.
+ROUNDING = 1e-12
+# Width and height of a page of a PDF within its margins [pt].
+PAPER = 530.0, 720.0
 # Sections that are summarised in a few lines, too.
 IN_SHORT = ('Mechanism', 'Transmission angle', 'Drive', 'Energy')
 
 
-def write_report(path, scene, run, table, tolerance=1e-4, changes=None, spent=None):
+def write_report(path, scene, run, table, tolerances=None, changes=None, spent=None):
     """
     Write a page of what a designer asks of a mechanism; return it in a few lines of text.
 
     Parameters
     ----------
     path : pathlib.Path
-        Of the page, ``*.html``.
+        Of the page, ``*.html``, or of a document of the same, ``*.pdf``, which needs fpdf2.
     scene : scene_records.Scene
         Whose start is on the branch.
     run : kinematics.DrivenRun
         Of the scene, with three poses or more.
     table : tuple
         What ``run.table()`` returned.
-    tolerance : float
-        Of every length, plus or minus; three standard deviations [m].
+    tolerances : mapping of str to float, optional
+        Plus or minus, three standard deviations: by kind of ``design.KINDS``, or by parameter;
+        others are those of ``design.TOLERANCES``.
     changes : mapping of str to float, optional
         Numbers by key path in which the scene is another one than its name says, for the title.
     spent : float, optional
@@ -65,43 +74,73 @@ def write_report(path, scene, run, table, tolerance=1e-4, changes=None, spent=No
     ------
     OSError
         Where the page cannot be written.
+    ValueError
+        For tolerances of nothing that the scene has, and a document without fpdf2.
 
     """
-    sections = _sections(scene, run, table, tolerance, spent)
+    if path.suffix == '.pdf' and find_spec('fpdf') is None:
+        raise ValueError('a PDF needs fpdf2: pip install fpdf2, or write a page of HTML')
+    sections = _sections(scene, run, table, _tolerated(scene, tolerances or {}), spent)
     title = scene.name
     if changes:
         title += ' with ' + ', '.join(f'{key} = {value:g}' for key, value in changes.items())
-    path.write_text(_page(escape(title), scene, sections), encoding='utf-8')
+    page = _page(escape(title), scene, sections)
+    if path.suffix == '.pdf':
+        _write_document(path, page)
+    else:
+        path.write_text(page, encoding='utf-8')
     return '\n'.join(
         '  '.join([f'{title}:', *(f'{name} {cell}'.strip() for name, cell in zip(rows[0], row))])
         for title, rows, _ in sections if title in IN_SHORT for row in rows[1:])
 
 
-def _sections(scene, run, table, tolerance, spent):
+def _tolerated(scene, given):
+    """Return kind and tolerance by key path of what has one."""
+    keys = design.tolerated_keys(scene)
+    names = {key.removeprefix('parameters.'): key for key in keys}
+    for what in given:
+        if what not in (*design.KINDS, *names):
+            raise ValueError(f'tolerance: expected one of {among([*design.KINDS, *names])}, '
+                             f'got {what!r}')
+    return {key: (kind, given.get(name, given.get(kind, design.TOLERANCES[kind][1])))
+            for name, key in names.items() for kind in [keys[key]]}
+
+
+def _write_document(path, page):
+    """Write a page as a PDF."""
+    # Only here, as it takes long to load.
+    from fpdf import FPDF
+    document = FPDF(format='A4')
+    document.set_font('Helvetica', size=9)
+    document.add_page()
+    page = re.sub(r'.*<body>|</body>.*', '', page, flags=re.DOTALL)
+    # As wide as the paper, unless they are too high for it.
+    page = re.sub(r'data-ratio="(.*?)"', lambda found: 'width="{:.0f}"'.format(
+        min(PAPER[0], PAPER[1] / float(found[1]))), page)
+    document.write_html(page, table_line_separators=True)
+    document.output(path)
+
+
+def _sections(scene, run, table, tolerances, spent):
     """Return title, rows of a table with its header, and pictures or notes, of each section."""
     column = by_name(table)
     name, values = design.drive_values(run)
     at = _drive_shown(run)
+    outputs = design.outputs(run, table)
     found = [_mechanism(scene, run, table, at)]
     found.append(('Motion', [
         ('', 'minimum', 'at', 'maximum', 'at', 'stroke', 'dwell', 'time ratio'),
-        *((what, f'{one.least.value:.6g}', at(one.least.drive), f'{one.most.value:.6g}',
-           at(one.most.drive), f'{one.most.value - one.least.value:.6g}', at(one.dwell),
+        *((what, shown(one.least.value), at(one.least.drive), shown(one.most.value),
+           at(one.most.drive), shown(one.most.value - one.least.value), at(one.dwell),
            '-' if math.isnan(one.time_ratio) else f'{one.time_ratio:.4g}')
-          for what, one in design.outputs(run, table).items())],
-        [f'<p class="note">Joints [rad or m] and points [m] over {escape(name)}. Dwell: the '
+          for what, one in outputs.items() for shown in [_shown(run, what)])],
+        [f'<p class="note">Joints and points over {escape(name)}. Dwell: the '
          'longest part of the drive over which a quantity stays within '
          f'{design.DWELL:.0%} of its stroke. Time ratio: of the slower stroke to the quicker '
-         'one over a whole turn.</p>']))
-    angle = transmission_angle(run.mechanism, run.position, name)
-    if angle is not None:
-        found.append(('Transmission angle', [
-            ('', 'angle [deg]', 'at'),
-            *((what, f'{math.degrees(one.value):.4f}', at(one.drive)) for what, one in (
-                ('minimum', design.extreme(angle, values, np.argmin)),
-                ('maximum', design.extreme(angle, values))))], []))
+         'one over a whole turn.</p>', _timing(run, column, outputs)]))
+    found += _transmission(run, at)
     found += _loads(run, column, values, at)
-    found.append(_tolerances(scene, run, tolerance))
+    found.append(_tolerances(tolerances, scene, run))
     found.append(('Accuracy', [
         ('', ''), ('largest closure error', f'{column["closure"].max():.2g} m or rad'),
         *([] if spent is None else [
@@ -136,7 +175,36 @@ def _mechanism(scene, run, table, at):
              for (what, one), most in design.stops_met(run, table).items()]
     if run.end is not None:
         rows.append(('end of the branch', run.end.reason))
+    away = opened(run)
+    if away:
+        rows.append(('cycle', 'none: after a turn of its drive the linkage does not return ('
+                     + ', '.join(f'{what} by {_shown(run, what)(value)}'
+                                 for what, value in away.items())
+                     + '); work, strokes and time ratios are those of one turn'))
     return 'Mechanism', rows, _pictures(run, table)
+
+
+def _transmission(run, at):
+    angles = transmission_extremes(run)
+    yield 'Transmission angle', [('', 'angle', 'at'), *(
+        (what, f'{math.degrees(one.value):.4f} deg', at(one.drive))
+        for what, one in zip(('least', *['other extreme'] * len(angles)), angles))], [] if angles else [
+        '<p class="note">None: no coupler between pins, and no slot, leads from the driven link '
+        'to one that turns or slides on the ground.</p>']
+    gains = advantages(run)
+    if gains:
+        yield 'Mechanical advantage', [
+            ('', 'least', 'at', 'dead centres: infinite at'),
+            *((what, f'{one.least.value:.5g}{_per(run, what)}', at(one.least.drive),
+               ', '.join(map(at, one.dead_centres)) or 'none') for what, one in gains.items())], [
+            '<p class="note">Effort of the output per effort of the drive, without friction and '
+            'inertia.</p>']
+
+
+def _per(run, output):
+    """Return the unit of the advantage of an output."""
+    units = [design.effort_unit(run, name) for name in (output, design.drive_values(run)[0])]
+    return '' if units[0] == units[1] else f' {units[0]} per {units[1]}'
 
 
 def _loads(run, column, values, at):
@@ -155,14 +223,20 @@ def _loads(run, column, values, at):
                      at(fastest.drive)))
     yield 'Drive', rows, []
     if exerted:
+        works = {f'{what} the drives': trapezoid(part, run.time) for what, part in (
+            ('work of', power), ('supplied by', np.maximum(power, 0.0)),
+            ('absorbed by', np.maximum(-power, 0.0)))}
+        most = max(map(abs, works.values()))
         yield 'Energy', [
-            ('', '[J]'), ('work of the drives', f'{trapezoid(power, run.time):z.6g}'),
-            ('supplied by the drives', f'{trapezoid(np.maximum(power, 0.0), run.time):z.6g}'),
-            ('absorbed by the drives',
-             f'{trapezoid(np.maximum(-power, 0.0), run.time):z.6g}')], []
-    yield 'Forces in the joints', [('', 'largest [N]', 'at'), *(
-        (what, f'{one.value:.6g}', at(one.drive)) for what, one in (
-            (what, design.extreme(force, values)) for what, force in forces(column).items()))], []
+            ('', '[J]'), *((what, f'{work if abs(work) > ROUNDING * most else 0.0:z.6g}')
+                           for what, work in works.items())], []
+    sizes = forces(column)
+    yield 'Forces in the joints', [
+        ('', 'largest [N]', 'at', 'load spectrum: ranges [N] x cycles'), *(
+            (what, f'{one.value:.6g}', at(one.drive), _spectrum(force))
+            for what, force in sizes.items() for one in [design.extreme(force, values)])], [
+        '<p class="note">Load spectrum: ranges of the magnitude over the drive by rainflow '
+        f'counting (ASTM E1049), the {RANGES} largest.</p>', _hodographs(run, column)]
     force, moment = design.shaking(run)
     size = np.linalg.norm(force, axis=1)
     rows = [('', 'largest', 'at', 'rms')]
@@ -175,34 +249,59 @@ def _loads(run, column, values, at):
         'and other forces.</p>']
 
 
-def _tolerances(scene, run, tolerance):
+def _spectrum(force):
+    """Return the largest ranges of a force with their numbers of cycles."""
+    if find_spec('rainflow') is None:
+        return 'needs rainflow: pip install rainflow'
+    return ', '.join(f'{size:.4g} x {count:g}' for size, _, count in load_spectrum(force)[:RANGES]
+                     if size > 1e-9 * force.max())
+
+
+def _tolerances(tolerances, scene, run):
     title = 'Sensitivity and tolerances'
-    keys = design.length_keys(scene)
+    keys = tuple(tolerances)
+    sizes = np.array([size for _, size in tolerances.values()])
     try:
         if any(name not in scene.mechanism.coordinates.names for name in run.driven):
             raise ValueError('points are driven')
         found = design.sensitivity(scene, run, keys)
     except ValueError as error:
         return title, [('', '')], [f'<p class="note">Not computed: {escape(str(error))}.</p>']
-    most = np.abs(found.derivatives).max(axis=0)
+    # Angles as a designer reads them.
+    turned = np.array([180.0 / math.pi if _shown(run, what)(1.0).endswith('deg') else 1.0
+                       for what in found.outputs])
+    units = ['deg' if scale > 1.0 else 'm' for scale in turned]
+    most = np.abs(found.derivatives).max(axis=0) * turned[:, np.newaxis]
     shown = [k for k in range(len(keys)) if most[:, k].max() > 0.0]
     # Of many lengths, several tables below one another: a page is only so wide.
     tables = [_table([
         ('', *(keys[k].removeprefix('parameters.').removeprefix('mechanism.') for k in some)),
         *((what, *(f'{row[k]:.3g}' for k in some)) for what, row in zip(found.outputs, most))])
         for some in (shown[first:first + WIDEST] for first in range(0, len(shown), WIDEST))]
+    used = {}
+    for key, (kind, size) in tolerances.items():
+        used.setdefault((kind, size), []).append(
+            key.removeprefix('parameters.').removeprefix('mechanism.'))
+    told = '; '.join(
+        f'{escape(", ".join(names) if scene.parameters else "places of joints")} ({kind}) '
+        f'{size:g} {design.TOLERANCES[kind][0]}' for (kind, size), names in used.items())
     return title, [('', '1 sigma', 'worst case'), *(
-        (what, f'{sigma:.3g}', f'{worst:.3g}') for what, sigma, worst in zip(
-            found.outputs, found.sigma(tolerance),
-            found.worst(tolerance)))], [
-        '<p class="note">Largest error over the drive [rad, m] where every length is off by '
-        f'{tolerance:g} m: all at their worst, and one standard deviation where that '
-        'is three of each. Below, the largest change over the drive with each length '
-        '[rad/m, m/m].</p>', *tables]
+        (what, f'{sigma:.3g} {unit}', f'{worst:.3g} {unit}') for what, sigma, worst, unit in zip(
+            found.outputs, found.sigma(sizes) * turned, found.worst(sizes) * turned, units))], [
+        f'<p class="note">Largest error over the drive with tolerances, plus or minus: {told}. '
+        'All at their worst, and one standard deviation where a tolerance is three. Below, the '
+        'largest change over the drive with each number [deg or m per its unit].</p>', *tables]
 
 
 def _rms(values, times):
     return math.sqrt(trapezoid(values ** 2, times) / (times[-1] - times[0]))
+
+
+def _shown(run, what):
+    """Return the function that writes a value of a joint or point, in degrees where it turns."""
+    if what.startswith('point.') or design.effort_unit(run, what) == 'N':
+        return lambda value: f'{value:.6g} m'
+    return lambda value: f'{math.degrees(value):.6g} deg'
 
 
 def _drive_shown(run):
@@ -213,6 +312,29 @@ def _drive_shown(run):
     return lambda value: f'{value:.6g} m'
 
 
+def _timing(run, column, outputs):
+    """Return a timing chart: each output between its ends over the drive."""
+    from ..visual import pictures
+    values, label = drive_axis(run)
+    lines = {}
+    for what in outputs:
+        each = column[what if what.startswith('point.') else f'position.{what}']
+        unit = _shown(run, what)(0.0).split()[1]
+        lines[f'{what} [{unit}]'] = np.degrees(each) if unit == 'deg' else each
+    return _image(pictures.timing_chart(
+        {what: (values, each) for what, each in lines.items() if np.ptp(each) > 0.0}, label,
+        f'{run.scene.name}: timing'), 'timing chart')
+
+
+def _hodographs(run, column):
+    """Return the curves of the forces in all joints, in the plane x over y."""
+    from ..visual import pictures
+    parts = {what: tuple(column[f'force.{what}.{axis}'] for axis in 'xyz'
+                         if f'force.{what}.{axis}' in column) for what in forces(column)}
+    return _image(pictures.hodographs(parts, f'{run.scene.name}: hodographs of the forces'),
+                  'hodographs')
+
+
 def _pictures(run, table):
     # Only here, as it takes long to load.
     from ..visual import pictures
@@ -220,6 +342,9 @@ def _pictures(run, table):
     title = run.scene.name
     shown = {quantity: {name: (values, each) for name, each in lines.items()}
              for quantity, lines in curves(run, table).items()}
+    angle = transmission_angle(run.mechanism, run.position, design.drive_values(run)[0])
+    if angle is not None:
+        shown['transmission angle [deg]'] = {'least of all': (values, np.degrees(angle))}
     return [_image(pictures.positions(from_rows(run.mechanism, *table), title), 'positions'),
             _image(pictures.over_drive(shown, label, f'{title}: over the drive'), 'curves')]
 
@@ -227,7 +352,8 @@ def _pictures(run, table):
 def _image(figure, name):
     file = BytesIO()
     figure.savefig(file, format='png')
-    return (f'<img alt="{name}" src="data:image/png;base64,'
+    width, height = figure.get_size_inches()
+    return (f'<img data-ratio="{height / width:.3f}" alt="{name}" src="data:image/png;base64,'
             f'{b64encode(file.getvalue()).decode("ascii")}">')
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from .run import headings, row
 from ..effects.prescribed_motion import PrescribedMotion
 from ..mechanism.fields import at, FieldError
+from ..mechanism.kinematics import named_paths
 from ..simulation.assemblies import find_assemblies
 from ..simulation.assembly import Assembler
 from ..simulation.driven import BranchEndError, DrivenKinematics
@@ -27,6 +28,11 @@ AXES = 'xyz'
 # Units of quantities, of angles and of lengths.
 QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
               'acceleration': ('rad/s^2', 'm/s^2')}
+# Displacement in a step of the differences by which points and masses accelerate [rad, m], and
+# the differences' weights.
+STEP = 1e-2
+FIRST, SECOND = (np.array(weights) / 12.0 for weights in (
+    (1.0, -8.0, 0.0, 8.0, -1.0), (-1.0, 16.0, -30.0, 16.0, -1.0)))
 # Units of values that are written with one.
 UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
@@ -103,12 +109,9 @@ class DrivenRun:
         if branch is not None:
             start = _assembly(mechanism, start, [each.start for each in drives.values()], branch)
         kinematics = DrivenKinematics(mechanism, start)
-        shares, rates = np.linspace(0.0, 1.0, count), np.array(
-            [(drive.end - drive.start) / duration for drive in drives.values()])
-        values = np.zeros((count, len(drives), 3))
-        values[..., 0] = [[(1.0 - share) * drive.start + share * drive.end
-                           for drive in drives.values()] for share in shares]
-        values[..., 1] = rates
+        shares = np.linspace(0.0, 1.0, count)
+        self.count, self._drives, self._duration = count, drives, duration
+        values = self._values(shares)
         try:
             kinematics.go_to(values[0, :, 0])
         except BranchEndError as error:
@@ -124,6 +127,34 @@ class DrivenRun:
                         velocity=tuple(self.velocity[0].tolist()), hold=())
         self.scene = replace(moved if self._by_joints else scene, initial=begun)
         self.mechanism = with_motions(self.scene)
+        self._kinematics = kinematics
+
+    def _values(self, shares):
+        """Return driven values, their rates and accelerations at shares of the way, (n, m, 3)."""
+        values = np.zeros((len(shares), len(self._drives), 3))
+        values[..., 0] = [[(1.0 - share) * drive.start + share * drive.end
+                           for drive in self._drives.values()] for share in shares]
+        values[..., 1] = [(drive.end - drive.start) / self._duration
+                          for drive in self._drives.values()]
+        return values
+
+    def drive_at(self, share):
+        """Return the value of the first drive that moves at a share of the way [rad or m]."""
+        drive = next(drive for drive in self._drives.values() if drive.end != drive.start)
+        return (1.0 - share) * drive.start + share * drive.end
+
+    def solve(self, share):
+        """
+        Return position, rates and accelerations at a share of the way, 0 to 1.
+
+        BranchEndError where the branch ends before it.
+        """
+        nearest = min(round(share * (self.count - 1)), len(self.position) - 1)
+        self._kinematics.start_at(self.position[nearest])
+        motion = self._kinematics.follow(self._values([share]))
+        if motion.end is not None:
+            raise BranchEndError(motion.end, 0)
+        return motion.position[0], motion.velocity[0], motion.acceleration[0]
 
     def table(self, show=None):
         """
@@ -147,7 +178,34 @@ class DrivenRun:
             rows.append(row(readings, float(time), True))
             if show is not None:
                 show(k)
-        return names, np.array(rows)
+        more, columns = self._point_rates()
+        return [*names, *more], np.hstack([np.array(rows), columns])
+
+    def _point_rates(self):
+        """Return names and columns of velocities and accelerations of the named points."""
+        names, columns = [], np.zeros((len(self.time), 0))
+        none = np.zeros((len(self.time), 0))
+        places, step = self.along(lambda position: np.concatenate(
+            [*named_paths(self.mechanism, position).values(), none], axis=1))
+        for what, weights in (('velocity', FIRST / step), ('acceleration', SECOND / step ** 2)):
+            names += [f'point_{what}.{point.name}.{axis}' for point in self.mechanism.points
+                      for axis in AXES[:len(point.position)]]
+            columns = np.hstack([columns, np.tensordot(weights, places, 1)])
+        return names, columns
+
+    def along(self, of):
+        """
+        Return a quantity of positions at five times about each pose, and what is between [s].
+
+        ``of`` takes positions, shape (n, nq); with ``FIRST`` and ``SECOND`` as weights these are
+        its derivatives, to the fourth order of a step that is short for the motion.
+        """
+        fastest = np.abs(self.velocity).max()
+        step = STEP / max(fastest, np.sqrt(np.abs(self.acceleration).max()), 1e-12)
+        coordinates = self.mechanism.coordinates
+        return np.array([of(coordinates.moved(
+            self.position, n * step * self.velocity + 0.5 * (n * step) ** 2 * self.acceleration))
+            for n in range(-2, 3)]), step
 
 
 def assemblies(scene, drives):
@@ -206,6 +264,10 @@ def curves(run, table):
         for unit, length in zip(units, (False, True)):
             shown = {name: column[f'{quantity}.{name}'] for k, name in enumerate(names)
                      if bool(coordinates.lengths[k]) is length and f'{quantity}.{name}' in column}
+            if shown and not length:
+                # As a designer reads them.
+                unit = unit.replace('rad', 'deg')
+                shown = {name: np.degrees(each) for name, each in shown.items()}
             if shown:
                 found[f'{quantity} [{unit}]'] = shown
     found['drive torque [N m], force [N]'] = torques(run, column)

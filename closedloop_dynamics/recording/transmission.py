@@ -9,7 +9,7 @@ import numpy as np
 
 from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import (
-    DISTANCE, GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+    DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.rotations import direction
 
 
@@ -37,8 +37,9 @@ def transmission_angle(mechanism, position, drive):
     A coupler between pins (balls or universal joints in space) leads from the driven link to one
     that turns or slides on the ground. The angle is a right one less that between the line
     through its pins and the way that its pin on that link can go: in a four-bar
-    linkage, the angle between coupler and output link. The least one where there are several
-    couplers; None where there is none.
+    linkage, the angle between coupler and output link. In the plane a slot pushes, too, across
+    its direction: a pin of one link in a slot of the other, or a block on a pin of the driven
+    link. The least angle where several push; None where nothing of the kind does.
 
     Parameters
     ----------
@@ -71,17 +72,21 @@ def transmission_parts(mechanism, position, drive):
     def place(body, point):
         return world_points(pose_of(mechanism, poses, body), point)
 
+    def heading(body, axis):
+        return place(body, axis) - place(body, np.zeros(len(axis)))
+
+    pushes = [(place(*end), place(*end) - place(*start), output)
+              for start, end, output in _couplers(mechanism, joints, driven, grounded)]
+    pushes += [(place(*tip), _across(heading(*slot)), output)
+               for slot, tip, output in _slots(mechanism, joints, driven, grounded)]
     found = []
-    for start, end, output in _couplers(mechanism, joints, driven, grounded):
-        tip, joint = place(*end), grounded[output]
-        way = None
+    for tip, line, output in pushes:
+        joint, way = grounded[output], None
         if joint.axis is not None:
-            body, axis = joint.axis
-            way = place(body, axis) - place(body, np.zeros(len(axis)))
+            way = heading(*joint.axis)
         if joint.type == REVOLUTE:
             arm = tip - place(GROUND, joint.end_in(GROUND))
             way = _across(arm) if mechanism.planar else np.cross(way, arm)
-        line = tip - place(*start)
         along = (line * way).sum(axis=-1)
         across = (line * _across(way)).sum(axis=-1) if mechanism.planar else np.linalg.norm(
             np.cross(line, way), axis=-1)
@@ -106,6 +111,33 @@ def _joints(mechanism):
         yield _Joint(cut.name, cut.type, (
             (cut.body_a, cut.point_a), (cut.body_b, cut.point_b)),
             None if axis is None else (cut.body_b, axis))
+
+
+def _slots(mechanism, joints, driven, grounded):
+    """
+    Return slots by which the driven link pushes an output link, in the plane: across the slot.
+
+    Yields the body that has the slot with the slot's direction, body and place of the pin or block
+    in it, and the name of the output link.
+    """
+    for joint in joints if mechanism.planar else ():
+        if joint.type == POINT_ON_LINE:
+            bodies = dict(joint.ends)
+            for output in set(bodies) & set(grounded) - {driven}:
+                if driven in bodies:
+                    yield joint.axis, joint.ends[0], output
+        elif joint.type == PRISMATIC and GROUND not in dict(joint.ends):
+            for block, place in _blocks(joint, joints, driven):
+                output = joint.other_than(block)
+                if output in grounded:
+                    yield joint.axis, (block, place), output
+
+
+def _blocks(slide, joints, driven):
+    """Return the bodies of a slide that a pin joins to the driven link, with its place in them."""
+    return [(joint.other_than(driven), joint.end_in(joint.other_than(driven)))
+            for joint in joints if joint.type == REVOLUTE and joint.end_in(driven) is not None
+            and slide.end_in(joint.other_than(driven)) is not None]
 
 
 def _couplers(mechanism, joints, driven, grounded):

@@ -261,6 +261,45 @@ def over_drive(curves, label, title, common=()):
     return figure
 
 
+def timing_chart(lines, label, title):
+    """Draw each line, a pair of abscissa and values, between its least and its largest value."""
+    figure, panels = _panels(len(lines), title)
+    for axes, (name, (abscissa, values)) in zip(panels.ravel(), lines.items()):
+        axes.fill_between(abscissa, values, values.min(), color=COLORS[0], alpha=0.15)
+        axes.plot(abscissa, values, color=COLORS[0], linewidth=1.3)
+        axes.set_ylabel(name, rotation=0, ha='right', va='center')
+        axes.set_yticks([values.min(), values.max()])
+        _plain(axes)
+    panels.ravel()[-1].set_xlabel(label)
+    return figure
+
+
+def hodographs(forces, title):
+    """
+    Draw the tips of forces over a motion, from the origin, one panel a force.
+
+    ``forces``: components, each shape (n,), by name; of three the first and the last are drawn.
+    """
+    columns = min(3, len(forces))
+    rows = -(-len(forces) // columns)
+    figure = matplotlib.figure.Figure(
+        figsize=(10.0, 0.8 + 3.2 * rows), layout='constrained', dpi=DOTS_PER_INCH)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    for axes in panels[len(forces):]:
+        axes.axis('off')
+    for axes, (name, parts) in zip(panels, forces.items()):
+        axes.plot(parts[0], parts[-1], color=COLORS[0], linewidth=1.2)
+        axes.plot(parts[0][0], parts[-1][0], 'o', color=COLORS[1], markersize=4.0)
+        axes.plot(0.0, 0.0, '+', color=COLORS[6])
+        axes.set_aspect('equal', 'datalim')
+        axes.set_title(name, fontsize='medium')
+        axes.set_xlabel('x [N]')
+        axes.set_ylabel(f'{"xyz"[len(parts) - 1]} [N]')
+        _plain(axes)
+    return figure
+
+
 def pareto_front(front, others, before, labels, title):
     """
     Draw the machines' values of two objectives, whose names are the labels.
