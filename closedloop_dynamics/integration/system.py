@@ -284,8 +284,12 @@ def with_partition(system, used):
         Whether independent coordinates are used.
 
     """
-    return System(native.with_independent(system, used), system.model, system.effects,
-                  system.joints)
+    other = System(native.with_independent(system, used), system.model, system.effects,
+                   system.joints)
+    # The same arrays, not only the same memory.
+    own = ('native', 'partition')
+    vars(other).update({name: each for name, each in vars(system).items() if name not in own})
+    return other
 
 
 def number_of_states(system):
