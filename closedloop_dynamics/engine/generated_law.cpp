@@ -29,6 +29,15 @@ std::mutex & lock()
   return one;
 }
 
+/// What a law has of its joints: coordinates, rates, commands, and its efforts.
+struct Joints
+{
+  double * position;
+  double * rate;
+  double * command;
+  double * effort;
+};
+
 /// Address of a number of an array. What a law has no use for is not read, and need not be there.
 Index address(const double * first, Index place = 0)
 {
@@ -61,43 +70,58 @@ void apply_generated(
   const bool summed = index[effect::SUMMED] == 1;
   const Index coordinates = summed ? 1 : index[effect::JOINTS];
   const double count = static_cast<double>(index[effect::ENTRIES] - (summed ? 1 : 0));
-  double position[MOST_COORDINATES], rate[MOST_COORDINATES], effort[MOST_COORDINATES], command[MOST_COORDINATES];
-  for (Index k = 0; k < coordinates; ++k) {
-    position[k] = summed ? along(table, row, q) : q[joints[k]];
-    rate[k] = summed ? along(table, row, qd) : qd[joints[k]];
-    command[k] = summed ? 0.0 : tau[joints[k]];
-    effort[k] = 0.0;
+  double position[MOST_COORDINATES], rate[MOST_COORDINATES], command[MOST_COORDINATES];
+  double effort[MOST_COORDINATES];
+  double nowhere[cut::MOTION_COLUMNS];
+  Joints found = {position, rate, command, effort};
+  if (summed) {
+    position[0] = along(table, row, q);
+    rate[0] = along(table, row, qd);
+    effort[0] = 0.0;
+  } else if (coordinates == 1) {
+    // The one joint where it is.
+    const Index joint = joints[0];
+    found = {q.data + joint, qd.data + joint, tau.data + joint, table.applied.data + joint};
+  } else {
+    for (Index k = 0; k < coordinates; ++k) {
+      position[k] = q[joints[k]];
+      rate[k] = qd[joints[k]];
+      command[k] = tau[joints[k]];
+      effort[k] = 0.0;
+    }
   }
   Index * places = table.calls.data;
   places[EVALUATION] = table.routine[row];
-  places[TAU] = address(effort);
-  places[COMMAND] = address(command);
+  places[TAU] = address(found.effort);
+  places[COMMAND] = address(found.command);
   places[VALUES] = address(table.values.row(row));
   places[ENTRIES] = address(table.numbers_of(row));
   places[law_routine::STATES] = address(table.states.data, state);
   places[RATES] = address(table.rates.data, state);
   places[law_routine::OUTPUT] = address(table.output.row(row));
   places[law_routine::COUNT] = address(&count);
-  if (table.role[row] == effect::MOTION) {
-    places[law_routine::RIGHT_SIDE] = address(right_side(table, row));
-  }
+  // A row that does not say that it is a motion has no equation.
+  places[law_routine::RIGHT_SIDE] =
+    address(table.role[row] == effect::MOTION ? right_side(table, row) : nowhere);
   places[SIDES] = address(&table.code.sides[row]);
   places[GAPS] = address(table.contacts.now.row(row));
   places[TRIALS] = address(table.contacts.trial.row(row));
-  places[PRESENT] = address(table.code.present.row(row));
-  for (Index which : {library::PIECE, library::NEAREST, library::FURTHEST}) {
-    places[which] = library_function(which);
+  if (index[effect::ENTRIES] > 0) {
+    places[PRESENT] = address(table.code.present.row(row));
+    for (Index which : {library::PIECE, library::NEAREST, library::FURTHEST}) {
+      places[which] = library_function(which);
+    }
   }
   for (Index k = 0; k < index[effect::BODIES]; ++k) {
     places[law_routine::LAW_COLUMNS + k] = address(body.data, bodies[k] * body.columns);
   }
-  call(table.calls, EVALUATION, {position, coordinates}, {rate, coordinates});
+  call(table.calls, EVALUATION, {found.position, coordinates}, {found.rate, coordinates});
   if (summed) {
     exert_along(table, row, effort[0]);
-    return;
-  }
-  for (Index k = 0; k < coordinates; ++k) {
-    table.applied[joints[k]] += effort[k];
+  } else if (coordinates > 1) {
+    for (Index k = 0; k < coordinates; ++k) {
+      table.applied[joints[k]] += effort[k];
+    }
   }
 }
 
