@@ -193,7 +193,7 @@ def test_pictures_show_no_other_machine_than_the_recorded_one(capsys, tmp_path):
         assert code == 2 and '--set: expected it with --scene' in errors
 
 
-GEARED = '''
+GEARED = """
 mechanism:
   name: geared
   bodies:
@@ -205,7 +205,7 @@ mechanism:
   couplings:
     gears: {joints: {leader: 1.5, follower: 1.0}, offset: 0.0}
 initial: {position: {leader: 0.0, follower: 0.0}, hold: [leader]}
-'''
+"""
 
 
 def driven_turn(scene, start=0.0, end=2.0 * math.pi, count=361, speed=1.0):

@@ -186,9 +186,10 @@ def _mechanism(scene, run, table, at):
 
 def _transmission(run, at):
     angles = transmission_extremes(run)
+    names = 'least', *['other extreme'] * len(angles)
     yield 'Transmission angle', [('', 'angle', 'at'), *(
         (what, f'{math.degrees(one.value):.4f} deg', at(one.drive))
-        for what, one in zip(('least', *['other extreme'] * len(angles)), angles))], [] if angles else [
+        for what, one in zip(names, angles))], [] if angles else [
         '<p class="note">None: no coupler between pins, and no slot, leads from the driven link '
         'to one that turns or slides on the ground.</p>']
     gains = advantages(run)
