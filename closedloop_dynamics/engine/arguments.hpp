@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -11,7 +12,7 @@
 #include <memory>
 #include <new>
 #include <stdexcept>
-#include <string_view>
+#include <thread>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -22,7 +23,7 @@
 #include "forces.hpp"
 #include "handles.hpp"
 #include "python_api.hpp"
-#include "stepper.hpp"
+#include "run.hpp"
 
 // Functions of C++ as functions of Python: arguments are converted by the types of the parameters.
 // Arrays are used in place (C-contiguous, of float64 or int64), named tuples of arrays become the
@@ -163,6 +164,7 @@ inline void read(PyObject * from, bool & to, Place)
 /// The last value of each enumeration that Python hands over.
 constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
 constexpr Index last_of(setting::Formulation) {return setting::AUGMENTED;}
+constexpr Index last_of(Status) {return static_cast<Index>(Status::DOUBTFUL);}
 constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
 
 template<class Type>
@@ -211,7 +213,7 @@ inline void read(PyObject * from, Manifold & to, Place place)
 template<class Object>
 inline constexpr const char * capsule_name = nullptr;
 template<>
-inline constexpr const char * capsule_name<Stepper> = "closedloop_dynamics.engine.Stepper";
+inline constexpr const char * capsule_name<Run> = "closedloop_dynamics.engine.Run";
 
 template<class Object>
 void * pointer_in(PyObject * from)
@@ -223,19 +225,9 @@ void * pointer_in(PyObject * from)
   return found;
 }
 
-inline void read(PyObject * from, Stepper * & to, Place)
+inline void read(PyObject * from, const Run * & to, Place)
 {
-  to = from == &_Py_NoneStruct ? nullptr : static_cast<Stepper *>(pointer_in<Stepper>(from));
-}
-
-inline void read(PyObject * from, std::string_view & to, Place)
-{
-  Py_ssize_t length = 0;
-  const char * found = PyUnicode_AsUTF8AndSize(from, &length);
-  if (found == nullptr) {
-    throw PythonError();
-  }
-  to = {found, static_cast<std::size_t>(length)};
+  to = static_cast<Run *>(pointer_in<Run>(from));
 }
 
 template<class Type>
@@ -310,11 +302,11 @@ struct Holder<Type, std::enable_if_t<(handle_name<Type> != nullptr)>>
 };
 
 template<>
-struct Holder<Stepper>
+struct Holder<Run>
 {
-  Stepper * value = nullptr;
-  void take(PyObject * from, Place) {value = static_cast<Stepper *>(pointer_in<Stepper>(from));}
-  Stepper & get() {return *value;}
+  Run * value = nullptr;
+  void take(PyObject * from, Place) {value = static_cast<Run *>(pointer_in<Run>(from));}
+  Run & get() {return *value;}
 };
 
 /// Refuse to compute with what another thread computes with, or mark it as computed with.
@@ -322,7 +314,8 @@ template<class Argument>
 void check_free(const Argument &, const char *) {}
 inline void check_free(const Holder<System> & system, const char * function)
 {
-  if (*system.value->busy) {
+  const std::thread::id worker = *system.value->worker;
+  if (worker != std::thread::id() && worker != std::this_thread::get_id()) {
     PyErr_Format(
       PyExc_RuntimeError, "%s: another thread computes with this simulation or model: give each "
       "thread its own, or let them wait for one another by a lock", function);
@@ -331,7 +324,10 @@ inline void check_free(const Holder<System> & system, const char * function)
 }
 template<class Argument>
 void mark(const Argument &, bool) {}
-inline void mark(const Holder<System> & system, bool works) {*system.value->busy = works;}
+inline void mark(const Holder<System> & system, bool works)
+{
+  *system.value->worker = works ? std::this_thread::get_id() : std::thread::id();
+}
 
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
@@ -341,18 +337,21 @@ auto to_python(Type value)->std::enable_if_t<std::is_enum_v<Type>, PyObject *>
 {
   return PyLong_FromLongLong(static_cast<Index>(value));
 }
-inline PyObject * to_python(Vector3 value)
+template<class ... Value>
+PyObject * to_tuple(const Value & ... value)
 {
-  Owned x(to_python(value.x)), y(to_python(value.y)), z(to_python(value.z));
-  return PyTuple_Pack(3, x.get(), y.get(), z.get());
+  const std::array<Owned, sizeof...(Value)> items{Owned(to_python(value)) ...};
+  return std::apply(
+    [](const auto & ... item) {
+      return PyTuple_Pack(sizeof...(item), item.get() ...);
+    }, items);
 }
+inline PyObject * to_python(Vector3 value) {return to_tuple(value.x, value.y, value.z);}
 template<class First, class Second>
 PyObject * to_python(const std::pair<First, Second> & value)
 {
-  Owned first(to_python(value.first)), second(to_python(value.second));
-  return PyTuple_Pack(2, first.get(), second.get());
+  return to_tuple(value.first, value.second);
 }
-
 /// Hand over an object.
 template<class Object>
 PyObject * to_python(std::unique_ptr<Object> && object)
@@ -367,18 +366,23 @@ PyObject * to_python(std::unique_ptr<Object> && object)
   return made;
 }
 
+inline void set_items(PyObject *) {}
+template<class Value, class ... Rest>
+void set_items(PyObject * to, const char * name, const Value & value, const Rest & ... rest)
+{
+  const Owned item(to_python(value));
+  if (PyDict_SetItemString(to, name, item.get()) < 0) {
+    throw PythonError();
+  }
+  set_items(to, rest ...);
+}
+
 /// A record of results becomes a dictionary by its names.
 template<class Record>
 auto to_python(const Record & record)->decltype(record.names(Ignore{}), static_cast<PyObject *>(nullptr))
 {
   Owned found(PyDict_New());
-  record.names(
-    [&](const char * name, auto value) {
-      Owned item(to_python(value));
-      if (PyDict_SetItemString(found.get(), name, item.get()) < 0) {
-        throw PythonError();
-      }
-    });
+  record.names([&](const auto & ... each) {set_items(found.get(), each ...);});
   return found.release();
 }
 
@@ -659,6 +663,34 @@ private:
     }
     decltype(arguments) & arguments_;
   };
+};
+
+/// A method of a run as a function of the run and the other arguments.
+template<auto Method>
+struct Of;
+
+/// One that works on a system, as a function of the system, the run and the others; refuses a run that
+/// is not of that system.
+template<auto Method>
+struct On;
+
+template<class Result, class ... Parameters, Result (Run::* Method)(Parameters...)>
+struct Of<Method>
+{
+  static Result call(Run & run, Parameters... parameters) {return (run.*Method)(parameters ...);}
+};
+
+template<
+  class Result, class ... Parameters, Result (Run::* Method)(const System &, Parameters...)>
+struct On<Method>
+{
+  static Result call(const System & system, Run & run, Parameters... parameters)
+  {
+    if (!run.fits(system)) {
+      throw std::invalid_argument("expected a run of this system");
+    }
+    return (run.*Method)(system, parameters ...);
+  }
 };
 
 /// A function as Python's tables and `bind` see it.

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <memory>
 #include <stdexcept>
 
 #include "interrupt.hpp"
@@ -41,30 +40,6 @@ bool batch_derivative(
   copy(batch.rates, out.part(first + n, batch.rates.size));
   power_of_turns(batch.manifold, batch.tau, state, batch.nv(), out, LANES);
   return good;
-}
-
-/// Make one step; return whether all evaluations were good.
-bool batch_step(
-  const Batch & batch, const Tableau & tableau, Values state, double step_size, Table slopes,
-  Values stage, Values out, LaneEvents & events)
-{
-  const Index stages = tableau.steps();
-  if (!batch_derivative(batch, events, state, stages > 0, slopes[0])) {
-    return false;
-  }
-  events.store_start();
-  if (stages == 0) {
-    semi_implicit_step(batch.manifold, state, batch.nv(), step_size, slopes[0], out, LANES);
-    return true;
-  }
-  for (Index k = 1; k < stages; ++k) {
-    combine(tableau.a.row(k), k, state, step_size, slopes, stage);
-    if (!batch_derivative(batch, events, stage, true, slopes[k])) {
-      return false;
-    }
-  }
-  combine(tableau.b.data, stages, state, step_size, slopes, out);
-  return true;
 }
 
 /// Largest closure error of every lane; guards have excluded NaN.
@@ -163,9 +138,10 @@ public:
   {
     status_.fill(static_cast<Index>(Status::DONE));
     for (const Lane & lane : lanes) {
-      runs_.push_back(std::make_unique<CopiedRun>(lane.run));
+      runs_.push_back(*lane.run);
+      states_.emplace_back(static_cast<std::size_t>(lane.system->ns()));
       load(state, runs_.size() - 1);
-      runs_.back()->begin(*lane.system);
+      runs_.back().begin_copy(*lane.system, view(states_.back()));
     }
   }
   /// Check all lanes after so many steps, and the work of their torques up to then.
@@ -183,9 +159,9 @@ public:
         continue;
       }
       load(state, lane);
-      if (!runs_[lane]->check_state(
-          system, done, work[lane], known ? &stored : nullptr, at_energy))
-      {
+      const Outcome found = runs_[lane].check_state(
+        system, view(states_[lane]), done, work[lane], known ? &stored : nullptr, at_energy);
+      if (found != Outcome::DONE && found != Outcome::INACCURATE) {
         status_[lane] = static_cast<Index>(Status::DOUBTFUL);
       }
     }
@@ -193,7 +169,7 @@ public:
   void report(Table found) const
   {
     for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
-      runs_[lane]->report(found[lane]);
+      runs_[lane].write_finding(found[lane]);
     }
   }
 
@@ -202,7 +178,7 @@ private:
   void load(Values state, std::size_t lane)
   {
     const double * from = state.data + lane;
-    for (double & each : runs_[lane]->state()) {
+    for (double & each : states_[lane]) {
       each = *from;
       from += LANES;
     }
@@ -211,7 +187,8 @@ private:
   const Batch & batch_;
   const std::vector<Lane> & lanes_;
   Indices status_;
-  std::vector<std::unique_ptr<CopiedRun>> runs_;
+  std::vector<Run> runs_;
+  std::vector<std::vector<double>> states_;
 };
 
 /// Whether the generated routines are there and work on these very arrays.
@@ -256,7 +233,7 @@ bool same(Indices one, Indices other)
 bool fits(const Batch & batch, const Lane & lane, const Lane & first)
 {
   return lane.system != nullptr && lane.system->nv() == batch.nv() &&
-         lane.system->nq() == batch.nq() && lane.run.stepper != nullptr && lane.run.stepper->fits(*lane.system) &&
+         lane.system->nq() == batch.nq() && lane.run != nullptr && lane.run->fits(*lane.system) &&
          LANES * lane.system->effects.states.size == batch.rates.size &&
          LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
          LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
@@ -267,10 +244,9 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          same(lane.system->effects.places, first.system->effects.places) &&
          (batch.table[routine::AT_REST] != 0 ||
          !lists(lane.system->effects, effect::FRICTION)) &&
-         lane.system->tau.size == batch.nv() && lane.run.stepper->fixed_tableau() != nullptr &&
-         lane.run.stepper->stabilisation() == first.run.stepper->stabilisation() &&
-         lane.run.numbers.size == guard::NUMBERS &&
-         lane.run.numbers[guard::STEP_SIZE] == first.run.numbers[guard::STEP_SIZE];
+         lane.system->tau.size == batch.nv() && lane.run->stepper().is_in_lanes() &&
+         lane.run->stepper().stabilisation() == first.run->stepper().stabilisation() &&
+         lane.run->watch().step_size == first.run->watch().step_size;
 }
 }  // namespace
 
@@ -285,11 +261,11 @@ Status run_batch(
   {
     throw std::invalid_argument("run_batch: lanes that do not fit together");
   }
-  const GuardedRun & like = lanes[0].run;
-  const Tableau & tableau = *like.stepper->fixed_tableau();
-  const Stabilisation stabilisation = like.stepper->stabilisation();
-  const Watch & watch = like.watch;
-  const double step_size = like.numbers[guard::STEP_SIZE];
+  const Run & like = *lanes[0].run;
+  const Tableau tableau = like.stepper().tableau();
+  const Stabilisation stabilisation = like.stepper().stabilisation();
+  const Watch & watch = like.watch();
+  const double step_size = watch.step_size;
   const Index n = batch.qdd.size, first = LANES * batch.nq();
   const Index ns = lanes[0].system->ns();
   const auto has_rows = [&](Cube<double> rows, Index columns) {
@@ -329,7 +305,16 @@ Status run_batch(
         [&](double error) {return error <= CLEARLY * watch.closure;});
     };
   const auto step_together = [&](Values from) {
-      if (!batch_step(batch, tableau, from, step_size, slopes, stage, out, events)) {
+      const bool good = closedloop::step(
+        tableau, batch.manifold, batch.nv(), from, step_size, slopes, stage, out,
+        [&](Index k, Values at, Values slope) {
+          const bool found = batch_derivative(batch, events, at, tableau.steps() > 0, slope);
+          if (k == 0 && found) {
+            events.store_start();
+          }
+          return found;
+        }, LANES);
+      if (!good) {
         return Status::SINGULAR;
       }
       normalise(batch.manifold, out, LANES);

@@ -6,7 +6,7 @@
 
 #include <vector>
 
-#include "guarded_run.hpp"
+#include "run.hpp"
 
 // Whole runs of several states at a time, side by side in vector lanes.
 
@@ -54,7 +54,7 @@ struct Batch
 struct Lane
 {
   const System * system = nullptr;
-  GuardedRun run;
+  const Run * run = nullptr;
 
   template<class Visitor>
   void fields(Visitor && visit) {visit(system, run);}

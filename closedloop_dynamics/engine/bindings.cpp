@@ -15,10 +15,9 @@
 #include "dispatch.hpp"
 #include "driven.hpp"
 #include "elimination.hpp"
-#include "energy_balance.hpp"
 #include "evaluation.hpp"
 #include "forward_dynamics.hpp"
-#include "guarded_run.hpp"
+#include "host_steps.hpp"
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
@@ -73,11 +72,6 @@ inline constexpr auto precondition<curve_distance> =
 
 namespace
 {
-void numbers_of_coordinates(const Manifold & manifold, Values q)
-{
-  fill_numbers(manifold, q);
-}
-
 std::pair<double, double> nearest_to_path(
   Values pieces, double start_x, double start_y, double end_x, double end_y)
 {
@@ -85,22 +79,12 @@ std::pair<double, double> nearest_to_path(
   return {found.distance, found.along};
 }
 
-std::pair<Status, double> advance_stepper(
-  const System & system, Stepper & stepper, Values state, double origin, Index done,
-  double step_size, Index steps)
+std::unique_ptr<Run> run(
+  const System & system, const GivenMethod & method, const MethodOptions & options,
+  const Watch & watch, Indices roles, Indices windings)
 {
-  const auto [status, elapsed] = stepper.advance(system, state, {origin, done, step_size, steps});
-  return {status, elapsed};
+  return std::make_unique<Run>(system, method.make(system, options), watch, roles, windings);
 }
-void go_on(Stepper & stepper) {stepper.go_on();}
-void restart(const System & system, Stepper & stepper, bool moved) {stepper.restart(system, moved);}
-void rewind(const System & system, Stepper & stepper) {stepper.rewind(system);}
-Index memory_length(Stepper & stepper) {return stepper.memory_length();}
-void store_memory(Stepper & stepper, Values out) {stepper.store_memory(out.data);}
-void recall_memory(Stepper & stepper, Values from) {stepper.recall_memory(from.data);}
-StepReport step_report(Stepper & stepper) {return stepper.report();}
-void clear_report(Stepper & stepper) {stepper.clear_report();}
-void aim(Stepper & stepper, double accuracy) {stepper.aim(accuracy);}
 
 /// Whether this thread is to stop, or a signal such as Ctrl-C has come; Python's error is set then in
 /// the main thread, which alone signals reach.
@@ -128,39 +112,47 @@ std::pair<double, double> follow(
 }  // namespace
 
 template<>
-inline constexpr auto precondition<advance_stepper> =
-  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
-
-template<>
-inline constexpr auto precondition<restart> =
-  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
-
-template<>
-inline constexpr auto precondition<rewind> =
-  [](const System & system, Stepper & stepper) {return expected::unless(stepper.fits(system));};
-
-template<>
-inline constexpr auto precondition<store_memory> =
-  [](Stepper & stepper, Values out) {
-    return expected::unless(out.size == stepper.memory_length());
+inline constexpr auto precondition<&On<&Run::write_whole>::call> =
+  [](const System & system, Run & run, Values, Values out) {
+    return expected::unless(out.size == run.whole_length(system));
   };
 
 template<>
-inline constexpr auto precondition<recall_memory> =
-  [](Stepper & stepper, Values from) {
-    return expected::unless(from.size == stepper.memory_length());
+inline constexpr auto precondition<&On<&Run::recall>::call> =
+  precondition<&On<&Run::write_whole>::call>;
+
+template<>
+inline constexpr auto precondition<&On<&Run::accuracy_in>::call> =
+  [](const System & system, Run & run, Values whole) {
+    return expected::unless(whole.size == run.whole_length(system));
+  };
+
+template<>
+inline constexpr auto precondition<&On<&Run::try_step>::call> =
+  [](const System &, Run &, Values, double size) {
+    return expected::unless(std::isfinite(size) && size > 0.0, expected::sizes);
+  };
+
+template<>
+inline constexpr auto precondition<&On<&Run::make>::call> =
+  [](const System &, Run &, Values, double size) {
+    return expected::unless(std::isfinite(size) && size > 0.0, expected::sizes);
+  };
+
+template<>
+inline constexpr auto precondition<&Of<&Run::choose_more_seldom>::call> =
+  [](Run &, Index most) {return expected::unless(most > 0, expected::sizes);};
+
+template<>
+inline constexpr auto precondition<&On<&Run::command>::call> =
+  [](const System & system, Run &, Values, Vector<const double> torque) {
+    return expected::unless(torque.size == system.tau.size);
   };
 
 template<>
 inline constexpr auto precondition<move_coordinates> =
   [](const Manifold & manifold, Values q, Values change) {
     return expected::unless(manifold.fits(q.size, change.size));
-  };
-
-template<>
-inline constexpr auto precondition<numbers_of_coordinates> =
-  [](const Manifold & manifold, Values q) {
-    return expected::unless(manifold.fits(q.size, manifold.empty() ? q.size : manifold.place.size));
   };
 
 namespace expected
@@ -383,33 +375,67 @@ const Entry entries[] = {
   entry<cut_direction>(
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
   entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
-  entry<make_stepper>("stepper", "stepper(system, name, options): a method with its memory"),
-  released<advance_stepper, Length::ANY, Length::STATE>(
-    "advance",
-    "advance(system, stepper, state, origin, done, step_size, steps): status, time advanced by"),
-  entry<go_on>("go_on", "go_on(stepper): the next advance continues where the latest failed"),
-  entry<restart>("restart", "restart(system, stepper, moved): torques or the state have changed"),
-  entry<rewind>("rewind", "rewind(system, stepper): begin as a new one would"),
-  entry<memory_length>("memory_length", "memory_length(stepper): of what outlasts a restart"),
-  entry<store_memory>("store_memory", "store_memory(stepper, out)"),
-  entry<recall_memory>("recall_memory", "recall_memory(stepper, memory)"),
-  entry<step_report>("step_report", "step_report(stepper): numbers of its steps by name"),
-  entry<clear_report>("clear_report", "clear_report(stepper): count from here on"),
-  entry<aim>("aim", "aim(stepper, accuracy): keep another accuracy"),
   entry<require_free>(
     "require_free", "require_free(system): refuses what another thread computes with"),
   entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
   entry<set_stop>(
     "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
   entry<heed>("heed", "heed(flag): from now on in this thread; returns the flag heeded before"),
-  released<advance_run>(
-    "advance_run", "advance_run(system, run, tau, steps): why it pauses, 0 where all are made"),
-  released<resume_run>("resume_run", "resume_run(system, run): as of advance_run"),
-  entry<check_energy>("check_energy", "check_energy(system, run): as of advance_run"),
-  entry<record_energy>("record_energy", "record_energy(system, run, out): the energy balance"),
-  entry<record_loss>("record_loss", "record_loss(numbers, lost, moved, rounding, time)"),
-  entry<add_held_work>("add_held_work", "add_held_work(system, account, state)"),
-  entry<fill_balance>("fill_balance", "fill_balance(system, account, state, out)"),
+  entry<run>(
+    "run", "run(system, method, options, watch, roles, windings): a run that is checked"),
+  entry<&On<&Run::set_watch>::call>("set_watch", "set_watch(system, run, watch, windings)"),
+  entry<&On<&Run::take_method>::call>(
+    "take_method", "take_method(system, run, other): and the limits of that run"),
+  entry<&On<&Run::restart>::call>(
+    "restart", "restart(system, run, moved): torques, effects or the state have changed"),
+  entry<&On<&Run::rewind>::call>("rewind", "rewind(system, run): the method, as a new one"),
+  entry<&Of<&Run::aim>::call>("aim", "aim(run, accuracy): keep another one"),
+  entry<&Of<&Run::steps>::call>("steps", "steps(run): what the method knows of them by name"),
+  released<&On<&Run::try_step>::call, Length::ANY, Length::STATE>(
+    "try_step", "try_step(system, run, state, size): its status; all else stays as it is"),
+  entry<&On<&Run::whole_length>::call>("whole_length", "whole_length(system, run): of a state"),
+  entry<&On<&Run::write_whole>::call, Length::ANY, Length::STATE>(
+    "write_whole", "write_whole(system, run, state, out): with the memory of the method"),
+  entry<&On<&Run::recall>::call, Length::ANY, Length::STATE>(
+    "recall", "recall(system, run, state, whole)"),
+  entry<&On<&Run::accuracy_in>::call>(
+    "accuracy_in", "accuracy_in(system, run, whole): of the default method"),
+  entry<&On<&Run::begin>::call, Length::ANY, Length::STATE>(
+    "begin", "begin(system, run, state): begin there"),
+  entry<&Of<&Run::time>::call>("time", "time(run): of its state [s]"),
+  entry<&Of<&Run::base>::call>("base", "base(run): a time [s], and the steps since then"),
+  entry<&Of<&Run::set_time>::call>("set_time", "set_time(run, base, steps): so many after that"),
+  entry<&Of<&Run::report>::call>("run_report", "run_report(run): what is known of it by name"),
+  entry<&Of<&Run::clear_cost>::call>("clear_cost", "clear_cost(run): count from here on"),
+  entry<&Of<&Run::sample>::call>("sample", "sample(run, wanted): errors of fixed steps"),
+  released<&On<&Run::advance>::call, Length::ANY, Length::STATE>(
+    "advance_run", "advance_run(system, run, state, tau, steps): its outcome, 0 where all are made"),
+  released<&On<&Run::make>::call, Length::ANY, Length::STATE>(
+    "make_steps", "make_steps(system, run, state, size, steps, call): as of advance_run"),
+  released<&On<&Run::resume>::call, Length::ANY, Length::STATE>(
+    "resume_run", "resume_run(system, run, state): as of advance_run"),
+  entry<&Of<&Run::give_up>::call>("give_up", "give_up(run): end at the state of a failed step"),
+  entry<&Of<&Run::choose_more_seldom>::call>(
+    "choose_more_seldom", "choose_more_seldom(run, most): equations"),
+  entry<&On<&Run::command>::call, Length::ANY, Length::STATE>(
+    "command", "command(system, run, state, tau): apply torques"),
+  entry<&On<&Run::add_work>::call, Length::ANY, Length::STATE>(
+    "add_work", "add_work(system, run, state): of the torques held up to there"),
+  entry<&On<&Run::find_start>::call>("find_start", "find_start(system, run): the energy there"),
+  entry<&On<&Run::balance>::call, Length::ANY, Length::STATE>(
+    "balance", "balance(system, run, state): of energy"),
+  entry<&On<&Run::record_energy>::call, Length::ANY, Length::STATE>(
+    "record_energy", "record_energy(system, run, state): the balance, compared without a finding"),
+  entry<&Of<&Run::record_loss>::call>(
+    "record_loss", "record_loss(run, lost, energy, rounding, time)"),
+  entry<&On<&Run::check_energy>::call, Length::ANY, Length::STATE>(
+    "check_energy", "check_energy(system, run, state): as of advance_run"),
+  entry<&Of<&Run::jump>::call>("jump", "jump(run): the state or an effect has been changed"),
+  entry<&On<&Run::jump_balance>::call, Length::ANY, Length::STATE>(
+    "jump_balance", "jump_balance(system, run, state, energy): changed from outside"),
+  entry<&Of<&Run::restart_guards>::call>("restart_guards", "restart_guards(run)"),
+  entry<&Of<&Run::write_kept>::call>(
+    "write_kept", "write_kept(run, of_cables, out): the latest state that was good"),
   released<run_samples, Length::ANY, Length::ROWS_OF_STATE>(
     "run_samples",
     "run_samples(system, run, start, torque, zero_order_hold, decimation, steps, states, status, "
@@ -441,7 +467,6 @@ const Entry entries[] = {
   entry<call_for_columns>(
     "call_for_columns",
     "call_for_columns(table, q, qd, columns, results): whether the results are good"),
-  entry<numbers_of_coordinates>("fill_numbers", "fill_numbers(manifold, q)"),
   entry<find_torques>(
     "find_torques",
     "find_torques(system, actuated, passive, loops, own, out, q, qd, qdd): whether it was done"),

@@ -128,7 +128,7 @@ Data Data::copy(const EffectTable & given, std::shared_ptr<void> owner) const
   made.owner_of_effects = std::move(owner);
   made.derivatives = {};
   made.owner_of_derivatives = nullptr;
-  made.busy = std::make_shared<bool>(false);
+  made.worker = std::make_shared<std::thread::id>();
   made.connect();
   return made;
 }
@@ -154,6 +154,34 @@ void Data::take(const Data & from)
   }
   std::copy(addresses.begin(), addresses.end(), table.begin() + routine::BODY);
   *settings = *from.settings;
+}
+
+Snapshot::Snapshot(const Data & data)
+{
+  Data same(data);
+  Numbers numbers;
+  same.arrays(numbers);
+  same.effects.fields(numbers);
+  places_ = std::move(numbers.found);
+  std::size_t size = 0;
+  for (Values place : places_) {
+    size += static_cast<std::size_t>(place.size);
+  }
+  kept_.resize(size);
+  double * next = kept_.data();
+  for (Values place : places_) {
+    std::memcpy(next, place.data, static_cast<std::size_t>(place.size) * sizeof(double));
+    next += place.size;
+  }
+}
+
+void Snapshot::restore() const
+{
+  const double * next = kept_.data();
+  for (Values place : places_) {
+    std::memcpy(place.data, next, static_cast<std::size_t>(place.size) * sizeof(double));
+    next += place.size;
+  }
 }
 
 void Data::use_derivatives(const AccelerationDerivatives & given, std::shared_ptr<void> owner)

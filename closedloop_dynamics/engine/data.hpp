@@ -5,6 +5,8 @@
 #define CLOSEDLOOP_DYNAMICS__ENGINE__DATA_HPP_
 
 #include <memory>
+#include <thread>
+#include <vector>
 
 #include "effect_table.hpp"
 #include "workspace.hpp"
@@ -142,8 +144,8 @@ struct Data
   std::shared_ptr<void> owner_of_derivatives;
   /// Returns whether a long computation is to stop; nullptr: never. Set by the host.
   bool (* interrupted)() = nullptr;
-  /// Whether a thread of the host computes with this memory.
-  std::shared_ptr<bool> busy = std::make_shared<bool>(false);
+  /// The thread of the host that computes with this memory, if any.
+  std::shared_ptr<std::thread::id> worker = std::make_shared<std::thread::id>();
 
   /// Throws std::invalid_argument. `all`: with the equations, too, that `model` leaves out; `code`:
   /// addresses of routines, by place in the function table; of no length where there are none.
@@ -186,6 +188,19 @@ private:
   /// Give the function table routines, and the addresses of the arrays that they work on.
   void link(Indices code);
   void connect();
+};
+
+/// Everything that computations with data write, to be put back.
+class Snapshot
+{
+public:
+  explicit Snapshot(const Data &);
+  void restore() const;
+
+private:
+  /// Whole numbers are kept by their bits, too.
+  std::vector<Values> places_;
+  std::vector<double> kept_;
 };
 
 /// As kernels call them.

@@ -3,12 +3,11 @@
 
 #include "energy_balance.hpp"
 
-#include <stdexcept>
-
 #include "arms.hpp"
 #include "evaluation.hpp"
 #include "manifold.hpp"
 #include "recursion.hpp"
+#include "scratch.hpp"
 
 namespace closedloop
 {
@@ -30,38 +29,47 @@ bool is_driven(const EffectTable & effects, Index freedom)
   return false;
 }
 
-/// Add the work up to a state; with cut joints that anything acts in, an evaluated one.
-void add_work_up_to(const System & system, const EnergyAccount & account, Values state)
+/// Call with each freedom and its coordinate in a state; that of a cut joint as it was measured.
+template<class Visit>
+void visit_coordinates(const System & system, Values state, Visit && visit)
 {
   Values tree = system.q(state);
   if (!system.manifold.empty()) {
     fill_numbers(system.manifold, tree);
     tree = system.manifold.number;
   }
-  double work = 0.0;
-  for (Index i = 0; i < account.since.size; ++i) {
-    const double now = i < tree.size ? tree[i] : system.effects.cuts.q[i];
-    if (!is_driven(system.effects, i)) {
-      work += system.tau[i] * (now - account.since[i]);
-    }
-    account.since[i] = now;
+  for (Index i = 0; i < system.tau.size; ++i) {
+    visit(i, i < tree.size ? tree[i] : system.effects.cuts.q[i]);
   }
-  account.numbers[account::HELD_WORK] += work;
 }
 
-void require_fitting(const System & system, const EnergyAccount & account, Values state)
+/// Add the work up to a state; with cut joints that anything acts in, an evaluated one.
+void add_work_up_to(const System & system, EnergyAccount & account, Values state)
 {
-  if (state.size != system.ns() || account.roles.size != system.effects.states.size ||
-    account.since.size != system.tau.size || account.numbers.size != account::COLUMNS)
-  {
-    throw std::invalid_argument("an energy account: arrays that do not fit the system");
-  }
+  double work = 0.0;
+  const Values since = view(account.since);
+  visit_coordinates(
+    system, state, [&](Index i, double now) {
+      if (!is_driven(system.effects, i)) {
+        work += system.tau[i] * (now - since[i]);
+      }
+      since[i] = now;
+    });
+  account.held_work += work;
 }
 }  // namespace
 
-void add_held_work(const System & system, const EnergyAccount & account, Values state)
+void mark_coordinates(const System & system, EnergyAccount & account, Values state)
 {
-  require_fitting(system, account, state);
+  if (system.has_cut_coordinates()) {
+    measure(system, state);
+  }
+  const Values since = view(account.since);
+  visit_coordinates(system, state, [&](Index i, double now) {since[i] = now;});
+}
+
+void add_held_work(const System & system, EnergyAccount & account, Values state)
+{
   if (system.has_cut_coordinates()) {
     measure(system, state);
   }
@@ -76,23 +84,24 @@ Energies balance_of(
   present.kinetic = kinetic;
   present.stored = stored;
   double done = 0.0;
-  for (Index place = 0; place < account.roles.size; ++place) {
-    const double value = state[system.own() + place];
-    present.dissipated += account.roles[place] == DISSIPATED ? value : 0.0;
-    done += account.roles[place] == WORK ? value : 0.0;
+  Index place = system.own();
+  for (Index role : account.roles) {
+    const double value = state[place++];
+    present.dissipated += role == DISSIPATED ? value : 0.0;
+    done += role == WORK ? value : 0.0;
   }
   // Of torques on rotations, which the state has behind all others.
   const double turned = system.manifold.empty() ? 0.0 : state[state.size - 1];
-  present.work = account.numbers[account::HELD_WORK] + done + turned;
+  present.work = account.held_work + done + turned;
   present.residual = present.kinetic + present.stored + present.dissipated - present.work -
-    account.numbers[account::REFERENCE];
+    account.reference;
   return present;
 }
 
 namespace
 {
 /// Draw the balance of a state that was measured.
-Energies draw(const System & system, const EnergyAccount & account, Values state)
+Energies draw(const System & system, EnergyAccount & account, Values state)
 {
   add_work_up_to(system, account, state);
   double found[2];
@@ -110,30 +119,16 @@ Energies draw(const System & system, const EnergyAccount & account, Values state
 }
 }  // namespace
 
-Energies draw_balance(const System & system, const EnergyAccount & account, Values state)
+Energies draw_balance(const System & system, EnergyAccount & account, Values state)
 {
   measure(system, state);
   return draw(system, account, state);
 }
 
-void fill_balance(
-  const System & system, const EnergyAccount & account, Values state, Values out)
+Energies draw_evaluated_balance(const System & system, EnergyAccount & account, Values state)
 {
-  require_fitting(system, account, state);
-  if (out.size != 5) {
-    throw std::invalid_argument("fill_balance: expected room for 5 numbers");
-  }
   evaluate_with_poses(system, state);
-  write(draw(system, account, state), out);
-}
-
-void write(const Energies & from, Values out)
-{
-  out[0] = from.kinetic;
-  out[1] = from.stored;
-  out[2] = from.dissipated;
-  out[3] = from.work;
-  out[4] = from.residual;
+  return draw(system, account, state);
 }
 
 }  // namespace closedloop

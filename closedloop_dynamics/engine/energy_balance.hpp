@@ -5,6 +5,8 @@
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ENERGY_BALANCE_HPP_
 
 #include <cmath>
+#include <limits>
+#include <vector>
 
 #include "data.hpp"
 
@@ -13,24 +15,18 @@
 namespace closedloop
 {
 
-/// EnergyAccount.numbers: work of torques that were held, up to EnergyAccount.since, energy at the
-/// start, NaN if unknown, and its two parts [J].
-namespace account
-{
-enum : Index {HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS};
-}
-
-/// Data of a run for its energy balance (effects/energy_balance.py).
+/// Data of a run for its energy balance.
 struct EnergyAccount
 {
   /// Shape (nz,): roles of the effects' states (effects/table.py).
-  Indices roles;
+  std::vector<Index> roles;
   /// Shape (nv + nk,): coordinate of each freedom when work was added last.
-  Values since;
-  Values numbers;
+  std::vector<double> since;
+  double held_work = 0.0;  ///< Of torques that were held, up to there [J]
+  /// Energy at the start, NaN if unknown [J].
+  double reference = std::numeric_limits<double>::quiet_NaN();
 
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(roles, since, numbers);}
+  bool knows_start() const {return !std::isnan(reference);}
 };
 
 /// An energy balance [J].
@@ -49,24 +45,33 @@ struct Energies
     return std::abs(stored - other.stored) + std::abs(dissipated - other.dissipated) +
            std::abs(work - other.work);
   }
+
+  template<class Visitor>
+  void names(Visitor && visit) const
+  {
+    visit(
+      "kinetic", kinetic, "stored", stored, "dissipated", dissipated, "work", work, "residual",
+      residual);
+  }
 };
+
+/// Forget the coordinates before a state, shape (ns,).
+void mark_coordinates(const System &, EnergyAccount &, Values state);
 
 /// Add the work of the torques held up to a state, shape (ns,). Of a torque that passes unchanged
 /// it is tau . (q - q at the hold's start), exactly; drives integrate theirs, and so do torques on
 /// spherical joints, whose work is no function of coordinates.
-void add_held_work(const System &, const EnergyAccount &, Values state);
+void add_held_work(const System &, EnergyAccount &, Values state);
 
 /// The balance of a state whose energies are known [J], with the work that was added last.
 Energies balance_of(
   const System &, const EnergyAccount &, Values state, double kinetic, double stored);
 
 /// Measure a state, add the work up to it, and draw the balance.
-Energies draw_balance(const System &, const EnergyAccount &, Values state);
+Energies draw_balance(const System &, EnergyAccount &, Values state);
 
-/// The same as numbers, shape (5,), in the order of Energies, of a state that is evaluated.
-void fill_balance(const System &, const EnergyAccount &, Values state, Values out);
-
-void write(const Energies &, Values out);
+/// The same of a state that is evaluated.
+Energies draw_evaluated_balance(const System &, EnergyAccount &, Values state);
 
 }  // namespace closedloop
 

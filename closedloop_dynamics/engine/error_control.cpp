@@ -291,11 +291,11 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
 }
 
 ErrorControlledSteps::ErrorControlledSteps(const System & system, const MethodOptions & options)
-: StepperOf(system, options.stabilisation), tableau_(keep(options.tableau)),
+: StepperOf(system, options.stabilisation), tableau_(options.tableau),
   tolerance_(options.tolerance), scale_(2, system.ns()),
-  scratch_(tableau_->a.rows + scratch::FIRST_SLOPE, system.ns())
+  scratch_(options.tableau.a.rows + scratch::FIRST_SLOPE, system.ns())
 {
-  if (tableau_->steps() == 0) {
+  if (options.tableau.steps() == 0) {
     throw std::invalid_argument("error control: a tableau without steps");
   }
   fill_scale(system, tolerance_, scale_.view());
@@ -304,20 +304,14 @@ ErrorControlledSteps::ErrorControlledSteps(const System & system, const MethodOp
 Advance ErrorControlledSteps::advance(const System & system, Values state, const Grid & grid)
 {
   StepControl & control = control_;
-  const ExplicitStep run{*tableau_, stabilisation(), control, scale_.view(), scratch_.view()};
+  const ExplicitStep run{tableau_.view(), stabilisation(), control, scale_.view(), scratch_.view()};
   Interrupt interrupt(system.interrupted, system.nv());
   if (control.step_size == 0.0) {
     run.begin(grid.start(), state);
   }
   const double target = grid.target();
-  WorkLimit limit(grid, system.work.health, control.work, MOST_EVALUATIONS);
-  Status status = Status::DONE;
-  while (is_before(control.reached, target) && status == Status::DONE) {
-    status = run.make(system, interrupt);
-    if (status == Status::DONE && limit.exceeded(control.reached, control.work)) {
-      status = Status::TOO_MUCH_WORK;
-    }
-  }
+  Status status = make_steps_to(
+    grid, system.work.health, control, [&] {return run.make(system, interrupt);});
   if (status != Status::DONE) {
     copy(scratch_[scratch::AFTER], state);
     control.step_size = 0.0;

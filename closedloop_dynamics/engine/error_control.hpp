@@ -118,6 +118,22 @@ private:
   Index next_ = 1;
 };
 
+/// Make accepted steps up to the end of a grid, or past it, until one fails or they take too much work.
+template<class Make>
+Status make_steps_to(
+  const Grid & grid, const Values & health, const StepControl & control, Make && make)
+{
+  WorkLimit limit(grid, health, control.work, MOST_EVALUATIONS);
+  Status status = Status::DONE;
+  while (status == Status::DONE && is_before(control.reached, grid.target())) {
+    status = make();
+    if (status == Status::DONE && limit.exceeded(control.reached, control.work)) {
+      status = Status::TOO_MUCH_WORK;
+    }
+  }
+  return status;
+}
+
 /// Tolerances of the components of a state, shape (2, ns): absolute and relative. Of coordinates they
 /// are absolute, of others both.
 void fill_scale(const System &, double tolerance, Table scale);
@@ -127,7 +143,7 @@ void follow_effects(const System &, double tolerance, Table scale);
 /// One step of an embedded pair, with dense output, on the memory of a run.
 struct ExplicitStep
 {
-  const Tableau & tableau;
+  Tableau tableau;
   Stabilisation stabilisation;
   StepControl & control;
   Table scale;  ///< Shape (2, ns)
@@ -151,13 +167,13 @@ public:
   void restart(const System &, bool moved) override;
   void rewind(const System &) override;
   Index memory_length() const override {return sizeof(StepControl) / sizeof(double);}
-  void store_memory(double * to) const override {store(control_, to);}
-  void recall_memory(const double * from) override {recall(from, control_);}
+  void store_memory(Values to) const override {store(control_, to.data);}
+  void recall_memory(Values from) override {recall(from.data, control_);}
   StepReport report() const override;
   void clear_report() override {control_.clear_counts();}
 
 private:
-  std::shared_ptr<const Tableau> tableau_;
+  OwnedTableau tableau_;
   double tolerance_;
   StepControl control_;
   OwnedTable scale_, scratch_;

@@ -62,8 +62,8 @@ void Parts::accept(const System & system, Values state, Values out)
 }
 
 FixedSteps::FixedSteps(const System & system, const MethodOptions & options)
-: StepsOfOneSize(system, options.stabilisation), tableau_(keep(options.tableau)),
-  scratch_(std::max<Index>(tableau_->a.rows, 1) + 3, system.ns()) {}
+: StepsOfOneSize(system, options.stabilisation), tableau_(options.tableau),
+  scratch_(std::max<Index>(options.tableau.a.rows, 1) + 3, system.ns()) {}
 
 std::pair<Status, Index> FixedSteps::make(
   const System & system, Values state, double step_size, Index steps)
@@ -71,15 +71,11 @@ std::pair<Status, Index> FixedSteps::make(
   const Table scratch = scratch_.view();
   const Values stage = scratch[0], out = scratch[1], start = scratch[2];
   const Table slopes = scratch.from(3);
-  const Tableau & tableau = *tableau_;
+  const Tableau tableau = tableau_.view();
   return make_steps_in_parts(
     system, stabilisation(), state, step_size, steps, {slopes[0], out, start, stage},
     1 + tableau.steps(), [&](double size, Interrupt &) {
-      if (tableau.steps() == 0) {
-        semi_implicit_step(system.manifold, state, system.nv(), size, slopes[0], out);
-      } else {
-        step(system, tableau, state, size, slopes, stage, out);
-      }
+      step(system, tableau, state, size, slopes, stage, out);
       return true;
     });
 }

@@ -136,13 +136,14 @@ class FixedSteps : public StepsOfOneSize<FixedSteps>
 public:
   FixedSteps(const System &, const MethodOptions &);
   void rewind(const System &) override {}
-  const Tableau * fixed_tableau() const override {return tableau_.get();}
+  bool is_in_lanes() const override {return true;}
+  Tableau tableau() const override {return tableau_.view();}
 
   std::pair<Status, Index> make(
     const System &, Values state, double step_size, Index steps);
 
 private:
-  std::shared_ptr<const Tableau> tableau_;
+  OwnedTableau tableau_;
   OwnedTable scratch_;
 };
 

@@ -24,6 +24,9 @@ LaneEvents::LaneEvents(const Batch & batch, const std::vector<Lane> & lanes)
   parked_.resize(static_cast<std::size_t>(LANES * lanes[0].system->ns()));
   start_.resize(static_cast<std::size_t>(batch.gaps.size));
   own_.resize(static_cast<std::size_t>(lanes[0].system->ns()));
+  for (const Lane & lane : lanes) {
+    steppers_.push_back(lane.run->stepper().clone());
+  }
 }
 
 Index LaneEvents::resting(Values state, std::size_t lane) const
@@ -182,7 +185,7 @@ Status LaneEvents::make(Values state, Values out, double size)
       system.tau[i] = batch_.tau[LANES * i + static_cast<Index>(lane)];
     }
     const Status status =
-      lanes_[lane].run.stepper->advance(system, own, {0.0, 0, size, 1}).status;
+      steppers_[lane]->advance(system, own, {0.0, 0, size, 1}).status;
     // Guards compute the work of torques themselves.
     system.tau.fill(0.0);
     if (status != Status::DONE) {

@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LANE_EVENTS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LANE_EVENTS_HPP_
 
+#include <memory>
 #include <vector>
 
 #include "batch.hpp"
@@ -58,6 +59,7 @@ private:
   std::vector<double> parked_;
   std::vector<double> start_;
   std::vector<double> own_;
+  std::vector<std::unique_ptr<Stepper>> steppers_;
 };
 
 }  // namespace closedloop

@@ -39,6 +39,7 @@ namespace closedloop
 namespace expected
 {
 constexpr const char * lengths = "arrays that do not fit together";
+constexpr const char * sizes = "expected finite times, and positive sizes";
 constexpr const char * places = "places beyond the end";
 
 inline const char * unless(bool good, const char * otherwise = lengths)

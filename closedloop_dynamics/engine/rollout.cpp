@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <stdexcept>
 #include <vector>
 
@@ -58,60 +57,40 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
   place_points(work.body, buffer.body, buffer.point, buffer.place[instant]);
 }
 
-/// Arrays that every run finds as they are at first.
-class Beginning
-{
-public:
-  explicit Beginning(const System & system)
-  {
-    keep(system.tau);
-    keep(system.work.health);
-    keep(system.partition.order);
-    keep(system.partition.record);
-    keep(system.whole.numbers);
-  }
-  void restore() const
-  {
-    for (const auto & each : kept_) {
-      each();
-    }
-  }
-
-private:
-  template<class Number>
-  void keep(Vector<Number> place)
-  {
-    kept_.push_back(
-      [place, values = std::vector<Number>(place.begin(), place.end())] {
-        std::copy(values.begin(), values.end(), place.begin());
-      });
-  }
-
-  std::vector<std::function<void()>> kept_;
-};
-
-/// Make a run; DOUBTFUL where a guard may end it.
+/// Make a run; DOUBTFUL where a guard may end it, or the host has to act.
 Status make(
-  const System & system, CopiedRun & run, Values start, Table torque, Index zero_order_hold,
+  const System & system, Run & run, Values start, Table torque, Index zero_order_hold,
   Index decimation, Index steps, Table states)
 {
-  copy(start, run.state());
-  run.begin(system);
+  const auto status_of = [&](Outcome outcome) {
+      return outcome == Outcome::DONE ? Status::DONE : outcome == Outcome::FAILED ?
+             run.status() : Status::DOUBTFUL;
+    };
+  std::vector<double> own(start.begin(), start.end());
+  const Values state = view(own);
+  run.begin_copy(system, state);
   copy(start, states[0]);
   for (Index done = 0; done < steps; ) {
-    run.command(system, torque[done / zero_order_hold]);
+    const Values row = torque[done / zero_order_hold];
+    if (!std::equal(row.begin(), row.end(), system.tau.begin())) {
+      run.command(system, state, {row.data, row.size});
+    }
     const Index at_once = std::min(
       {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
-    const Status status = run.advance(system, at_once);
-    if (status != Status::DONE) {
-      return status;
+    Outcome found = run.make(system, state, run.watch().step_size, at_once, at_once);
+    while (found == Outcome::INACCURATE) {
+      found = run.resume(system, state);
+    }
+    if (found != Outcome::DONE) {
+      return status_of(found);
     }
     done += at_once;
     if (done % decimation == 0) {
-      copy(run.state(), states[done / decimation]);
+      copy(state, states[done / decimation]);
     }
   }
-  return run.keeps_energy(system) ? Status::DONE : Status::DOUBTFUL;
+  const Outcome found = run.check_energy(system, state);
+  return found == Outcome::INACCURATE ? Status::DONE : status_of(found);
 }
 
 /// Whether the loops and their rates are closed, far from singular positions.
@@ -133,15 +112,15 @@ bool is_closed(const System & system, double tolerance, Values state)
 }  // namespace
 
 void check_starts(
-  const System & system, const GuardedRun & like, double tolerance, Table states, Indices fine)
+  const System & system, const Run & like, double tolerance, Table states, Indices fine)
 {
   if (states.columns != system.ns() || fine.size != states.rows ||
-    system.has_cut_coordinates() || !system.whole.empty() || like.stepper == nullptr ||
-    !like.stepper->fits(system) || like.numbers.size != guard::NUMBERS)
+    system.has_cut_coordinates() || !system.whole.empty() || !like.fits(system))
   {
     throw std::invalid_argument("check_starts: arrays that do not fit together");
   }
-  const Beginning beginning(system);
+  const Snapshot snapshot(system);
+  Run run(like);
   Interrupt interrupt(system.interrupted, system.nv());
   std::vector<double> values(static_cast<std::size_t>(system.ns()));
   const Values trial{values.data(), system.ns()};
@@ -150,12 +129,9 @@ void check_starts(
     bool is_fine = all_finite(state) && is_closed(system, tolerance, state);
     if (is_fine) {
       copy(state, trial);
-      const std::unique_ptr<Stepper> stepper = like.stepper->clone();
-      stepper->restart(system, true);
-      const Status ended = stepper->advance(
-        system, trial, {0.0, 0, like.numbers[guard::STEP_SIZE], 1}).status;
+      const Status ended = run.try_step(system, trial, run.watch().step_size);
       if (ended == Status::INTERRUPTED) {
-        beginning.restore();
+        snapshot.restore();
         return;
       }
       is_fine = ended == Status::DONE;
@@ -166,12 +142,12 @@ void check_starts(
         state.part(system.own(), system.effects.states.size));
     }
     fine[sample] = is_fine ? 1 : 0;
-    beginning.restore();
+    snapshot.restore();
   }
 }
 
 void run_samples(
-  const System & system, const GuardedRun & like, Table start, Cube<double> torque,
+  const System & system, const Run & like, Table start, Cube<double> torque,
   Index zero_order_hold, Index decimation, Index steps, Cube<double> states, Indices status,
   Table found)
 {
@@ -181,19 +157,19 @@ void run_samples(
     torque.rows < 1 || (steps > 0 && torque.rows <= (steps - 1) / zero_order_hold) ||
     states.rows != steps / decimation + 1 || states.columns != system.ns() ||
     status.size != count || found.rows != count || found.columns != finding::COLUMNS ||
-    like.stepper == nullptr)
+    !like.fits(system))
   {
     throw std::invalid_argument("run_samples: arrays that do not fit together");
   }
-  const Beginning beginning(system);
+  const Snapshot snapshot(system);
   status.fill(static_cast<Index>(Status::INTERRUPTED));
   for (Index sample = 0; sample < count; ++sample) {
-    CopiedRun run(like);
+    Run run(like);
     const Status ended = make(
       system, run, start[start.rows > 1 ? sample : 0], torque[torque.pages > 1 ? sample : 0],
       zero_order_hold, decimation, steps, states[sample]);
-    run.report(found[sample]);
-    beginning.restore();
+    run.write_finding(found[sample]);
+    snapshot.restore();
     status[sample] = static_cast<Index>(ended);
     if (ended == Status::INTERRUPTED) {
       return;

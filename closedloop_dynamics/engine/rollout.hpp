@@ -4,7 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ROLLOUT_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ROLLOUT_HPP_
 
-#include "guarded_run.hpp"
+#include "run.hpp"
 
 // Whole runs under sequences of torques, recorded at even intervals.
 
@@ -38,7 +38,7 @@ struct RunBuffer
 /// their energy to `found`, shape (n, finding::COLUMNS). DOUBTFUL: a guard ends the run, or the
 /// host has to act. The system and the run are left as they were.
 void run_samples(
-  const System &, const GuardedRun &, Table start, Cube<double> torque, Index zero_order_hold,
+  const System &, const Run &, Table start, Cube<double> torque, Index zero_order_hold,
   Index decimation, Index steps, Cube<double> states, Indices status, Table found);
 
 /// Whether states, shape (n, ns), are to start from as they are: loops and their rates closed to
@@ -46,7 +46,7 @@ void run_samples(
 /// shape (n,), is 1 then, 0 where only an assembly can decide. Friction follows the rates, in place.
 /// The system and the run are left as they were.
 void check_starts(
-  const System &, const GuardedRun &, double tolerance, Table states, Indices fine);
+  const System &, const Run &, double tolerance, Table states, Indices fine);
 
 /// Compute the remaining quantities of a buffer from its states.
 void annotate(

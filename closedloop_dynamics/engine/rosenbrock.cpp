@@ -236,14 +236,8 @@ Advance StiffSteps::advance(const System & system, Values state, const Grid & gr
   const StiffStep run{stabilisation(), control, scale_.view(), memory_.view()};
   Interrupt interrupt(system.interrupted, system.nv());
   const double target = grid.target();
-  WorkLimit limit(grid, system.work.health, control.work, MOST_EVALUATIONS);
-  Status status = Status::DONE;
-  while (status == Status::DONE && is_before(control.reached, target)) {
-    status = run.make(system, state, target, interrupt);
-    if (status == Status::DONE && limit.exceeded(control.reached, control.work)) {
-      status = Status::TOO_MUCH_WORK;
-    }
-  }
+  const Status status = make_steps_to(
+    grid, system.work.health, control, [&] {return run.make(system, state, target, interrupt);});
   return {status, status == Status::DONE ? static_cast<double>(grid.steps) * grid.step_size :
     control.reached - grid.start()};
 }

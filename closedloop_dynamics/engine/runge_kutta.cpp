@@ -19,40 +19,41 @@ bool fits(const Tableau & method)
          method.error.columns == stages && method.dense.rows <= stages;
 }
 
-std::shared_ptr<const Tableau> keep(const Tableau & from)
+OwnedTableau::OwnedTableau(const Tableau & from)
+: a_(from.a), error_(from.error), dense_(from.dense), b_(from.b.begin(), from.b.end()),
+  order_(from.order), error_order_(from.error_order)
 {
-  struct Kept
-  {
-    std::vector<double> numbers;
-    Tableau view;
-  };
   if (!fits(from)) {
     throw std::invalid_argument("a tableau: arrays that do not fit together");
   }
-  const auto kept = std::make_shared<Kept>();
-  kept->view = from;
-  for (Values part : {from.a.all(), from.b, from.error.all(), from.dense.all()}) {
-    kept->numbers.insert(kept->numbers.end(), part.begin(), part.end());
-  }
-  double * next = kept->numbers.data();
-  const auto take = [&](double * & data, Index count) {data = next; next += count;};
-  take(kept->view.a.data, from.a.all().size);
-  take(kept->view.b.data, from.b.size);
-  take(kept->view.error.data, from.error.all().size);
-  take(kept->view.dense.data, from.dense.all().size);
-  return {kept, &kept->view};
 }
 
 void combine(
   const double * weights, Index count, Values state, double step_size, Table slopes, Values out)
 {
+  // Slopes that count, up to four in a pass over the components.
+  constexpr Index AT_ONCE = 4;
+  const double * slope[AT_ONCE] = {};
+  double weight[AT_ONCE] = {};
   out.fill(0.0);
-  for (Index k = 0; k < count; ++k) {
-    const double weight = weights[k];
-    if (weight != 0.0) {
-      const double * slope = slopes.row(k);
+  for (Index k = 0; k < count; ) {
+    Index found = 0;
+    for (; k < count && found < AT_ONCE; ++k) {
+      if (weights[k] != 0.0) {
+        weight[found] = weights[k];
+        slope[found++] = slopes.row(k);
+      }
+    }
+    if (found == AT_ONCE) {
       for (Index i = 0; i < state.size; ++i) {
-        out[i] += weight * slope[i];
+        out[i] = out[i] + weight[0] * slope[0][i] + weight[1] * slope[1][i] +
+          weight[2] * slope[2][i] + weight[3] * slope[3][i];
+      }
+      continue;
+    }
+    for (Index n = 0; n < found; ++n) {
+      for (Index i = 0; i < state.size; ++i) {
+        out[i] += weight[n] * slope[n][i];
       }
     }
   }
@@ -65,12 +66,14 @@ void step(
   const System & system, const Tableau & tableau, Values state, double step_size, Table slopes,
   Values stage, Values out)
 {
-  const Index steps = tableau.steps();
-  for (Index k = 1; k < steps; ++k) {
-    combine(tableau.a.row(k), k, state, step_size, slopes, stage);
-    derivative(system, stage, slopes[k]);
-  }
-  combine(tableau.b.data, steps, state, step_size, slopes, out);
+  step(
+    tableau, system.manifold, system.nv(), state, step_size, slopes, stage, out,
+    [&](Index k, Values at, Values slope) {
+      if (k > 0) {
+        derivative(system, at, slope);
+      }
+      return true;
+    });
 }
 
 void semi_implicit_step(

@@ -56,6 +56,10 @@ public:
   OwnedTable(Index rows, Index columns)
   : rows_(rows), columns_(columns), numbers_(static_cast<std::size_t>(rows * columns)) {}
 
+  explicit OwnedTable(Table from)
+  : rows_(from.rows), columns_(from.columns),
+    numbers_(from.data, from.data + from.rows * from.columns) {}
+
   Table view() const {return {numbers_.data(), rows_, columns_};}
   Values operator[](Index row) const {return view()[row];}
   Values all() const {return view().all();}

@@ -327,7 +327,6 @@ private:
 std::pair<Status, Index> record_steps(
   const System & system, const SteppedRun & run, Table scratch, const Tape & tape)
 {
-  const Tableau & method = run.tableau;
   const Index ns = system.ns(), nv = system.nv(), stages = run.stages();
   const Values out = scratch[stages];
   Interrupt interrupt(system.interrupted, nv);
@@ -335,22 +334,15 @@ std::pair<Status, Index> record_steps(
     const Values state = tape.state[done];
     const Table evaluated = tape.stage[done];
     copy(run.torque[done / run.zero_order_hold], system.tau);
-    for (Index k = 0; k < stages; ++k) {
-      const Values stage = evaluated[k].part(0, ns);
-      if (k == 0) {
-        copy(state, stage);
-      } else {
-        combine(method.a.row(k), k, state, run.step_size, scratch, stage);
-      }
-      derivative_with_multipliers(system, stage, scratch[k]);
-      copy(system.qdd, evaluated[k].part(ns, nv));
-      copy(system.lam, evaluated[k].from(ns + nv));
-    }
-    if (method.steps() == 0) {
-      semi_implicit_step(system.manifold, state, nv, run.step_size, scratch[0], out);
-    } else {
-      combine(method.b.data, stages, state, run.step_size, scratch, out);
-    }
+    step(
+      run.tableau, system.manifold, nv, state, run.step_size, scratch, scratch[stages + 1], out,
+      [&](Index k, Values at, Values slope) {
+        copy(at, evaluated[k].part(0, ns));
+        derivative_with_multipliers(system, at, slope);
+        copy(system.qdd, evaluated[k].part(ns, nv));
+        copy(system.lam, evaluated[k].from(ns + nv));
+        return true;
+      });
     copy(out, tape.raw[done]);
     const bool closed = stabilise(system, run.stabilisation, out);
     tape.corrections[done] = run.stabilisation == Stabilisation::PROJECTION ?

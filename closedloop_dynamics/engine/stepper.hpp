@@ -6,6 +6,7 @@
 
 #include <limits>
 #include <memory>
+#include <utility>
 #include <string_view>
 
 #include "runge_kutta.hpp"
@@ -40,8 +41,7 @@ struct Grid
 
   double time(Index step) const {return origin + static_cast<double>(done + step) * step_size;}
   double start() const {return time(0);}
-  double target() const {return time(steps);}
-};
+  double target() const {return time(steps);}};
 
 /// How an advance ended.
 struct Advance
@@ -74,18 +74,10 @@ struct StepReport
   template<class Visitor>
   void names(Visitor && visit) const
   {
-    visit("reached", reached);
-    visit("accepted", accepted);
-    visit("rejected", rejected);
-    visit("local_error", local_error);
-    visit("work", work);
-    visit("reference_work", reference_work);
-    visit("accuracy", accuracy);
-    visit("tolerance", tolerance);
-    visit("largest_bound", largest_bound);
-    visit("bound", bound);
-    visit("stiff", stiff);
-    visit("is_short", is_short);
+    visit(
+      "reached", reached, "accepted", accepted, "rejected", rejected, "local_error", local_error,
+      "work", work, "reference_work", reference_work, "accuracy", accuracy, "tolerance", tolerance,
+      "largest_bound", largest_bound, "bound", bound, "stiff", stiff, "is_short", is_short);
   }
 };
 
@@ -103,8 +95,8 @@ public:
 
   /// Length of the memory; write it to an array, and read it from there.
   virtual Index memory_length() const {return 0;}
-  virtual void store_memory(double *) const {}
-  virtual void recall_memory(const double *) {}
+  virtual void store_memory(Values) const {}
+  virtual void recall_memory(Values) {}
 
   virtual StepReport report() const {return {};}
   /// Count from here on.
@@ -113,8 +105,9 @@ public:
   virtual void aim(double accuracy);
 
   Stabilisation stabilisation() const {return stabilisation_;}
-  /// The coefficients of explicit steps of one size; nullptr of other methods.
-  virtual const Tableau * fixed_tableau() const {return nullptr;}
+  /// Whether lanes may make its steps, which are explicit and of one size, by its tableau.
+  virtual bool is_in_lanes() const {return false;}
+  virtual Tableau tableau() const {return {};}
   /// Whether a state of this system can be stepped.
   bool fits(const System & system) const {return system.ns() == states_;}
 

@@ -23,7 +23,8 @@ struct StopFlag
 
 using SharedStop = std::shared_ptr<StopFlag>;
 
-inline constexpr char stop_name[] = "closedloop_dynamics.engine.StopFlag";
+template<>
+inline constexpr const char * capsule_name<SharedStop> = "closedloop_dynamics.engine.StopFlag";
 
 /// The flag that this thread heeds; empty: none.
 inline SharedStop & heeded_stop()
@@ -64,15 +65,8 @@ inline SharedStop heed(const SharedStop & flag) {return std::exchange(heeded_sto
 
 inline void read(PyObject * from, SharedStop & to, Place)
 {
-  to = nullptr;
-  if (from == &_Py_NoneStruct) {
-    return;
-  }
-  void * found = PyCapsule_GetPointer(from, stop_name);
-  if (found == nullptr) {
-    throw PythonError();
-  }
-  to = *static_cast<SharedStop *>(found);
+  to = from == &_Py_NoneStruct ? nullptr :
+    *static_cast<SharedStop *>(pointer_in<SharedStop>(from));
 }
 
 inline PyObject * to_python(const SharedStop & flag)
@@ -81,14 +75,7 @@ inline PyObject * to_python(const SharedStop & flag)
     Py_IncRef(&_Py_NoneStruct);
     return &_Py_NoneStruct;
   }
-  auto kept = std::make_unique<SharedStop>(flag);
-  Owned capsule(
-    PyCapsule_New(
-      kept.get(), stop_name, [](PyObject * object) {
-        delete static_cast<SharedStop *>(PyCapsule_GetPointer(object, stop_name));
-      }));
-  kept.release();
-  return capsule.release();
+  return to_python(std::make_unique<SharedStop>(flag));
 }
 
 }  // namespace closedloop

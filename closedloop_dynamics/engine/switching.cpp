@@ -134,19 +134,20 @@ double time_held(const SwitchingControl & control)
 }  // namespace
 
 SwitchingSteps::SwitchingSteps(const System & system, const MethodOptions & options)
-: StepperOf(system, options.stabilisation), tableau_(keep(options.tableau)),
-  short_tableau_(keep(options.short_tableau)), accuracy_(options.tolerance), unit_(2, system.ns()),
+: StepperOf(system, options.stabilisation), tableau_(options.tableau),
+  short_tableau_(options.short_tableau), accuracy_(options.tolerance), unit_(2, system.ns()),
   stiff_(system.ns())
 {
-  if (tableau_->steps() == 0 || short_tableau_->steps() == 0 ||
-    short_tableau_->a.rows > tableau_->a.rows)
+  const Index stages = options.tableau.a.rows;
+  if (options.tableau.steps() == 0 || options.short_tableau.steps() == 0 ||
+    options.short_tableau.a.rows > stages)
   {
     throw std::invalid_argument("the default method: tableaus that do not fit together");
   }
   for (Track * each : {&run_, &reference_}) {
     Track & track = *each;
     track.scale = OwnedTable(2, system.ns());
-    track.scratch = OwnedTable(tableau_->a.rows + scratch::FIRST_SLOPE, system.ns());
+    track.scratch = OwnedTable(stages + scratch::FIRST_SLOPE, system.ns());
     track.stiff_scratch = OwnedTable(STIFF_ROWS, system.ns());
   }
   for (Index i = 0; i < system.nq(); ++i) {
@@ -158,7 +159,7 @@ SwitchingSteps::SwitchingSteps(const System & system, const MethodOptions & opti
 
 ExplicitStep SwitchingSteps::explicit_step(Track & track)
 {
-  return {track.control.is_short == 0.0 ? *tableau_ : *short_tableau_, stabilisation(),
+  return {track.control.is_short == 0.0 ? tableau_.view() : short_tableau_.view(), stabilisation(),
     track.control, track.scale.view(), track.scratch.view()};
 }
 
@@ -493,18 +494,19 @@ Index SwitchingSteps::memory_length() const
          unit_.columns();
 }
 
-void SwitchingSteps::store_memory(double * to) const
+void SwitchingSteps::store_memory(Values to) const
 {
-  to = store(monitor_, store(reference_.control, store(run_.control, to)));
+  double * next = store(monitor_, store(reference_.control, store(run_.control, to.data)));
   const Values after = reference_.after();
-  std::copy(after.begin(), after.end(), to);
+  std::copy(after.begin(), after.end(), next);
 }
 
-void SwitchingSteps::recall_memory(const double * from)
+void SwitchingSteps::recall_memory(Values from)
 {
-  from = recall(recall(recall(from, run_.control), reference_.control), monitor_);
+  const double * next =
+    recall(recall(recall(from.data, run_.control), reference_.control), monitor_);
   const Values after = reference_.after();
-  std::copy_n(from, after.size, after.begin());
+  std::copy_n(next, after.size, after.begin());
 }
 
 StepReport SwitchingSteps::report() const

@@ -77,8 +77,8 @@ public:
   void restart(const System &, bool moved) override;
   void rewind(const System &) override;
   Index memory_length() const override;
-  void store_memory(double *) const override;
-  void recall_memory(const double *) override;
+  void store_memory(Values) const override;
+  void recall_memory(Values) override;
   StepReport report() const override;
   void clear_report() override {run_.control.clear_counts();}
   /// The run goes on with another accuracy, and a new window begins.
@@ -107,7 +107,7 @@ private:
   double distance(const System &);
   void set_scale();
 
-  std::shared_ptr<const Tableau> tableau_, short_tableau_;
+  OwnedTableau tableau_, short_tableau_;
   double accuracy_;  ///< The one that it is rewound to
   ErrorMonitor monitor_;
   Track run_, reference_;

@@ -15,7 +15,6 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .guarded_run import GuardedRun
 from .registry import INDEPENDENT
 from ..core.codegen import function_table as calls, lanes
 from ..core.codegen.lanes import LANES
@@ -55,7 +54,7 @@ class Lane(NamedTuple):
     """A run of a lane by itself, by which it is watched."""
 
     system: object  # ``System.native``
-    run: GuardedRun
+    run: object  # ``Run.native``
 
 
 def fits(system, stabilisation):

@@ -3,8 +3,7 @@
 
 """SciPy's solvers as the well-known yardstick: offline, interpreted, no projection inside."""
 
-import math
-from types import SimpleNamespace
+from copy import copy
 
 import numpy as np
 
@@ -17,34 +16,61 @@ MOST_EVALUATIONS = 100_000
 
 class SciPySolver:
     """
-    One of SciPy's solvers behind the interface of the drivers.
+    One of SciPy's solvers, as the engine calls it (``engine/host_steps.hpp``).
 
     It keeps its own state between outputs, on which nothing is projected; the
     stabilisation corrects what is handed out.
     """
 
-    def __init__(self, system, name, stabilisation, tolerance):
-        """Start with nothing; the solver is made where the first step starts."""
+    def __init__(self, of, name, stabilisation, tolerance):
+        """Step with the present ``of.system``; the solver is made where the first step starts."""
         # Not before it is wanted: a third of the time that loading the package would take.
         from scipy import integrate
-        self._system = system
-        self._solver_type = getattr(integrate, name)
+        self._of, self._solver_type = of, getattr(integrate, name)
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
 
-    def advance(self, state, origin, done, step_size, steps):
-        """Advance a state by ``steps`` times ``step_size``; see ``Stepper.advance``."""
-        target = origin + (done + steps) * step_size
+    def copy(self):
+        """Return another one, which has yet to start."""
+        return copy(self)
+
+    def advance(self, memory, origin, done, step_size, steps, restarts):
+        """
+        Advance a state.
+
+        Parameters
+        ----------
+        memory : memoryview
+            Of the state, which is advanced in place.
+        origin, step_size : float
+            Time of step 0, and the size of steps [s].
+        done, steps : int
+            Steps made since then, and to make.
+        restarts : bool
+            Whether the state, torques or equations are others than they were.
+
+        Returns
+        -------
+        status : int
+            Of ``integration.control``.
+        elapsed : float
+            Time advanced by [s].
+
+        """
+        state = np.frombuffer(memory)
         self._start = origin + done * step_size, state
         self._evaluations = 0
+        if restarts:
+            self._solver = self._dense = None
+        target, engine = origin + (done + steps) * step_size, self._of.system.native
         status = self._step_to(target)
         if status != DONE:
-            self.restart()
+            self._solver = self._dense = None
             return status, 0.0
         out = self._dense(target) if self._dense is not None else state.copy()
-        if not native.stabilise(self._system.native, self._stabilisation, out):
+        if not native.stabilise(engine, self._stabilisation, out):
             return OPEN_LOOP, 0.0
-        if not native.equations_suffice(self._system.native, self._stabilisation, out):
+        if not native.equations_suffice(engine, self._stabilisation, out):
             return POOR_EQUATIONS, 0.0
         state[:] = out
         return DONE, steps * step_size
@@ -68,32 +94,9 @@ class SciPySolver:
             return STEP_TOO_SMALL
         return DONE
 
-    def rebind(self, system):
-        """Step with a system that works on other equations."""
-        self._system = system
-
-    def go_on(self):
-        """Restart with the next call, which is the same again."""
-        self.restart()
-
-    # The engine leaves the steps to Python; nothing outlasts ``restart``, or is known of steps.
-    native, memory = None, np.zeros(0)
-    report = SimpleNamespace(**dict.fromkeys(('accepted', 'accuracy'), math.nan))
-
-    def clear_report(self):
-        """Count from here on: nothing."""
-
-    def restart(self, moved=False):
-        """Forget the past: torques, or with ``moved`` the state have changed."""
-        self._solver = self._dense = None
-
-    def rewind(self):
-        """Begin as a new driver would."""
-        self.restart()
-
     def _slope(self, time, state):
         out = np.empty(len(state))
-        native.derivative(self._system.native, np.ascontiguousarray(state), out)
+        native.derivative(self._of.system.native, np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
         self._evaluations += 1
         if self._evaluations > MOST_EVALUATIONS:

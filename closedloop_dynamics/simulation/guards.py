@@ -4,7 +4,7 @@
 """
 Guards of a run: error of the energy balance, loops that open, steps that cannot be stable.
 
-The engine makes the checks (``engine/guarded_run.hpp``), with the constants here; its findings are
+The engine makes the checks (``engine/run.hpp``), with the constants here; its findings are
 reported here, and raised where the motion has become meaningless.
 
 The fastest rate of the motion, the largest eigenvalue of the derivative's
@@ -15,16 +15,15 @@ is a rate of its own.
 """
 
 import math
-import warnings
 
 import numpy as np
 
-from .errors import (
-    ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
+from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY
+from .errors import ClosureError, NumericalError, SingularityError, StiffnessError
 from ..core.types import SINGULAR_COUNT
 from ..engine import native
-from ..integration import guarded_run as run
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
+from ..integration.run import NEVER, Watch
 from ..integration.system import parts_of_state
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
@@ -47,8 +46,8 @@ ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
 # Steps between two checks of the closure; and the closure error, against the size of the
 # mechanism, at which loops count as open.
 CLOSURE_CHECK_EVERY, OPEN = 500, 1e-3
-# Steps between two checks whether equations can be left out again, at first and at most.
-EQUATIONS_FIRST_CHECK, EQUATIONS_CHECK_EVERY = 64, 4096
+# The most steps between two checks whether equations can be left out again.
+EQUATIONS_CHECK_EVERY = 4096
 # Torques up to this one are not checked for their effect within a step [N m or N].
 USUAL_TORQUE = 1e6
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
@@ -78,47 +77,47 @@ def _direction(system, own):
     return direction
 
 
+def watch(method, among_laws, chooses, has_cables, size, mass):
+    """
+    Return the times and limits by which the engine watches a run.
+
+    ``among_laws``: whether fixed steps are taken among effects with force laws; ``chooses``:
+    whether equations may be left out, so that calls are checked however few steps they make;
+    ``size`` [m] and ``mass`` [kg] of the mechanism.
+    """
+    integrator = INTEGRATORS[method.integrator]
+    first = FIRST_CHECK_ORDER_1 if integrator.order == 1 else FIRST_CHECK
+    drifts = method.stabilisation not in CLOSING
+    return Watch(
+        method.step_size, integrator.order, first,
+        CHECK_EVERY_AMONG_LAWS if among_laws else CHECK_EVERY,
+        # A contact may throw a body away within a step.
+        first if integrator.order == 1 else 1 if chooses or among_laws else SEVERAL,
+        # With error control the frequency of checks would show in the last digits.
+        integrator.kind == ADAPTIVE, chooses,
+        min(CABLE_CHECK_EVERY if has_cables else NEVER, CLOSURE_CHECK_EVERY if drifts else NEVER),
+        OPEN * size if drifts else math.inf, method.stabilisation == 'none', size, mass,
+        USUAL_TORQUE, method.by_budget)
+
+
+def energy_finding(method, lost, moved, time):
+    """Return in words that an energy balance misses some of what was exchanged until a time."""
+    return (f'the energy balance misses {lost:.3g} J of the {moved:.3g} J exchanged until '
+            f't = {time:.6g} s: {_setting(method)} does not follow this motion. {_cure(method)}')
+
+
 class EnergyGuard:
     """
-    Checks the energy balance, from the first steps on; more seldom while it holds.
+    What the checks of the energy balance have found, in words.
 
-    ``rate`` returns the fastest rate of the motion in a state [1/s]; ``numbers``, ``counts`` are
-    those of the ``GuardedRun`` that is watched; ``limit``: step size times rate up to which the
-    method is stable, infinite where it always is; ``among_laws``: whether fixed steps are taken
-    among effects with force laws; ``every_call``: whether to check after every call, however few
-    steps it makes.
-
-    ``first``, ``rarely``: steps before the first check, and the most between two; ``call``: least
-    steps of a call after which there is a check; ``whole``: whether checks wait for the end of a
-    call.
+    ``rate`` returns the fastest rate of the motion in a state [1/s]; ``run`` is the one that is
+    watched; ``limit``: step size times rate up to which the method is stable, infinite where it
+    always is.
     """
 
-    def __init__(self, method, rate, numbers, counts, limit=math.inf, among_laws=False,
-                 every_call=False):
-        self._method, self._rate, self._limit = method, rate, limit
-        self._numbers, self._counts = numbers, counts
-        self.among_laws = among_laws
-        integrator = INTEGRATORS[method.integrator]
-        self.first = FIRST_CHECK_ORDER_1 if integrator.order == 1 else FIRST_CHECK
-        self._least = FIRST_CHECK_ORDER_1 if integrator.order == 1 else 1
-        # With error control the frequency of checks would show in the last digits.
-        self.whole = integrator.kind == ADAPTIVE
-        self.rarely = CHECK_EVERY_AMONG_LAWS if among_laws else CHECK_EVERY
-        # A contact may throw a body away within a step.
-        self.call = self.first if integrator.order == 1 else (
-            1 if every_call or among_laws else SEVERAL)
-        self.restart()
-
-    def restart(self):
-        """Reset the guard at the start of a run."""
-        self._numbers[run.MOVED:run.LOST] = 0.0
-        self._counts[run.SINCE], self._counts[run.BETWEEN] = 0, self.first
-        self._counts[run.BEGUN] = self._counts[run.WARNED] = self._counts[run.FAILED] = 0
-        self.jump()
-
-    def jump(self):
-        """Reset the comparison: the state or an effect has been changed."""
-        self._counts[run.CHECKED] = run.NOT
+    def __init__(self, method, rate, run, limit=math.inf):
+        self._method, self._rate, self._run, self._limit = method, rate, run, limit
+        self._least = FIRST_CHECK_ORDER_1 if INTEGRATORS[method.integrator].order == 1 else 1
 
     def pass_on(self, simulation):
         """
@@ -127,74 +126,30 @@ class EnergyGuard:
         StiffnessError, NumericalError where the energy balance is far off; the state kept is the
         latest that was passed on.
         """
-        if self._counts[run.SINCE] >= self._least:
+        if self._run.report.unchecked >= self._least:
             simulation.check_energy()
-
-    def missed(self, balance):
-        """Return the error of the balance since the guard began [J]."""
-        return balance.residual - (
-            float(self._numbers[run.CHECK - 1]) if self._counts[run.BEGUN] else 0.0)
-
-    def compare(self, lost, moved, rounding, time):
-        """Record an error of the energy balance, the energy exchanged, possible rounding [J]."""
-        native.record_loss(self._numbers, lost, moved, rounding, time)
-
-    @property
-    def moved(self):
-        """Return the largest energy exchanged up to any check since the guard began [J]."""
-        return float(self._numbers[run.MOVED])
-
-    @property
-    def worst(self):
-        """Return the largest error of the balance relative to the energy exchanged by then."""
-        return float(self._numbers[run.WORST])
-
-    @property
-    def worst_time(self):
-        """Return when that was [s]."""
-        return float(self._numbers[run.WORST_TIME])
-
-    @property
-    def worst_lost(self):
-        """Return that error [J]."""
-        return float(self._numbers[run.WORST_LOST])
-
-    @property
-    def worst_moved(self):
-        """Return the energy exchanged by then [J]."""
-        return float(self._numbers[run.WORST_MOVED])
-
-    @property
-    def failed(self):
-        """Return whether a check has ended the run."""
-        return bool(self._counts[run.FAILED])
-
-    def warn(self):
-        """Warn, once, where the energy balance is a little off."""
-        self._counts[run.WARNED] = 1
-        warnings.warn(self.finding, InaccuracyWarning, stacklevel=2)
 
     @property
     def finding(self):
         """Return the finding on the energy of the run in words; empty where there is none."""
-        if not self.worst > ENERGY_WARN:
-            return ''
-        return (f'the energy balance misses {self.worst_lost:.3g} J of the '
-                f'{self.worst_moved:.3g} J exchanged until t = {self.worst_time:.6g} s: '
-                f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
+        report = self._run.report
+        return energy_finding(
+            self._method, report.worst_lost, report.worst_moved, report.worst_time) if (
+                report.worst > ENERGY_WARN) else ''
 
     def problem(self, simulation):
         """Return the error to raise where the latest check has ended a run."""
-        lost, moving, before = self._numbers[run.LOST:run.CHECK_TIME + 1].tolist()
+        report = self._run.report
+        lost, moving, before = report.lost, report.moving, report.check_time
         # Where the balance is no number, not even the start of it may be believed.
-        worst = self.worst if math.isfinite(lost) else math.inf
+        worst = report.worst if math.isfinite(lost) else math.inf
         rate, size = self._rate(simulation.integrated), self._method.step_size
         kept = f'The state of t = {before:.9g} s is kept.'
         what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
                 f'{simulation.time:.9g} s, where {moving:.3g} J were exchanged')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
-            what = (f'The energy balance misses {self.worst_lost:.3g} J of the '
-                    f'{self.worst_moved:.3g} J exchanged until t = {self.worst_time:.6g} s, '
+            what = (f'The energy balance misses {report.worst_lost:.3g} J of the '
+                    f'{report.worst_moved:.3g} J exchanged until t = {report.worst_time:.6g} s, '
                     f'{worst:.0%}')
         if rate * size > self._limit:
             return StiffnessError(

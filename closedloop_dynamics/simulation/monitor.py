@@ -3,23 +3,15 @@
 
 """Monitor of a running simulation: its cost and its estimated error."""
 
-from copy import deepcopy
 from dataclasses import dataclass
 import math
 
 import numpy as np
 
-from ..core.manifold import weights
 from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
-from ..engine import native
-from ..integration import guarded_run as run
-from ..integration.control import CLOSER, DONE, FLOOR
-from ..integration.steppers import build_stepper
+from ..integration.control import CLOSER, FLOOR
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
 
-# A step is made again in two halves, on a copy of everything: first one of so many, then, twice as
-# rarely each time, one of so many.
-FIRST_SAMPLE, SAMPLE_EVERY = 30, 1000
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
 
@@ -136,42 +128,18 @@ def _number(value, digits=3):
 
 class Monitor:
     """
-    A driver, and an account of its cost and of the local error.
-
-    Attributes
-    ----------
-    driver : object
-        The driver itself.
+    An account of the cost of a run and of its local error.
 
     Parameters
     ----------
-    driver, system, method
-        As of ``drivers.build_driver``.
-    numbers, counts : ndarray
-        Of the ``GuardedRun`` whose steps are counted.
+    method : scene_records.Method
+    run : run.Run
 
     """
 
-    def __init__(self, driver, system, method, numbers, counts):
-        self.driver, self._sampling = driver, True
-        self._numbers, self._counts = numbers, counts
-        self._system, self._method = system, method
-        integrator = INTEGRATORS[method.integrator]
-        self._fixed = integrator.kind == FIXED
-        self._order = integrator.order
-        self._probe = None
+    def __init__(self, method, run):
+        self._method, self._run, self._sampling = method, run, True
         self.clear()
-
-    @property
-    def accuracy(self):
-        """Return the accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of others."""
-        return self.driver.report.accuracy
-
-    def accuracy_in(self, memory):
-        """Return ``accuracy`` in the memory of another run."""
-        twin = build_stepper(self._system, self._method)
-        twin.memory = memory[:len(twin.memory)]
-        return twin.report.accuracy
 
     @property
     def measured(self):
@@ -181,15 +149,13 @@ class Monitor:
         Simulated time, CPU time of the thread, with a budget alone, and time of the clock [s];
         ``work``.
         """
-        numbers = self._numbers
-        return np.array([
-            numbers[run.COST_TIME], 1e-9 * numbers[run.COST_CPU_NANOSECONDS],
-            1e-9 * numbers[run.COST_NANOSECONDS], *self.work])
+        report = self._run.report
+        return np.array([report.simulated, report.worked, report.elapsed, *self.work])
 
     @property
     def work(self):
         """Return the evaluations in steps of ``integrator: auto`` and of its reference run."""
-        steps = self.driver.report
+        steps = self._run.steps
         return (0.0, 0.0) if math.isnan(steps.accuracy) else (steps.work, steps.reference_work)
 
     @property
@@ -200,84 +166,29 @@ class Monitor:
     @sampling.setter
     def sampling(self, wanted):
         self._sampling = wanted
-        self._counts[run.TO_SAMPLE] = 0 if self._fixed and wanted else -1
-
-    def rebind(self, system):
-        """Go on counting with a system that works on other equations."""
-        self.driver.rebind(system)
-        self._system, self._probe = system, None
+        self._run.sample(wanted and INTEGRATORS[self._method.integrator].kind == FIXED)
 
     def clear(self):
         """Reset the counts: the time starts again."""
-        self._numbers[run.COST_TIME:run.COST_CPU_NANOSECONDS + 1] = 0.0
-        self._between, self._local_error = FIRST_SAMPLE, math.nan
+        self._run.clear_cost()
         self.sampling = self._sampling
-        self.driver.clear_report()
 
-    def rewind(self):
-        """Begin as a new driver would: a motion repeated is the same to its last digit."""
-        self.driver.rewind()
-        native.forget(self._system)
-        self.clear()
-
-    @property
-    def memory(self):
-        """Return the data that ``restart`` keeps: next step, choice of coordinates."""
-        partition = self._system.partition
-        return np.concatenate((self.driver.memory, partition.order, partition.record))
-
-    def recall(self, memory):
-        """Adopt the memory of another run."""
-        partition = self._system.partition
-        ends = np.cumsum((len(self.driver.memory), len(partition.order)))
-        self.driver.memory, partition.order[:], partition.record[:] = np.split(memory, ends)
-
-    def restart(self, moved=False):
-        """Forget the past of the motion, as a driver does."""
-        self.driver.restart(moved)
-
-    def count(self, elapsed, step_size):
-        """Count the steps made of a portion that failed, and its time [s]."""
-        self._numbers[run.COST_TIME] += elapsed
-        self._numbers[run.COST_STEPS] += round(elapsed / step_size)
-
-    def sample(self, state, step_size):
-        """Estimate the error of the next step, leaving everything as it is."""
-        self._counts[run.TO_SAMPLE] = self._between
-        self._between = min(2 * self._between, SAMPLE_EVERY)
-        if self._probe is None:
-            system = deepcopy(self._system)
-            self._probe = system, build_stepper(system, self._method)
-        system, driver = self._probe
-        native.take_numbers(system, self._system)
-        whole, halves = state.copy(), state.copy()
-        statuses = (driver.advance(whole, 0.0, 0, step_size, 1)[0],
-                    driver.advance(halves, 0.0, 0, 0.5 * step_size, 2)[0])
-        if statuses == (DONE, DONE):
-            weight = weights(system.manifold, len(system.qdd))
-            apart = whole[:len(weight)] - halves[:len(weight)]
-            apart = float(np.abs(weight * apart).max(initial=0.0))
-            error = apart / (1.0 - 0.5 ** self._order)
-            self._local_error = error if math.isnan(self._local_error) else max(
-                error, self._local_error)
-
-    def report(self, closure, energy_error, energy_guard, notes=(), budget=None):
+    def report(self, health, closure, energy_error, energy_guard, notes=(), budget=None):
         """
         Report counts and findings.
 
-        ``closure``: the present error [m or rad]; ``energy_error``: change of energy that neither
-        work nor dissipation explains [J]; ``notes``: findings beside these; ``budget``: that the
-        accuracy follows, or None.
+        ``health``: of the system; ``closure``: the present error [m or rad]; ``energy_error``:
+        change of energy that neither work nor dissipation explains [J]; ``notes``: findings beside
+        these; ``budget``: that the accuracy follows, or None.
         """
-        time, steps, spent = self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1].tolist()
-        steps, error, health = int(steps), self._local_error, self._system.work.health
-        made, bound, present = self.driver.report, math.nan, math.nan
+        run, made, bound, present = self._run.report, self._run.steps, math.nan, math.nan
+        steps, error = int(run.steps), run.local_error
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
         if not math.isnan(made.accepted):
             steps, error = int(made.accepted), made.local_error
         if self._method.integrator == AUTO:
             bound, present = made.largest_bound, made.bound
-            if energy_guard.failed or energy_guard.finding:
+            if run.failed or energy_guard.finding:
                 # The reference run is as wrong as the run.
                 bound = present = math.nan
             singular = health[RANK_REVEALING_COUNT] > 0.0
@@ -302,9 +213,9 @@ class Monitor:
         share = used = math.nan
         if budget is not None:
             share, used = budget.share, budget.used
-            findings += filter(None, [budget.finding(self.accuracy)])
+            findings += filter(None, [budget.finding(made.accuracy)])
         method = f'{self._method.integrator}, {self._method.stabilisation}'
         return RunReport(
-            method, time, steps, 1e-9 * spent, error, closure, energy_error,
-            int(health[EVALUATIONS]), energy_guard.moved, bound,
-            tuple(findings), self.accuracy, present, share, used)
+            method, run.simulated, steps, run.elapsed, error, closure, energy_error,
+            int(health[EVALUATIONS]), run.moved, bound,
+            tuple(findings), made.accuracy, present, share, used)

@@ -17,7 +17,8 @@ import numpy as np
 
 from .assembly import TOLERANCE
 from .errors import SimulationError
-from .guards import CLOSING, ENERGY_WARN, LARGEST_MOTION, USUAL_TORQUE
+from .guards import (
+    CLOSING, energy_finding, ENERGY_WARN, LARGEST_MOTION, USUAL_TORQUE)
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, find_energies, fits, Lane
@@ -170,7 +171,7 @@ def starts_as_given(simulation, positions, velocities):
     fine = np.zeros(len(states), dtype=np.int64)
     if runs_whole(simulation) and simulation.takes_closed_states:
         tolerance = 0.5 * TOLERANCE * simulation.run.watch.extent
-        native.check_starts(system.native, simulation.run, tolerance, states, fine)
+        simulation.run.check_starts(tolerance, states, fine)
         simulation.touch()
         fine[np.abs(velocities).max(axis=1) * simulation.step_size > LARGEST_MOTION] = 0
     return states, fine == 1
@@ -202,7 +203,7 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     tau = all_torques(simulation, torques)
     starts = simulation.integrated[np.newaxis].copy() if starts is None else starts
     states, status, found = run_samples(
-        simulation.run_samples, starts, tau, schedule.in_steps(steps))
+        simulation.run.run_samples, starts, tau, schedule.in_steps(steps))
     simulation.touch()
     for k in np.flatnonzero(status == DONE).tolist():
         records[bearable[k]] = RunResult(
@@ -215,12 +216,7 @@ def _finding(simulation, found):
     """Return the error of a run's energy balance in words; None where it holds."""
     if found[SHARE] <= ENERGY_WARN:
         return None
-    guard = simulation.energy_guard
-    guard.restart()
-    guard.compare(found[LOST], found[MOVED], 0.0, found[TIME])
-    finding = guard.finding
-    guard.restart()
-    return finding or None
+    return energy_finding(simulation.scene.method, found[LOST], found[MOVED], found[TIME])
 
 
 def all_torques(simulation, torques):
@@ -388,7 +384,7 @@ class SimdRuns:
             names = first.coordinates
             room = tuple(np.empty((LANES, schedule.instants, count))
                          for count in (names.nq, names.nv))
-        watched = tuple(Lane(start.simulation.system.native, start.simulation.run)
+        watched = tuple(Lane(start.simulation.system.native, start.simulation.run.native)
                         for start in starts)
         ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(

@@ -29,12 +29,9 @@ from .stepping import Stepping
 from ..core import types as t
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Effect
-from ..effects.energy_balance import Energies
 from ..engine import native
-from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
-from ..integration.steppers import build_stepper
 from ..integration.system import with_equations, with_partition
 from ..mechanism.digits import suspicions
 from ..mechanism.fields import at, FieldError
@@ -110,7 +107,7 @@ class Simulation(Stepping):
         if self._derivatives is not None:
             self._derivatives.enable_for(self)
         # By whose weight the guards measure.
-        self._numbers[guarded_run.MASS] = self._mass
+        self._set_run()
         self.reset()
         return True
 
@@ -192,7 +189,7 @@ class Simulation(Stepping):
             self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
                           else self._geometry.select(None))
         self.exchanges = 0
-        self._set_time(0.0, 0)
+        self._run.set_time(0.0, 0)
         if self._motions:
             for name, record in self._motions.forget_commands(self.scene.effects).items():
                 self._effects.put(name, record, True)
@@ -201,7 +198,9 @@ class Simulation(Stepping):
             self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
-        self._driver.rewind()
+        self._run.rewind()
+        native.forget(self.system)
+        self._monitor.clear()
         self._effects.restart()
         self._delay_line = DelayLine()
         self.system.tau[:] = 0.0
@@ -213,8 +212,7 @@ class Simulation(Stepping):
         self._begin_loads()
         if self.system.manifold is not None:
             self._state[-1] = 0.0
-        self._balance.restart(self._by_freedom())
-        self._restart_guards()
+        self._run.begin()
         if self._start is not None:
             self.begin_at(self._start)
         self._stiffness.check(self._state, self.step_size)
@@ -237,10 +235,10 @@ class Simulation(Stepping):
         """
         if self.has_redundant_constraints and not self._geometry.is_valid(state.q):
             self.exchange(self._geometry.choose(state.q))
-        whole = self._state.copy()
+        whole = self.state
         for part, values in zip(self._parts, (state.q, state.qd, state.own)):
             whole[part] = values
-        self.restore(np.concatenate((whole, self._driver.memory)), state.time, 0.0)
+        self.restore(whole, state.time, 0.0)
         self.require_closed(state.q, state.qd)
         self._require_step_from(state.q, state.qd)
 
@@ -301,9 +299,8 @@ class Simulation(Stepping):
         system = with_partition(system, method.stabilisation == 'independent')
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
-        driver = build_stepper(system, method)
-        driver.advance(self._state.copy(), self.time, 0, 1e-9, 1)
-        driver.rewind()
+        run = self._new_run(system, method, guard)
+        run.try_step(self._state.copy(), 1e-9)
         self._fresh = False
 
         def take_effect() -> None:
@@ -316,7 +313,10 @@ class Simulation(Stepping):
                 self._rebind(system)
                 self.exchanges += 1
             self.system = system
-            self._driver = Monitor(driver, system, method, self._numbers, self._counts)
+            self._run.set_time(self.time, 0)
+            self._run.take_method(system, run)
+            self._advance_run = self._run.advance_run
+            self._monitor = Monitor(method, self._run)
             self._set_method(method, guard)
 
         return take_effect
@@ -332,14 +332,15 @@ class Simulation(Stepping):
             self._assembler.require_independent(self._q)
 
     def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
-        self._set_time(self.time, 0)
-        self.scene = replace(self.scene, method=method)
-        self._set_guards(stiffness, method)
+        self._run.set_time(self.time, 0)
+        self.scene, self._stiffness = replace(self.scene, method=method), stiffness
         self._set_run()
+        self._run.restart_guards()
+        self._set_guard()
         self._set_budget(method)
         self.system.settings.baumgarte_gain[...] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
-        self._driver.restart()
+        self._run.restart(False)
         self._jump()
 
     def set_state(
@@ -377,12 +378,13 @@ class Simulation(Stepping):
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(state[0])
         self._require_step_from(*state)
-        self._add_work()
-        self._start_balance()
+        self._run.add_work()
+        self._run.find_start()
+        self._fresh = False
         before = self.energy
         self._q[:], self._qd[:] = state
         self._effects.reset_states(self._own)
-        self._driver.restart(moved=True)
+        self._run.restart(True)
         self._jump()
         self._begin_loads()
         self._jump_balance(self.energy - before)
@@ -415,11 +417,7 @@ class Simulation(Stepping):
 
     def _try_step(self, state: np.ndarray, size: float) -> int:
         """Make a step from a copy of a state, leaving all else as it is; return its status."""
-        before = self.state
-        self._driver.restart(moved=True)
-        status, _ = self._driver.driver.advance(state, self.time, 0, size, 1)
-        self._recall(before)
-        self._driver.restart()
+        status = self._run.try_step(state, size)
         self._fresh = False
         return DONE if status in (POOR_EQUATIONS, CONTACT_PASSED) else status
 
@@ -432,12 +430,12 @@ class Simulation(Stepping):
         monitor.RunReport
 
         """
-        self._start_balance()
-        native.record_energy(self.system.native, self._run, self._balance_found)
-        balance = Energies(*self._balance_found.tolist())
+        residual = self._run.record_energy()['residual']
+        self._fresh = False
         undecided = self._branch_finding()
-        report = self._driver.report(
-            self.closure, self.energy_guard.missed(balance), self.energy_guard,
+        report = self._monitor.report(
+            self.system.work.health, self.closure,
+            residual - self._run.report.first_residual, self.energy_guard,
             (*self.load_notes(), *undecided), self._budget)
         return report if not undecided else replace(
             report, error_bound=math.nan, present_bound=math.nan, branch_undecided=True)
@@ -540,7 +538,8 @@ class Simulation(Stepping):
 
         """
         native.require_free(self.system.native)
-        self._start_balance()
+        self._run.find_start()
+        self._fresh = False
         before, undo = self.energy, self._effects.trial()
         try:
             restarted = self._try_effect(name, enabled, parameters, undo)
@@ -548,7 +547,8 @@ class Simulation(Stepping):
             undo()
             self._fresh = False
             raise
-        self._add_work()
+        self._run.add_work()
+        self._fresh = False
         self._own[restarted] = self._effects.initial[restarted]
         if self._derivatives is not None:
             self._derivatives.enable_for(self)
@@ -556,7 +556,7 @@ class Simulation(Stepping):
         self._effects.begin_at_time(self._own, self.time)
         if self.has_redundant_constraints and not self._may_leave_out(self.scene.method):
             self.exchange(self._geometry.select(None))
-        self._driver.restart()
+        self._run.restart(False)
         self._jump()
         if len(restarted):
             self._begin_loads()

@@ -4,21 +4,22 @@
 """The steps of a simulation: what makes them, watches them and ends them."""
 
 import math
-from time import perf_counter_ns, thread_time_ns
-from typing import Any, List, Optional, Tuple
+from typing import Any, Callable, List, Optional, Tuple
+import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import change_points
 from .budget import Budget, INTERVAL
-from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY, explain, leapt
+from .cable_guard import explain, leapt
 from .data import Numbers, vector
 from .derivative_code import DerivativeCode
-from .errors import ClosureError, MotionError, NumericalError, SimulationError
+from .errors import (
+    ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError)
 from .guards import (
-    CLOSING, CLOSURE_CHECK_EVERY, EnergyGuard, EQUATIONS_CHECK_EVERY, EQUATIONS_FIRST_CHECK,
-    LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
+    CLOSING, EnergyGuard, EQUATIONS_CHECK_EVERY, LARGEST_MOTION, opened_loops, StiffnessGuard,
+    USUAL_TORQUE, watch)
 from .modeling import extent
 from .monitor import Monitor
 from .named_array import reals
@@ -27,15 +28,14 @@ from .scene_records import Method, Scene
 from .traced_scene import refusals
 from ..core import types as t
 from ..effects.delay_line import DelayLine
-from ..effects.energy_balance import Energies, EnergyBalance
+from ..effects.energy_balance import Energies
 from ..engine import native
-from ..integration import guarded_run
 from ..integration.control import (
-    CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
+    CONTACT_PASSED, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
-from ..integration.guarded_run import COMMAND
 from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
-from ..integration.steppers import build_stepper
+from ..integration.run import (
+    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, Watch)
 from ..integration.system import AccelerationDerivatives, LENIENT, OPENED, System
 
 # How often equations are exchanged while the motion goes on by less than a share of a step.
@@ -54,23 +54,21 @@ class Stepping(Readings):
     """A state that a method advances: steps, commands, the engine's pauses, guards, failures."""
 
     def __init__(self, scene: Scene) -> None:
-        self._numbers = np.zeros(guarded_run.NUMBERS)
-        self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
-        self._set_time(0.0, 0)
+        # Zero until there is a run.
+        self._clock: Callable[[], float] = float
         self.pace, self._lenient_from = 1.0, b''
         self._measured, self._delay_line = np.zeros(5), DelayLine()
         # What is known of singular positions that were passed, and of which.
         self._passage: Tuple[bytes, List[str]] = b'', []
         super().__init__(scene)
         self._differentiate_steps()
-        self._balance = EnergyBalance(self._effects.roles, len(self.system.tau))
-        self._bind_balance()
         method = self.scene.method
         self._require_known_steps(method)
-        self._driver = Monitor(build_stepper(self.system, method), self.system, method,
-                               self._numbers, self._counts)
-        self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
-        self._set_run()
+        self._stiffness = StiffnessGuard(self.system, method, self._effects.own)
+        self._run = self._new_run(self.system, method, self._stiffness)
+        self._clock, self._advance_run = self._run.time, self._run.advance_run
+        self._monitor = Monitor(method, self._run)
+        self._set_guard()
         self.exchanges = 0
 
     def _differentiate_steps(self) -> None:
@@ -86,19 +84,11 @@ class Stepping(Readings):
             native.use_derivatives(system, AccelerationDerivatives(
                 code.table, code.columns, code.found, code.flows))
 
-    def _bind_balance(self) -> None:
-        """Bind the energy balance to the present system."""
-        account, engine = self._balance.account, self.system.native
-        self._balance_found = np.empty(5)
-        # The work of the torques held up to here.
-        self._add_work = native.bind('add_held_work', engine, account, self._state)
-        self._draw_balance = native.bind(
-            'fill_balance', engine, account, self._state, self._balance_found)
-
     def _rebind(self, system: System) -> None:
-        """Evaluate, and draw the energy balance, by another system."""
+        """Evaluate, and advance the run, by another system."""
         super()._rebind(system)
-        self._bind_balance()
+        self._run.rebind(system)
+        self._advance_run = self._run.advance_run
 
     @property
     def step_size(self) -> float:
@@ -108,13 +98,7 @@ class Stepping(Readings):
     @property
     def time(self) -> float:
         """Time since the start or the last reset [s]."""
-        # Counted, not summed: an hour of steps adds up to an hour.
-        return (self._numbers.item(guarded_run.TIME_BASE)
-                + self._counts.item(guarded_run.STEPS) * self.scene.method.step_size)
-
-    def _set_time(self, base: float, steps: int) -> None:
-        """Set the time to so many steps after another one [s]."""
-        self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS] = base, steps
+        return self._clock()
 
     @property
     def state(self) -> np.ndarray:
@@ -124,53 +108,24 @@ class Stepping(Readings):
         A run that is started from it by ``restore`` goes on in the same way to the last bit, with
         error control from where a command changes.
         """
-        return np.concatenate((self._state, self._driver.memory))
+        return self._run.whole
 
     @property
     def energy_balance(self) -> Energies:
         """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
-        self._start_balance()
-        self._draw_balance()
+        found = Energies(**self._run.balance())
         self._fresh = True
-        return Energies(*self._balance_found.tolist())
+        return found
 
     @property
-    def run(self) -> Any:
-        """Return the run that the engine advances, a ``guarded_run.GuardedRun``."""
+    def run(self) -> Run:
+        """Return the run that the engine advances."""
         return self._run
 
     @property
     def at_start(self) -> bool:
         """Whether nothing has moved or been changed since the start or the last reset."""
-        return self._balance.at_start is None and self.time == 0.0
-
-    def _by_freedom(self) -> np.ndarray:
-        """Return the coordinate of each freedom, behind them those of ``torque_names``."""
-        own, manifold = self._q, self.system.manifold
-        if manifold is not None:
-            native.fill_numbers(manifold, own)
-            own = manifold.number
-        if not len(self._cuts.acted):
-            return own
-        # Nor are these to be believed where only states beside the present one were looked at.
-        self._fresh = False
-        self._evaluate()
-        self._fresh = False
-        return np.concatenate((own, self._table.cuts.q[len(own):]))
-
-    def _start_balance(self) -> None:
-        """Find the energy at the start, when it is needed for the first time."""
-        if self._balance.at_start is not None:
-            return
-        present = self._state.copy()
-        self._q[:], self._qd[:] = self._initial
-        self._own[:] = self._effects.initial
-        moved = not np.array_equal(self._state, present)
-        self._fresh = self._fresh and not moved
-        self._balance.start(*self._energies())
-        if moved:
-            self._state[:] = present
-            self._fresh = False
+        return self.time == 0.0 and self._run.report.at_start
 
     def _require_known_steps(self, method: Method) -> None:
         """Refuse solvers and coordinates that the effects leave no room for."""
@@ -259,11 +214,12 @@ class Stepping(Readings):
             self._make(self.step_size, 0, steps)
             return
         self._fresh = False
-        pause = self._advance_run(tau, steps)
-        if pause == COMMAND:
+        outcome = self._advance_run(tau, steps)
+        if outcome == COMMAND:
             self._command(self._all_torques(tau))
-        if pause:
-            self._go_on(pause)
+            outcome = self._run.make_steps(self.step_size, steps, steps)
+        if outcome:
+            self._go_on(outcome)
 
     def _all_torques(self, tau: ArrayLike) -> np.ndarray:
         """Return joint torques in the order of ``torque_names`` as an array, or refuse them."""
@@ -278,7 +234,7 @@ class Stepping(Readings):
     @property
     def accuracy(self) -> float:
         """Accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of other methods."""
-        return self._driver.accuracy
+        return self._run.steps.accuracy
 
     def keep_budget(self) -> None:
         """
@@ -289,7 +245,7 @@ class Stepping(Readings):
         if self._budget is None:
             return
         before = self._measured
-        self._measured = self._driver.measured
+        self._measured = self._monitor.measured
         simulated, spent, elapsed, *work = (self._measured - before).tolist()
         if not simulated > 0.0:
             # Nothing, or a reset.
@@ -300,20 +256,20 @@ class Stepping(Readings):
         accuracy = self._budget.choose(
             present, simulated / self.pace, checked * spent, checked * elapsed)
         if accuracy != present:
-            self._driver.driver.aim(accuracy)
+            self._run.aim(accuracy)
 
     def adopt_accuracy(self, state: ArrayLike) -> None:
         """Keep the accuracy that another run of ``integrator: auto`` kept from a ``state`` on."""
-        accuracy = self._driver.accuracy_in(np.asarray(state)[len(self._state):])
+        accuracy = self._run.accuracy_in(np.array(state))
         if accuracy != self.accuracy:
-            self._driver.driver.aim(accuracy)
+            self._run.aim(accuracy)
 
     def _set_budget(self, method: Method) -> None:
         """Make the accuracy follow the budget of a method, if it has one."""
         self._budget = (
             Budget(method.budget, method.accuracy)
             if method.budget is not None and method.by_budget else None)
-        self._measured = self._driver.measured
+        self._measured = self._monitor.measured
 
     def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
         """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
@@ -330,9 +286,9 @@ class Stepping(Readings):
                 self._make_all(min(whole, steps))
                 steps -= min(whole, steps)
             else:
-                base, count = self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS]
+                base, count = self._run.base()
                 self._make_in_parts(self.step_size)
-                self._set_time(base, count + 1)
+                self._run.set_time(base, count + 1)
                 steps -= 1
         if rest > 0.0:
             self._make_in_parts(rest)
@@ -362,9 +318,7 @@ class Stepping(Readings):
         if (tau == self.system.tau).all():
             return
         self.require_bearable(tau)
-        self._add_work()
-        self._driver.restart()
-        self.system.tau[:] = tau
+        self._run.command(tau)
         self._fresh = False
 
     def _make_all(self, steps: int) -> None:
@@ -384,46 +338,43 @@ class Stepping(Readings):
 
     def _make(self, size: float, steps: int, call: int = 0) -> None:
         """Make steps of one size [s], up to the end of a call where its length is known."""
-        counts = self._counts
-        counts[guarded_run.DUE] = counts[guarded_run.HANDED] = 0
-        counts[guarded_run.LEFT], counts[guarded_run.CALL] = steps, call
-        self._numbers[guarded_run.SIZE] = size
-        self._go_on(COMMAND)
+        self._fresh = False
+        self._go_on(self._run.make_steps(size, steps, call))
 
-    def _go_on(self, pause: int) -> None:
-        """Handle the engine's pauses, and resume it, until all steps are made."""
-        while pause:
-            if pause == guarded_run.START_ENERGY:
-                self._start_balance()
-            elif pause == guarded_run.SAMPLE:
-                self._driver.sample(self._state, self.step_size)
-            elif pause == guarded_run.FAILURE or pause == guarded_run.HAND_OVER:
-                self._make_portion(pause == guarded_run.FAILURE)
-            elif pause == guarded_run.CHOICE:
-                if self.leave_out_again():
-                    self._counts[guarded_run.EQUATIONS_BETWEEN] = min(
-                        2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_CHECK_EVERY)
-            elif pause != COMMAND:
-                self._report_pause(pause)
+    def _go_on(self, outcome: int) -> None:
+        """Do what the outcome of a run asks for, and resume it, until all steps are made."""
+        run, reached, exchanged = self._run, -math.inf, 0
+        while outcome:
             self._fresh = False
-            pause = self._resume_run()
+            if outcome == FAILED:
+                report = run.report
+                if report.time + report.advanced > reached + LEAST_PROGRESS * report.size:
+                    reached, exchanged = report.time + report.advanced, 0
+                exchanged += 1
+                self._choose_or_stop(report, exchanged)
+            elif outcome == CHOICE:
+                if self.leave_out_again():
+                    run.choose_more_seldom(EQUATIONS_CHECK_EVERY)
+            else:
+                self._tell(outcome)
+            self._fresh = False
+            outcome = run.resume_run()
 
-    def _report_pause(self, pause: int) -> None:
+    def _tell(self, outcome: int) -> None:
         """Warn of, or raise, findings of the guards; the latest good state is kept."""
-        numbers, guard = self._numbers, self.energy_guard
-        if pause == guarded_run.INACCURATE:
-            guard.warn()
-        elif pause == guarded_run.ENERGY_LOST:
-            problem = guard.problem(self)
-            self.restore(self._run.kept, *numbers[
-                [guarded_run.CHECK_TIME, guarded_run.PRESENT - 1]].tolist())
+        run, guard = self._run, self.energy_guard
+        if outcome == INACCURATE:
+            warnings.warn(guard.finding, InaccuracyWarning, stacklevel=2)
+        elif outcome == ENERGY_LOST:
+            problem, report = guard.problem(self), run.report
+            self.restore(
+                run.kept(), report.check_time, report.check_residual)
             raise problem
-        elif pause == guarded_run.CABLE_LEAPT:
-            before = dict(zip(self._effects.winding_places(), self._run.windings.tolist()))
-            place = max(before, key=lambda each: abs(self.windings()[each] - before[each]))
-            self.restore(self._run.kept_by_cables, *numbers[
-                [guarded_run.CABLE_TIME, guarded_run.CABLE_RESIDUAL]].tolist())
-            raise leapt(place, before[place], self.time)
+        elif outcome == CABLE_LEAPT:
+            report = run.report
+            place = [*self._effects.winding_places()][report.leapt]
+            self.restore(run.kept(True), report.cable_time, report.cable_residual)
+            raise leapt(place, report.winding, self.time)
         else:
             raise opened_loops(self)
 
@@ -437,54 +388,34 @@ class Stepping(Readings):
             Where it is far off; the latest state that was well is kept.
 
         """
-        self._start_balance()
-        pause = self._check_energy()
-        if pause:
-            self._report_pause(pause)
+        outcome = self._run.check_energy()
+        if outcome:
+            self._tell(outcome)
 
-    def _set_guards(self, stiffness: StiffnessGuard, method: Method) -> None:
-        """Set the guards of a run by a method."""
-        self._stiffness = stiffness
+    def _set_guard(self) -> None:
+        """Set the guard of the energy by the present method."""
+        stiffness = self._stiffness
         self.energy_guard = EnergyGuard(
-            method, stiffness.rate, self._numbers, self._counts, stiffness.limit,
-            stiffness.among_laws, self._geometry.may_leave_out)
-        self._restart_guards()
+            self.scene.method, stiffness.rate, self._run, stiffness.limit)
 
-    def _restart_guards(self) -> None:
-        self.energy_guard.restart()
-        counts = self._counts
-        counts[guarded_run.CABLES_CHECKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
-        counts[guarded_run.EQUATIONS_BETWEEN] = EQUATIONS_FIRST_CHECK
+    def _watch(self, method: Method, stiffness: StiffnessGuard) -> Watch:
+        """Return the numbers by which the engine watches a run."""
+        return watch(method, stiffness.among_laws, self._geometry.may_leave_out,
+                     len(self._windings()) > 0, extent(self.mechanism), self._mass)
 
-    def _watch(self) -> Any:
-        """Return the numbers by which the engine watches the run."""
-        guard, method = self.energy_guard, self.scene.method
-        places, size = self._effects.winding_places().values(), extent(self.mechanism)
-        drifts = method.stabilisation not in CLOSING
-        return guarded_run.Watch(
-            guard.first, guard.rarely, guard.call, guard.whole, self._geometry.may_leave_out,
-            min(CABLE_CHECK_EVERY if places else guarded_run.NEVER,
-                CLOSURE_CHECK_EVERY if drifts else guarded_run.NEVER),
-            OPEN * size if drifts else math.inf, method.stabilisation == 'none', size,
-            USUAL_TORQUE, method.by_budget, np.array([*places], dtype=np.int64))
+    def _windings(self) -> np.ndarray:
+        """Return the places of windings of cables among the data of effects."""
+        return np.array([*self._effects.winding_places().values()], dtype=np.int64)
+
+    def _new_run(self, system: System, method: Method, stiffness: StiffnessGuard) -> Run:
+        """Return a run of the present state by a method."""
+        return Run(system, self._state, method, self._watch(method, stiffness),
+                   self._effects.roles, self._windings())
 
     def _set_run(self) -> None:
-        """Build the engine's run from the present method, system and guards."""
-        before = getattr(self, '_run', None)
-        self._numbers[guarded_run.STEP_SIZE] = self.step_size
-        self._numbers[guarded_run.MASS] = self._mass
-        run = guarded_run.guarded_run(
-            self._driver.driver.native, self._watch(), self._balance.account, self._state,
-            len(self._driver.memory), self._numbers, self._counts)
-        if before is not None and len(before.kept) == len(run.kept) and (
-                np.array_equal(before.watch.windings, run.watch.windings)):
-            # Where the guards have seen it.
-            run = run._replace(kept=before.kept, kept_by_cables=before.kept_by_cables,
-                               windings=before.windings)
-        self._run, engine = run, self.system.native
-        self._advance_run, self._resume_run, self._check_energy, self.run_samples = (
-            native.bind(name, engine, run)
-            for name in ('advance_run', 'resume_run', 'check_energy', 'run_samples'))
+        """Let the engine's run go on with the limits of the present scene."""
+        self._run.set_watch(self.system, self._watch(self.scene.method, self._stiffness),
+                            self._windings())
 
     def choose_equations(self, status: int) -> bool:
         """
@@ -536,9 +467,7 @@ class Stepping(Readings):
     def exchange(self, model: t.Model) -> None:
         """Make method and guards work on other closure equations, too."""
         super().exchange(model)
-        self._driver.rebind(self.system)
         self._stiffness.move(self.system)
-        self._set_run()
         self.exchanges += 1
 
     @property
@@ -548,48 +477,25 @@ class Stepping(Readings):
 
     def judge(self) -> None:
         """As ``check_energy``, without a warning of a small error."""
-        self._start_balance()
-        pause = self._check_energy()
-        if pause == guarded_run.ENERGY_LOST:
-            self._report_pause(pause)
+        outcome = self._run.check_energy()
+        if outcome == ENERGY_LOST:
+            self._tell(outcome)
 
-    def _make_portion(self, failed: bool) -> None:
-        """Make steps that the engine does not: those of other solvers, or after a failure."""
-        numbers, counts, driver = self._numbers, self._counts, self._driver.driver
-        size, portion = float(numbers[guarded_run.SIZE]), int(counts[guarded_run.HANDED])
-        grid = self.time, 0
-        if size == self.step_size:
-            grid = float(numbers[guarded_run.TIME_BASE]), int(counts[guarded_run.STEPS])
-        status, elapsed = None, 0.0
-        if failed:
-            status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
-        begin, worked = perf_counter_ns(), thread_time_ns()
-        reached, exchanged = elapsed, 0
+    def _choose_or_stop(self, report: Any, exchanged: int) -> None:
+        """Choose other equations after a step that failed, or raise what has ended the run."""
+        run, status, size = self._run, report.status, report.size
+        if status == INTERRUPTED:
+            # Another thread was.
+            raise KeyboardInterrupt
+        goes_on = False
         try:
-            while status != DONE:
-                if status == INTERRUPTED:
-                    # Another thread was.
-                    raise KeyboardInterrupt
-                if status is not None:
-                    if elapsed > reached + LEAST_PROGRESS * size:
-                        reached, exchanged = elapsed, 0
-                    exchanged += 1
-                    if exchanged > MOST_EXCHANGES or not self.choose_equations(status):
-                        break
-                    driver.go_on()
-                status, elapsed = driver.advance(self._state, *grid, size, portion)
-        except BaseException:
-            # Ctrl-C, within steps that count as not made.
-            self._state[:] = self._run.before
-            self._driver.restart(moved=True)
-            raise
-        numbers[guarded_run.COST_NANOSECONDS] += perf_counter_ns() - begin
-        numbers[guarded_run.COST_CPU_NANOSECONDS] += thread_time_ns() - worked
-        if status == DONE:
+            goes_on = exchanged <= MOST_EXCHANGES and self.choose_equations(status)
+        finally:
+            if not goes_on:
+                run.give_up()
+                self._fresh = False
+        if goes_on:
             return
-        self._driver.count(elapsed, size)
-        numbers[guarded_run.TIME_BASE] += elapsed
-        self._fresh = False
         beyond = self._motions.advice_on_stopping(
             self._assembler, self._q, self.time, self.step_size)
         if beyond:
@@ -707,12 +613,12 @@ class Stepping(Readings):
     def _jump(self) -> None:
         """Reset the guards after a discontinuity of the state."""
         self._fresh = False
-        self.energy_guard.jump()
-        self._counts[guarded_run.CABLES_CHECKED] = 0
+        self._run.jump()
 
     def _jump_balance(self, energy: float) -> None:
         """Leave the energy of a change from outside out of the balance."""
-        self._balance.jump(self._by_freedom(), energy)
+        self._run.jump_balance(energy)
+        self._fresh = False
 
     def restore(
             self, state: ArrayLike, time: float,
@@ -736,28 +642,23 @@ class Stepping(Readings):
 
         """
         native.require_free(self.system.native)
-        state = vector('state', state, len(self.state))
+        state = vector('state', state, self._run.whole_length())
         if residual is None:
             residual = self.energy_balance.residual
-        self._start_balance()
+        self._run.find_start()
         steps = round(time / self.step_size)
         exact = steps * self.step_size == time
-        self._set_time(*((0.0, steps) if exact else (time, 0)))
+        self._run.set_time(*((0.0, steps) if exact else (time, 0)))
         self._effects.restart()
-        self._recall(state)
-        self._driver.restart()
+        self._run.recall(state)
+        self._run.restart(False)
         self._jump()
         self._jump_balance(self.energy_balance.residual - residual)
-
-    def _recall(self, state: np.ndarray) -> None:
-        """Restore a value of ``state``."""
-        self._state[:] = state[:len(self._state)]
-        self._driver.recall(state[len(self._state):])
 
     @property
     def monitor(self) -> Monitor:
         """Return the account of cost and local error, a ``monitor.Monitor``."""
-        return self._driver
+        return self._monitor
 
 
 def _whole(steps: Any) -> int:

@@ -12,11 +12,11 @@ import weakref
 
 from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.guarded_run import NONE
 from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.steppers import build_stepper
+from closedloop_dynamics.integration.run import DONE, Run
 from closedloop_dynamics.integration.system import build_system, number_of_states
-from closedloop_dynamics.integration.tableau import Tableau
+from closedloop_dynamics.integration.tableau import RK4
+from closedloop_dynamics.simulation.guards import watch
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -50,7 +50,9 @@ def parts(system):
     one, state = system
     nv = len(one.qdd)
     q, qd = state[:nv].copy(), state[nv:].copy()
-    stepper = build_stepper(one, Method(integrator='rk4'))
+    method = Method(integrator='rk4')
+    run = Run(one, state, method, watch(method, False, False, False, 1.0, 1.0),
+              *2 * [np.zeros(0, dtype=np.int64)])
     return {
         'outward': (one.model, q, qd, one.work),
         'inward': (one.model, one.tau, one.work, False),
@@ -59,12 +61,12 @@ def parts(system):
         'evaluate': (one.native, q, qd),
         'derivative': (one.native, state.copy(), np.zeros(2 * nv)),
         'stabilise': (one.native, PROJECTION, state.copy()),
-        'advance': (one.native, stepper.native, state.copy(), 0.0, 0, 1e-3, 3),
+        'make_steps': (one.native, run.native, state.copy(), 1e-3, 3, 3),
         'evaluate_state': (one.native, state.copy())}
 
 
 FUNCTIONS = ('outward', 'inward', 'largest', 'forward_dynamics', 'evaluate', 'derivative',
-             'stabilise', 'advance', 'evaluate_state')
+             'stabilise', 'make_steps', 'evaluate_state')
 
 
 def unwritable(array):
@@ -152,6 +154,18 @@ def description(system):
 
 @pytest.mark.parametrize('wrong', WRONG_ARRAYS)
 def test_wrong_arrays_of_a_description_are_refused(system, wrong):
+    one, none = system[0], np.zeros(0, dtype=np.int64)
+    limits = watch(Method(integrator='rk4'), False, False, False, 1.0, 1.0)
+    for field, array in RK4._asdict().items():
+        # What is only read may be read-only.
+        if not isinstance(array, np.ndarray) or not array.size or wrong == 'read-only':
+            continue
+        changed = WRONG_ARRAYS[wrong](array)
+        if kept(array, changed):
+            continue
+        options = RK4._replace(**{field: changed}), None, PROJECTION, 1e-6
+        with pytest.raises((TypeError, ValueError, BufferError)):
+            native.run(one.native, 'fixed', options, limits, none, none)
     for field, array in description(system[0]).items():
         changed = WRONG_ARRAYS[wrong](array)
         if not kept(array, changed) and wrong != 'read-only':
@@ -166,7 +180,7 @@ def test_records_of_another_length_are_refused(system):
         with pytest.raises(TypeError, match=r'outward, argument 1: expected a handle of .*Model'):
             native.outward(wrong, q, qd, work)
     with pytest.raises(TypeError, match='tuple of 6 fields'):
-        native.stepper(one.native, 'fixed', ((), None, 0, 1e-6))
+        native.run(one.native, 'fixed', ((), None, 0, 1e-6), None, q, q)
 
 
 @pytest.mark.parametrize('wrong', [None, 1, 'system', (), np.zeros(3), object()],
@@ -334,32 +348,69 @@ def guarded(request):
     yield simulation
 
 
-def shortened(record):
-    """Yield a record with each of its arrays, and those of records in it, one row short."""
-    for name, value in zip(record._fields, record):
-        if isinstance(value, Tableau):
-            continue
-        if isinstance(value, tuple):
-            yield from (record._replace(**{name: each}) for each in shortened(value))
-        elif isinstance(value, np.ndarray):
-            for axis in range(value.ndim) if value.size else ():
-                yield record._replace(
-                    **{name: np.ascontiguousarray(np.delete(value, 0, axis))})
-
-
 def test_runs_that_do_not_fit_their_system_are_refused(guarded):
     system, run, tau = guarded.system.native, guarded.run, np.zeros(len(guarded.torque_names))
-    assert native.advance_run(system, run, tau, 1) == NONE
-    refused = 0
-    for wrong in shortened(run):
-        for arguments in (('advance_run', tau, 1), ('resume_run',), ('check_energy',),
-                          ('record_energy', np.zeros(5))):
-            with pytest.raises(ValueError, match='do not fit the system'):
-                getattr(native, arguments[0])(system, wrong, *arguments[1:])
-        refused += 1
-    assert refused > 5
-    states = guarded.integrated[np.newaxis].copy()
-    fine = np.zeros(1, dtype=np.int64)
+    assert native.advance_run(system, run.native, guarded.integrated, tau, 1) == DONE
+    other = Simulation.from_scene('three_rrr')
+    states = [one.integrated.copy() for one in (guarded, other)]
+    calls = (('advance_run', tau, 1), ('make_steps', 1e-3, 1, 0), ('resume_run',),
+             ('check_energy',), ('record_energy',), ('balance',),
+             ('begin',), ('add_work',), ('jump_balance', 0.0))
+    for name, *arguments in calls:
+        with pytest.raises(ValueError, match='of this system'):
+            getattr(native, name)(other.system.native, run.native, states[1], *arguments)
+        for state in (states[1], states[0][1:].copy()):
+            with pytest.raises(ValueError, match='length that the system has'):
+                getattr(native, name)(system, run.native, state, *arguments)
+    for name, *arguments in (('find_start',), ('restart', True), ('rewind',), ('whole_length',)):
+        with pytest.raises(ValueError, match='of this system'):
+            getattr(native, name)(other.system.native, run.native, *arguments)
+    with pytest.raises(ValueError, match='of this system'):
+        native.command(other.system.native, run.native, states[1],
+                       np.zeros(len(other.torque_names)))
+    with pytest.raises(ValueError, match='do not fit together'):
+        native.command(system, run.native, states[0], np.zeros(len(tau) + 1))
+    with pytest.raises(ValueError, match='PyCapsule'):
+        native.advance_run(system, other.system.native, states[0], tau, 1)
+    states, fine = states[0][np.newaxis].copy(), np.zeros(1, dtype=np.int64)
     for wrong, short in ((states[:, 1:].copy(), fine), (states, np.zeros(2, dtype=np.int64))):
         with pytest.raises(ValueError, match='do not fit together'):
-            native.check_starts(system, run, 1e-12, wrong, short)
+            native.check_starts(system, run.native, 1e-12, wrong, short)
+
+
+def made(run, system, name='fixed', tableau=None, watch=None, roles=None):
+    """Return a run of other arguments, through the bindings alone."""
+    none = np.zeros(0, dtype=np.int64)
+    return native.run(
+        system.native, name, (tableau, tableau, 0, 1e-6), watch or run.watch,
+        none if roles is None else roles, none)
+
+
+@pytest.mark.parametrize('change', [
+    {'step_size': 0.0}, {'step_size': -1e-3}, {'step_size': np.nan}, {'first': 0}, {'most': -1}])
+def test_limits_that_no_run_can_have_are_refused(guarded, change):
+    run, system, windings = guarded.run, guarded.system, np.zeros(0, dtype=np.int64)
+    with pytest.raises(ValueError, match='do not fit the system'):
+        run.set_watch(system, run.watch._replace(**change), windings)
+    with pytest.raises(ValueError, match='do not fit the system'):
+        run.set_watch(system, run.watch, np.array([10 ** 6]))
+    with pytest.raises(ValueError, match='roles'):
+        made(run, system, 'rodas4', roles=np.zeros(99, dtype=np.int64))
+
+
+def test_methods_that_do_not_fit_are_refused(guarded):
+    run, other = guarded.run, Simulation.from_scene('three_rrr')
+    with pytest.raises(ValueError, match='another system'):
+        native.take_method(guarded.system.native, run.native, other.run.native)
+    with pytest.raises(ValueError, match='no such method'):
+        made(run, guarded.system, 'euler')
+    for name in ('explicit', 'auto', 'fixed'):
+        with pytest.raises(ValueError, match='tableau'):
+            made(run, guarded.system, name)
+    for name in ('write_whole', 'recall'):
+        with pytest.raises(ValueError, match='do not fit together'):
+            getattr(run, name)(np.zeros(len(guarded.state) + 1))
+    with pytest.raises(ValueError, match='do not fit together'):
+        run.accuracy_in(np.zeros(3))
+    with pytest.raises(ValueError, match='room'):
+        native.write_kept(run.native, False, np.zeros(1))

@@ -11,10 +11,9 @@ from closedloop_dynamics.core import formulations, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
-    course, curve, energy_balance, expression, force_law, table, traced_effect)
+    course, curve, expression, force_law, table, traced_effect)
 from closedloop_dynamics.integration import (
-    batch, control, evaluation, guarded_run, recorded_run, registry, stepped_run,
-    steppers, system, tableau)
+    batch, control, evaluation, recorded_run, registry, run, stepped_run, system, tableau)
 from closedloop_dynamics.simulation import guards
 import pytest
 
@@ -55,11 +54,7 @@ ENUMS = {
     'course.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (system, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
-    'account': (energy_balance, {}),
-    'guard.Number': (guarded_run, {}),
-    'guard.Count': (guarded_run, {}),
-    'guard.Checked': (guarded_run, {}),
-    'Pause': (guarded_run, {}),
+    'Outcome': (run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'energy_balance.cpp: OWN': (table, {}),
     'manifold_derivatives.cpp: QUATERNION': (manifold, {}),
@@ -68,13 +63,13 @@ ENUMS = {
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
-         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO'}
+         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
     'switching.cpp': (control, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
-    'guarded_run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
+    'run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
@@ -93,9 +88,8 @@ RECORDS = {
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
     'SceneCode': table.SceneCode,
     'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau,
-    'RunBuffer': recorded_run.RunBuffer, 'Watch': guarded_run.Watch,
-    'GuardedRun': guarded_run.GuardedRun, 'EnergyAccount': energy_balance.EnergyAccount,
-    'Lane': batch.Lane, 'MethodOptions': steppers.MethodOptions, 'Request': evaluation.Request,
+    'RunBuffer': recorded_run.RunBuffer, 'Watch': run.Watch,
+    'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
     'Batch': batch.Batch, 'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
     'StepRoutines': stepped_run.StepRoutines, 'RunInputs': stepped_run.RunInputs}
 

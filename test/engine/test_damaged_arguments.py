@@ -18,12 +18,10 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.steppers import build_stepper
 from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -54,7 +52,7 @@ ANY_LENGTH = {
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
-    ('find_joint_forces', 4), ('advance_run', 2),
+    ('find_joint_forces', 4), ('advance_run', 3),
     ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('measure_cut_coordinates', 2),
     ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
     ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
@@ -132,13 +130,10 @@ def use(simulation):
 
 def use_kernels(simulation, note):
     """Call what simulations ask for seldom, with the arrays of one."""
-    system, run = simulation.system, simulation.run
+    system, run = simulation.system, simulation.run.native
     model, work, handle, effects = system.model, system.work, system, system.effects
     nq, nv, state = len(simulation.position), len(system.qdd), simulation.integrated.copy()
     q, qd = state[:nq].copy(), state[nq:nq + nv].copy()
-    numbers, account = run.numbers.copy(), run.account
-    # The energy at the start counts as known.
-    np.nan_to_num(account.numbers, copy=False)
 
     def call(name, *arguments):
         note(name, *arguments)
@@ -163,12 +158,30 @@ def use_kernels(simulation, note):
     call('derivative', handle, state, np.zeros_like(state))
     call('stabilise', handle, PROJECTION, state)
     call('equations_suffice', handle, PROJECTION, state)
-    call('add_held_work', handle, account, state)
-    call('fill_balance', handle, account, state, np.zeros(5))
-    call('advance_run', handle, run, system.tau.copy(), 2)
-    call('check_energy', handle, run)
-    call('record_energy', handle, run, np.zeros(5))
-    call('record_loss', numbers, 1.0, 2.0, 0.0, 0.1)
+    for name in ('begin', 'add_work', 'balance', 'check_energy', 'record_energy', 'resume_run'):
+        call(name, handle, run, state)
+    call('find_start', handle, run)
+    call('advance_run', handle, run, state, system.tau.copy(), 2)
+    call('make_steps', handle, run, state, 1e-3, 2, 2)
+    call('command', handle, run, state, system.tau.copy())
+    call('jump_balance', handle, run, state, 0.1)
+    call('set_time', run, 0.5, 3)
+    call('record_loss', run, 1.0, 2.0, 0.0, 0.1)
+    call('choose_more_seldom', run, 100)
+    call('sample', run, True)
+    call('restart', handle, run, True)
+    call('rewind', handle, run)
+    call('try_step', handle, run, state, 1e-4)
+    call('whole_length', handle, run)
+    call('recall', handle, run, state, simulation.state)
+    call('write_whole', handle, run, state, simulation.state)
+    call('accuracy_in', handle, run, simulation.state)
+    call('take_method', handle, run, run)
+    for name in ('time', 'base', 'steps', 'run_report', 'give_up', 'clear_cost', 'jump',
+                 'restart_guards'):
+        call(name, run)
+    call('write_kept', run, False, simulation.state)
+    call('set_watch', handle, run, simulation.run.watch, np.zeros(0, dtype=np.int64))
     call('move', system.manifold, q, qd, 0.1)
     call('rates_of_coordinates', system.manifold, state, nv, np.zeros(nq), 1)
     call('fill_quaternions', np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 4)))
@@ -194,15 +207,10 @@ def use_kernels(simulation, note):
 
 def use_driver(simulation, integrator):
     """Make steps by the methods themselves."""
-    stepper = build_stepper(simulation.system, Method(integrator=integrator))
-    stepper.restart(moved=True)
-    stepper.advance(simulation.integrated.copy(), 0.0, 0, 1e-4, 2)
-    stepper.go_on()
-    stepper.memory = stepper.memory
-    assert stepper.report.rejected >= 0.0 or integrator == 'rodas4_fixed'
-    stepper.clear_report()
+    simulation.prepare_method(integrator=integrator)()
+    simulation.step(duration=2e-3)
     if integrator == 'auto':
-        stepper.aim(1e-5)
+        simulation.run.aim(1e-5)
 
 
 @pytest.fixture(scope='module')

@@ -56,7 +56,7 @@ def test_the_default_method_finds_nine_impacts(kind, stiffness):
         # Three hundred times better than what is asked for: no corner within any step.
         assert simulation.position[0] == pytest.approx(
             height(simulation.time, stiffness), abs=3e-9)
-    steps = simulation.monitor.driver.report
+    steps = simulation.run.steps
     # Without finding them it took four to seven times as many.
     assert steps.accepted + steps.rejected < 110
     assert_balanced(simulation, 1e-8)
@@ -75,11 +75,11 @@ def test_every_method_with_error_control_finds_them(integrator, error):
 def test_steps_end_where_contact_begins_and_ends():
     simulation = simulated(BALL, {'gravity': EARTH, 'floor': FLOORS['contact'](1e4)}, [START],
                            integrator='auto', step_size=2e-5)
-    driver = simulation.monitor.driver
+    run = simulation.run
     ends = set()
     for _ in range(18000):
         simulation.step()
-        ends.add(driver.report.reached)
+        ends.add(run.steps.reached)
     w, v = 100.0, math.sqrt(2.0 * G * START)
     fall, touch = v / G, 2.0 * (math.pi - math.atan(v * w / G)) / w
     for event in (fall, fall + touch):

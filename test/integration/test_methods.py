@@ -92,7 +92,7 @@ def test_generated_jacobian_is_of_the_side_on_which_a_step_begins():
     made = []
     for simulation in (generated, quotients):
         simulation.step(duration=0.5)
-        steps = simulation.monitor.driver.report
+        steps = simulation.run.steps
         made.append((steps.accepted, steps.rejected, steps.work))
     assert made[0][:2] == made[1][:2]
     # Where derivatives are generated a Jacobian takes one evaluation.
@@ -115,7 +115,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for interval in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=interval)
-        counts.append(simulation.monitor.driver.report.accepted)
+        counts.append(simulation.run.steps.accepted)
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 

@@ -15,9 +15,9 @@ from ..reference import cases, famous, peaucellier
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
-# Where the memory of the method has the monitor of its error, behind the control records of both
-# runs (``engine/switching.hpp``), and there: whether a window is open, and when that changes.
-MONITOR, OPEN, UNTIL = 48, 2, 3
+# Where the memory of the method has whether its error is monitored, and when that changes: behind
+# the control records of both runs (``engine/switching.hpp``).
+OPEN, UNTIL = 50, 51
 
 
 def worst_error(scene, torque, accuracy, change=None, duration=1.0):
@@ -127,7 +127,7 @@ def test_steps_end_where_torques_are_expected_to_change():
     for number in range(50):
         held.step([5.0 + 1e-9 * number, -3.0, 2.0], 0.01)
     free.step([5.0, -3.0, 2.0], 0.5)
-    steps = held.monitor.driver.report.accepted
+    steps = held.run.steps.accepted
     # One for each torque, but for the first interval, of which nothing was known.
     assert steps <= 60
     assert np.abs(held.position - free.position).max() < 1e-5
@@ -143,10 +143,10 @@ def test_what_is_stiff_is_stepped_stiffly_and_back():
     was_stiff = False
     for _ in range(20):
         simulation.advance(tau, 10)
-        was_stiff = was_stiff or simulation.monitor.driver.report.stiff
+        was_stiff = was_stiff or simulation.run.steps.stiff
     assert was_stiff
     # An explicit method would need a million steps a second.
-    assert simulation.monitor.driver.report.accepted < 3e4
+    assert simulation.run.steps.accepted < 3e4
     assert simulation.report().findings == ()
 
 
@@ -179,15 +179,14 @@ def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
 def test_the_run_does_not_depend_on_its_companion(rate):
     # Nothing that the companion does, or is spared, changes a digit of the run.
     free, watched = (Simulation.from_scene('three_rrr', step_size=1.0 / rate) for _ in range(2))
-    stepper = free.monitor.driver
     for number in range(300):
         torque = [5.0 + 0.01 * number, -3.0, 2.0 * np.sin(0.1 * number)]
         for one in (free, watched):
             one.advance(one.joint_torques(torque), 1)
         # From the first step on no window is open.
-        memory = stepper.memory
-        memory[MONITOR + OPEN], memory[MONITOR + UNTIL] = 0.0, np.inf
-        stepper.memory = memory
+        whole = free.state
+        whole[[len(free.integrated) + OPEN, len(free.integrated) + UNTIL]] = 0.0, np.inf
+        free.run.recall(whole)
     assert free.monitor.work[1] < 0.1 * watched.monitor.work[0]
     assert np.array_equal(free.integrated, watched.integrated)
 
@@ -204,18 +203,18 @@ def test_without_new_torques_the_steps_are_those_of_dop853():
 @pytest.mark.parametrize('scene', ['three_rrr', 'carpet_scraper', 'stewart_platform'])
 def test_steps_between_torques_are_those_of_the_lower_order_where_these_are_accurate(scene):
     simulation = Simulation.from_scene(scene)
-    stepper, short, evaluations = simulation.monitor.driver, 0, []
+    run, short, evaluations = simulation.run, 0, []
     for number in range(200):
         tau = np.full(len(simulation.torque_names), 0.1 + 1e-3 * (number % 3))
-        before = stepper.report.work
+        before = run.steps.work
         simulation.advance(tau, 1)
-        short += stepper.report.is_short
-        evaluations.append(stepper.report.work - before)
+        short += run.steps.is_short
+        evaluations.append(run.steps.work - before)
     # Six evaluations, and that of the end, for the error, are not twelve.
     assert short > 150 and np.median(evaluations) == 6.0
     # Torques that are held for longer than expected: DOP853 goes on.
     simulation.advance(tau, 100)
-    assert not stepper.report.is_short
+    assert not run.steps.is_short
 
 
 def test_a_lower_order_that_is_too_coarse_is_tried_rarely():
@@ -223,5 +222,5 @@ def test_a_lower_order_that_is_too_coarse_is_tried_rarely():
     short = 0
     for number in range(200):
         simulation.advance(simulation.joint_torques([5.0 + 0.01 * number, -3.0, 2.0]), 1)
-        short += simulation.monitor.driver.report.is_short
+        short += simulation.run.steps.is_short
     assert short <= 5

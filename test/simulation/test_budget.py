@@ -198,7 +198,7 @@ def test_the_accuracy_in_force_is_that_of_the_steps():
         simulation, reference = runs_of(None)
         for one in (simulation, reference):
             one.step(TORQUE, 0.2)
-        simulation.monitor.driver.aim(accuracy)
+        simulation.run.aim(accuracy)
         start = simulation.position - reference.position
         for one in (simulation, reference):
             one.step(TORQUE, 0.6)

@@ -54,7 +54,7 @@ def test_a_small_loss_is_a_warning_with_figure_and_remedy():
     with pytest.warns(InaccuracyWarning, match='Take integrator: auto'):
         simulation.step(duration=6.0)
     finding, = simulation.report().findings
-    guard = simulation.energy_guard
+    guard = simulation.run.report
     assert f'{guard.worst_lost:.3g} J of the {guard.worst_moved:.3g} J' in finding
     assert f't = {guard.worst_time:.6g} s' in finding
     simulation.reset()
@@ -200,7 +200,7 @@ def test_the_error_bound_is_withdrawn_where_the_energy_balance_fails():
     simulation = Simulation.from_scene('four_bar')
     simulation.step({'crank_joint': 1.0}, 0.1)
     assert simulation.report().error_bound < 1e-5
-    simulation.energy_guard.compare(1.0, 2.0, 0.0, simulation.time)
+    simulation.run.record_loss(1.0, 2.0, 0.0, simulation.time)
     report = simulation.report()
     assert math.isnan(report.error_bound) and len(report.findings) == 1
 
@@ -210,6 +210,6 @@ def test_rounding_of_weights_that_hardly_move_is_no_loss():
     before = simulation.energy_balance
     lost = 1e-14 * simulation.energy_scale
     assert simulation.energy_scale > 1.0
-    simulation.energy_guard.compare(
+    simulation.run.record_loss(
         lost, 1.01 * lost, 1e-13 * simulation.energy_scale, 0.0)
-    assert simulation.energy_guard.worst == 0.0 and before.residual == 0.0
+    assert simulation.run.report.worst == 0.0 and before.residual == 0.0

@@ -10,13 +10,15 @@ from types import SimpleNamespace
 
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.simulation.monitor import FIRST_SAMPLE
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 from ..reference import peaucellier
+
+# Steps before the first whose error is estimated (``engine/run.cpp``).
+FIRST_SAMPLE = 30
 
 
 @pytest.mark.parametrize('method', [
@@ -140,8 +142,8 @@ def test_the_bound_next_to_a_singular_position_is_what_is_judged(monkeypatch):
     simulation = Simulation.from_scene('four_bar', integrator='auto', accuracy=1e-6)
     simulation.step(duration=0.01)
     made = SimpleNamespace(**{
-        **vars(simulation.monitor.driver.report), 'largest_bound': 1e-6, 'bound': 1e-6})
-    monkeypatch.setattr(type(simulation.monitor.driver), 'report', made)
+        **vars(simulation.run.steps), 'largest_bound': 1e-6, 'bound': 1e-6})
+    monkeypatch.setattr(type(simulation.run), 'steps', made)
     assert simulation.report().findings == () and simulation.report().error_bound == 1e-6
     # There it may be all of the distance to the reference run, ten times as much.
     simulation.system.work.health[RANK_REVEALING_COUNT] = 1.0

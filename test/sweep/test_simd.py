@@ -129,8 +129,9 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         state[LANES - 1] += 2.0 * math.pi * turns
         motion = np.zeros((2, LANES, 2, 3))
         assert native.run_batch(
-            pack[:-1], (Lane(system.native, simulation.run),), state, np.zeros((1, 3 * LANES)),
-            1, 1, 1, *motion, np.zeros(1, dtype=np.int64), np.zeros((1, 4))) == status
+            pack[:-1], (Lane(system.native, simulation.run.native),), state,
+            np.zeros((1, 3 * LANES)), 1, 1, 1, *motion, np.zeros(1, dtype=np.int64),
+            np.zeros((1, 4))) == status
 
 
 @pytest.fixture
@@ -142,7 +143,7 @@ def good():
     batch = build_batch([system])
     yield {
         'batch': tuple(batch)[:-1],
-        'lanes': (Lane(system.native, simulation.run),) * 2,
+        'lanes': (Lane(system.native, simulation.run.native),) * 2,
         'state': lanes.spread([start] * LANES), 'torque': np.zeros((3, 3 * LANES)),
         'zero_order_hold': 2, 'decimation': 3, 'steps': 6,
         'position': np.zeros((LANES, 3, 3)), 'velocity': np.zeros((LANES, 3, 3)),
@@ -182,7 +183,8 @@ def test_every_array_within_a_batch_is_checked(good, number):
 def test_lanes_of_another_mechanism_are_refused(good):
     other = Simulation.from_scene('three_rrr', integrator='rk4')
     lane, _ = good['lanes']
-    for wrong in (Lane(other.system.native, other.run), Lane(lane.system, other.run)):
+    for wrong in (Lane(other.system.native, other.run.native),
+                  Lane(lane.system, other.run.native)):
         with pytest.raises((RuntimeError, ValueError), match='fit'):
             native.run_batch(*{**good, 'lanes': (lane, wrong)}.values())
 
