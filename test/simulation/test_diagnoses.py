@@ -7,7 +7,6 @@ import re
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.integration.control import TOO_MUCH_WORK
 from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 import pytest
@@ -33,18 +32,24 @@ def bouncing(**method):
 
 
 def test_contacts_that_press_are_named_where_the_work_is_too_much():
-    walls = {'stiffness': 1e6}
+    # A million oscillations a second between two walls that are closer than the block is wide.
+    walls = {'stiffness': 1e13}
     jammed = simulated(block(), {
         'right': Contact('center', (-0.01, 0.0), angle=0.5 * np.pi, **walls),
         'left': Contact('center', (0.02, 0.0), angle=-0.5 * np.pi, **walls),
         'far': Contact('center', (-9.0, 0.0), angle=-0.5 * np.pi, **walls)},
-        [0.0], [0.0], step_size=STEP)
-    found = dict(re.findall(r'(\w+) \((.*?)\)', str(
-        jammed._stopped(TOO_MUCH_WORK, STEP)).partition('In contact: ')[2]))
-    # Depth times stiffness, the deepest first.
-    assert list(found.items()) == [
-        ('left', '0.02 m deep, normal force 2e+04 N'),
-        ('right', '0.01 m deep, normal force 1e+04 N')]
+        [0.0], [0.0], step_size=0.5, integrator='rodas4', tolerance=1e-9)
+    with pytest.raises(SimulationError, match='In contact: ') as error:
+        jammed.step(duration=0.5)
+    named = re.findall(r'(\w+) \((\S+) m deep, normal force (\S+) N\)',
+                       str(error.value).partition('In contact: ')[2])
+    assert {name for name, *_ in named} == {'left', 'right'}
+    for name, depth, force in named:
+        readings = jammed.effect_readings(name)
+        assert float(depth) == pytest.approx(readings['depth'], rel=1e-2)
+        assert float(force) == pytest.approx(1e13 * readings['depth'], rel=1e-2)
+    forces = [float(force) for *_, force in named]
+    assert forces == sorted(forces, reverse=True)
 
 
 # A kernel of its own, RODAS4 with effects.
