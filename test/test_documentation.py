@@ -123,7 +123,7 @@ def check_output(where, wanted, output):
 
 
 # They compute for longer than five seconds.
-LONG = ('optimise.md', 'recipes.md', 'control.md', 'workspace.md')
+LONG = ('optimise.md', 'recipes.md', 'synthesis.md', 'control.md', 'workspace.md')
 
 
 @pytest.mark.parametrize('page', [

@@ -21,7 +21,7 @@ COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'compare', 'effects', 'export', 'forces',
     'formulations', 'identify', 'import', 'kinematics', 'list', 'modes',
     'optimise', 'plot', 'replay', 'report', 'simulate', 'stability', 'sweep',
-    'urdf', 'view', 'workspace')}
+    'synthesise', 'urdf', 'view', 'workspace')}
 
 # Commands of earlier versions, and what serves in their place.
 GONE = {

@@ -570,7 +570,8 @@ class Stepping(Readings):
 
     def _pressing(self) -> str:
         """Return the contacts that press, the hardest first, with depths and forces."""
-        readings = {name: self.effect_readings(name) for name in self.enabled_effects}
+        readings = {name: self.effect_readings(name)
+                    for name, acts in self._effects.enabled.items() if acts}
         pressing = sorted(((one['normal_force'], name, one['depth'])
                            for name, one in readings.items()
                            if one.get('normal_force', 0.0) > 0.0), reverse=True)
