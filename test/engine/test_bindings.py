@@ -360,7 +360,7 @@ def test_runs_that_do_not_fit_their_system_are_refused(guarded):
         with pytest.raises(ValueError, match='of this system'):
             getattr(native, name)(other.system.native, run.native, states[1], *arguments)
         for state in (states[1], states[0][1:].copy()):
-            with pytest.raises(ValueError, match='length that the system has'):
+            with pytest.raises(ValueError, match='the mechanism asks for'):
                 getattr(native, name)(system, run.native, state, *arguments)
     for name, *arguments in (('find_start',), ('restart', True), ('rewind',), ('whole_length',)):
         with pytest.raises(ValueError, match='of this system'):

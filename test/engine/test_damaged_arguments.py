@@ -9,6 +9,7 @@ this with each access to memory checked: there an array that is accepted and rea
 run.
 """
 
+from copy import deepcopy
 import random
 
 from closedloop_dynamics.core.equations import with_all_equations
@@ -121,6 +122,7 @@ def use(simulation):
         simulation.inverse_dynamics(
             simulation.position, simulation.velocity, simulation.acceleration)
     simulation.forward_dynamics(simulation.position, simulation.velocity, np.zeros(count))
+    simulation.evaluator()
     for name in ('joint_forces', 'constraint_forces', 'energy', 'points'):
         getattr(simulation, name)
     for samples in (1, 9):
@@ -171,6 +173,7 @@ def use_kernels(simulation, note):
     call('sample', run, True)
     call('restart', handle, run, True)
     call('rewind', handle, run)
+    call('take_numbers', deepcopy(system), handle)
     call('try_step', handle, run, state, 1e-4)
     call('whole_length', handle, run)
     call('recall', handle, run, state, simulation.state)
