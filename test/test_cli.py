@@ -295,7 +295,7 @@ def test_a_full_disk_is_named(capsys):
     ('export four_bar --output no/x.xml', '--output'),
     ('urdf four_bar --output no/x.urdf', '--output'),
     ('urdf four_bar --srdf no/x.srdf', '--srdf'),
-    ('report four_bar --output x.pdf', '.html, got x.pdf'),
+    ('report four_bar --output x.txt', '.html, .pdf, got x.txt'),
     ('kinematics four_bar --drive crank_joint=0:1:3 --output x.txt', '.csv, got x.txt'),
     ('workspace three_rrr --point platform_center --show force', '--show: expected it with'),
     ('sweep four_bar --output x.nc --resume --overwrite', '--overwrite: not allowed'),

@@ -79,7 +79,7 @@ def write_report(path, scene, run, table, tolerances=None, changes=None, spent=N
 
     """
     if path.suffix == '.pdf' and find_spec('fpdf') is None:
-        raise ValueError('a PDF needs fpdf2: pip install fpdf2, or write a page of HTML')
+        raise ValueError('output: a PDF needs fpdf2: pip install fpdf2, or write a page of HTML')
     sections = _sections(scene, run, table, _tolerated(scene, tolerances or {}), spent)
     title = scene.name
     if changes:

@@ -25,6 +25,7 @@ from .assembly import Assembler, MOST_EQUATIONS
 from .errors import AssemblyError
 from .geometry import Geometry
 from ..core.ranks import rank_from, rank_of
+from ..mechanism.digits import suspicions
 from ..mechanism.mechanism import COUPLED, Coupling, CutJoint, POINT_ON_LINE
 from ..mechanism.rotations import of_quaternion
 
@@ -199,7 +200,8 @@ class _Search:
                 f'{_verb(found.closures, "forbid")} to second order what the Jacobian of the '
                 f'loops leaves free ({_list(found.joints)}), so that forces in this direction '
                 'meet no resistance of first order, and those that hold it are without bound. '
-                'Change a length by more than a thousandth, or leave the loop open.')
+                'Change a length by more than a thousandth, or leave the loop open.'
+                + ''.join(f' {note}' for note in suspicions(self.mechanism)))
         relations = self.relations([here, *(place for place in (
             self.place(q, rank) for q in around) if place is not None)])
         if relations is None:

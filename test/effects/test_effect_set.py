@@ -327,7 +327,7 @@ def ask(simulation):
     with pytest.raises(AssemblyError):
         simulation.set_state(simulation.position, np.full_like(simulation.velocity, 1e12))
     simulation.prepare_method(step_size=0.5 * simulation.step_size)
-    simulation.forward_dynamics(simulation.position, 0.5 * simulation.velocity)
+    simulation.forward_dynamics(simulation.position, simulation.velocity)
     return refused
 
 
