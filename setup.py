@@ -41,7 +41,7 @@ class BuildEngine(build_ext):
 
 setup(
     name=package_name,
-    version='1.0.0',
+    version='1.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
     package_data={package_name: ['__init__.pyi', 'py.typed'], package_name + '.view': ['page/*']},
     ext_modules=[Extension(

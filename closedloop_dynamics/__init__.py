@@ -34,7 +34,7 @@ _HOMES = {
     'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors',
     'State': 'simulation.state', 'write_scene': 'simulation.scene_text'}
 __all__ = sorted(_HOMES)
-__version__ = '1.0.0'
+__version__ = '1.1.0'
 
 
 def __getattr__(name: str) -> Any:
