@@ -73,7 +73,8 @@ def test_kinematics_writes_what_simulate_writes(capsys, tmp_path):
         capsys, 'kinematics', 'four_bar', '--drive', 'crank_joint=1.0472:3.0472:41', '--speed', 4,
         '--set', 'mechanism.bodies.coupler.mass=1.5', '--output', ours, '--picture', picture)
     assert code == 0, errors
-    assert '41 poses, crank_joint from 1.0472 to 3.0472 in 0.5 s' in text
+    assert '41 poses, crank_joint from 60.0001 deg to 174.592 deg in 0.5 s' in text
+    assert 'advantage rocker_joint: at least' in text and 'dead centres at none' in text
     assert picture.read_bytes()[:4] == b'\x89PNG'
     scene = json.loads((tmp_path / 'turn.csv.scene.json').read_text())
     assert scene['mechanism']['bodies']['coupler']['mass'] == 1.5

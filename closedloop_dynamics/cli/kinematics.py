@@ -11,7 +11,9 @@ import numpy as np
 from .command import (
     Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
-from ..recording.design import cycle, POSES, stops_met
+from ..recording.cycle import advantages, transmission_extremes
+from ..recording.design import cycle, drive_values, POSES, stops_met
+from ..recording.design_report import drive_shown
 from ..recording.kinematics import (
     assemblies, by_name, curves, Drive, drive_axis, DrivenRun, forces, torques, UNITS)
 from ..recording.rows import write_scene
@@ -179,23 +181,28 @@ def _list_assemblies(arguments, scene):
 
 def summary(run, table):
     """Return the largest torques and forces of a driven run, with their places, as text."""
-    column = by_name(table)
-    (name, values), *_ = [(name, values) for name, values in run.driven.items()
-                          if np.ptp(values) > 0.0] or run.driven.items()
-    lines = [f'{run.scene.name}: {len(run.time)} poses, {name} from {values[0]:.6g} to '
-             f'{values[-1]:.6g} in {run.time[-1]:.6g} s; loops closed to '
+    column, (name, values), at = by_name(table), drive_values(run), drive_shown(run)
+    lines = [f'{run.scene.name}: {len(run.time)} poses, {name} from {at(values[0])} to '
+             f'{at(values[-1])} in {run.time[-1]:.6g} s; loops closed to '
              f'{column["closure"].max():.2g} m or rad']
     for what, torque in torques(run, column).items():
         place = int(np.abs(torque).argmax())
         lines.append(f'  torque    {what}: at most {torque[place]:.6g} N m or N at {name} = '
-                     f'{values[place]:.6g}, rms {np.sqrt(np.mean(torque ** 2)):.6g}')
+                     f'{at(values[place])}, rms {np.sqrt(np.mean(torque ** 2)):.6g}')
     for what, force in forces(column).items():
         place = int(force.argmax())
         lines.append(f'  force     {what}: at most {force[place]:.6g} N at {name} = '
-                     f'{values[place]:.6g}')
+                     f'{at(values[place])}')
     for (what, joint), most in stops_met(run, table).items():
         lines.append(f'  end stop  {what}: {joint} goes beyond it by at most {most.value:.6g} '
-                     f'at {name} = {most.drive:.6g}')
+                     f'at {name} = {at(most.drive)}')
+    if len(run.driven) == 1 and len(run.time) > 2:
+        lines += [f'  transmission angle {math.degrees(one.value):.4f} deg at {name} = '
+                  f'{at(one.drive)}' for one in transmission_extremes(run)]
+        lines += [f'  advantage {what}: at least {one.least.value:.5g} at {name} = '
+                  f'{at(one.least.drive)}; dead centres at '
+                  f'{", ".join(map(at, one.dead_centres)) or "none"}'
+                  for what, one in advantages(run).items()]
     return '\n'.join(lines)
 
 

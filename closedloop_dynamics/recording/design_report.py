@@ -125,7 +125,7 @@ def _sections(scene, run, table, tolerances, spent):
     """Return title, rows of a table with its header, and pictures or notes, of each section."""
     column = by_name(table)
     name, values = design.drive_values(run)
-    at = _drive_shown(run)
+    at = drive_shown(run)
     outputs = design.outputs(run, table)
     found = [_mechanism(scene, run, table, at)]
     found.append(('Motion', [
@@ -305,7 +305,7 @@ def _shown(run, what):
     return lambda value: f'{math.degrees(value):.6g} deg'
 
 
-def _drive_shown(run):
+def drive_shown(run):
     """Return the function that writes a drive's value, in degrees where it turns."""
     _, label = drive_axis(run)
     if label.endswith('[deg]'):
