@@ -87,6 +87,8 @@ setup(
         'jax': ['jax>=0.4.34'],
         # To read MJCF and xacro files; to show the meshes of models.
         'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
+        # Documents and load spectra of closedloop report.
+        'report': ['fpdf2>=2.7', 'rainflow>=3.1'],
         # For Pythons without a ROS installation: Jazzy from PyPI.
         'ros': [
             'ros-jazzy-rclpy[fastrtps]',

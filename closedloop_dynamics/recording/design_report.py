@@ -113,7 +113,7 @@ def _write_document(path, page):
     document = FPDF(format='A4')
     document.set_font('Helvetica', size=9)
     document.add_page()
-    page = re.sub(r'.*<body>|</body>.*', '', page, flags=re.DOTALL)
+    page = page.partition('<body>')[2].partition('</body>')[0]
     # As wide as the paper, unless they are too high for it.
     page = re.sub(r'data-ratio="(.*?)"', lambda found: 'width="{:.0f}"'.format(
         min(PAPER[0], PAPER[1] / float(found[1]))), page)
