@@ -30,6 +30,8 @@ from ..mechanism.rotations import direction
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
 # In space the bodies are many, and a slider is thinner than its guide.
+# Bodies of one colour that a legend names.
+NAMED = 3
 LINK_WIDTH, SPATIAL_WIDTH, ROD_WIDTH = 5.0, 4.0, 2.2
 # In space: length of the lines along axes of joints, as a share of the picture's extent, and how
 # much nearer bodies are drawn above those behind them.
@@ -242,18 +244,24 @@ class MechanismArtist:
                 xytext=(11 if right >= 0.0 else -11, 9 if up >= 0.0 else -9),
                 textcoords='offset points', ha='left' if right >= 0.0 else 'right', **style)
 
+    def _named(self, color):
+        """Return the names of the bodies of a colour, of many the first ones."""
+        names = [name for name, one in self.color.items() if one == color]
+        more = f' and {len(names) - NAMED} more' if len(names) > NAMED else ''
+        return ', '.join(names[:NAMED]) + more
+
     def legend_handles(self, path=None, force=None):
         """Return the legend's handles; ``force`` is the label of the arrows."""
-        colors = dict.fromkeys(self.color.values())
         handles = [
             Line2D([], [], color=mixed(color, 0.75), linewidth=LINK_WIDTH,
-                   label=f'subsystem {number}')
-            for number, color in enumerate(colors, 1)]
+                   label=self._named(color))
+            for color in dict.fromkeys(self.color.values())]
         actuated = any(joint.actuated for joint in self.mechanism.joints)
         marker = {'linestyle': 'none', 'marker': 'o'}
         handles += [Line2D([], [], markersize=6.5, color=INK, label='driven joint',
                            **marker)] * actuated
-        handles += [Line2D([], [], markersize=7.5, markerfacecolor='white', label='cut joint',
+        handles += [Line2D([], [], markersize=7.5, markerfacecolor='white',
+                           label='closes a loop',
                            markeredgecolor=CUT_COLOR, markeredgewidth=2.2,
                            **marker)] * bool(self.mechanism.cut_joints)
         if path is not None:
