@@ -29,6 +29,14 @@ void require(bool good, const char * what)
   }
 }
 
+/// Copy words of eight bytes; there may be none, and then no place for them.
+void copy_words(double * to, const double * from, Index count)
+{
+  if (count > 0) {
+    std::memcpy(to, from, static_cast<std::size_t>(count) * sizeof(double));
+  }
+}
+
 /// Collects where the numbers of arrays are: all have eight bytes.
 class Numbers
 {
@@ -150,7 +158,7 @@ void Data::take(const Data & from)
       [](Values one, Values another) {return one.size == another.size;}),
     "expected a copy of the same data");
   for (std::size_t n = 0; n < own.found.size(); ++n) {
-    std::memcpy(own.found[n].data, others.found[n].data, own.found[n].size * sizeof(double));
+    copy_words(own.found[n].data, others.found[n].data, own.found[n].size);
   }
   std::copy(addresses.begin(), addresses.end(), table.begin() + routine::BODY);
   *settings = *from.settings;
@@ -170,7 +178,7 @@ Snapshot::Snapshot(const Data & data)
   kept_.resize(size);
   double * next = kept_.data();
   for (Values place : places_) {
-    std::memcpy(next, place.data, static_cast<std::size_t>(place.size) * sizeof(double));
+    copy_words(next, place.data, place.size);
     next += place.size;
   }
 }
@@ -179,7 +187,7 @@ void Snapshot::restore() const
 {
   const double * next = kept_.data();
   for (Values place : places_) {
-    std::memcpy(place.data, next, static_cast<std::size_t>(place.size) * sizeof(double));
+    copy_words(place.data, next, place.size);
     next += place.size;
   }
 }

@@ -31,7 +31,7 @@ from ..mechanism.rotations import direction
 ARROW_SIZE = 0.22
 # In space the bodies are many, and a slider is thinner than its guide.
 # Bodies of one colour that a legend names.
-NAMED = 3
+NAMED = 2
 LINK_WIDTH, SPATIAL_WIDTH, ROD_WIDTH = 5.0, 4.0, 2.2
 # In space: length of the lines along axes of joints, as a share of the picture's extent, and how
 # much nearer bodies are drawn above those behind them.
