@@ -136,7 +136,7 @@ class Animation:
         figure.legend(
             handles=artist.legend_handles(
                 point, f'force on body A, longest {largest:.3g} N' if known else None),
-            loc='outside lower center', ncols=4, fontsize=8, frameon=False)
+            loc='outside lower center', ncols=3, fontsize=8, frameon=False)
         self._canvas = FigureCanvasAgg(figure)
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)

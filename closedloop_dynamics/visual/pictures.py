@@ -164,7 +164,7 @@ def positions(motion, title):
     force = (f'force on body A at {motion.time[last]:.2f} s: up to {largest:.3g} N\n'
              f'(in the whole run up to {_largest_force(motion):.3g} N)') if largest else None
     figure.legend(handles=artist.legend_handles(point, force), loc='outside lower center',
-                  ncols=4, fontsize=9, frameon=False, title_fontsize=9,
+                  ncols=3, fontsize=9, frameon=False, title_fontsize=9,
                   title=f'positions at {times} s, pale to strong')
     if mechanism.planar:
         (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
@@ -203,7 +203,7 @@ def shapes(mechanism, deflections, title):
     for axes in panels:
         axes.axis('off')
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
-    figure.legend(handles=artist.legend_handles(), loc='outside lower center', ncols=4,
+    figure.legend(handles=artist.legend_handles(), loc='outside lower center', ncols=3,
                   fontsize=9, frameon=False)
     return figure
 
