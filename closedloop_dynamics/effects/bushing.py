@@ -26,7 +26,7 @@ from typing import Optional, Union
 
 import numpy as np
 
-from .effect import Effect
+from .effect import Effect, require_one_end
 from .force_law import force_law
 from .table import DISSIPATED, ForceElement, State
 from ..core.codegen.expression_graph import square_root
@@ -100,9 +100,7 @@ class Bushing(Effect):
     def __post_init__(self):
         """Refuse one with no end or three."""
         super().__post_init__()
-        if (self.point_b is None) == (self.anchor is None):
-            raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
-                             path=('point_b',))
+        require_one_end(self)
         if 3 in (len(self.stiffness), len(self.damping), len(self.anchor or ())) or isinstance(
                 self.turning_stiffness, tuple):
             object.__setattr__(self, 'READINGS', ('force_1', 'force_2', 'force_3', 'moment'))

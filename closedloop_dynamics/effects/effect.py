@@ -104,6 +104,20 @@ class Machine:
         return values if self.mechanism.planar or len(values) == 3 else (0.0, 0.0, 0.0)
 
 
+def require_one_end(effect):
+    """
+    Refuse an effect at ``point_a`` whose other end, ``point_b`` or ``anchor``, is none or both.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if (effect.point_b is None) == (effect.anchor is None):
+        raise FieldError('either point_b or anchor', 'both' if effect.anchor else 'neither',
+                         path=('point_b',))
+
+
 def require_body(mechanism, key, name):
     """
     Refuse the name of no body.

@@ -15,13 +15,12 @@ rest positions.
 from dataclasses import dataclass
 from typing import Optional
 
-from .effect import Effect
+from .effect import Effect, require_one_end
 from .force_law import force_law
 from .points import pull_together, two_places
 from .table import ForceElement
 from ..core.codegen.expression_graph import square_root
 from ..mechanism.checks import name, number, positive, vector
-from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import Vector
 
 
@@ -60,9 +59,7 @@ class MagneticSpring(Effect):
     def __post_init__(self):
         """Refuse invalid values, and one with no end or three."""
         super().__post_init__()
-        if (self.point_b is None) == (self.anchor is None):
-            raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
-                             path=('point_b',))
+        require_one_end(self)
 
     def element(self, machine):
         """Return the effect as a row of the table."""
