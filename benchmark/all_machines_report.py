@@ -15,6 +15,10 @@ from closedloop_dynamics.visual.tables import markdown_table, seconds
 MOTIONS = {0: 'free', 100: 'torques held at 100 Hz', 1000: 'torques held at 1 kHz'}
 NAMES = {0: 'free', 100: 'held 100', 1000: 'held 1000'}
 NOTHING = '-'
+# Of a motion in which nothing moves, and of one that no setting of others keeps an error in.
+STILL, NOT_REACHED = 'stands still', 'not reached'
+# The same machine under two names counts once.
+SAME = {'three_rrr_vertical': 'three_rrr'}
 # Errors that are reported must be so much larger than what the reference is known to.
 ABOVE = 3.0
 COST, ERROR = 'cpu_time_per_second', 'error'
@@ -38,9 +42,12 @@ class Results:
 
     def __init__(self, path):
         """Read a CSV file."""
-        self._rows, self.machines = {}, {}
+        self._rows, self.machines, self._reasons = {}, {}, {}
         for row in read(path):
             self.machines[row['machine']] = row['kind']
+            if row['engine'] != OURS and row['note']:
+                self._reasons.setdefault(row['machine'], {}).setdefault(
+                    row['engine'], []).append(row['note'])
             self._rows.setdefault((row['machine'], row['rate']), []).append(row)
 
     def ours(self, machine, rate, target):
@@ -53,6 +60,31 @@ class Results:
         rows = [row for row in self._rows.get((machine, rate), ())
                 if row['engine'] != OURS and row[COST] == row[COST] and _kept(row, target)]
         return min(rows, key=lambda row: row[COST], default=None)
+
+    def still(self, machine, rate):
+        """Return whether nothing moves."""
+        return any(row['note'] == STILL for row in self._rows.get((machine, rate), ()))
+
+    def why(self, machine, rate):
+        """Return in a few words why no row of another simulator keeps an error."""
+        if self.still(machine, rate):
+            return STILL
+        if any(row['engine'] != OURS and row[COST] == row[COST]
+               for row in self._rows.get((machine, rate), ())):
+            return NOT_REACHED
+        known = {text.partition(':')[0] for texts in self._reasons.get(machine, {}).values()
+                 for text in texts}
+        return ', '.join(sorted(known)) or NOTHING
+
+    def reasons(self):
+        """Return (machine, simulator, what it cannot be told) of all."""
+        return [(machine, engine, text) for machine, by_engine in self._reasons.items()
+                for engine, texts in by_engine.items() for text in texts]
+
+    def counted(self):
+        """Return the machines that count, each once."""
+        return [machine for machine in self.machines
+                if SAME.get(machine, machine) == machine or SAME[machine] not in self.machines]
 
     def digit(self, machine, rate):
         """Return what one more digit costs, as a share; None where it was not measured."""
@@ -79,8 +111,11 @@ def table(results, rate):
         cells.append(NOTHING if share is None else f'{round(100.0 * share)} %')
         for target in TARGETS:
             one, other = results.ours(machine, rate, target), results.other(machine, rate, target)
-            cells.append(NOTHING if other is None else f'{seconds(other[COST])} {_who(other)}' + (
-                f' ({spread([other[COST] / one[COST]])})' if one else ''))
+            if other is None:
+                cells.append(results.why(machine, rate))
+                continue
+            times = f' ({spread([other[COST] / one[COST]])})' if one else ''
+            cells.append(f'{seconds(other[COST])} {_who(other)}{times}')
         # Machines without drives are not moved by torques.
         if not rate or any(cell != NOTHING for cell in cells):
             rows.append((machine, *cells))
@@ -93,6 +128,8 @@ def table(results, rate):
 METHODS = {('Pinocchio', 'constraintDynamics, RK4'): 'C4',
            ('Pinocchio', 'constraintDynamics, Fehlberg 7(8)'): 'C7',
            ('Pinocchio', 'lcaba, RK4'): 'L4', ('Pinocchio', 'lcaba, Fehlberg 7(8)'): 'L7',
+           ('Pinocchio', 'lcaba, 2 iterations, RK4'): 'LL4',
+           ('Pinocchio', 'lcaba, 2 iterations, Fehlberg 7(8)'): 'LL7',
            ('MuJoCo', 'RK4'): 'M4', ('MuJoCo', 'implicitfast'): 'Mi'}
 
 
@@ -106,12 +143,13 @@ def summary(results):
     """Return the whole in a few sentences."""
     texts = []
     for rate, motion in MOTIONS.items():
+        machines = [machine for machine in results.counted() if not results.still(machine, rate)]
         costs = [one[COST] for one in (
-            results.ours(machine, rate, 1e-6) for machine in results.machines) if one]
+            results.ours(machine, rate, 1e-6) for machine in machines) if one]
         shares = [share for share in (
-            results.digit(machine, rate) for machine in results.machines) if share is not None]
+            results.digit(machine, rate) for machine in machines) if share is not None]
         pairs = [(results.ours(machine, rate, 1e-6), results.other(machine, rate, 1e-6))
-                 for machine in results.machines]
+                 for machine in machines]
         ratios = sorted(other[COST] / one[COST] for one, other in pairs if one and other)
         if not costs:
             continue
@@ -126,11 +164,16 @@ def summary(results):
     return '\n'.join(paragraph(text, '* ', '  ') for text in texts)
 
 
+def reasons(results):
+    """Return a table of the machines that other simulators were not measured on, and why."""
+    return markdown_table(('machine', 'simulator', 'why not'), results.reasons())
+
+
 def passages(path):
     """Return {name of a passage: its text} of the pages on accuracy."""
     results = Results(path)
     tables = {f'machines {NAMES[rate]}': table(results, rate) for rate in RATES}
-    return {'machines': summary(results), **tables}
+    return {'machines': summary(results), 'machines reasons': reasons(results), **tables}
 
 
 def picture(path):

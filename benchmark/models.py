@@ -108,10 +108,10 @@ def peers(path, mechanism, gravity):
     try:
         import model_pinocchio
         if path.suffix.lower() == '.urdf':
-            found['Pinocchio'] = model_pinocchio.Pinocchio(path, mechanism, gravity)
-            found['lcaba'] = model_pinocchio.Pinocchio(
+            found['Pinocchio'] = model_pinocchio.Pinocchio.read(path, mechanism, gravity)
+            found['lcaba'] = model_pinocchio.Pinocchio.read(
                 path, mechanism, gravity, algorithm='lcaba')
-            balls = model_pinocchio.Pinocchio(path, mechanism, gravity, balls=True)
+            balls = model_pinocchio.Pinocchio.read(path, mechanism, gravity, balls=True)
             if balls.merged:
                 found['Pinocchio, balls'] = balls
     except (ImportError, ValueError) as error:

@@ -226,8 +226,10 @@ def elements(mechanism):
     found = []
     for number, joint in enumerate(mechanism.joints, start=1):
         numbers[joint.child] = number
-        body, axes, orientation = bodies[joint.child], ('z',), joint.orientation
+        body, orientation = bodies[joint.child], joint.orientation
         if mechanism.planar:
+            # Slides move along x of the frame that they turn by ``angle``.
+            axes = ('x' if joint.type == 'prismatic' else 'z',)
             orientation = (0.0, 0.0, np.sin(0.5 * joint.angle), np.cos(0.5 * joint.angle))
             inertia = 3 * (body.inertia,)
         else:

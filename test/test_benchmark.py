@@ -189,8 +189,43 @@ def test_the_best_of_the_others_is_the_cheapest_that_keeps_an_error(benchmark, t
     assert [row and row['cpu_time_per_second'] for row in found] == [3.0, 5.0, None]
     # The reference is not known to 1e-9.
     assert results.ours('one', 0, 1e-9) is None and results.digit('one', 0) is None
-    assert '| one | 1 s | 2 s | - | - | 3 s M4 (3) | 5 s Other B (2.5) | - |' in (
+    assert '| one | 1 s | 2 s | - | - | 3 s M4 (3) | 5 s Other B (2.5) | not reached |' in (
         report.table(results, 0))
+
+
+def test_why_a_machine_is_not_measured_in_others_is_told_apart(benchmark, tmp_path):
+    machines, report = benchmark('all_machines'), benchmark('all_machines_report')
+    usual = {'kind': 'scene', 'rate': 0, 'known_to': 1e-12, 'duration': 1.0}
+    ours = {**usual, 'engine': machines.OURS, 'setting': 'accuracy 1e-03', 'target': 1e-3,
+            'error': 1e-4, 'cpu_time_per_second': 1.0}
+    machines.write([
+        {**ours, 'machine': 'still', 'note': 'stands still'}, {**ours, 'machine': 'geared'},
+        {'machine': 'geared', 'kind': 'scene', 'rate': 0, 'engine': 'Pinocchio',
+         'note': 'cannot express it: couplings of joints'},
+        {**ours, 'machine': 'coarse'},
+        {**usual, 'machine': 'coarse', 'engine': 'MuJoCo', 'setting': 'RK4, step 1 s',
+         'error': 1.0, 'cpu_time_per_second': 1.0}], tmp_path / 'rows.csv')
+    results = report.Results(tmp_path / 'rows.csv')
+    assert [results.why(name, 0) for name in ('still', 'geared', 'coarse')] == [
+        'stands still', 'cannot express it', 'not reached']
+    assert '| geared | Pinocchio | cannot express it: couplings of joints |' in (
+        report.reasons(results))
+
+
+@pytest.mark.parametrize('exact', [-1, 0, 3, 11, 12])
+def test_the_coarsest_setting_that_keeps_an_error_is_bisected(benchmark, exact):
+    machines = benchmark('all_machines')
+    tried = []
+
+    def measure(number):
+        tried.append(number)
+        # An error of each target from a number on; finer settings take longer.
+        return (0.0 if number >= exact else 1.0), 1e-3 * number
+
+    found = machines.bisected(measure, 12)
+    assert len(tried) == len(set(tried)) <= 5
+    if exact < 12:
+        assert found[max(exact, 0)][0] == 0.0 and (exact <= 0 or found[exact - 1][0] == 1.0)
 
 
 def test_missed_periods_are_counted(benchmark):
