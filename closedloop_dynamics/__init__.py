@@ -32,7 +32,8 @@ _HOMES = {
     'scene_names': 'simulation.scene', 'SceneError': 'simulation.scene',
     'Sensitivity': 'simulation.sensitivity', 'Simulation': 'simulation.simulation',
     'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors',
-    'State': 'simulation.state', 'write_scene': 'simulation.scene_text'}
+    'State': 'simulation.state', 'Stepper': 'simulation.stepper',
+    'write_scene': 'simulation.scene_text'}
 __all__ = sorted(_HOMES)
 __version__ = '1.1.0'
 

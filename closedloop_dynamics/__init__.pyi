@@ -23,5 +23,6 @@ from .simulation.scene_text import write_scene as write_scene
 from .simulation.sensitivity import Sensitivity as Sensitivity
 from .simulation.simulation import Simulation as Simulation
 from .simulation.state import State as State
+from .simulation.stepper import Stepper as Stepper
 
 __version__: str

@@ -32,7 +32,7 @@
 #include "requests.hpp"
 #include "rollout.hpp"
 #include "routines.hpp"
-#include "sensitivity.hpp"
+#include "state_steps.hpp"
 #include "sticking.hpp"
 #include "stiffness.hpp"
 #include "stop_flag.hpp"
@@ -450,6 +450,15 @@ const Entry entries[] = {
   released<gradient_of_steps>(
     "gradient_of_steps",
     "gradient_of_steps(system, run, scratch, tape, routines, weight, gradient): status, step"),
+  released<step_states>(
+    "step_states",
+    "step_states(system, run, scratch, tape, routines, chart, steps): status, states completed"),
+  entry<fill_basis>(
+    "fill_basis", "fill_basis(system, routines, chart, q, qd, basis): status"),
+  released<move_along>(
+    "move_along",
+    "move_along(system, routines, chart, from_q, from_qd, basis, changes, displacement, q, qd): "
+    "status, states"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",

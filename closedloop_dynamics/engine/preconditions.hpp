@@ -25,7 +25,7 @@
 #include "requests.hpp"
 #include "rollout.hpp"
 #include "routines.hpp"
-#include "sensitivity.hpp"
+#include "state_steps.hpp"
 #include "sticking.hpp"
 #include "validation.hpp"
 
@@ -35,6 +35,11 @@
 
 namespace closedloop
 {
+
+inline bool has_shape(Cube<double> cube, Index pages, Index rows, Index columns)
+{
+  return cube.pages == pages && cube.rows == rows && cube.columns == columns;
+}
 
 namespace expected
 {
@@ -97,6 +102,37 @@ inline const char * recorded(
     has_shape(instants, tape.steps() / run.decimation + 1, nx) && inputs.start.size == nx &&
     inputs.torque.rows > (tape.steps() - 1) / run.zero_order_hold &&
     inputs.torque.columns == nv && inputs.parameter.size == routines.seed.size - inner);
+}
+
+/// A chart of a system with routines.
+inline bool is_chart(const System & system, const StepRoutines & routines, const Chart & chart)
+{
+  const Index nq = system.nq(), nv = system.nv(), nc = system.lam.size;
+  return routines.table.size >= step_routine::TABLE_COLUMNS &&
+         chart.independent.size + nc == nv && are_places(chart.independent, 0, nv) &&
+         chart.dependent.size == nc && are_places(chart.dependent, 0, nv) &&
+         routines.seed.size == nq + 2 * nv + chart.parameters.rows &&
+         routines.result.size >= 2 * nc &&
+         has_shape(chart.closure, nv + chart.parameters.columns, 2 * nc) &&
+         has_shape(chart.factors, nc, nc) && chart.pivots.size == nc && chart.right.size == nc &&
+         chart.displacement.size == nv;
+}
+
+/// States to be advanced by a run that is recorded, with their Jacobians.
+inline bool are_steps(
+  const System & system, const SteppedRun & run, const Chart & chart, const StateSteps & steps)
+{
+  const Index n = steps.states(), nq = system.nq(), nv = system.nv();
+  const Index changes = 2 * chart.independent.size, inputs = steps.actuated.size;
+  const Index count = chart.parameters.columns;
+  return run.torque.rows == 1 && has_shape(steps.q, n, nq) && has_shape(steps.qd, n, nv) &&
+         has_shape(steps.torque, n, inputs) && are_places(steps.actuated, 0, nv) &&
+         has_shape(steps.next_q, n, nq) && has_shape(steps.next_qd, n, nv) &&
+         (steps.by_state.pages == 0 || (
+           has_shape(steps.by_state, n, changes, changes) &&
+           has_shape(steps.by_torque, n, changes, inputs) &&
+           has_shape(steps.by_parameter, n, changes, count) &&
+           has_shape(steps.basis, n, 2 * nv, changes + count)));
 }
 
 inline const char * request(const System & system, const Request & request)
@@ -255,6 +291,38 @@ inline constexpr auto precondition<gradient_of_steps> =
   [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, Table weight, const RunInputs & gradient) {
     return expected::recorded(system, run, scratch, tape, routines, weight, gradient);
+  };
+
+template<>
+inline constexpr auto precondition<step_states> =
+  [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
+    const StepRoutines & routines, const Chart & chart, const StateSteps & steps) {
+    return expected::first_of(
+      expected::recorded(system, run, scratch, tape, routines, steps.weight, steps.gradient),
+      expected::unless(
+        expected::is_chart(system, routines, chart) &&
+        expected::are_steps(system, run, chart, steps)));
+  };
+
+template<>
+inline constexpr auto precondition<fill_basis> =
+  [](const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+    Table basis) {
+    return expected::unless(
+      expected::is_chart(system, routines, chart) && q.size == system.nq() &&
+      qd.size == system.nv() && has_shape(
+        basis, 2 * system.nv(), 2 * chart.independent.size + chart.parameters.columns));
+  };
+
+template<>
+inline constexpr auto precondition<move_along> =
+  [](const System & system, const StepRoutines & routines, const Chart & chart, Values from_q,
+    Values from_qd, Table basis, Table changes, Values displacement, Table q, Table qd) {
+    return expected::first_of(
+      precondition<fill_basis>(system, routines, chart, from_q, from_qd, basis),
+      expected::unless(
+        changes.columns == 2 * chart.independent.size && displacement.size == system.nv() &&
+        has_shape(q, changes.rows, system.nq()) && has_shape(qd, changes.rows, system.nv())));
   };
 
 template<>

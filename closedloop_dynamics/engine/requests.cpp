@@ -56,16 +56,6 @@ void begin_effects(const System & system, const Request & request)
   begin_friction(system.effects, rates, own);
 }
 
-/// Whether a state that was evaluated closes the loops, in its rates, too, as far as a step has to.
-/// Of equations that are left out accelerations tell: they do not fulfil these where loops are open.
-bool closes_loops(const System & system, Values qd)
-{
-  const Workspace & work = system.work;
-  const double limit = system.settings->closure_limit;
-  return largest(work.closure) <= limit &&
-         largest(work.closure_rate) <= limit * rate_scale(qd);
-}
-
 bool evaluate_checked(const System & system, const Request & request, const System * whole)
 {
   const Values q = system.q(request.state), qd = system.qd(request.state);
@@ -130,6 +120,14 @@ void hold_as_evaluated(const EffectTable & effects)
   }
 }
 }  // namespace
+
+bool closes_loops(const System & system, Values qd)
+{
+  const Workspace & work = system.work;
+  const double limit = system.settings->closure_limit;
+  return largest(work.closure) <= limit &&
+         largest(work.closure_rate) <= limit * rate_scale(qd);
+}
 
 bool take(const Given & from, Values to)
 {

@@ -29,6 +29,10 @@ struct Request
   void fields(Visitor && visit) {visit(state, own, torque, actuated, lam, held);}
 };
 
+/// Whether a state that was evaluated closes the loops, in its rates, too, as far as a step has to.
+/// Of equations that are left out accelerations tell: they do not fulfil these where loops are open.
+bool closes_loops(const System &, Values qd);
+
 /// Copy a given array, if it has as many numbers.
 bool take(const Given &, Values to);
 

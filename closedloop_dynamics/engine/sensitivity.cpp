@@ -8,6 +8,7 @@
 #include "left_out.hpp"
 #include "manifold.hpp"
 #include "manifold_derivatives.hpp"
+#include "requests.hpp"
 #include "routines.hpp"
 
 namespace closedloop
@@ -334,15 +335,18 @@ std::pair<Status, Index> record_steps(
     const Values state = tape.state[done];
     const Table evaluated = tape.stage[done];
     copy(run.torque[done / run.zero_order_hold], system.tau);
-    step(
+    const bool begins = step(
       run.tableau, system.manifold, nv, state, run.step_size, scratch, scratch[stages + 1], out,
       [&](Index k, Values at, Values slope) {
         copy(at, evaluated[k].part(0, ns));
         derivative_with_multipliers(system, at, slope);
         copy(system.qdd, evaluated[k].part(ns, nv));
         copy(system.lam, evaluated[k].from(ns + nv));
-        return true;
+        return done + k > 0 || closes_loops(system, system.qd(at));
       });
+    if (!begins) {
+      return {Status::OPEN_LOOP, -1};
+    }
     copy(out, tape.raw[done]);
     const bool closed = stabilise(system, run.stabilisation, out);
     tape.corrections[done] = run.stabilisation == Stabilisation::PROJECTION ?

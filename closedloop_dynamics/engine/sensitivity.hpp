@@ -94,7 +94,7 @@ constexpr Index SCRATCH_ROWS = 20;
 static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
 
 /// Make a run from the first state of its tape. `scratch` is of shape (>= stages + SCRATCH_ROWS, ns).
-/// Returns how it ended and the steps completed.
+/// Returns how it ended and the steps completed, -1 where the first state leaves the loops open.
 std::pair<Status, Index> record_steps(
   const System &, const SteppedRun &, Table scratch, const Tape &);
 

@@ -1,7 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs by steps of one size, and the data of their derivatives; structs of sensitivity.hpp."""
+"""
+Runs by steps of one size, and the data of their derivatives.
+
+Structs of sensitivity.hpp, chart.hpp and state_steps.hpp.
+"""
 
 from typing import NamedTuple
 
@@ -52,6 +56,58 @@ class RunInputs(NamedTuple):
     start: np.ndarray  # Shape (nq + nv,)
     torque: np.ndarray  # Shape (rows, nv)
     parameter: np.ndarray  # Shape (np,)
+
+
+class Chart(NamedTuple):
+    """Which coordinates are independent, and scratch."""
+
+    independent: np.ndarray  # Of int, shape (k,)
+    dependent: np.ndarray  # Of int, shape (nc,)
+    parameters: np.ndarray  # Shape (entries, np): derivatives of the numbers that routines read
+    closure: np.ndarray  # Shape (nv + np, 2 nc)
+    factors: np.ndarray  # Shape (nc, nc)
+    pivots: np.ndarray  # Of int, shape (nc,)
+    right: np.ndarray  # Shape (nc,)
+    displacement: np.ndarray  # Shape (nv,)
+
+
+class StateSteps(NamedTuple):
+    """States before and after a period, with Jacobians in the coordinates of a chart."""
+
+    q: np.ndarray  # Shape (n, nq): before
+    qd: np.ndarray  # Shape (n, nv)
+    torque: np.ndarray  # Shape (n, na): of the actuated joints
+    actuated: np.ndarray  # Of int, shape (na,): their places among the joints
+    next_q: np.ndarray  # Shape (n, nq): after
+    next_qd: np.ndarray  # Shape (n, nv)
+    by_state: np.ndarray  # Shape (n, 2 k, 2 k); (0, 2 k, 2 k) where there are none
+    by_torque: np.ndarray  # Shape (n, 2 k, na)
+    by_parameter: np.ndarray  # Shape (n, 2 k, np)
+    basis: np.ndarray  # Shape (n, 2 nv, 2 k + np)
+    weight: np.ndarray  # Shape (2, nq + nv): scratch
+    gradient: RunInputs  # Scratch
+
+
+def allocate_chart(system, independent, dependent, parameters):
+    """Allocate a chart of independent and dependent coordinates, by their places."""
+    nv, nc = len(system.qdd), len(system.lam)
+    return Chart(
+        np.array(independent, dtype=np.int64), np.array(dependent, dtype=np.int64), parameters,
+        np.zeros((nv + parameters.shape[1], 2 * nc)), np.zeros((nc, nc)),
+        np.zeros(nc, dtype=np.int64), np.zeros(nc), np.zeros(nv))
+
+
+def allocate_steps(chart, nq, actuated, states, differentiates):
+    """Allocate so many states before and after a period, with their Jacobians if wanted."""
+    nv, k = len(chart.displacement), len(chart.independent)
+    entries, count = chart.parameters.shape
+    pages = states if differentiates else 0
+    return StateSteps(
+        np.zeros((states, nq)), np.zeros((states, nv)), np.zeros((states, len(actuated))),
+        np.array(actuated, dtype=np.int64), np.zeros((states, nq)), np.zeros((states, nv)),
+        np.zeros((pages, 2 * k, 2 * k)), np.zeros((pages, 2 * k, len(actuated))),
+        np.zeros((pages, 2 * k, count)), np.zeros((pages, 2 * nv, 2 * k + count)),
+        np.zeros((2, nq + nv)), RunInputs(np.zeros(nq + nv), np.zeros((1, nv)), np.zeros(entries)))
 
 
 def stages_of(tableau):

@@ -34,6 +34,7 @@ from ..mechanism.fields import at
 
 if TYPE_CHECKING:
     from .linearisation import LinearModel
+    from .stepper import Step, Stepper
 
 # Warnings of one call, at most.
 MOST_NOTES = 3
@@ -119,6 +120,8 @@ class Model(Names):
         self._driven: Dict[Any, DrivenKinematics] = {}
         # By independent joints: the system, and its linearisation.
         self._linear: Dict[Any, Tuple[Any, Any]] = {}
+        # By all that they are made of.
+        self._steppers: 'Dict[Any, Stepper]' = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':
         """
@@ -451,6 +454,60 @@ class Model(Names):
                 return linearisation.linear_model(state.q, state.qd, torque, outputs)
             return linearisation.discrete_model(period, state.q, state.qd, torque, outputs)
 
+    def step(self, state: State, torque: Optional[Numbers], period: float, *,
+             method: str = 'rk4', steps: Optional[int] = None, parameters: Sequence[str] = (),
+             independent: Optional[Sequence[str]] = None) -> 'Step':
+        """
+        Return the states a period later, torques held, and the Jacobians of this map.
+
+        ``stepper`` is the same for what is called again and again; ``rollout`` is without
+        Jacobians, for all effects.
+
+        Parameters
+        ----------
+        state : State
+            One, or a batch, closing the loops.
+        torque : mapping, or sequence of shape (na,) or (n, na), optional
+            As for ``evaluate``.
+        period, method, steps, parameters, independent
+            As for ``Stepper``.
+
+        Returns
+        -------
+        stepper.Step
+
+        Raises
+        ------
+        AssemblyError, NumericalError, ClosureError, SingularityError, SimulationError, ValueError
+            As ``Stepper`` does; ValueError for states in which effects have gone on, too.
+
+        """
+        self._work.require_state(state)
+        if not self.begins(state):
+            raise ValueError('state: expected one in which the effects begin again, as '
+                             'Model.assemble returns it, got one in which they have gone on')
+        chosen = None if independent is None else tuple(independent)
+        key = float(period), repr(method), steps, tuple(parameters), chosen
+        with self._lock:
+            if key not in self._steppers:
+                self._steppers[key] = self.stepper(
+                    period, method=method, steps=steps, parameters=parameters,
+                    independent=chosen)
+            return self._steppers[key].step(state, self._work.rows_of_torques(state, torque))
+
+    def stepper(self, period: float, **options: Any) -> 'Stepper':
+        """
+        Return what makes steps of a period with their Jacobians, again and again.
+
+        Parameters
+        ----------
+        period, **options
+            As for ``stepper.Stepper``, as is what is raised.
+
+        """
+        from .stepper import Stepper
+        return Stepper(self, period, **options)
+
     def inertia(self, state: State) -> np.ndarray:
         """Return the generalized inertia matrix of the spanning tree, shape (..., nv, nv)."""
         return self._of_each(state, lambda data: data.inertia)
@@ -572,6 +629,13 @@ class _Workspace(Readings):
             return found
         if not len(state):
             raise ValueError('state: expected at least one, got an empty batch')
+        rows = self._rows(state, torque)
+        each = iter(rows) if rows is not None and rows.ndim > 1 else repeat(torque)
+        return Evaluation.stack(
+            _of_all(lambda one: self.evaluated(one, next(each)), state), state)
+
+    def _rows(self, state: State, torque: Optional[Numbers]) -> Optional[np.ndarray]:
+        """Return torques that are given as numbers, checked where each state has its own."""
         rows = None if torque is None or isinstance(torque, Mapping) else reals('torque', torque)
         if rows is not None and rows.ndim > 1 and rows.shape != (
                 len(state), len(self.actuated_joints)):
@@ -579,9 +643,16 @@ class _Workspace(Readings):
             raise ValueError(f'torque: expected shape ({na},) or {(len(state), na)} for '
                              f'{len(state)} states and {", ".join(self.actuated_joints)}; got '
                              f'shape {rows.shape}')
-        each = iter(rows) if rows is not None and rows.ndim > 1 else repeat(torque)
-        return Evaluation.stack(
-            _of_all(lambda one: self.evaluated(one, next(each)), state), state)
+        return rows
+
+    def rows_of_torques(self, state: State, torque: Optional[Numbers]) -> np.ndarray:
+        """Return torques of the actuated joints, shape (na,), or (n, na) for a batch."""
+        rows = self._rows(state, torque) if state.is_batch else None
+        if rows is not None and rows.ndim > 1:
+            return rows
+        places = [self.joint_names.index(name) for name in self.actuated_joints]
+        one = self.joint_torques(torque)[places]
+        return np.tile(one, (len(state), 1)) if state.is_batch else one
 
     def needed(self, state: State, acceleration: np.ndarray) -> InverseDynamicsResult:
         """Return the torques and multipliers that a motion needs."""

@@ -146,7 +146,7 @@ class Sensitivity:
             raise TypeError(f'Sensitivity: expected a Model, as Model.from_scene returns it, got '
                             f'{model!r}')
         scene = model.scene if method is None else model.scene.with_method(method)
-        _require_differentiable(scene.method)
+        require_differentiable(scene.method)
         self.model = model
         self._simulation = simulation = Simulation(model, None, method)
         require_derivatives(simulation, along=True)
@@ -442,7 +442,7 @@ def _shaped(name: str, given: Optional[ArrayLike], shape: Tuple[int, ...]) -> np
     return array
 
 
-def _require_differentiable(method: Method) -> None:
+def require_differentiable(method: Method) -> None:
     """Refuse methods whose steps are no smooth functions of the state."""
     require_no_budget(method, 'a trajectory with derivatives')
     integrator = INTEGRATORS[method.integrator]

@@ -1,0 +1,182 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "chart.hpp"
+
+#include "loop_closure.hpp"
+#include "lu.hpp"
+#include "manifold.hpp"
+#include "manifold_derivatives.hpp"
+#include "recursion.hpp"
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Pivots of the dependent coordinates below this share of the largest are rounding.
+constexpr double LEAST_PIVOT = 1e-8;
+// Steps of Newton's method to close the loops. It doubles the digits each time, but of orientations,
+// whose turns do not add up: an error shrinks by a share like that of the turn.
+constexpr Index MOST_CLOSING_STEPS = 40;
+
+/// Changes of closure errors, and of their rates, with each displacement and each parameter, and the
+/// factors of those with the dependent coordinates.
+bool factor_closures(
+  const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+  Index rows)
+{
+  const Index nq = system.nq(), nv = system.nv(), nc = chart.right.size;
+  const Values seed = routines.seed, places = seed.part(0, nq);
+  for (Index n = 0; n < rows; ++n) {
+    seed.fill(0.0);
+    if (n < nv) {
+      chart.displacement.fill(0.0);
+      chart.displacement[n] = 1.0;
+      change_of_rates(
+        system.manifold, q, chart.displacement, places, chart.displacement, places);
+    } else {
+      for (Index entry = 0; entry < chart.parameters.rows; ++entry) {
+        seed[nq + 2 * nv + entry] = chart.parameters(entry, n - nv);
+      }
+    }
+    if (!call(routines.table, step_routine::CLOSURE_FORWARD, q, qd)) {
+      return false;
+    }
+    copy(routines.result, chart.closure[n]);
+  }
+  for (Index row = 0; row < nc; ++row) {
+    for (Index column = 0; column < nc; ++column) {
+      chart.factors(row, column) = chart.closure(chart.dependent[column], row);
+    }
+  }
+  return factorize(chart.factors, chart.pivots) > LEAST_PIVOT;
+}
+
+/// Subtract changes of closure errors, of level 1 those of their rates, from the right-hand side.
+void subtract(const Chart & chart, double share, Index row, Index level)
+{
+  const double * from = chart.closure.row(row) + level * chart.right.size;
+  for (Index k = 0; share != 0.0 && k < chart.right.size; ++k) {
+    chart.right[k] -= share * from[k];
+  }
+}
+
+/// Complete a column of a basis, of parameter `given` where that is no less than 0: displacements
+/// and changes of rates that follow from those of the independent coordinates, which are in it.
+void complete(const Chart & chart, Table basis, Index column, Index given)
+{
+  const Index nv = basis.rows / 2;
+  for (Index level = 0; level < 2; ++level) {
+    chart.right.fill(0.0);
+    if (given >= 0) {
+      subtract(chart, 1.0, nv + given, level);
+    }
+    // Errors of rates follow the displacements, too.
+    for (Index joint = 0; level == 1 && joint < nv; ++joint) {
+      subtract(chart, basis(joint, column), joint, level);
+    }
+    for (Index place : chart.independent) {
+      subtract(chart, basis(level * nv + place, column), place, 0);
+    }
+    solve(chart.factors, chart.pivots, chart.right);
+    for (Index k = 0; k < chart.right.size; ++k) {
+      basis(level * nv + chart.dependent[k], column) = chart.right[k];
+    }
+  }
+}
+
+/// Move from a position by displacements, of which the dependent ones are changed so that the loops
+/// are closed; then set the dependent rates.
+Status close(
+  const System & system, const StepRoutines & routines, const Chart & chart, Values from,
+  Values displacement, Values q, Values qd)
+{
+  const double tolerance = system.settings->closure_tolerance;
+  double error = 0.0;
+  for (Index n = 0; n < MOST_CLOSING_STEPS; ++n) {
+    copy(from, q);
+    move(system.manifold, q, displacement, 1.0);
+    outward(system.model, q, qd, system.work);
+    update(system.model, system.work, Responses::NONE);
+    const double before = error;
+    error = largest(system.work.closure);
+    if (!factor_closures(system, routines, chart, q, qd, system.nv())) {
+      return Status::SINGULAR;
+    }
+    if (error <= tolerance) {
+      chart.right.fill(0.0);
+      for (Index place : chart.independent) {
+        subtract(chart, qd[place], place, 0);
+      }
+      solve(chart.factors, chart.pivots, chart.right);
+      for (Index k = 0; k < chart.right.size; ++k) {
+        qd[chart.dependent[k]] = chart.right[k];
+      }
+      return Status::DONE;
+    }
+    if (n > 1 && !(error < before)) {
+      break;
+    }
+    to_user_order(system.model, system.work.closure, chart.right);
+    solve(chart.factors, chart.pivots, chart.right);
+    for (Index k = 0; k < chart.right.size; ++k) {
+      displacement[chart.dependent[k]] -= chart.right[k];
+    }
+  }
+  return Status::OPEN_LOOP;
+}
+}  // namespace
+
+Status fill_basis(
+  const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+  Table basis)
+{
+  const Index nv = system.nv(), k = chart.independent.size;
+  if (!factor_closures(system, routines, chart, q, qd, chart.closure.rows)) {
+    return Status::SINGULAR;
+  }
+  basis.fill(0.0);
+  for (Index column = 0; column < k; ++column) {
+    basis(chart.independent[column], column) = 1.0;
+    complete(chart, basis, column, -1);
+    for (Index joint = 0; joint < nv; ++joint) {
+      basis(nv + joint, k + column) = basis(joint, column);
+    }
+  }
+  for (Index column = 2 * k; column < basis.columns; ++column) {
+    complete(chart, basis, column, column - 2 * k);
+  }
+  return Status::DONE;
+}
+
+std::pair<Status, Index> move_along(
+  const System & system, const StepRoutines & routines, const Chart & chart, Values from_q,
+  Values from_qd, Table basis, Table changes, Values displacement, Table q, Table qd)
+{
+  const Index nv = system.nv();
+  const Status found = fill_basis(system, routines, chart, from_q, from_qd, basis);
+  if (found != Status::DONE) {
+    return {found, 0};
+  }
+  for (Index n = 0; n < changes.rows; ++n) {
+    copy(from_qd, qd[n]);
+    for (Index joint = 0; joint < nv; ++joint) {
+      double place = 0.0, rate = 0.0;
+      for (Index column = 0; column < changes.columns; ++column) {
+        place += basis(joint, column) * changes(n, column);
+        rate += basis(nv + joint, column) * changes(n, column);
+      }
+      displacement[joint] = place;
+      qd(n, joint) += rate;
+    }
+    const Status closed = close(system, routines, chart, from_q, displacement, q[n], qd[n]);
+    if (closed != Status::DONE) {
+      return {closed, n};
+    }
+  }
+  return {Status::DONE, changes.rows};
+}
+
+}  // namespace closedloop

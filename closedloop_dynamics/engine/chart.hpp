@@ -1,0 +1,53 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__CHART_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__CHART_HPP_
+
+#include <utility>
+
+#include "sensitivity.hpp"
+
+// States by independent coordinates and rates: the others follow from the loops. Of k independent
+// coordinates, changes are k displacements, then k changes of rates; those of orientations are
+// rotations about the axes of the child.
+
+namespace closedloop
+{
+
+/// Which coordinates are independent, and scratch (integration/stepped_run.py).
+struct Chart
+{
+  Indices independent;  ///< Shape (k,)
+  Indices dependent;  ///< Shape (nc,)
+  Table parameters;  ///< Shape (entries, np): derivatives of the numbers that routines read
+  Table closure;  ///< Shape (nv + np, 2 nc): changes of closure errors and of their rates
+  Table factors;  ///< Shape (nc, nc)
+  Indices pivots;  ///< Shape (nc,)
+  Values right;  ///< Shape (nc,)
+  Values displacement;  ///< Shape (nv,)
+
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(independent, dependent, parameters, closure, factors, pivots, right, displacement);
+  }
+};
+
+/// Changes of all displacements and rates that keep the loops closed, with those of the independent
+/// ones and with parameters, shape (2 nv, 2 k + np). SINGULAR where the independent coordinates do
+/// not decide all others.
+Status fill_basis(
+  const System &, const StepRoutines &, const Chart &, Values q, Values qd, Table basis);
+
+/// Move from a state by changes, shape (n, 2 k), to states whose loops are closed by the dependent
+/// coordinates: into q and qd, n rows each. Scratch: `basis`, which becomes that of the state, and
+/// `displacement`, shape (nv,). Returns how it ended, and the states that are reached: OPEN_LOOP where
+/// the loops cannot be closed at the next one.
+std::pair<Status, Index> move_along(
+  const System &, const StepRoutines &, const Chart &, Values from_q, Values from_qd, Table basis,
+  Table changes, Values displacement, Table q, Table qd);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__CHART_HPP_

@@ -1,0 +1,53 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STATE_STEPS_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__STATE_STEPS_HPP_
+
+#include <utility>
+
+#include "chart.hpp"
+
+// States that are advanced by a period, each under torques of its own, and the Jacobians of these
+// maps in independent coordinates: what estimators and predictive controllers call again and again.
+
+namespace closedloop
+{
+
+/// States before and after a period, a row or page for each (integration/stepped_run.py).
+struct StateSteps
+{
+  Table q;  ///< Shape (n, nq): before
+  Table qd;  ///< Shape (n, nv)
+  Table torque;  ///< Shape (n, na): of the actuated joints
+  Indices actuated;  ///< Shape (na,): their places among the joints
+  Table next_q;  ///< Shape (n, nq): after
+  Table next_qd;  ///< Shape (n, nv)
+  Cube<double> by_state;  ///< Shape (n, 2 k, 2 k); without pages: no Jacobians
+  Cube<double> by_torque;  ///< Shape (n, 2 k, na)
+  Cube<double> by_parameter;  ///< Shape (n, 2 k, np)
+  Cube<double> basis;  ///< Shape (n, 2 nv, 2 k + np): of `fill_basis`, before
+  // Scratch: weights at both ends, shape (2, nq + nv), and a gradient.
+  Table weight;
+  RunInputs gradient;
+
+  Index states() const {return q.rows;}
+
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(
+      q, qd, torque, actuated, next_q, next_qd, by_state, by_torque, by_parameter, basis, weight,
+      gradient);
+  }
+};
+
+/// Advance all states by the run; its torques, one row, and the tape are scratch. Returns how it
+/// ended, and the states that are done.
+std::pair<Status, Index> step_states(
+  const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
+  const Chart &, const StateSteps &);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__STATE_STEPS_HPP_
