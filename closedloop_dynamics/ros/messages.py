@@ -39,6 +39,9 @@ _MARK = (0x2F3A91C5, 0x1B7D4E63)
 PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
 # Where the components of a wrench, moment first, are in a message, in the plane and in space.
 _COMPONENTS = {3: np.array([5, 0, 1]), 6: np.array([3, 4, 5, 0, 1, 2])}
+# Topics of an estimator: its states, joints with an orientation, and standard deviations.
+ESTIMATED, ESTIMATED_TURNS, DEVIATIONS = (
+    'estimated_joint_states', 'estimated_multi_dof_joint_states', 'estimated_joint_deviations')
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
 

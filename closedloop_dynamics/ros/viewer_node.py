@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 import math
 import time
 
@@ -21,6 +22,7 @@ from closedloop_dynamics.recording.message_numbers import (
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.loading import allow_code
+from closedloop_dynamics.ros.messages import DEVIATIONS, ESTIMATED, ESTIMATED_TURNS
 from closedloop_dynamics.ros.parameters import (
     ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import run
@@ -64,6 +66,7 @@ RATE, POLL_PERIOD, SILENCE = 60.0, 0.25, 3.0
 GATHERING = 2.0
 # Placeholder for the topic of wrenches.
 WRENCHES = 'wrenches'
+SHOWN = 'scene', 'joint_states', 'multi_dof_joint_states'
 # The newest state is enough; it must not be lost, for a machine at rest publishes it once.
 QOS = QoSProfile(depth=1)
 # A position drive moves its joint like a critically damped spring of this rate at most [1/s], of
@@ -81,6 +84,8 @@ HAND_RATE, HAND_SHARE, FEEL_PERIOD, STRETCH, SWING = 30.0, 0.12, 0.02, 0.2, 0.25
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
                            'given: all that are found.'),
+    Parameter('estimator', '', 'Full name of a closedloop_estimator whose estimates are shown '
+                               'with the simulators, pale, with bands; not given: none.'),
     Parameter('host', '127.0.0.1', 'Address to listen on; any but that of this host needs the '
                                    'token in the address that is printed.'),
     Parameter('port', 0, 'To listen on; 0: any that is free.', (0, 65535)),
@@ -94,12 +99,13 @@ class RemoteSimulator(Shown):
 
     ``topics`` are its topics by their last names: ``scene``, ``joint_states``,
     ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``WRENCHES`` is the one on which it
-    takes wrenches, whatever it is called. ``feed`` is None until the scene is known.
+    takes wrenches, whatever it is called. ``estimator``: topics of an estimator in the same way;
+    empty: there is none. ``feed`` is None until the scene is known.
     """
 
-    def __init__(self, node, name, topics):
+    def __init__(self, node, name, topics, estimator):
         super().__init__()
-        self.name = name
+        self.name, self._estimator = name, estimator
         self._topics, self._logger = topics, node.get_logger()
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
@@ -147,11 +153,16 @@ class RemoteSimulator(Shown):
         # Cut joints are driven by commands: the page shows the joints of the tree.
         self.drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
                        if name in names.index}
-        self._subscriptions.append(self._subscribe(
-            JointState, self._topics['joint_states'], self._on_state, QOS))
-        if 'multi_dof_joint_states' in self._topics:
-            self._subscriptions.append(self._subscribe(
-                MultiDOFJointState, self._topics['multi_dof_joint_states'], self._on_turns, QOS))
+        # Positions and velocities: of the simulator, then, unknown at first, of the estimator.
+        self._estimate = [np.full(names.nq, np.nan), np.full(names.nv, np.nan)]
+        self._deviation = [each.copy() for each in self._estimate]
+        self._follow(JointState, self._topics, 'joint_states', self._on_state)
+        for topics, topic, values in (
+                (self._topics, 'multi_dof_joint_states', [self._position, self._velocity]),
+                (self._estimator, ESTIMATED_TURNS, self._estimate)):
+            self._follow(MultiDOFJointState, topics, topic, partial(self._on_turns, values))
+        for topic, values in ((ESTIMATED, self._estimate), (DEVIATIONS, self._deviation)):
+            self._follow(JointState, self._estimator, topic, partial(self._take, values))
         for k, cut in enumerate(mechanism.cut_joints):
             topic = self._topics.get(f'constraint_forces/{cut.name}')
             if topic is not None:
@@ -164,7 +175,7 @@ class RemoteSimulator(Shown):
             self._wrenches = None
         gravity = next((name for name, record in scene.effects.items()
                         if isinstance(record, Gravity)), None)
-        self._columns = motion_columns(mechanism)
+        self._columns = motion_columns(mechanism, bool(self._estimator))
         self._begin_thinning(self._columns.plots, len(mechanism.points), extent(mechanism))
         described = describe(
             mechanism, self._columns, scene.effects, mode='node', title=self.name,
@@ -184,18 +195,27 @@ class RemoteSimulator(Shown):
             mechanism, name, np.array(scene.initial.position), round_up(weight * (
                 2.0 if names.lengths[names.index[name]] else extent(mechanism))), MODES)
 
-    # What the simulator publishes.
+    # What the simulator and the estimator publish.
+
+    def _follow(self, kind, topics, topic, take):
+        if topic in topics:
+            self._subscriptions.append(self._subscribe(kind, topics[topic], take, QOS))
+
+    def _take(self, values, message):
+        """Put what a JointState says of joints into arrays, of positions and of velocities."""
+        position, velocity, *effort = values
+        index = self._names.index
+        for k, name in enumerate(message.name):
+            if name in index:
+                place = index[name]
+                position[self._names.place[place]] = message.position[k]
+                velocity[place] = message.velocity[k]
+                for each in effort:
+                    each[place] = message.effort[k]
 
     def _on_state(self, message):
         self._heard = time.monotonic()
-        index = self._names.index
-        for k, name in enumerate(message.name):
-            if name not in index:
-                continue
-            place = index[name]
-            self._position[self._names.place[place]] = message.position[k]
-            self._velocity[place] = message.velocity[k]
-            self._effort[place] = message.effort[k]
+        self._take((self._position, self._velocity, self._effort), message)
         stamp = 1e-9 * stamp_of(message)
         if self._start is None or stamp < self._start:
             self._start = stamp
@@ -209,11 +229,11 @@ class RemoteSimulator(Shown):
             if self._pulling:
                 self._tug()
 
-    def _on_turns(self, message):
+    def _on_turns(self, arrays, message):
         known = self._names.with_orientation
-        for values, places, given in (
-                (self._position, self._names.pose, map(pose_numbers, message.transforms)),
-                (self._velocity, self._names.twist, map(twist_numbers, message.twist))):
+        for values, places, given in zip(
+                arrays, (self._names.pose, self._names.twist),
+                (map(pose_numbers, message.transforms), map(twist_numbers, message.twist))):
             for name, numbers in zip(message.joint_names, given):
                 if name in known:
                     where = places[known.index(name)]
@@ -239,10 +259,14 @@ class RemoteSimulator(Shown):
 
     def _row(self):
         """Return the row of the present state, and its values for thinning."""
-        motion = Trajectory(self._mechanism, np.array([self._time]), *(
-            values[np.newaxis] for values in (
-                self._position, self._velocity, self._effort, self._forces)))
-        rows = motion_rows(motion)
+        def motion_of(*values):
+            return Trajectory(self._mechanism, np.array([self._time]),
+                              *(each[np.newaxis] for each in values))
+
+        motion = motion_of(self._position, self._velocity, self._effort, self._forces)
+        rows = motion_rows(motion, (
+            motion_of(*self._estimate, self._effort, self._forces),
+            *(each[np.newaxis] for each in self._deviation)) if self._estimator else None)
         return rows[0], motion_thinning_values(self._columns, motion, rows)[0]
 
     def _sample_between(self):
@@ -499,6 +523,7 @@ class ViewerNode(Node):
         allow_code(self._values[ALLOW_CODE.name])
         self._wanted = [self._full(name) for name in self._values['nodes'].split(',')
                         if name.strip()]
+        self._estimator = self._values['estimator'] and self._full(self._values['estimator'])
         self._offered, self._shown, self._first = {}, {}, None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(POLL_PERIOD, self.poll_simulators, clock=steady)
@@ -513,12 +538,16 @@ class ViewerNode(Node):
     def poll_simulators(self):
         """Search for simulators until all wanted ones are found; then serve pages."""
         before, self._offered = self._offered, self._offers()
+        estimator = self._offered.get(self._estimator, {}) if self._estimator else {}
+        if self._estimator and not ({ESTIMATED, DEVIATIONS} <= set(estimator)
+                                    and estimator == before.get(self._estimator)):
+            return
         for name, topics in self._offered.items():
             if name in self._shown or (self._wanted and name not in self._wanted):
                 continue
             # Topics of a node are heard of one after the other: until there are no more.
             if {'scene', 'joint_states'} <= set(topics) and topics == before.get(name):
-                self._shown[name] = RemoteSimulator(self, name, topics)
+                self._shown[name] = RemoteSimulator(self, name, topics, estimator)
         known = [one for one in self._shown.values() if one.feed is not None]
         if self._wanted:
             ready = len(known) == len(self._wanted)
@@ -543,7 +572,7 @@ class ViewerNode(Node):
             *_, parent, last = ('', *topic.split('/'))
             if parent == 'constraint_forces':
                 last = f'{parent}/{last}'
-            elif last not in ('scene', 'joint_states', 'multi_dof_joint_states'):
+            elif last not in (*SHOWN, ESTIMATED, ESTIMATED_TURNS, DEVIATIONS):
                 last = None
             if last is not None:
                 for one in self.get_publishers_info_by_topic(topic):

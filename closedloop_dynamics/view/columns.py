@@ -8,6 +8,7 @@ A row of a running simulation, of a recording and of a saved file is the same.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Optional
 
 import numpy as np
 
@@ -38,6 +39,8 @@ READINGS = {Contact: {'normal_force': 'normal', 'friction_force': 'friction'},
             ForceTable: {'force': 'force'}}
 # How far the direction moves what moves most, as a share of the mechanism's size.
 SHOWN = 0.15
+# Groups of plots whose quantities an estimator estimates, too.
+ESTIMATED = ('joint position', 'joint velocity')
 
 
 @dataclass
@@ -55,6 +58,8 @@ class Plot:
     log: bool = False
     # Whether it is about the method that computes the motion, not about the motion.
     method: bool = False
+    # Of an estimate: the column of its standard deviation, counted from the first plot.
+    deviation: Optional[int] = None
 
 
 @dataclass
@@ -69,6 +74,9 @@ class Columns:
     #: The state's other numbers, which are in files only, follow: those of orientations, and
     #: efforts of joints that are not driven (list of Plot).
     plots: list = field(default_factory=list)
+    #: Whether there are estimated poses, too, before the direction, and at the end the standard
+    #: deviations of the plots that are estimates.
+    estimated: bool = False
 
     @property
     def starts(self):
@@ -77,9 +85,14 @@ class Columns:
         names = self.mechanism.coordinates
         others = np.count_nonzero(_is_other(names)[0]) + np.count_nonzero(_is_other(names)[1])
         widths = (POSE * bodies, 3 * cuts, ARROW * len(self.loads),
-                  POSE * bodies * self.direction, len(self.plots), others)
-        return dict(zip(('poses', 'forces', 'loads', 'direction', 'plots', 'others', 'width'),
-                        np.cumsum([0, *widths]).tolist()))
+                  POSE * bodies * self.estimated, POSE * bodies * self.direction,
+                  len(self.plots), others, len(self._estimates))
+        return dict(zip(('poses', 'forces', 'loads', 'estimate', 'direction', 'plots', 'others',
+                         'deviations', 'width'), np.cumsum([0, *widths]).tolist()))
+
+    @property
+    def _estimates(self):
+        return [plot for plot in self.plots if plot.deviation is not None]
 
     @property
     def layout(self):
@@ -97,9 +110,10 @@ class Columns:
                   for cut in self.mechanism.cut_joints for axis in 'xyz']
         found += [f'{load["kind"]}.{load["name"]}.{part}' for load in self.loads for part in (
             *(f'at.{axis}' for axis in axes), *(f'{axis} [N]' for axis in 'xyz'))]
-        found += [''] * (POSE * len(bodies) * self.direction)
+        found += [''] * (POSE * len(bodies) * (self.estimated + self.direction))
         return [*found, *(f'{plot.column} [{plot.unit}]' for plot in self.plots),
-                *_other_columns(self.mechanism.coordinates)]
+                *_other_columns(self.mechanism.coordinates),
+                *(f'deviation.{plot.column} [{plot.unit}]' for plot in self._estimates)]
 
     @property
     def width(self):
@@ -152,9 +166,15 @@ def _other_columns(names):
         for place in np.flatnonzero(effort)]
 
 
-def motion_columns(mechanism):
-    """Return the columns of a recording or of topics."""
-    return Columns(mechanism, plots=_joint_plots(mechanism))
+def motion_columns(mechanism, estimated=False):
+    """Return the columns of a recording or of topics, with those of an estimator or without."""
+    plots, names = _joint_plots(mechanism), mechanism.coordinates
+    estimates = [plot for plot in plots if estimated and plot.group in ESTIMATED]
+    behind = len(plots) + len(estimates) + sum(map(np.count_nonzero, _is_other(names)))
+    return Columns(mechanism, plots=plots + [
+        replace(plot, name=f'{plot.name}, estimated', column=f'estimated.{plot.column}',
+                deviation=int(behind) + k)
+        for k, plot in enumerate(estimates)], estimated=estimated)
 
 
 def motion_thinning_values(columns, motion, rows):
@@ -169,17 +189,28 @@ def motion_thinning_values(columns, motion, rows):
                       rows[:, starts['plots']:starts['others']]])
 
 
-def motion_rows(motion):
-    """Return the rows of a ``Trajectory``: float32, shape (instants, width)."""
+def motion_rows(motion, estimate=None):
+    """
+    Return the rows of a ``Trajectory``: float32, shape (instants, width).
+
+    ``estimate``: another one beside it, of estimates, and the standard deviations of its positions
+    and velocities, shapes (instants, nq) and (instants, nv).
+    """
     names, count = motion.mechanism.coordinates, len(motion.time)
     turns, undriven = _is_other(names)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
     points = [*named_paths(motion.mechanism, motion.position).values(), np.zeros((count, 0))]
+    places, values, deviations = np.zeros((3, count, 0))
+    if estimate is not None:
+        other, *spread = estimate
+        places = poses_in_space(body_poses(motion.mechanism, other.position)).reshape(count, -1)
+        values, deviations = (np.hstack([position[:, names.place[names.place >= 0]], velocity])
+                              for position, velocity in ((other.position, other.velocity), spread))
     return np.hstack([
-        poses.reshape(count, -1), in_three(force_of(motion.forces)).reshape(count, -1),
+        poses.reshape(count, -1), in_three(force_of(motion.forces)).reshape(count, -1), places,
         *_joint_values(names, motion.position, motion.velocity, motion.effort, motion.forces,
-                       np.hstack(points)),
-        motion.position[:, turns], motion.effort[:, undriven]]).astype(np.float32)
+                       np.hstack(points)), values,
+        motion.position[:, turns], motion.effort[:, undriven], deviations]).astype(np.float32)
 
 
 class SimulationRows:

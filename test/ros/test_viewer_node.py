@@ -6,12 +6,15 @@
 from test.view.client import Client, plotted
 import threading
 
+from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
+from closedloop_dynamics.ros.messages import DEVIATIONS, ESTIMATED
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.viewer_node import ViewerNode
 import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
 
 # A busy host answers late: less so in simulated time that passes slowly.
 SLOWLY = {'real_time_factor': 0.3}
@@ -87,6 +90,43 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
         client.until(lambda client: abs(plotted(client, 'joint position', 'theta_1') - expected)
                      > 1e-4)
     assert simulator.exit_code is None and simulator.paused
+
+
+def test_estimates_are_shown_beside_the_simulator(context, spinning):
+    """The viewer waits for the estimator, and shows values, deviations and poses of it."""
+    simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator', estimator='twin')
+    estimator = rclpy.create_node('twin', context=context)
+    for _ in range(8):
+        viewer.poll_simulators()
+    assert viewer.server is None
+    estimates, deviations = (estimator.create_publisher(JointState, topic, 10) for topic in (
+        ESTIMATED, DEVIATIONS))
+    start = simulator.simulation.scene.initial.position
+    with Client(served(viewer)) as client:
+        def published(client):
+            for publisher, position, velocity in (
+                    (estimates, 0.1 + np.array(start), 0.5), (deviations, [0.02] * 7, 0.03)):
+                # Names of other joints are ignored.
+                publisher.publish(JointState(
+                    name=[*simulator.simulation.joint_names, 'other'], effort=[0.0] * 8,
+                    position=[*position, 9.0], velocity=[velocity] * 8))
+            return client.row is not None and np.isfinite(client.row).all()
+
+        client.until(published)
+        columns = client.scene['columns']
+        for group, value, deviation in (
+                ('joint position', start[0] + 0.1, 0.02), ('joint velocity', 0.5, 0.03)):
+            found = plotted(client, group, 'theta_1, estimated')
+            plot, = (one for one in client.scene['plots'] if one['group'] == group
+                     and one['name'] == 'theta_1, estimated')
+            assert found == np.float32(value)
+            assert client.row[columns['plots'] + plot['deviation']] == np.float32(deviation)
+        poses = body_poses(simulator.simulation.mechanism, 0.1 + np.array(start))
+        np.testing.assert_allclose(
+            client.row[columns['estimate']:columns['direction']].reshape(-1, 7),
+            poses_in_space(poses), atol=1e-6)
+    estimator.destroy_node()
 
 
 def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):

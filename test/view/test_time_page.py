@@ -1,18 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Time in a real browser: the past of a run, two runs, plots over an angle, files that open."""
+"""Time in a real browser: the past of a run, two runs, estimates, plots over an angle, files."""
 
+from dataclasses import replace
 from test.view.browser import browser, program
 from test.view.test_browser import on_screen, pause, READY, stage
 from test.view.test_page import contents
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.view.columns import motion_columns, motion_rows
+from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.page import live_page, recorded_page
+from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np
 from PIL import Image
 import pytest
@@ -244,5 +249,40 @@ def test_files_of_the_page_open_again(open_page, live, tmp_path):
         document.getElementById("beside").dispatchEvent(new Event("change")); }})()""")
     tab.wait('page.picture.ghost?.name === "run.html"')
     assert changed(stage(tab), before) > 0.001
+    assert not tab.errors
+    tab.close()
+
+
+def test_estimates_are_pale_with_bands(open_page, tmp_path):
+    """A band spans two standard deviations on both sides; the pale machine is where it is said."""
+    mechanism = load_scene('four_bar').mechanism
+    start, time = np.array(load_scene('four_bar').initial.position), np.linspace(0.0, 1.0, 50)
+    zero, forces = np.zeros((50, 3)), np.zeros((50, 1, 3))
+    motion = Trajectory(mechanism, time, np.tile(start, (50, 1)), zero, zero, forces)
+    estimate = replace(motion, position=motion.position + 0.3)
+    columns = motion_columns(mechanism, estimated=True)
+    path = tmp_path / 'estimated.html'
+    path.write_text(recorded_page('estimated', describe(mechanism, columns, mode='recording',
+                                                        title='estimated'), time, motion_rows(
+        motion, (estimate, np.full((50, 3), 0.1), np.full((50, 3), np.nan)))))
+    tab = open_page(path.as_uri())
+    tab.wait('typeof page === "object" && page.plots.groups[0].seen'
+             ' && page.picture.ghost.pale.row')
+    assert 'as estimated' in tab.ask('document.getElementById("keys").textContent')
+    crank = body_poses(mechanism, estimate.position[0], ('crank',))
+    np.testing.assert_allclose(
+        np.array(tab.ask('[...page.picture.ghost.pale.frames[0]]')).reshape(4, 4)[3, :3],
+        poses_in_space(crank)[0, :3], atol=1e-6)
+    # Heights of the band's corners, as the plot fills it.
+    heights = tab.ask("""(() => {
+        const plot = page.plots.groups.find(({group}) => group === "joint position");
+        const pen = new SvgPen(400, 100), frame = plot.seen, fill = pen.fill.bind(pen);
+        let found = [];
+        pen.fill = () => { found = pen.path.match(/ [-0-9.]+/g).map(Number); fill(); };
+        const run = frame.runs.find(({one}) => one.name === "crank_joint, estimated");
+        plot.band(pen, run.one, run.places, frame);
+        return [Math.min(...found), Math.max(...found), frame.y(%r), frame.y(%r)]; })()""" % (
+        float(start[0]) + 0.5, float(start[0]) + 0.1))
+    np.testing.assert_allclose(heights[:2], heights[2:], atol=0.1)
     assert not tab.errors
     tab.close()

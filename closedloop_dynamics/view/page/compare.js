@@ -5,8 +5,9 @@ const PALE = 0.66;
 
 class Ghost {
   // ``scene``: the machine that it is of, as it is described; ``picture``: where it is drawn.
-  constructor(picture, name, scene, history) {
+  constructor(picture, name, scene, history, meaning = MEANINGS.ghost) {
     [this.picture, this.name, this.scene, this.history] = [picture, name, scene, history];
+    this.meaning = meaning;
     // The same picture of another machine, in paler colours.
     const pale = this.pale = Object.create(picture);
     Object.assign(pale, {
@@ -79,11 +80,19 @@ class Comparison {
       if (run) this.take(new Ghost(page.picture, file.name, run.scene, run.history));
       else page.tell(`${file.name}: expected a page that was saved here, or by closedloop view --save`);
     };
-    this.ghost = null;
+    this.ghost = this.estimate = null;
   }
 
   // After the machine has got other parts, or other plots.
-  renew() { this.page.plots.compare(this.ghost); }
+  renew() {
+    const {page} = this, {scene, history} = page, {estimate, direction} = scene.columns;
+    page.plots.compare(this.ghost);
+    this.estimate?.drop();
+    this.estimate = (estimate ?? direction) === direction ? null : new Ghost(
+      page.picture, 'as estimated', {...scene, columns: {...scene.columns, poses: estimate}}, history,
+      MEANINGS.estimate);
+    page.picture.ghost = this.ghost ?? this.estimate;
+  }
 
   // The run that is shown, as it is up to now, beside the next one.
   keep() {
@@ -96,12 +105,16 @@ class Comparison {
   take(ghost) {
     const {page} = this;
     this.ghost?.drop();
-    this.ghost = page.picture.ghost = ghost;
+    this.ghost = ghost;
+    page.picture.ghost = ghost ?? this.estimate;
     page.plots.compare(ghost);
     byId('other').hidden = byId('drop').hidden = !ghost;
     byId('other').querySelector('span').textContent = ghost ? ghost.name : '';
     page.legend();
   }
 
-  show(time) { this.ghost?.show(time); }
+  show(time) {
+    this.ghost?.show(time);
+    this.estimate?.show(time);
+  }
 }

@@ -106,15 +106,16 @@ class History {
   at(time) {
     const [k, next, share] = this.about(time), row = this.row(k).slice(), after = this.row(next);
     if (!(share > 0)) return row;
-    const {poses, direction} = this.columns;
+    const {poses, direction, estimate = direction} = this.columns;
     const mixed = this.columns.others ?? this.width;
     for (let i = 0; i < mixed; i++) {
       if (i < direction || i >= this.columns.plots) row[i] += share * (after[i] - row[i]);
     }
     // Quaternions of one pose have two signs; the two of neighbours are to agree.
     const before = this.row(k);
-    for (let b = 0; b < this.bodies; b++) {
-      const q = poses + 7 * b + 3;
+    const turns = [poses, ...estimate === direction ? [] : [estimate]].flatMap((first) => (
+      Array.from({length: this.bodies}, (_, b) => first + 7 * b + 3)));
+    for (const q of turns) {
       let same = 0;
       for (let i = q; i < q + 4; i++) same += before[i] * after[i];
       if (same < 0) {

@@ -17,6 +17,8 @@ const MEANINGS = {
   cut: 'A cut joint: the spanning tree is cut there, and an equation keeps the loop closed.',
   force: 'The force that body B of a cut joint exerts on its body A; the other one is opposite.',
   ghost: 'Another run at the same time: pale in the picture, dotted in the plots.',
+  estimate: 'The machine as it is estimated: pale in the picture; in the plots a line with a band of '
+    + 'two standard deviations on both sides.',
   direction: 'The machine is next to a singular configuration: loops, or held drives, hardly '
     + 'prevent this motion.'};
 // Plots and the clock are drawn so often while time runs [ms]: nobody reads faster.
@@ -139,7 +141,7 @@ class Page {
     }
     const {ghost} = this.picture;
     if (ghost) {
-      lines.push([`<i class="ghost"></i>${escaped(ghost.name)}`, null, null, MEANINGS.ghost]);
+      lines.push([`<i class="ghost"></i>${escaped(ghost.name)}`, null, null, ghost.meaning]);
     }
     lines.push(['<i style="background:currentColor;height:2px"></i>names', 'names']);
     byId('keys').replaceChildren(...lines.map(([html, key, id, meaning = '']) => {

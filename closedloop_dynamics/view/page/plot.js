@@ -104,6 +104,7 @@ class Plot {
     pen.rect(left, top - 2, right - left, bottom - top + 4);
     pen.clip();
     for (const {one, other, places} of frame.runs) {
+      if (!other && !view.turn) this.band(pen, one, places, frame);
       pen.strokeStyle = one.color;
       pen.globalAlpha = other ? OTHER.alpha : 1;
       pen.lineWidth = other ? OTHER.width : 1.5;
@@ -123,6 +124,18 @@ class Plot {
     pen.setLineDash([]);
     pen.globalAlpha = 1;
     pen.restore();
+  }
+
+  // Two standard deviations of an estimate on both sides of it.
+  band(pen, one, places, {x, y}) {
+    const known = places.filter(([u, v, wide]) => wide > 0 && Number.isFinite(u) && this.drawable(v));
+    if (!known.length) return;
+    pen.fillStyle = one.color;
+    pen.globalAlpha = 0.2;
+    pen.beginPath();
+    known.forEach(([u, v, wide], k) => pen[k ? 'lineTo' : 'moveTo'](x(u), y(v + wide)));
+    for (const [u, v, wide] of known.reverse()) pen.lineTo(x(u), y(v - wide));
+    pen.fill();
   }
 
   // Where the cursor is, and what is dragged over.
@@ -168,7 +181,8 @@ class Plot {
       shown.filter((one) => run.columns[one.column] >= 0).map((one) => ({
         one, other: run.other, places: this.run(
           run.history, run.columns[one.column], run.begin, run.end, most).map((k) => [
-          run.x(k), run.history.value(k, run.columns[one.column])])}))));
+          run.x(k), run.history.value(k, run.columns[one.column]),
+          one.deviation == null ? 0 : 2 * run.history.value(k, one.deviation)])}))));
   }
 
   // Numbers of the rows of a line, of all: where there are more than so many, the lowest and the
