@@ -149,24 +149,16 @@ def forces_along(simulation, joints, times, positions, deviation=0.0):
         yield k
 
 
-class ForceBag:
+class MessageBag:
     """
-    Writes states and constraint forces of a simulation into a new bag.
+    Writes messages of states, wrenches and numbers into a new bag; topics are added as they come.
 
-    A context; ``path`` is its directory, which must not exist. Topics are those of the simulator,
-    and ``joint_forces/JOINT``: what the parent exerts on the child at the child's origin.
+    A context; ``path`` is its directory, which must not exist. Stamps are in ns.
     """
 
-    def __init__(self, path, simulation):
+    def __init__(self, path):
         self._files, self._store = BagFiles(path, 'mcap'), get_typestore(Stores.ROS2_JAZZY)
-        self._simulation = simulation
-        self._states = self._add('/joint_states', STATE)
-        self._forces = [self._add(f'/constraint_forces/{cut.name}', WRENCH)
-                        for cut in simulation.cut_joints]
-        self._moving = moving_joints(simulation)
-        self._forces += [
-            self._add(f'/joint_forces/{simulation.mechanism.joints[place].name}', WRENCH)
-            for place in self._moving]
+        self._channels = {}
 
     def __enter__(self):
         return self
@@ -174,33 +166,58 @@ class ForceBag:
     def __exit__(self, *_):
         self._files.close()
 
-    def _add(self, topic, kind):
-        definition, _ = self._store.generate_msgdef(kind, ros_version=2)
-        return self._files.add_topic(
-            Topic(topic, kind, definition, self._store.hash_rihs01(kind)))
+    def state(self, topic, stamp, names, position, velocity, effort):
+        """Write a JointState."""
+        self._put(topic, STATE, stamp, header=self._header(stamp), name=list(names),
+                  position=position, velocity=velocity, effort=effort)
+
+    def wrench(self, topic, stamp, wrench):
+        """Write a WrenchStamped, moments first, shape (3,), in space (6,), axes of the world."""
+        torque, force = (0.0, 0.0, wrench[0]), (*wrench[1:], 0.0)
+        if len(wrench) == 6:
+            torque, force = wrench[:3], wrench[3:]
+        vector = self._store.types['geometry_msgs/msg/Vector3']
+        self._put(topic, WRENCH, stamp, header=self._header(stamp, 'world'), wrench=(
+            self._store.types['geometry_msgs/msg/Wrench'](
+                force=vector(*map(float, force)), torque=vector(*map(float, torque)))))
+
+    def _header(self, stamp, frame=''):
+        types = self._store.types
+        return types['std_msgs/msg/Header'](
+            stamp=types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS)),
+            frame_id=frame)
+
+    def _put(self, topic, kind, stamp, **fields):
+        if topic not in self._channels:
+            definition, _ = self._store.generate_msgdef(kind, ros_version=2)
+            self._channels[topic] = self._files.add_topic(
+                Topic(topic, kind, definition, self._store.hash_rihs01(kind)))
+        message = self._store.types[kind](**fields)
+        self._files.write(self._channels[topic], stamp, bytes(
+            self._store.serialize_cdr(message, kind)))
+
+
+class ForceBag(MessageBag):
+    """
+    Writes states and constraint forces of a simulation into a new bag.
+
+    Topics are those of the simulator, and ``joint_forces/JOINT``: what the parent exerts on the
+    child at the child's origin.
+    """
+
+    def __init__(self, path, simulation):
+        super().__init__(path)
+        self._simulation, self._moving = simulation, moving_joints(simulation)
+        self._topics = [f'/constraint_forces/{cut.name}' for cut in simulation.cut_joints] + [
+            f'/joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
 
     def write(self, stamp):
         """Write the present state, with a stamp [ns]."""
-        simulation, types = self._simulation, self._store.types
-        header = types['std_msgs/msg/Header'](
-            stamp=types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS)),
-            frame_id='')
-        single = simulation.coordinates.single
-        state = types[STATE](
-            header=header, name=list(simulation.coordinates.single_names),
-            position=simulation.position[simulation.coordinates.place[single]],
-            velocity=simulation.velocity[single], effort=simulation.effort[single])
-        self._put(self._states, stamp, state, STATE)
-        header = types['std_msgs/msg/Header'](stamp=header.stamp, frame_id='world')
-        vector = types['geometry_msgs/msg/Vector3']
-        for channel, wrench in zip(self._forces, (
+        simulation, coordinates = self._simulation, self._simulation.coordinates
+        single = coordinates.single
+        self.state('/joint_states', stamp, coordinates.single_names,
+                   simulation.position[coordinates.place[single]], simulation.velocity[single],
+                   simulation.effort[single])
+        for topic, wrench in zip(self._topics, (
                 *simulation.constraint_forces, *simulation.joint_forces[self._moving])):
-            torque, force = (0.0, 0.0, wrench[0]), (*wrench[1:], 0.0)
-            if len(wrench) == 6:
-                torque, force = wrench[:3], wrench[3:]
-            self._put(channel, stamp, types[WRENCH](header=header, wrench=types[
-                'geometry_msgs/msg/Wrench'](force=vector(*map(float, force)), torque=vector(
-                    *map(float, torque)))), WRENCH)
-
-    def _put(self, channel, stamp, message, kind):
-        self._files.write(channel, stamp, bytes(self._store.serialize_cdr(message, kind)))
+            self.wrench(topic, stamp, wrench)
