@@ -25,7 +25,7 @@ up a thread of its own first, and that one the caller: what has to happen in tim
 here.
 """
 
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 import gc
 from importlib import import_module
 from importlib.util import find_spec
@@ -50,8 +50,9 @@ NEAR, BEFORE = 0.004, 0.002
 # After a beat longer than this, another thread runs the callbacks; it checks so often,
 # and gives the executor back after so long [s].
 LONG_BEAT, POLL, TURN = 0.5, 0.1, 0.02
-# For a node to end after a signal, before its process does so without it [s].
-STOP_PATIENCE = 1.5
+# For a node to end after a signal, before its process does so without it; for what it leaves to be
+# closed: topics, its context, shared memory [s].
+STOP_PATIENCE, CLOSE_PATIENCE = 1.5, 0.4
 
 
 class StopRequest:
@@ -131,27 +132,39 @@ def run(create_node, name, help_text, args=None, timed=False, loses_nothing=Fals
     except Exception as error:
         print(f'[{name}] cannot start: {_one_line(error)}', file=sys.stderr, flush=True)
         return 2
-    try:
+    with ExitStack() as limits:
+        limits.callback(rclpy.try_shutdown)
+        limits.callback(_watch.ignore)
         # From here on there may be something to close, such as a bag: a signal waits until it
         # can be.
         with _watch.reacting(_stop):
-            return _run_in_context(create_node, name, timed, loses_nothing)
-    finally:
-        _watch.ignore()
-        rclpy.try_shutdown()
+            return _run_in_context(create_node, name, timed, loses_nothing, limits)
 
 
 def leave(code):
     """End the process at once with an exit code."""
     import rclpy
-    # Without this, the shared memory of DDS would stay behind.
-    rclpy.get_default_context().destroy()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code)
+    with _closing_in_time(code):
+        # Without this, the shared memory of DDS would stay behind.
+        rclpy.get_default_context().destroy()
+        os._exit(code)
 
 
-def _run_in_context(create_node, name, timed, loses_nothing):
+@contextmanager
+def _closing_in_time(code):
+    """End the process with an exit code where the body takes long: DDS may wait for its peers."""
+    limit = threading.Timer(CLOSE_PATIENCE, os._exit, [code])
+    limit.daemon = True
+    limit.start()
+    try:
+        yield
+    finally:
+        limit.cancel()
+
+
+def _run_in_context(create_node, name, timed, loses_nothing, limits):
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
     warnings.showwarning = lambda message, *where: get_logger(name).warning(_one_line(message))
@@ -183,11 +196,11 @@ def _run_in_context(create_node, name, timed, loses_nothing):
     finally:
         _stop.wake = _nothing
         overdue.cancel()
-        try:
-            node.close()
-        finally:
-            executor.shutdown()
-            node.destroy_node()
+        node.close()
+        if _stop:
+            limits.enter_context(_closing_in_time(node.exit_code or 0))
+        executor.shutdown()
+        node.destroy_node()
     return node.exit_code or 0
 
 

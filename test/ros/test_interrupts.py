@@ -21,6 +21,28 @@ PROGRAMS = {
     'torque_source': (['-c', NODE.format('torque_source')], 0),
     'recorder': (['-c', NODE.format('recorder')], 0),
 }
+# A node that asks to be ended, and whose topics DDS never closes.
+STUCK = """
+import os, signal, threading
+from closedloop_dynamics.ros import process
+process.watch_signals()
+from rclpy.node import Node
+
+class Stuck(Node):
+    exit_code = None
+
+    def __init__(self):
+        super().__init__('stuck')
+        self.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGINT))
+
+    def close(self):
+        print('closed', flush=True)
+
+    def destroy_node(self):
+        threading.Event().wait()
+
+process.leave(process.run(Stuck, 'stuck', '', ['stuck'], loses_nothing=True))
+"""
 DELAYS = (0.0, 0.02, 0.1, 0.3)
 PATIENCE = 240.0
 
@@ -72,3 +94,9 @@ def test_interrupt_ends_a_program_in_order_whenever_it_comes(program, domain, tm
         directory.mkdir()
         ended, errors = interrupted(arguments, directory, delay, times)
         assert ended == code and 'Traceback' not in errors, f'{delay} s, {times}: {errors}'
+
+
+def test_signal_ends_a_node_whose_topics_cannot_be_closed(domain):
+    ended = subprocess.run(
+        [sys.executable, '-c', STUCK], capture_output=True, text=True, timeout=PATIENCE)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, 'closed\n', '')
