@@ -112,7 +112,8 @@ def _recording(path, messages, scene, namespace, finished):
             f"{path}: the topic 'scene' is not in it, which names what was simulated; add --scene")
     stamps = [stamp_of(message) for message in states]
     mechanism, order = scene.mechanism, _order(path, states[0], scene)
-    log, rows = _log(messages.get(prefix + LOG, []), mechanism, stamps)
+    log, rows = _log(messages.get(prefix + LOG, []), [facts for _, facts in changes], mechanism,
+                     stamps)
     values = [np.array([getattr(states[row], name) for row in rows])[:, order]
               for name in ('position', 'velocity', 'effort')]
     time = (log.time[log.state >= 0] if log
@@ -191,11 +192,20 @@ def _with_orientations(path, entries, mechanism, stamps, values):
     return whole
 
 
-def _log(entries, mechanism, stamps):
+def _columns(entries, facts):
+    """Return the names of the first numbers of the log's entries; None where nothing has them."""
+    if entries and entries[0].layout.dim:
+        # In bags of earlier versions every entry names all.
+        return [name for name in entries[0].layout.dim[0].label.split()
+                if not name.startswith('state.')]
+    return facts[0].get('columns') if entries and facts else None
+
+
+def _log(entries, facts, mechanism, stamps):
     """Return the log of the states, and which states have an entry; no log: all of them."""
-    if not entries:
+    columns = _columns(entries, facts)
+    if columns is None:
         return None, range(len(stamps))
-    columns = entries[0].layout.dim[0].label.split()
     place = {name: columns.index(name) for name in columns}
     try:
         joints = [place[name] for name in mechanism.coordinates.names]
@@ -216,7 +226,7 @@ def _log(entries, mechanism, stamps):
     return Log(table[:, place['index']].astype(int), table[:, place['jumps']].astype(int),
                table[:, place['simulated_time']], table[:, joints], state,
                [np.array(entry.data[behind:]) for entry in entries]
-               if behind < len(columns) else None), rows
+               if behind < len(entries[0].data) else None), rows
 
 
 def _forces(messages, prefix, mechanism, stamps):

@@ -270,8 +270,9 @@ class _Stamped(_Player):
         self._motion = recording.motion
         self.starts.append((0.0, 'from the first recorded state'))
         self.notes.append(
-            'there is no replay_log in it: times are those of the stamps, rounded to whole steps, '
-            'and torques the recorded efforts; record the topic replay_log for an exact replay')
+            'there is no replay_log in it, or no scene that names its columns: times are those of '
+            'the stamps, rounded to whole steps, and torques the recorded efforts; record the '
+            'topics replay_log and scene for an exact replay')
         if len(recording.changes) > 1:
             self.notes.append('the scene was changed on the way, which is left out')
         if any(effect.drive() is not None for effect in recording.scene.effects.values()):

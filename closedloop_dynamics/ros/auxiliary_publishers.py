@@ -12,12 +12,11 @@ import numpy as np
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
-from std_msgs.msg import MultiArrayDimension
 from std_msgs.msg import String
 
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LOG_QOS = QoSProfile(depth=1000)
-# Names of the columns, before the commands by joint and the state by number.
+# Names of the columns, before the commands by joint and the state.
 COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')
 # In place of the stamp, in an entry for a time at which no state was published.
 NO_STATE = -1
@@ -27,7 +26,7 @@ class Descriptions:
     """
     Latched topics: ``robot_description`` once, ``scene`` whenever it changes.
 
-    ``node`` publishes; a scene holds from an entry of ``log`` on.
+    ``node`` publishes; a scene holds from an entry of ``log`` on, whose first columns it names.
     """
 
     def __init__(self, node, simulation, log):
@@ -52,7 +51,7 @@ class Descriptions:
             scene, effects, enabled = self._published = present
             off = [name for name in effects if name not in enabled]
             self._scene.publish(String(data=scene_text(
-                scene, effects, off, after=self._log.index)))
+                scene, effects, off, after=self._log.index, columns=self._log.columns)))
 
 
 class ReplayLog:
@@ -65,6 +64,8 @@ class ReplayLog:
     Where the command, or the accuracy that a budget allows, changes between two published states,
     an entry without a stamp says up to when the old one acted. ``index`` counts the entries, so
     that a gap is seen; ``jumps`` counts the resets and the states that were set from outside.
+    ``columns``: names of the first numbers of each entry, which are told once, in ``scene``; the
+    others are the state.
     """
 
     def __init__(self, node, simulation):
@@ -72,6 +73,7 @@ class ReplayLog:
         self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
         self._message = Float64MultiArray()
         self._values = self._states = self._torque = None
+        self.columns = [*COLUMNS, *simulation.torque_names]
         self.index = self._jumps = 0
         self._time, self._accuracy = 0.0, simulation.accuracy
 
@@ -112,13 +114,8 @@ class ReplayLog:
         self._publisher.publish(self._message)
 
     def _size(self, states):
-        """Size the message for another method or other effects, and name its contents."""
-        if states == self._states:
-            return
-        self._states = states
-        columns = [*COLUMNS, *self._simulation.torque_names,
-                   *(f'state.{k}' for k in range(states))]
-        self._message.layout.dim = [MultiArrayDimension(
-            label=' '.join(columns), size=len(columns), stride=len(columns))]
-        self._message.data = array('d', bytes(8 * len(columns)))
-        self._values = np.frombuffer(self._message.data)
+        """Size the message for another method or other effects."""
+        if states != self._states:
+            self._states = states
+            self._message.data = array('d', bytes(8 * (len(self.columns) + states)))
+            self._values = np.frombuffer(self._message.data)
