@@ -69,7 +69,8 @@ class SimulatorNode(Node):
     ``exit_code``: None while the node wants to go on; ``live``: the ``simulation`` under the
     ``command``, with its publishers (``states``); ``pacer``: simulated and elapsed time; ``mode``:
     when to advance; ``paused``, ``waiting``: by the service ``~/pause``; for a command;
-    ``counts``: states taken from ``~/set_state``, and those that were not.
+    ``counts``: states taken from ``~/set_state``, and those that were not; ``stepped``: time
+    simulated by single steps in pauses [s].
     """
 
     def __init__(self, **options):
@@ -94,7 +95,7 @@ class SimulatorNode(Node):
         self._warned_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self._expected = values['wait_for_subscribers']
-        self.counts = {'states set': 0, 'states refused': 0}
+        self.counts, self.stepped = {'states set': 0, 'states refused': 0}, 0.0
         declare_fact(self, 'actuated_joints', self.simulation.actuated_joints,
                      'Order of the values of torque_command; given by the scene.')
         self.effect_parameters = EffectParameters(self, self.simulation)
@@ -471,6 +472,7 @@ class SimulatorNode(Node):
         while left > 0 and not stop_requested():
             portion = min(left, PORTION)
             self.live.advance(portion)
+            self.stepped += portion * self.simulation.step_size
             left -= portion
         self.live.publish()
 
@@ -628,12 +630,15 @@ class SimulatorNode(Node):
         self._stop_ticking()
         self.idle_states.keep(False)
         pacer, counts = self.pacer, self.command.counts
-        if pacer.simulated > 0.0 and self.exit_code is None:
+        simulated = pacer.simulated + self.stepped
+        if simulated > 0.0 and self.exit_code is None:
             for line in str(self.simulation.report()).splitlines():
                 self.get_logger().info(line)
         self.get_logger().info(
-            f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
-            f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; commands: '
+            f'simulated {simulated:.3f} s in {pacer.elapsed:.3f} s, '
+            f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped'
+            + (f', {self.stepped:.3f} s by steps in pauses' if self.stepped else '')
+            + '; commands: '
             + ', '.join(f'{counts[key]} {key}' for key in (
                 'accepted', 'rejected', 'timed out', 'lost'))
             + ''.join(f', {number} {key}' for key, number in self._motion_counts.items())

@@ -310,3 +310,12 @@ def test_every_shipped_scene_runs(make_node, scene):
     assert node.exit_code is None
     assert node.simulation.time == pytest.approx(0.01)
     assert node.states.published == 1 + len(node.simulation.cut_joints)
+
+
+def test_steps_in_a_pause_are_in_the_summary(node, capfd):
+    advance(node, 0.05, ticks=5)
+    node.pause(True)
+    node.make_steps(7)
+    assert node.simulation.time == pytest.approx(0.057)
+    node.close()
+    assert 'simulated 0.057 s' in capfd.readouterr().err
