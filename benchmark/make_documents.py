@@ -20,6 +20,7 @@ import subprocess
 import sys
 from tempfile import TemporaryDirectory
 
+import all_machines_report
 from machine import COMMIT, commit, ROOT
 import make_accuracy_doc
 import make_performance_doc
@@ -28,7 +29,9 @@ import sentences
 
 def readme_passages(pictures):
     """Return {name of a passage of README.md: its text}, from the CSV files."""
-    return {'speed': sentences.speed(pictures), **make_accuracy_doc.readme_passages(pictures)}
+    by_default = all_machines_report.by_default(pictures / 'accuracy_machines.csv')
+    return {'speed': sentences.speed(pictures, by_default),
+            **make_accuracy_doc.readme_passages(pictures)}
 
 
 def write_readme(checkout):
