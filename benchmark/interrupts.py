@@ -151,7 +151,6 @@ TASKS = {
         'effects.gravity.acceleration.1=-9.81..-1:100000', '--workers', '2'), False),
     'accuracy': (command('accuracy', 'three_rrr'), False),
     'effects': (command('effects', 'carpet_scraper_on_carpet'), False),
-    'formulations': (command('formulations', '--output', '{folder}'), False),
     'stability': (command('stability', '--quick'), False),
     'far poses in the plane': (with_model('three_rrr', far_poses), False),
     'far poses in space': (with_model('stewart_platform', far_poses), False),

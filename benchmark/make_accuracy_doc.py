@@ -25,19 +25,21 @@ import warnings
 
 import all_machines_report
 import energy_study
+from formulations import study_formulations
+import formulations_report
 import held_torques
 from machine import description, ROOT
 import sentences
 import throughput
+from yardsticks import SciPyLine, SOLVERS
 
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402,I100
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
-from closedloop_dynamics.studies import accuracy_report, formulations_report  # noqa: E402
+from closedloop_dynamics.studies import accuracy_report  # noqa: E402
 from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
-from closedloop_dynamics.studies.formulations import study_formulations  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
 
 TARGETS = (1e-3, 1e-6, 1e-9)
@@ -94,8 +96,9 @@ class Setting:
 
 
 def lines(case):
-    """Return the lines to measure: all of them, or the integrators alone."""
-    return [line for line in default_lines() if case.everything or line == Line(line.integrator)]
+    """Return the lines to measure: all of them, or the integrators alone; SciPy's beside them."""
+    return [line for line in (*default_lines(), *map(SciPyLine, SOLVERS))
+            if case.everything or line == type(line)(line.integrator)]
 
 
 def settings_of_study(path):
@@ -103,10 +106,12 @@ def settings_of_study(path):
     found = {}
     with open(path, newline='', encoding='utf-8') as file:
         for row in csv.DictReader(file):
-            usual = Line(row['integrator'], row['stabilisation'], row['formulation'])
-            if not row['failure'] and usual == Line(usual.integrator):
-                found.setdefault(usual.integrator, []).append(Setting(
-                    usual.integrator, *(float(row[name] or 'nan') for name in (
+            integrator = row['integrator']
+            usual = row['stabilisation'] == Line(integrator).stabilisation and (
+                row.get('formulation', 'subsystem') == 'subsystem')
+            if usual and not row['failure']:
+                found.setdefault(integrator, []).append(Setting(
+                    integrator, *(float(row[name] or 'nan') for name in (
                         'step_size', 'tolerance', 'position_error', 'evaluations_per_second',
                         'cpu_time_per_second'))))
     return found

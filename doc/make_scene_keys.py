@@ -22,7 +22,7 @@ from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
 from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
-from closedloop_dynamics.simulation.scene_records import FORMULATIONS, Initial, Method
+from closedloop_dynamics.simulation.scene_records import Initial, Method
 
 PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
@@ -50,7 +50,7 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
 CHOICES = {'integrator': INTEGRATORS, 'stabilisation': STABILISATIONS,
-           'formulation': FORMULATIONS, 'axes': (WORLD, BODY)}
+           'axes': (WORLD, BODY)}
 HEAD = """\
 # Keys of mechanism and scene files
 

@@ -235,8 +235,7 @@ def test_simulate_tells_the_steps_that_were_made(capsys, options, told):
 # On scenes for which other tests compile these, too.
 @pytest.mark.parametrize('scene, options', [
     ('four_bar', ('--integrator', 'semi_implicit_euler', '--stabilisation', 'none')),
-    ('four_bar', ('--integrator', 'rk4', '--stabilisation', 'baumgarte')),
-    ('geared_five_bar', ('--formulation', 'augmented'))])
+    ('four_bar', ('--integrator', 'rk4', '--stabilisation', 'baumgarte'))])
 def test_method_options_replace_those_of_the_scene(capsys, scene, options):
     code, text, _ = call(capsys, 'simulate', scene, '--duration', '0.01', *options)
     assert code == 0
@@ -290,7 +289,6 @@ def test_a_full_disk_is_named(capsys):
     ('effects carpet_scraper --output run.csv/in', 'run.csv is a file'),
     ('effects carpet_scraper --torque elbow=1', '--torque'),
     ('effects carpet_scraper --joint-rate elbow=1', '--joint-rate'),
-    ('formulations --output run.csv', '--output'),
     ('stability --output run.csv', '--output'),
     ('export four_bar --output no/x.xml', '--output'),
     ('urdf four_bar --output no/x.urdf', '--output'),

@@ -46,9 +46,9 @@ COMMAND = Command(
     summary='measure error and cost of every method on a scene, and advise',
     description="""\
 Measure errors and costs of all methods on a scene, under constant torques, over
-step sizes or tolerances: every integrator; every way to keep the loops closed
-and every formulation with RK4. The reference is computed first, and again with
-another integrator and formulation and with independent coordinates; the larger
+step sizes or tolerances: every integrator, and every way to keep the loops
+closed with RK4. The reference is computed first, and again with another
+integrator and with independent coordinates; the larger
 of the two differences is its own error. Where they differ by more than 1e-6, as
 in chaotic motion, or where no two methods go on, the comparison ends.
 

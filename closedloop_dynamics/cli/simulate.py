@@ -20,7 +20,7 @@ from ..recording.run import columns, ErrorEstimate, headings, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..simulation.scene_records import FORMULATIONS, SMALLEST_STEP
+from ..simulation.scene_records import SMALLEST_STEP
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to
@@ -124,9 +124,8 @@ def _prepared(arguments):
         simulation = checked_torques(
             arguments.scene, scene, torque, lambda scene: Simulation.from_scene(
                 scene, step_size=arguments.step_size, integrator=arguments.integrator,
-                stabilisation=arguments.stabilisation, formulation=arguments.formulation,
-                tolerance=arguments.tolerance, accuracy=arguments.accuracy,
-                budget=arguments.budget))
+                stabilisation=arguments.stabilisation, tolerance=arguments.tolerance,
+                accuracy=arguments.accuracy, budget=arguments.budget))
     return simulation, torque
 
 
@@ -164,7 +163,7 @@ def _summary(simulation, report, arguments, estimate):
     cost = simulation.report()
     lines = [
         f'{simulation.scene.name}: simulated {report.time:.9g} s {_resolution(method, arguments)} '
-        f'({method.integrator}, {method.stabilisation}, {method.formulation})',
+        f'({method.integrator}, {method.stabilisation})',
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
         f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
         f'balance: {energy_in_words(cost.energy_error, cost.energy_moved)}',
@@ -287,7 +286,5 @@ examples:
                      help='computing time per simulated second that the integrator auto may '
                           'take: it keeps the best accuracy that this allows'),
             Argument('--stabilisation', choices=STABILISATIONS,
-                     help='how the loops are kept closed'),
-            Argument('--formulation', choices=FORMULATIONS,
-                     help='how the accelerations are found; all give the same'))),
+                     help='how the loops are kept closed'))),
     run=_run)

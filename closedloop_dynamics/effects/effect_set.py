@@ -242,11 +242,6 @@ class EffectSet:
         self.remembers = self.sensors.remembers
         self.attends = self.delays or self.remembers
 
-    @property
-    def ending_steps(self):
-        """Names of the effects that find instants where steps must end."""
-        return [name for name, record in self.records.items() if record.ENDS_STEPS]
-
     def checked(self, name, enabled, parameters):
         """
         Return the record that a change would give, or refuse the change with FieldError.

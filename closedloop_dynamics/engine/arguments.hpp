@@ -12,6 +12,7 @@
 #include <memory>
 #include <new>
 #include <stdexcept>
+#include <string_view>
 #include <thread>
 #include <tuple>
 #include <type_traits>
@@ -163,7 +164,6 @@ inline void read(PyObject * from, bool & to, Place)
 
 /// The last value of each enumeration that Python hands over.
 constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
-constexpr Index last_of(setting::Formulation) {return setting::AUGMENTED;}
 constexpr Index last_of(Status) {return static_cast<Index>(Status::DOUBTFUL);}
 constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
 
@@ -180,6 +180,17 @@ auto read(PyObject * from, Type & to, Place place)
     throw PythonError();
   }
   to = static_cast<Type>(number);
+}
+
+inline void read(PyObject * from, std::string_view & to, Place)
+{
+  Py_ssize_t length = 0;
+  const char * text = PyUnicode_AsUTF8AndSize(from, &length);
+  if (text == nullptr) {
+    throw PythonError();
+  }
+  // The caller holds a reference to the text.
+  to = {text, static_cast<std::size_t>(length)};
 }
 
 inline void read(PyObject *, Unread &, Place) {}

@@ -17,7 +17,6 @@
 #include "elimination.hpp"
 #include "evaluation.hpp"
 #include "forward_dynamics.hpp"
-#include "host_steps.hpp"
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
@@ -80,10 +79,11 @@ std::pair<double, double> nearest_to_path(
 }
 
 std::unique_ptr<Run> run(
-  const System & system, const GivenMethod & method, const MethodOptions & options,
+  const System & system, std::string_view method, const MethodOptions & options,
   const Watch & watch, Indices roles, Indices windings)
 {
-  return std::make_unique<Run>(system, method.make(system, options), watch, roles, windings);
+  return std::make_unique<Run>(
+    system, make_stepper(system, method, options), watch, roles, windings);
 }
 
 /// Whether this thread is to stop, or a signal such as Ctrl-C has come; Python's error is set then in
@@ -236,11 +236,11 @@ Workspace make_workspace(const Model & model) {return Workspace(model);}
 
 Data make_system(
   const Model & model, const Model & all, const Kept<EffectTable> & effects, Indices row,
-  Indexes body, Table point, setting::Formulation formulation, double baumgarte, double size,
-  double opening, bool independent, Indices code)
+  Indexes body, Table point, double baumgarte, double size, double opening, bool independent,
+  Indices code)
 {
   Data made(
-    model, all, Settings(formulation, baumgarte, size, opening),
+    model, all, Settings(baumgarte, size, opening),
     JointPlaces(model, row, body, point), effects.record, effects.owner, code);
   made.use_independent(independent);
   made.interrupted = is_interrupted;
@@ -287,8 +287,7 @@ const Entry entries[] = {
   entry<make_workspace>("workspace", "workspace(model): memory of its evaluations"),
   entry<make_system>(
     "system",
-    "system(model, all, effects, row, body, point, formulation, baumgarte, size, opening, "
-    "independent, code): a handle; effects, and what code reads of them, are kept"),
+    "system(model, all, effects, row, body, point, baumgarte, size, opening, independent, code): a handle; effects, and what code reads of them, are kept"),
   entry<with_equations>(
     "with_equations", "with_equations(system, model, all, code): of the same state and effects"),
   entry<with_independent>(

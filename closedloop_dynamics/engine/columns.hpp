@@ -88,12 +88,6 @@ enum : Index
 };
 }
 
-/// How accelerations are found.
-namespace setting
-{
-enum Formulation : Index {SUBSYSTEM, SYSTEM, AUGMENTED};
-}
-
 /// The function table: addresses of the routines generated for one mechanism, then of the arrays
 /// that they work on.
 namespace routine

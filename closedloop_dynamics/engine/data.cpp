@@ -95,8 +95,7 @@ JointPlaces::JointPlaces(const Model & model, Indices row, Indexes body, Table p
 Data::Data(
   const Model & model, const Model & all, const Settings & settings, const JointPlaces & joints,
   const EffectTable & effects, std::shared_ptr<void> owner_of_effects, Indices code)
-: model(model), work(model), dense(model, settings.formulation),
-  settings(std::make_shared<Settings>(settings)),
+: model(model), work(model), settings(std::make_shared<Settings>(settings)),
   tau(model.joints() + effects.cuts.index.rows), qdd(model.joints()), lam(model.equations()),
   effects(effects), manifold(model), joints(joints), passage(1 + model.coordinates()),
   owner_of_effects(std::move(owner_of_effects))
@@ -118,7 +117,6 @@ Data::Data(const Data & like, const Model & model, const Model & all, Indices co
   this->model = model;
   work = Workspace(model);
   closedloop::copy(before, work.health);
-  dense = DenseWorkspace(model, settings->formulation);
   use_independent(is_independent());
   lam = Array<Values>(model.equations());
   whole = all.cut.data != model.cut.data ? AllEquations(all, model, work) : AllEquations();

@@ -17,7 +17,6 @@ namespace closedloop
 /// How a mechanism is evaluated and corrected.
 struct Settings
 {
-  setting::Formulation formulation = setting::SUBSYSTEM;
   // The following are side by side: generated code reads the first, and the size behind it.
   /// Baumgarte's decay rate of closure errors [1/s]; 0: none.
   double baumgarte_gain = 0.0;
@@ -33,8 +32,8 @@ struct Settings
   double opening = 0.0;
 
   /// `opening` is in sizes of the mechanism.
-  Settings(setting::Formulation formulation, double baumgarte, double size, double opening)
-  : formulation(formulation), baumgarte_gain(baumgarte),
+  Settings(double baumgarte, double size, double opening)
+  : baumgarte_gain(baumgarte),
     // Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     closure_tolerance(1e-12 * size), closure_limit(1e-5 * size), size(size),
     opening(opening * size) {}
@@ -114,7 +113,6 @@ struct Data
 {
   Model model;
   Workspace work;
-  DenseWorkspace dense;
   /// Of no length where independent coordinates are not used.
   Partition partition;
   std::shared_ptr<Settings> settings;
@@ -181,7 +179,7 @@ struct Data
   Values qd(Values state) const {return state.part(nq(), nv());}
 
   CLOSEDLOOP_ARRAYS(
-    model, work, dense, partition, settings, tau, qdd, lam, table, corrections, manifold, whole,
+    model, work, partition, settings, tau, qdd, lam, table, corrections, manifold, whole,
     joints, passage)
 
 private:

@@ -10,7 +10,6 @@
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
-#include "formulations.hpp"
 #include "forward_dynamics.hpp"
 #include "independent.hpp"
 #include "interrupt.hpp"
@@ -105,18 +104,10 @@ void accelerate_near_singular(const System & system, Values q, Values qd, Wanted
 /// their factors are in the workspace.
 Factors accelerate_by_loops(const System & system, Values q, Values qd)
 {
-  const Settings & settings = *system.settings;
-  const double gain = settings.baumgarte_gain;
+  const double gain = system.settings->baumgarte_gain;
   move_bodies(system, q, qd);
-  const bool is_dense = system.dense.gim.data != nullptr && system.dense.gim.rows > 0;
-  const bool good = is_dense ?
-    accelerate_dense(
-    system.model, system.work, system.dense,
-    settings.formulation, system.applied, gain, system.qdd,
-    system.lam) :
-    accelerate(system.model, system.work, system.applied, gain, system.qdd, system.lam);
-  if (good) {
-    return is_dense ? Factors::NONE : Factors::PLAIN;
+  if (accelerate(system.model, system.work, system.applied, gain, system.qdd, system.lam)) {
+    return Factors::PLAIN;
   }
   move_bodies(system, q, qd);
   if (accelerate_refined(

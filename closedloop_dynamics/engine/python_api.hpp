@@ -106,7 +106,6 @@ static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72
 #define METH_NOARGS 0x0004
 #define METH_FASTCALL 0x0080
 #define PyBUF_WRITABLE 0x0001
-#define PyBUF_WRITE 0x200
 #define PyBUF_FORMAT 0x0004
 #define Py_mod_exec 2
 #define Py_bf_getbuffer 1
@@ -131,8 +130,6 @@ PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
 PyObject *PyDict_New();
 int PyDict_SetItemString(PyObject *, const char *, PyObject *);
 PyObject *PyCMethod_New(PyMethodDef *, PyObject *, PyObject *, PyTypeObject *);
-PyObject *PyDict_New();
-int PyDict_SetItemString(PyObject *, const char *, PyObject *);
 int PyErr_CheckSignals();
 void PyErr_Clear();
 PyObject *PyErr_Format(PyObject *, const char *, ...);
@@ -148,9 +145,7 @@ long long PyLong_AsLongLong(PyObject *);
 PyObject *PyLong_FromLongLong(long long);
 int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
 int PyModule_AddStringConstant(PyObject *, const char *, const char *);
-PyObject *PyMemoryView_FromMemory(char *, Py_ssize_t, int);
 PyObject *PyModuleDef_Init(PyModuleDef *);
-PyObject *PyObject_CallMethod(PyObject *, const char *, const char *, ...);
 int PyObject_CheckBuffer(PyObject *);
 void PyObject_Free(void *);
 PyObject *PyObject_GetAttrString(PyObject *, const char *);

@@ -67,25 +67,6 @@ bool Workspace::fits(const Model & model) const
          equation.size >= most_equations(model, cut::POSSIBLE) * (3 + 2 * size());
 }
 
-DenseWorkspace::DenseWorkspace(const Model & model, setting::Formulation formulation)
-{
-  if (formulation == setting::SUBSYSTEM) {
-    return;
-  }
-  const Index nv = model.joints(), nc = model.equations(), both = nv + nc;
-  gim = Array<Table>(nv, nv);
-  jac = Array<Table>(nc, nv);
-  free = Array<Values>(nv);
-  right = Array<Values>(nc);
-  if (formulation == setting::SYSTEM) {
-    schur = Array<Table>(nc, nc);
-  } else {
-    kkt = Array<Table>(both, both);
-    pivots = Array<Indices>(both);
-    solution = Array<Values>(both);
-  }
-}
-
 Partition::Partition(const Model & model)
 : order(model.joints()), jac(model.equations(), model.joints()), scaled(jac.rows, jac.columns),
   matrix(jac.rows, jac.rows), pivots(jac.rows), right(jac.rows), change(model.joints()), record(3)

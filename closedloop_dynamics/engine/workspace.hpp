@@ -67,28 +67,6 @@ struct Workspace
     scatter, closure, closure_rate, bias, equation, wrench, share, torque, force, health)
 };
 
-/// Matrices of the dense formulations: whole ones, which see neither subsystems nor the graph of
-/// the cut joints, and cost O((n + m)^3) and O(n^3 + m^3).
-struct DenseWorkspace
-{
-  Array<Table> gim;
-  Array<Table> jac;
-  /// phi, then I^-1 phi.
-  Array<Values> free;
-  Array<Values> right;
-  /// J I^-1 J^T.
-  Array<Table> schur;
-  Array<Table> kkt;
-  /// Of its LU factors.
-  Array<Indices> pivots;
-  Array<Values> solution;
-
-  DenseWorkspace() = default;
-  DenseWorkspace(const Model &, setting::Formulation);
-
-  CLOSEDLOOP_ARRAYS(gim, jac, free, right, schur, kkt, pivots, solution)
-};
-
 /// Which coordinates are independent, and the scratch to solve for the others by Newton's method;
 /// no set is chosen at first.
 struct Partition

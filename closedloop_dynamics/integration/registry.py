@@ -15,7 +15,7 @@ import numpy as np
 from .tableau import DOP853, DOPRI5, HEUN, RK4, Tableau
 
 FIXED, ADAPTIVE = 'fixed step', 'adaptive'
-EXPLICIT, ROSENBROCK, SWITCHING, SCIPY = 'explicit', 'rosenbrock', 'switching', 'scipy'
+EXPLICIT, ROSENBROCK, SWITCHING = 'explicit', 'rosenbrock', 'switching'
 # The default.
 AUTO = 'auto'
 # Of RODAS4.
@@ -29,12 +29,9 @@ class Integrator(NamedTuple):
     # local error below ``tolerance``.
     kind: str
     summary: str  # One line for people
-    # ``EXPLICIT``, ``ROSENBROCK`` (stiff), ``SWITCHING`` (between the two) or ``SCIPY``
-    # (offline only).
-    family: str
-    stepper: Optional[str] = None  # Its name in the engine (``engine/stepper.cpp``)
+    family: str  # ``EXPLICIT``, ``ROSENBROCK`` (stiff) or ``SWITCHING`` (between the two)
+    stepper: str  # Its name in the engine (``engine/stepper.cpp``)
     tableau: Optional[Tableau] = None  # Of an explicit method
-    solver: Optional[str] = None  # Of SciPy's
 
     @property
     def order(self):
@@ -59,11 +56,9 @@ INTEGRATORS = {
     'rodas4': Integrator(ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK,
         'rodas4'),
     'rodas4_fixed': Integrator(FIXED, 'stiff, L-stable, order 4', ROSENBROCK, 'rodas4_fixed'),
-    'scipy_dop853': Integrator(
-        ADAPTIVE, "SciPy's DOP853, offline", SCIPY, solver='DOP853'),
-    'scipy_radau': Integrator(ADAPTIVE, "SciPy's Radau, stiff, offline", SCIPY, solver='Radau'),
-    'scipy_lsoda': Integrator(ADAPTIVE, "SciPy's LSODA, offline", SCIPY, solver='LSODA'),
 }
+# Integrators of earlier versions, and what does the same as well or better.
+FORMER_INTEGRATORS = {'scipy_dop853': 'dop853', 'scipy_radau': 'rodas4', 'scipy_lsoda': AUTO}
 
 # Baumgarte's terms are part of the accelerations; all others act after a step.
 NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)

@@ -8,8 +8,7 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .registry import AUTO, INTEGRATORS, SCIPY, STABILISATIONS
-from .scipy_solvers import SciPySolver
+from .registry import AUTO, INTEGRATORS, STABILISATIONS
 from .tableau import DOPRI5, Tableau
 from ..engine import native
 
@@ -80,11 +79,9 @@ class Run(SimpleNamespace):
         options = MethodOptions(
             integrator.tableau, DOPRI5, STABILISATIONS[method.stabilisation],
             method.accuracy if method.integrator == AUTO else method.tolerance)
-        self.watch, self._state, self._host = watch, state, SimpleNamespace(system=system)
+        self.watch, self._state = watch, state
         self.native = native.run(
-            system.native, integrator.stepper if integrator.family != SCIPY else SciPySolver(
-                self._host, integrator.solver, options.stabilisation, options.tolerance),
-            options, watch, roles, windings)
+            system.native, integrator.stepper, options, watch, roles, windings)
         self._bind(_OF_RUN, self.native)
         self.rebind(system)
 
@@ -94,7 +91,6 @@ class Run(SimpleNamespace):
 
     def rebind(self, system):
         """Go on with a system that works on other equations."""
-        self._host.system = system
         self._bind(_OF_SYSTEM, system.native, self.native)
         self._bind(_OF_STATE, system.native, self.native, self._state)
 
@@ -106,7 +102,7 @@ class Run(SimpleNamespace):
     def take_method(self, system, other):
         """Go on by the method and with the limits of another run."""
         native.take_method(system.native, self.native, other.native)
-        self.watch, self._host = other.watch, other._host
+        self.watch = other.watch
         self.rebind(system)
 
     @property

@@ -11,7 +11,6 @@ import numpy as np
 from ..core import codegen
 from ..core.codegen import function_table as calls, joint_kernels, space
 from ..core.equations import with_all_equations
-from ..core.formulations import SUBSYSTEM
 from ..core.manifold import manifold_of
 from ..core.types import Handle, KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT
 from ..effects import law_code, scene_code
@@ -143,8 +142,8 @@ class System(Handle):
         return System(made, Model(native.model_of(made[0])), effects, self.joints)
 
 
-def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
-                 elements=(), unrolled=None, cuts=None, joints=None, opening=1e-9):
+def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(), unrolled=None,
+                 cuts=None, joints=None, opening=1e-9):
     """
     Allocate a system.
 
@@ -152,8 +151,6 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     ----------
     model : Model
         Constant arrays of the mechanism.
-    formulation : int
-        One of ``core.formulations``.
     baumgarte : float
         Decay rate of closure errors [1/s].
     extent : float
@@ -164,7 +161,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         Of the effects that act.
     unrolled : bool, optional
         Whether to unroll the kernels for this mechanism; where not said, for few
-        bodies and the subsystem-level formulation.
+        bodies.
     cuts : tuple of 2 ndarrays, optional
         Of the cut joints that anything acts in, as for ``effects.table.build_table``.
     joints : JointPlaces, optional
@@ -174,7 +171,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
 
     """
     if unrolled is None:
-        unrolled = formulation == SUBSYSTEM and _can_be_unrolled(model)
+        unrolled = _can_be_unrolled(model)
     nv, nc, whole = len(model.tree) - 1, len(model.column) - 1, with_all_equations(model)
     # With room for those that are left out: they may be taken again.
     effects = None if len(elements) == 0 and cuts is None else build_table(
@@ -190,8 +187,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         law_code.link(effects)
     return System(
         native.system(
-            model, whole, effects, *(joints or _NO_PLACES), formulation, baumgarte, extent,
-            opening, independent, _addresses(model, effects, joints, code)),
+            model, whole, effects, *(joints or _NO_PLACES), baumgarte, extent, opening,
+            independent, _addresses(model, effects, joints, code)),
         model, effects, joints)
 
 

@@ -5,14 +5,11 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
+from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.ros.pacing import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 
 METHOD = ('integrator', 'step_size', 'stabilisation', 'accuracy', 'budget')
-# SciPy's take as long as they like: no signal would be heard meanwhile.
-LIVE_INTEGRATORS = tuple(
-    name for name, integrator in INTEGRATORS.items() if integrator.family != SCIPY)
 
 SIMULATOR_PARAMETERS = (
     Parameter(
@@ -35,7 +32,7 @@ SIMULATOR_PARAMETERS = (
     Parameter(
         'integrator', '',
         "Method of the time integration; empty: the scene's own.",
-        choices=('', *LIVE_INTEGRATORS), read_only=False),
+        choices=('', *INTEGRATORS), read_only=False),
     Parameter(
         'stabilisation', '',
         "How the loops are kept closed; empty: the scene's own.",

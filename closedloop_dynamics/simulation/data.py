@@ -30,7 +30,6 @@ from .scene_records import Method, Scene
 from .second_order import find_second_order, SecondOrder
 from .state import State
 from ..core import types as t
-from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
 from ..engine import native
@@ -42,7 +41,6 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Point
 
-FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 # Torques, or numbers of a state, by name or in their order.
 Numbers = Union[Mapping[str, Any], ArrayLike]
 
@@ -89,9 +87,8 @@ class Data(Names):
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         self.system: System = build_system(
-            model, FORMULATIONS[method.formulation], baumgarte, extent(self.mechanism),
-            method.stabilisation == 'independent', self._effects.elements,
-            cuts=self._effects.cuts, joints=self._geometry.joint_points,
+            model, baumgarte, extent(self.mechanism), method.stabilisation == 'independent',
+            self._effects.elements, cuts=self._effects.cuts, joints=self._geometry.joint_points,
             opening=self._geometry.opening)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records

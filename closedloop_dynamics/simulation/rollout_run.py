@@ -25,7 +25,7 @@ from ..integration.batch import build_batch, filled, find_energies, fits, Lane
 from ..integration.control import DONE, INTERRUPTED
 from ..integration.recorded_run import (
     allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
-from ..integration.registry import EXPLICIT, FIXED, INTEGRATORS, SCIPY, STABILISATIONS
+from ..integration.registry import EXPLICIT, FIXED, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at, FieldError
 
@@ -127,15 +127,14 @@ def runs_whole(simulation):
     """
     Return whether the engine can make runs of a simulation as a whole.
 
-    Not for SciPy's methods, commands that arrive late, sensors that remember, what acts in cut
-    joints, and equations that may be left out but are not, or drift apart.
+    Not for commands that arrive late, sensors that remember, what acts in cut joints, and
+    equations that may be left out but are not, or drift apart.
     """
     effects = simulation.effect_set
     watched = simulation.run.watch.chooses
     return not (
-        INTEGRATORS[simulation.scene.method.integrator].family == SCIPY or effects.remembers
-        or any(effects.drives.values()) or effects.cuts is not None or simulation.exchanges
-        or watched != simulation.has_redundant_constraints
+        effects.remembers or any(effects.drives.values()) or effects.cuts is not None
+        or simulation.exchanges or watched != simulation.has_redundant_constraints
         or watched and simulation.scene.method.stabilisation not in CLOSING)
 
 

@@ -453,6 +453,11 @@ def _with_columns(
 
 
 def _method(values: Mapping[str, Any]) -> Method:
+    if isinstance(values, Mapping) and 'formulation' in values:
+        raise FieldError(
+            'no such key', f'the key with {shown(values["formulation"])}', 'every scene is '
+            'evaluated subsystem by subsystem, the fastest way to the same accelerations: leave '
+            'the key out', ('formulation',))
     method = Method(**mapping(values, *keys_of(Method)))
     for key, need in method.unused.items():
         if key in values:

@@ -11,14 +11,12 @@ from typing import Any, Dict, Optional, Tuple, Union
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
 from ..effects.traced_effect import TracedEffect
-from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
+from ..integration.registry import (
+    ADAPTIVE, AUTO, BAUMGARTE, FORMER_INTEGRATORS, INTEGRATORS, STABILISATIONS)
 from ..mechanism.checks import freedom, list_of, name, number, one_of, positive, text
-from ..mechanism.fields import at, FieldError, keys_of, mapping, normalise, shown
+from ..mechanism.fields import among, at, FieldError, keys_of, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
-
-FORMULATIONS = ('subsystem', 'system', 'augmented')
-
 
 @dataclass(frozen=True)
 class Initial:
@@ -54,6 +52,15 @@ class Initial:
                 raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
 
 
+def _integrator(value):
+    """Return the name of an integrator; of a former one, say what replaces it."""
+    if isinstance(value, str) and value in FORMER_INTEGRATORS:
+        raise FieldError(
+            f'one of {among(INTEGRATORS)}', shown(value), "SciPy's solvers are no part of the "
+            f'package any more: take {FORMER_INTEGRATORS[value]}')
+    return one_of(tuple(INTEGRATORS))(value)
+
+
 # Resolution of the stamps of messages [s].
 SMALLEST_STEP = 1e-9
 
@@ -77,8 +84,6 @@ class Method:
     baumgarte_time_constant : float or None
         Of the decay of closure errors in Baumgarte's method [s], positive; ten steps where none
         is given.
-    formulation : str
-        ``'subsystem'``, ``'system'`` or ``'augmented'``.
     accuracy : float
         Error of positions after a second of motion [rad, m], that ``'auto'`` keeps.
     budget : float or None
@@ -92,15 +97,14 @@ class Method:
     stabilisation: str = 'projection'
     tolerance: float = 1e-6
     baumgarte_time_constant: Optional[float] = None
-    formulation: str = 'subsystem'
     accuracy: float = 1e-6
     budget: Optional[float] = None
 
     def __post_init__(self) -> None:
         """Refuse unknown methods and impossible times."""
-        normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
+        normalise(self, integrator=_integrator, step_size=positive,
                   stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
-                  accuracy=positive, formulation=one_of(FORMULATIONS))
+                  accuracy=positive)
         if self.step_size < SMALLEST_STEP:
             raise FieldError(f'a number of at least {SMALLEST_STEP:g} [s]', shown(self.step_size),
                              path=('step_size',))

@@ -127,7 +127,7 @@ class Simulation(Stepping):
             time ``t`` [rad; m], or an effect.
         **method
             Overrides of the scene's method, by the keys a scene has there (``integrator``,
-            ``step_size``, ``stabilisation``, ``formulation``, ...); None leaves the scene's.
+            ``step_size``, ``stabilisation``, ...); None leaves the scene's.
 
         Returns
         -------
@@ -270,7 +270,7 @@ class Simulation(Stepping):
         Parameters
         ----------
         **changes
-            By the keys that a scene has under ``method``, except ``formulation``.
+            By the keys that a scene has under ``method``.
 
         Returns
         -------
@@ -289,8 +289,6 @@ class Simulation(Stepping):
         """
         native.require_free(self.system.native)
         method = replace(self.scene.method, **changes)
-        if method.formulation != self.scene.method.formulation:
-            raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
         before = self.system

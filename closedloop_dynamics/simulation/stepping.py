@@ -33,7 +33,7 @@ from ..engine import native
 from ..integration.control import (
     CONTACT_PASSED, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
-from ..integration.registry import INTEGRATORS, ROSENBROCK, SCIPY
+from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
     CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, Watch)
 from ..integration.system import AccelerationDerivatives, LENIENT, OPENED, System
@@ -128,19 +128,11 @@ class Stepping(Readings):
         return self.time == 0.0 and self._run.report.at_start
 
     def _require_known_steps(self, method: Method) -> None:
-        """Refuse solvers and coordinates that the effects leave no room for."""
+        """Refuse coordinates that the effects leave no room for."""
         if self._motions and method.stabilisation == 'independent':
             raise SimulationError(
                 f'The scene prescribes motions ({", ".join(self.motion_names)}): '
                 'stabilisation: independent knows none. Take stabilisation: projection.')
-        names = self._effects.ending_steps
-        if names and INTEGRATORS[method.integrator].family == SCIPY:
-            own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
-            raise SimulationError(
-                f'The scene lists dry friction, or forces whose course over time has corners '
-                f'({", ".join(names)}): steps must end where a joint comes to rest and at '
-                f'corners, and {method.integrator} does not choose where its steps end. Take '
-                f'another integrator ({", ".join(own)}), or leave them out.')
 
     def step(
             self, torque: Optional[Numbers] = None,

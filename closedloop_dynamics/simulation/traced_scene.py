@@ -25,8 +25,7 @@ def refusals(simulation, instant=False, along=False):
         found[name] = 'a joint that closes a loop, in which something acts'
     if not simulation.system.is_unrolled:
         found['mechanism'] = (
-            'too large, or of another formulation than subsystem: code is generated for '
-            'mechanisms of few bodies alone')
+            'too large: code is generated for mechanisms of few bodies alone')
     return found
 
 

@@ -1,4 +1,4 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Studies: accuracy, formulations, effects and stability, measured; the best machine, found."""
+"""Studies: accuracy, effects and stability, measured; the best machine, found."""

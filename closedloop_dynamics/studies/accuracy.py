@@ -12,10 +12,9 @@ from .reference import compute_reference, difference, record, Reference
 from ..core.types import EVALUATIONS
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..simulation.errors import SimulationError
-from ..simulation.scene_records import FORMULATIONS
 from ..simulation.simulation import Simulation
 
-DEFAULT_INTEGRATOR, DEFAULT_STABILISATION, DEFAULT_FORMULATION = 'rk4', 'projection', 'subsystem'
+DEFAULT_INTEGRATOR, DEFAULT_STABILISATION = 'rk4', 'projection'
 
 # Shares of the time between two outputs. Where a step covers several, they are compared alone.
 STEP_SHARES = (5, 2, 1, 1 / 2, 1 / 5, 1 / 10, 1 / 20, 1 / 50, 1 / 100, 1 / 200, 1 / 500, 1 / 1000,
@@ -31,7 +30,6 @@ class Line:
 
     integrator: str
     stabilisation: str = DEFAULT_STABILISATION
-    formulation: str = DEFAULT_FORMULATION
 
     @property
     def adaptive(self):
@@ -45,21 +43,30 @@ class Line:
             return 'accuracy'
         return 'tolerance' if self.adaptive else 'step_size'
 
+    def method(self, method, interval, value):
+        """Return a method with a value of what is varied; ``interval`` is that of outputs [s]."""
+        keys = {'step_size': interval, self.key: value}
+        return replace(
+            method.without_budget, integrator=self.integrator, stabilisation=self.stabilisation,
+            baumgarte_time_constant=None, **keys)
+
+    def simulation(self, scene, method):
+        """Return what runs a scene by a method of this line."""
+        return Simulation(replace(scene, method=method))
+
     def __str__(self):
-        """Return the names of the line's integrator, stabilisation and formulation."""
-        return f'{self.integrator}, {self.stabilisation}, {self.formulation}'
+        """Return the names of the line's integrator and stabilisation."""
+        return f'{self.integrator}, {self.stabilisation}'
 
 
 def default_lines():
     """
     Return the choices of methods, one thing varied at a time.
 
-    That is every integrator with full projection, and RK4 with every stabilisation and
-    formulation.
+    That is every integrator with full projection, and RK4 with every stabilisation.
     """
     lines = [Line(integrator) for integrator in INTEGRATORS]
     lines += [Line(DEFAULT_INTEGRATOR, stabilisation=name) for name in STABILISATIONS]
-    lines += [Line(DEFAULT_INTEGRATOR, formulation=name) for name in FORMULATIONS]
     return list(dict.fromkeys(lines))
 
 
@@ -76,12 +83,7 @@ class Setting:
 
     def method(self, scene, interval):
         """Return the scene's method with this setting; ``interval`` is that of outputs [s]."""
-        line = self.line
-        keys = {'step_size': interval, line.key: self.value}
-        return replace(
-            scene.method.without_budget, integrator=line.integrator,
-            stabilisation=line.stabilisation, formulation=line.formulation,
-            baumgarte_time_constant=None, **keys)
+        return self.line.method(scene.method, interval, self.value)
 
 
 def settings(line, interval, quick=False):
@@ -219,7 +221,7 @@ def _measure(scene, torque, interval, setting, method, reference):
     """Return the row of a setting with a first, rough cost, and its simulation."""
     outputs = len(reference.trajectory) // setting.stride
     try:
-        simulation = Simulation(replace(scene, method=method))
+        simulation = setting.line.simulation(scene, method)
     except SimulationError as error:
         return Row(setting, method, failure=str(error)), None
     tau = simulation.joint_torques(torque)

@@ -8,16 +8,15 @@ import math
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .accuracy import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
-from ..simulation.scene_records import FORMULATIONS
+from .accuracy import DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
 from ..visual.pictures import COLORS, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
-HEADER = ('integrator', 'stabilisation', 'formulation', 'step or tol.', 'positions', 'velocities',
-          'forces', 'closure', 'energy [J]', 'evaluations/s', 'CPU time/s')
+HEADER = ('integrator', 'stabilisation', 'step or tol.', 'positions', 'velocities', 'forces',
+          'closure', 'energy [J]', 'evaluations/s', 'CPU time/s')
 CSV_HEADER = (
-    'integrator', 'stabilisation', 'formulation', 'step_size', 'tolerance', 'position_error',
-    'velocity_error', 'force_error', 'closure', 'energy_error', 'evaluations_per_second',
+    'integrator', 'stabilisation', 'step_size', 'tolerance', 'position_error', 'velocity_error',
+    'force_error', 'closure', 'energy_error', 'evaluations_per_second',
     'cpu_time_per_second', 'failure')
 # Markers and dashes distinguish the lines without any colour.
 LINE_COLORS = (*COLORS, '#E69F00')
@@ -48,7 +47,7 @@ def table(study, rows=None, markdown=False):
 def _cells(row):
     line = row.line
     value = f'{row.setting.value:g}' + ('' if line.adaptive else ' s')
-    start = (line.integrator, line.stabilisation, line.formulation, value)
+    start = (line.integrator, line.stabilisation, value)
     if row.failure:
         # The first sentence names the event; the last column may be wide.
         return (*start, *[''] * 6, row.failure.split('; ')[0].split('. ')[0])
@@ -65,7 +64,7 @@ def write(study, csv_path, picture_path):
 
 def _csv_row(row):
     line, nothing = row.line, math.nan
-    return (line.integrator, line.stabilisation, line.formulation,
+    return (line.integrator, line.stabilisation,
             nothing if line.adaptive else row.setting.value,
             row.setting.value if line.adaptive else nothing, row.position_error,
             row.velocity_error, row.force_error, row.closure, row.energy_error, row.evaluations,
@@ -73,7 +72,7 @@ def _csv_row(row):
 
 
 def work_precision(study, title):
-    """Draw a study: integrators, stabilisations and formulations side by side."""
+    """Draw a study: integrators and stabilisations side by side."""
     figure = Figure(figsize=(12.0, 6.2), dpi=DOTS_PER_INCH, layout='constrained')
     figure.suptitle(title, fontsize=12)
     groups = [group for group in _groups(study) if group[1]]
@@ -93,16 +92,11 @@ def work_precision(study, title):
 def _groups(study):
     """Return (heading, {label: rows}) of each panel: one thing varied at a time."""
     lines = study.lines()
-    usual = (DEFAULT_STABILISATION, DEFAULT_FORMULATION)
     panels = (
         (f'Integrators (with {DEFAULT_STABILISATION})', 'integrator',
-         lambda line: (line.stabilisation, line.formulation) == usual),
+         lambda line: line.stabilisation == DEFAULT_STABILISATION),
         (f'Keeping the loops closed ({DEFAULT_INTEGRATOR})', 'stabilisation',
-         lambda line: (line.integrator, line.formulation) == (
-             DEFAULT_INTEGRATOR, DEFAULT_FORMULATION)),
-        (f'Formulations ({DEFAULT_INTEGRATOR})', 'formulation',
-         lambda line: (line.integrator, line.stabilisation) == (
-             DEFAULT_INTEGRATOR, DEFAULT_STABILISATION)))
+         lambda line: line.integrator == DEFAULT_INTEGRATOR))
     for number, (heading, name, belongs) in enumerate(panels):
         chosen = {getattr(line, name): rows for line, rows in lines.items() if belongs(line)}
         # A single line says nothing that the first panel does not.
@@ -122,9 +116,7 @@ def _panel(axes, heading, lines, study):
             refused.append(label)
             continue
         style = {'color': LINE_COLORS[number % len(LINE_COLORS)]}
-        if label in FORMULATIONS:
-            style['linestyle'] = ('-', '--', ':')[FORMULATIONS.index(label)]
-        elif label.startswith('scipy'):
+        if number >= len(LINE_COLORS):
             # In grey, so that no two lines share a color.
             style = {'color': '#666666', 'linestyle': ('--', '-.', ':')[number % 3]}
         axes.plot([row.cost for row in rows], [max(row.position_error, 0.3 * floor)

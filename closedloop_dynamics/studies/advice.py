@@ -65,7 +65,7 @@ def yaml_lines(method):
     lines = ['method:', f'  integrator: {method.integrator}']
     key = Line(method.integrator).key
     lines += [f'  {key}: {_yaml_number(getattr(method, key))}',
-              f'  stabilisation: {method.stabilisation}', f'  formulation: {method.formulation}']
+              f'  stabilisation: {method.stabilisation}']
     return '\n'.join(lines)
 
 

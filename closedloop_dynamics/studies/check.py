@@ -330,10 +330,9 @@ def _method(method):
         ('integrator', method.integrator),
         *_setting(method),
         ('stabilisation', method.stabilisation),
-        ('formulation', method.formulation),
     ]
     if STABILISATIONS[method.stabilisation] == BAUMGARTE:
-        items.insert(-1, ('time constant', f'{_value(method.time_constant)} s'))
+        items.append(('time constant', f'{_value(method.time_constant)} s'))
     return _lines('Method', items)
 
 

@@ -17,7 +17,7 @@ from .machine_shapes import BLOCK, BLOCK_WIDTH, joint_axis, MachineShapes
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from .messages import FASTEST, SLOWEST
 from ..effects.registry import effect_type
-from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
+from ..integration.registry import INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.meanings import documented, unit_in
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, SPHERE
@@ -35,8 +35,7 @@ EARTH = 9.81
 # Digits of the places of a mesh's points, below the size of the mesh.
 MESH_DIGITS = 4
 # What a page can choose while a mechanism moves.
-CHOICES = {'integrators': {name: one.kind for name, one in INTEGRATORS.items()
-                           if one.family != SCIPY},
+CHOICES = {'integrators': {name: one.kind for name, one in INTEGRATORS.items()},
            'stabilisations': list(STABILISATIONS), 'speeds': [SLOWEST, FASTEST]}
 
 

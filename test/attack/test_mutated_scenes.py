@@ -237,13 +237,12 @@ OPTIONS = {
     '--duration': NUMBERS[:-6] + ('x',), '--rate': ('100', *NUMBERS[2:]),
     '--step-size': ('0.001', *NUMBERS[2:]), '--tolerance': ('1e-6', *NUMBERS[2:]),
     '--torque': TORQUES, '--integrator': NAMES, '--stabilisation': ('projection', *NAMES),
-    '--formulation': ('augmented', *NAMES),
     '--output': ('run.csv', 'none/run.csv', '.', '-', '', '\udc81'),
     '--scene': SUBJECTS, '--namespace': ('', 'a', '//', '\x07'), '--point': ('x', ''),
     '--vary': ('method.step_size=1:2', 'x=1', 'x', ''), '--samples': ('-1', '0', 'x'),
     '--overwrite': None, '--resume': None, '--nothing': None}
 # What takes minutes where it is not refused; beside it always stands what no command takes.
-LONG = ('sweep', 'accuracy', 'effects', 'formulations', 'stability')
+LONG = ('sweep', 'accuracy', 'effects', 'stability')
 COMMANDS = ('check', 'simulate', 'simulate', 'urdf', 'replay', 'plot', 'animate', *LONG)
 
 

@@ -22,8 +22,7 @@ import pytest
 
 from ..reference.linkages import random_linkage
 
-# SciPy's solvers are offline yardsticks, and slow.
-METHODS = [name for name in INTEGRATORS if not name.startswith('scipy')]
+METHODS = list(INTEGRATORS)
 SILENT = 1e-3
 STEPS, HOLD = 200, 10
 # Less than this share of the energy there is may be rounding, as the guard has it.

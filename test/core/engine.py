@@ -3,7 +3,6 @@
 
 """The compiled kernels on one mechanism, called one by one; what they write is copied out."""
 
-from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, REDUCED, VX, VY
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
@@ -23,8 +22,6 @@ class Engine:
     mechanism : Mechanism
     gravity : sequence of 2 floats
         [m/s^2].
-    formulation : int
-        Of ``core.formulations``.
     baumgarte : float
         Decay rate [1/s].
     unrolled : bool, optional
@@ -32,12 +29,11 @@ class Engine:
 
     """
 
-    def __init__(self, mechanism, gravity=EARTH, formulation=SUBSYSTEM, baumgarte=0.0,
-                 unrolled=None):
+    def __init__(self, mechanism, gravity=EARTH, baumgarte=0.0, unrolled=None):
         self.decomposition = decompose(mechanism)
         self.model, placements, _ = mechanism_arrays(mechanism, gravity, self.decomposition)
         self.body_row = {name: one.row for name, one in placements.items()}
-        self.system = build_system(self.model, formulation, baumgarte, unrolled=unrolled)
+        self.system = build_system(self.model, baumgarte, unrolled=unrolled)
         self.work = self.system.work
         self.nv, self.nc = len(mechanism.joints), mechanism.number_of_equations
 

@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Joint accelerations and multipliers of the three formulations."""
+"""Joint accelerations and multipliers of loops over bodies and of generated routines."""
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from closedloop_dynamics.core.types import EVALUATIONS
 from closedloop_dynamics.engine import native
 import numpy as np
@@ -14,16 +13,14 @@ import pytest
 from .engine import Engine
 from ..reference import cases, dense, maximal, special
 from ..reference.compare import assert_agree, IDENTITY, SOLVE
+from ..reference.formulations import Dense, FORMULATIONS
 
-FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 
-
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-def test_accelerations_and_multipliers_equal_the_twins(drawn, formulation):
+@pytest.mark.parametrize('unrolled', [True, False])
+def test_accelerations_and_multipliers_equal_the_twins(drawn, unrolled):
     rng, mechanism, q, qd = drawn
     tau = rng.normal(size=len(q))
-    qdd, lam = Engine(mechanism, formulation=FORMULATIONS[formulation]).forward_dynamics(
-        q, qd, tau)
+    qdd, lam = Engine(mechanism, unrolled=unrolled).forward_dynamics(q, qd, tau)
     reduced, full = (dense.forward_dynamics(mechanism, q, qd, tau),
                      maximal.forward_dynamics(mechanism, q, qd, tau))
     for twin_qdd, twin_lam in (reduced, (full.qdd, full.lam)):
@@ -34,20 +31,20 @@ def test_accelerations_and_multipliers_equal_the_twins(drawn, formulation):
 def test_formulations_agree(drawn):
     rng, mechanism, q, qd = drawn
     tau = 10.0 * rng.normal(size=len(q))
-    qdd, lam = Engine(mechanism).forward_dynamics(q, qd, tau)
-    for formulation in (SYSTEM, AUGMENTED):
-        other = Engine(mechanism, formulation=formulation)
-        other_qdd, other_lam = other.forward_dynamics(q, qd, tau)
+    engine = Engine(mechanism)
+    qdd, lam = engine.forward_dynamics(q, qd, tau)
+    for formulation in FORMULATIONS:
+        other_qdd, other_lam = Dense(engine.system, formulation)(q, qd)
         assert_agree(other_qdd, qdd, SOLVE)
         assert_agree(other_lam, lam, SOLVE)
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('unrolled', [True, False])
 @pytest.mark.parametrize('case', cases.SHIPPED)
-def test_repeated_call_on_one_workspace_agrees_bitwise(case, formulation):
+def test_repeated_call_on_one_workspace_agrees_bitwise(case, unrolled):
     rng, mechanism, q, qd = cases.drawn(case)
     tau = rng.normal(size=len(q))
-    engine = Engine(mechanism, formulation=FORMULATIONS[formulation])
+    engine = Engine(mechanism, unrolled=unrolled)
     first = engine.forward_dynamics(q, qd, tau)
     # Elsewhere in between, so that nothing of the first evaluation is left.
     engine.forward_dynamics(q + 0.1, qd - 0.3, -tau)
@@ -74,8 +71,8 @@ def test_trees_without_cut_joints_equal_the_twin(drawn):
     tau = rng.normal(size=len(q))
     expected = np.linalg.solve(dense.generalized_inertia_matrix(trees, q),
                                tau - dense.bias_force(trees, q, qd))
-    for formulation in FORMULATIONS.values():
-        qdd, lam = Engine(trees, formulation=formulation).forward_dynamics(q, qd, tau)
+    for unrolled in (True, False):
+        qdd, lam = Engine(trees, unrolled=unrolled).forward_dynamics(q, qd, tau)
         assert_agree(qdd, expected, SOLVE)
         assert lam.shape == (0,)
 
@@ -89,12 +86,12 @@ def test_gravity_acts_as_given(gravity):
     assert_agree(lam, twin_lam, SOLVE)
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-def test_baumgarte_makes_closure_errors_decay_critically(drawn, formulation):
+@pytest.mark.parametrize('unrolled', [True, False])
+def test_baumgarte_makes_closure_errors_decay_critically(drawn, unrolled):
     rng, mechanism, q, qd = drawn
     rate = 20.0
     q, qd = q + 1e-3 * rng.normal(size=len(q)), qd + 1e-3 * rng.normal(size=len(q))
-    engine = Engine(mechanism, formulation=FORMULATIONS[formulation], baumgarte=rate)
+    engine = Engine(mechanism, unrolled=unrolled, baumgarte=rate)
     qdd, _ = engine.forward_dynamics(q, qd, rng.normal(size=len(q)))
     jac, psi = dense.closure_jacobian(mechanism, q), dense.closure(mechanism, q)
     terms = np.stack([jac @ qdd, dense.constraint_bias(mechanism, q, qd),

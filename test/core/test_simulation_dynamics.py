@@ -6,7 +6,6 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
@@ -18,14 +17,12 @@ from ..mechanism.test_between import FOUR_BAR
 from ..reference import cases, dense
 from ..reference.compare import assert_agree, IDENTITY, SOLVE
 
-FORMULATIONS = ('subsystem', 'system', 'augmented')
 
-
-def simulated(mechanism, q, qd, formulation='subsystem'):
+def simulated(mechanism, q, qd):
     """Return a Simulation of any mechanism from a closed state, in the earth's gravity."""
     return Simulation(Scene(
         'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(dense.EARTH)}, Method(formulation=formulation)))
+        {'gravity': Gravity(dense.EARTH)}, Method()))
 
 
 def torques(rng, mechanism):
@@ -34,12 +31,11 @@ def torques(rng, mechanism):
     return chosen, np.array([chosen.get(name, 0.0) for name in mechanism.joint_names])
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
 @pytest.mark.parametrize('case', cases.SHIPPED)
-def test_forward_dynamics_of_shipped_scenes_equals_the_twin(case, formulation):
+def test_forward_dynamics_of_shipped_scenes_equals_the_twin(case):
     rng, mechanism, q, qd = cases.drawn(case)
     by_name, tau = torques(rng, mechanism)
-    simulation = Simulation.from_scene(case, formulation=formulation)
+    simulation = Simulation.from_scene(case)
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
     for torque in (by_name, [by_name[name] for name in simulation.actuated_joints]):
         found_qdd, found_lam = simulation.forward_dynamics(q, qd, torque)
@@ -47,10 +43,9 @@ def test_forward_dynamics_of_shipped_scenes_equals_the_twin(case, formulation):
         assert_agree(found_lam, lam, SOLVE)
 
 
-@pytest.mark.parametrize('formulation', FORMULATIONS)
-def test_state_of_a_simulation_equals_the_twin(drawn, formulation):
+def test_state_of_a_simulation_equals_the_twin(drawn):
     _, mechanism, q, qd = drawn
-    simulation = simulated(mechanism, q, qd, formulation)
+    simulation = simulated(mechanism, q, qd)
     # Assembly leaves a state that closes where it is.
     assert_agree(simulation.position, q, SOLVE, smallest=1.0)
     assert_agree(simulation.velocity, qd, SOLVE, smallest=1.0)
@@ -185,8 +180,7 @@ def test_asking_about_other_states_leaves_the_present_one_untouched():
 def test_simulation_uses_the_method_by_default():
     simulation = Simulation.from_scene('three_rrr')
     _, _, q, qd = cases.drawn('three_rrr')
-    expected = Engine(simulation.mechanism, formulation=SUBSYSTEM).forward_dynamics(
-        q, qd, np.zeros(7))
+    expected = Engine(simulation.mechanism).forward_dynamics(q, qd, np.zeros(7))
     for found, value in zip(simulation.forward_dynamics(q, qd), expected):
         assert_agree(found, value, IDENTITY)
 

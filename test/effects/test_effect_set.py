@@ -395,8 +395,7 @@ def test_inverse_dynamics_sees_the_effects(case):
     {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun'}, {'integrator': 'auto'},
     # A kernel of its own each, for this test alone.
     *(pytest.param({key: value}, marks=pytest.mark.slow) for key, value in (
-        ('integrator', 'dop853'), ('integrator', 'rodas4'), ('stabilisation', 'independent'),
-        ('formulation', 'augmented')))])
+        ('integrator', 'dop853'), ('integrator', 'rodas4'), ('stabilisation', 'independent')))])
 def test_every_method_moves_the_effects_own_states(method, kind):
     rng, mechanism, q, qd = drawn('slider_crank')
     effects = kind(rng, mechanism, q)

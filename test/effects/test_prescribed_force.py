@@ -9,7 +9,6 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 import numpy as np
 import pytest
@@ -162,13 +161,6 @@ def test_inverse_dynamics_knows_the_time():
     state = simulation.position, simulation.velocity
     torque, _ = simulation.inverse_dynamics(*state, simulation.acceleration)
     assert torque[0] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_solvers_that_pass_corners_are_refused():
-    with pytest.raises(SimulationError, match='push'):
-        simulated(block(), {'push': PULSE}, [0.0], integrator='scipy_dop853')
-    simulated(block(), {'push': PrescribedForce('constant', 'slide', amplitude=1.0)}, [0.0],
-              integrator='scipy_dop853')
 
 
 def scene(directory, effect):

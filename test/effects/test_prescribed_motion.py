@@ -70,8 +70,6 @@ def test_rates_are_the_derivatives_of_every_shape(shape):
 
 @pytest.mark.parametrize('method', [
     {}, {'integrator': 'auto', 'step_size': 0.01},
-    pytest.param({'formulation': 'augmented'}, marks=pytest.mark.slow),
-    pytest.param({'formulation': 'system'}, marks=pytest.mark.slow),
     pytest.param({'integrator': 'rodas4'}, marks=pytest.mark.slow),
     pytest.param({'integrator': 'dopri5'}, marks=pytest.mark.slow),
     pytest.param({'stabilisation': 'baumgarte'}, marks=pytest.mark.slow)])

@@ -239,7 +239,7 @@ def test_a_system_is_of_one_mechanism_and_linked(system):
     other = build_system(build_model(cases.drawn('three_rrr')[1]))
     table, none = one.table.copy(), (
         np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
-    values = 0, 0.0, 1.0, 1e-9, False
+    values = 0.0, 1.0, 1e-9, False
     native.system(one.model, one.model, None, *none, *values, table)
     for code in (table[1:].copy(), np.zeros_like(table)):
         with pytest.raises(ValueError, match='addresses of'):

@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 
 from closedloop_dynamics import engine
-from closedloop_dynamics.core import formulations, manifold, types
+from closedloop_dynamics.core import manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
@@ -32,7 +32,6 @@ ENUMS = {
     'cut.Type': (types, {'PRISMATIC': 'CUT_PRISMATIC', 'COUPLING': 'CUT_COUPLING'}),
     'cut.Point': (types, {}),
     'health': (types, {}),
-    'setting.Formulation': (formulations, {}),
     'routine': (function_table, {}),
     'routine.Array': (function_table, {}),
     'Responses': (types, {'NONE': 'NO_RESPONSES'}),

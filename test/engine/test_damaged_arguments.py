@@ -40,7 +40,7 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
 # Addresses of code, which nothing can check.
 ADDRESSES = ('table',)
 NAMELESS_ADDRESSES = {
-    ('run_batch', (0, 0)), ('system', (11,)), ('with_equations', (3,))}
+    ('run_batch', (0, 0)), ('system', (10,)), ('with_equations', (3,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
 LINKED = ('run_batch',)
 # Functions that return a system.
@@ -48,7 +48,7 @@ SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy_system')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
 # function returns that it has done nothing.
 ANY_LENGTH = {
-    ('model', 4), ('system', 3), ('system', 11), ('with_equations', 3), ('largest', 0),
+    ('model', 4), ('system', 3), ('system', 10), ('with_equations', 3), ('largest', 0),
     ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),

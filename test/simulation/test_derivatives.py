@@ -4,6 +4,7 @@
 """Derivatives of accelerations and multipliers: differences of a dense twin, and refusals."""
 
 from dataclasses import replace
+from unittest import mock
 
 from closedloop_dynamics.core.codegen.differentiation import differentiated, gradients
 from closedloop_dynamics.core.codegen.expression_graph import (
@@ -21,6 +22,7 @@ from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration import system
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
 from closedloop_dynamics.simulation.key_paths import numbers
@@ -139,10 +141,17 @@ def torques(simulation):
                     0.3 * rng.normal(size=len(simulation.actuated_joints))))
 
 
-def twin(scene, effects, command, present):
-    """Return accelerations and multipliers of changes, at the time and by the dense equations."""
-    simulation = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
+def by_loops(scene, effects):
+    """Return a simulation that uses no code generated for its mechanism."""
+    with mock.patch.object(system, '_can_be_unrolled', lambda model: False):
+        simulation = simulation_of(scene, effects, integrator='rk4')
     assert not simulation.system.is_unrolled
+    return simulation
+
+
+def twin(scene, effects, command, present):
+    """Return accelerations and multipliers of changes, at the time and by loops over bodies."""
+    simulation = by_loops(scene, effects)
     tau = simulation.joint_torques(command)
     state = present.integrated.copy()
     nq, nv = len(simulation.position), len(simulation.velocity)
@@ -377,7 +386,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
     np.testing.assert_allclose(
         found.wrench, [simulation.force(name) for name in found.joints], rtol=0,
         atol=1e-10 * np.abs(found.wrench).max())
-    dense = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
+    dense = by_loops(scene, effects)
     tau, manifold = dense.joint_torques(command), dense.system.manifold
 
     def wrenches(change):

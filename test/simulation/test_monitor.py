@@ -96,9 +96,7 @@ def test_report_reads_well():
     text = str(simulation.report())
     for word in ('us per step', '% of real time', 'rk4', 'local error', 'closure', 'energy'):
         assert word in text
-    other = Simulation.from_scene('four_bar', integrator='scipy_dop853')
-    other.step(duration=0.01)
-    assert 'unknown' in str(other.report())
+    assert 'unknown' in str(replace(simulation.report(), local_error=math.nan))
 
 
 @pytest.mark.parametrize('error, said', [(1.27, '1.3 J too much'), (-1.27, '1.3 J too little'),

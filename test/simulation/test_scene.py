@@ -33,7 +33,6 @@ method:
   step_size: 5e-4
   stabilisation: baumgarte
   baumgarte_time_constant: 0.02
-  formulation: system
 """
 MECHANISM = f'one of {among(config.shipped_names("mechanisms"))}, or the path of a YAML file'
 NO_KEY = ('this required key', 'none', '')
@@ -143,8 +142,13 @@ FAULTS = {
         'constant: 0.02', 'constant: -0.02', 14, 'method.baumgarte_time_constant',
         'a positive number', '-0.02', ''),
     'formulation': (
-        'formulation: system', 'formulation: systems', 15, 'method.formulation',
-        'one of subsystem, system, augmented', "the text 'systems'", "did you mean 'system'?"),
+        'step_size: 5e-4', 'formulation: augmented', 12, 'method.formulation', 'no such key',
+        "the key with the text 'augmented'", 'every scene is evaluated subsystem by subsystem, '
+        'the fastest way to the same accelerations: leave the key out'),
+    'integrator_of_scipy': (
+        'integrator: semi_implicit_euler', 'integrator: scipy_radau', 11, 'method.integrator',
+        f'one of {among(INTEGRATORS)}', "the text 'scipy_radau'",
+        "SciPy's solvers are no part of the package any more: take rodas4"),
     'accuracy_without_auto': (
         'step_size: 5e-4', 'accuracy: 1.0e-6', 12, 'method.accuracy',
         'this key only with integrator: auto',
@@ -152,7 +156,7 @@ FAULTS = {
     'method_key': (
         'step_size: 5e-4', 'stepsize: 5e-4', 12, 'method.stepsize',
         'one of the keys integrator, step_size, stabilisation, tolerance, '
-        'baumgarte_time_constant, formulation, accuracy, budget',
+        'baumgarte_time_constant, accuracy, budget',
         "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
@@ -183,8 +187,7 @@ def test_good_scene_is_read_whole(tmp_path):
     assert scene.effects == {'gravity': Gravity((0.0, -9.81)), 'side_wind': Gravity((1.0, 0.0))}
     assert list(scene.effects) == ['gravity', 'side_wind']
     assert scene.method == Method(
-        'semi_implicit_euler', 5e-4, 'baumgarte', baumgarte_time_constant=0.02,
-        formulation='system')
+        'semi_implicit_euler', 5e-4, 'baumgarte', baumgarte_time_constant=0.02)
     assert load_scene(str(path)) == scene
 
 
@@ -203,7 +206,7 @@ def test_optional_parts_have_defaults(tmp_path):
     assert scene == load_scene(write(tmp_path, text + 'effects:\nmethod:\n'))
     assert (scene.description, scene.effects) == ('', {})
     assert scene.initial == Initial((1.0, -0.5, 2.0), (0.0, 0.0, 0.0), ())
-    assert scene.method == Method('auto', 0.001, 'projection', 1e-6, None, 'subsystem', 1e-6)
+    assert scene.method == Method('auto', 0.001, 'projection', 1e-6, None, 1e-6)
 
 
 def test_velocity_of_any_joint_where_none_is_held(tmp_path):

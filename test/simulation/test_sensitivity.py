@@ -378,7 +378,7 @@ def test_accelerations_by_parameters_are_those_of_other_models(three_rrr):
 
 @pytest.mark.parametrize('method, reason', [
     ('auto', 'depend on error estimates'), ('dop853', 'depend on error estimates'),
-    ('scipy_radau', 'depend on error estimates'), ('rodas4_fixed', 'second derivatives'),
+    ('rodas4_fixed', 'second derivatives'),
     ({'integrator': 'rk4', 'stabilisation': 'independent'}, 'are exchanged'),
     ({'integrator': 'rk4', 'stabilisation': 'baumgarte', 'baumgarte_time_constant': 0.05},
      'has no derivative')])

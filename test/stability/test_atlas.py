@@ -6,7 +6,6 @@
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import stability
 from closedloop_dynamics.studies.hard_cases import (
     ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
@@ -71,15 +70,6 @@ def test_error_control_with_projection_is_accurate_too(name, method):
 def test_no_method_is_silently_wrong_at_singular_configurations(name, method):
     outcome = judge(BY_NAME[name], stability.METHODS[method], True)
     assert outcome.status != UNSTABLE, outcome
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('formulation', ['system', 'augmented'])
-@pytest.mark.parametrize('name', ['flat, 2 loops', 'change point', 'three rockers',
-                                  'massless links'])
-def test_dense_formulations_take_the_rank_revealing_path_too(name, formulation):
-    outcome = judge(BY_NAME[name], Method(formulation=formulation), True)
-    assert outcome.status == ACCURATE, outcome
 
 
 def case(figure, accurate=1.0, stable=2.0):

@@ -100,8 +100,7 @@ def test_three_rrr_is_described_whole():
     assert cells(parts['Effects: 1'])[1:] == [['gravity', 'gravity', 'acceleration = [0, -9.81]']]
     assert cells(parts['Method']) == [
         ['integrator', 'auto'], ['accuracy', '1e-06 rad or m within a second'],
-        ['step size', '0.001 s'], ['stabilisation', 'projection'],
-        ['formulation', 'subsystem']]
+        ['step size', '0.001 s'], ['stabilisation', 'projection']]
 
 
 def test_scraper_eliminates_without_fill():

@@ -69,14 +69,13 @@ def test_results_are_those_of_single_simulations(name):
     np.testing.assert_array_equal(result.time, scene.method.step_size * np.arange(0, 25, 3))
 
 
-SLOW_TO_COMPILE = [{'stabilisation': 'independent'}, {'formulation': 'augmented'},
+SLOW_TO_COMPILE = [{'stabilisation': 'independent'},
                    {'integrator': 'dopri5'}, {'integrator': 'rodas4'}]
 
 
 @pytest.mark.parametrize('method', [
     {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun', 'stabilisation': 'none'},
-    # Not scipy_lsoda, of which older versions of SciPy serve one simulation at a time.
-    {'stabilisation': 'baumgarte'}, {'integrator': 'scipy_dop853'},
+    {'stabilisation': 'baumgarte'},
     *(pytest.param(method, marks=pytest.mark.slow) for method in SLOW_TO_COMPILE),
 ], ids=lambda method: '-'.join(method.values()))
 def test_every_method_gives_what_single_simulations_give(method):

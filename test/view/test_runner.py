@@ -317,7 +317,6 @@ def test_loops_stay_closed_while_it_is_posed(shown):
     {'do': 'effect', 'name': 'gravity', 'values': {'acceleration': [1.0]}},
     {'do': 'effect', 'name': 'gravity', 'values': {'mass': 1.0}},
     {'do': 'method', 'values': {'integrator': 'guess'}},
-    {'do': 'method', 'values': {'formulation': 'system'}},
     {'do': 'method', 'values': {'step_size': -1.0}},
     {'do': 'grab', 'body': 99, 'place': 0, 'at': [0.0, 0.0, 0.0]},
     {'do': 'grab', 'body': 0, 'place': 0, 'at': [1e300, 0.0, 0.0]},

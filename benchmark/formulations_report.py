@@ -5,13 +5,14 @@
 
 import math
 
+from formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 import numpy as np
 
-from .formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
-from ..visual.pictures import DOTS_PER_INCH
-from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
+from closedloop_dynamics.visual.pictures import DOTS_PER_INCH  # noqa: I100
+from closedloop_dynamics.visual.tables import (
+    markdown_table, seconds, short, text_table, write_csv)
 
 HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time', 'accelerations',
           'forces')

@@ -9,11 +9,16 @@ joint two forces; the sparse equations are set up in extended precision and solv
 iterative refinement. Nothing is shared with the kernels.
 """
 
+import sys
+
 import numpy as np
+from machine import ROOT
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
-from ..mechanism.mechanism import GROUND, REVOLUTE
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE  # noqa: E402,I100
 
 MOST_REFINEMENTS = 60
 # A refinement that changes no more than this has brought all the digits there are.
