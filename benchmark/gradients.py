@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What the gradient of a trajectory costs, beside the same trajectory without one.
+What derivatives of steps cost: the gradient of a trajectory, and the Jacobians of a step.
 
     python benchmark/gradients.py                         (from the checkout)
 
 The gradient is that of a cost of all states by all torques, the start and the mass of a body, by
 the adjoint of 200 RK4 steps; the trajectory is part of its time. Without one: ``rollout``. Both
-in turn, CPU time. Compiling is apart: with an empty cache it is what a first use waits for.
+in turn, CPU time. Compiling is apart: with an empty cache it is what a first use waits for. Of a
+step: one RK4 step of a ``Stepper``, with A and B in independent coordinates and without.
 """
 
 import argparse
@@ -57,6 +58,20 @@ def measured(scene, repeats):
     return *map(min, times), first - min(times[1])
 
 
+def of_a_step(scene, repeats, calls=300):
+    """Return the time of a step without and with its Jacobians [us]."""
+    model, found = cld.Model.from_scene(scene), []
+    for jacobians in (False, True):
+        stepper, times = cld.Stepper(model, 1e-3, steps=1, jacobians=jacobians), []
+        for _ in range(repeats):
+            began = time.process_time()
+            for _ in range(calls):
+                stepper()
+            times.append(time.process_time() - began)
+        found.append(1e6 * min(times) / calls)
+    return found
+
+
 def main(arguments=None):
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(
@@ -66,11 +81,16 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     with TemporaryDirectory() as folder, patch.dict(os.environ, CLOSEDLOOP_CACHE_DIR=folder):
         found = [(scene, *measured(scene, options.repeats)) for scene in options.scenes]
+        steps = [(scene, *of_a_step(scene, options.repeats)) for scene in options.scenes]
     print(description())
     print(markdown_table(
         ['', 'rollout [ms]', 'gradient with its trajectory [ms]', 'ratio', 'compiling [s]'],
         [[f'`{scene}`', f'{1e3 * run:.2f}', f'{1e3 * both:.2f}', f'{both / run:.2f}',
           f'{first:.2f}'] for scene, run, both, first in found]))
+    print(markdown_table(
+        ['', 'step [us]', 'with A and B [us]', 'ratio'],
+        [[f'`{scene}`', f'{alone:.2f}', f'{both:.2f}', f'{both / alone:.1f}']
+         for scene, alone, both in steps]))
     return 0
 
 

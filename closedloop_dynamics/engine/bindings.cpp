@@ -451,7 +451,7 @@ const Entry entries[] = {
     "gradient_of_steps(system, run, scratch, tape, routines, weight, gradient): status, step"),
   released<step_states>(
     "step_states",
-    "step_states(system, run, scratch, tape, routines, chart, steps): status, states completed"),
+    "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states done"),
   entry<fill_basis>(
     "fill_basis", "fill_basis(system, routines, chart, q, qd, basis): status"),
   released<move_along>(

@@ -3,6 +3,8 @@
 
 #include "chart.hpp"
 
+#include <algorithm>
+
 #include "loop_closure.hpp"
 #include "lu.hpp"
 #include "manifold.hpp"
@@ -21,30 +23,47 @@ constexpr double LEAST_PIVOT = 1e-8;
 // whose turns do not add up: an error shrinks by a share like that of the turn.
 constexpr Index MOST_CLOSING_STEPS = 40;
 
+/// One lane of the seeds: a displacement of a joint, or behind those a parameter.
+void fill_seed(const System & system, const Chart & chart, Values q, Index number, Index lane)
+{
+  const Index nq = system.nq(), nv = system.nv();
+  if (number < nv) {
+    chart.displacement.fill(0.0);
+    chart.displacement[number] = 1.0;
+    chart.place.fill(0.0);
+    change_of_rates(
+      system.manifold, q, chart.displacement, chart.place, chart.displacement, chart.place);
+    for (Index n = 0; n < nq; ++n) {
+      chart.seed[n * LANES + lane] = chart.place[n];
+    }
+  } else {
+    for (Index entry = 0; entry < chart.parameters.rows; ++entry) {
+      chart.seed[(nq + 2 * nv + entry) * LANES + lane] = chart.parameters(entry, number - nv);
+    }
+  }
+}
+
 /// Changes of closure errors, and of their rates, with each displacement and each parameter, and the
 /// factors of those with the dependent coordinates.
 bool factor_closures(
-  const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+  const System & system, const LaneRoutines & routines, const Chart & chart, Values q, Values qd,
   Index rows)
 {
-  const Index nq = system.nq(), nv = system.nv(), nc = chart.right.size;
-  const Values seed = routines.seed, places = seed.part(0, nq);
-  for (Index n = 0; n < rows; ++n) {
-    seed.fill(0.0);
-    if (n < nv) {
-      chart.displacement.fill(0.0);
-      chart.displacement[n] = 1.0;
-      change_of_rates(
-        system.manifold, q, chart.displacement, places, chart.displacement, places);
-    } else {
-      for (Index entry = 0; entry < chart.parameters.rows; ++entry) {
-        seed[nq + 2 * nv + entry] = chart.parameters(entry, n - nv);
-      }
+  const Index nc = chart.right.size;
+  for (Index first = 0; first < rows; first += LANES) {
+    const Index lanes = std::min(LANES, rows - first);
+    chart.seed.fill(0.0);
+    for (Index lane = 0; lane < lanes; ++lane) {
+      fill_seed(system, chart, q, first + lane, lane);
     }
-    if (!call(routines.table, step_routine::CLOSURE_FORWARD, q, qd)) {
+    if (!routines.run(step_routine::CLOSURE_FORWARD, q, qd, chart.seed)) {
       return false;
     }
-    copy(routines.result, chart.closure[n]);
+    for (Index lane = 0; lane < lanes; ++lane) {
+      for (Index k = 0; k < 2 * nc; ++k) {
+        chart.closure(first + lane, k) = routines.result[k * LANES + lane];
+      }
+    }
   }
   for (Index row = 0; row < nc; ++row) {
     for (Index column = 0; column < nc; ++column) {
@@ -90,7 +109,7 @@ void complete(const Chart & chart, Table basis, Index column, Index given)
 /// Move from a position by displacements, of which the dependent ones are changed so that the loops
 /// are closed; then set the dependent rates.
 Status close(
-  const System & system, const StepRoutines & routines, const Chart & chart, Values from,
+  const System & system, const LaneRoutines & routines, const Chart & chart, Values from,
   Values displacement, Values q, Values qd)
 {
   const double tolerance = system.settings->closure_tolerance;
@@ -130,7 +149,7 @@ Status close(
 }  // namespace
 
 Status fill_basis(
-  const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+  const System & system, const LaneRoutines & routines, const Chart & chart, Values q, Values qd,
   Table basis)
 {
   const Index nv = system.nv(), k = chart.independent.size;
@@ -152,7 +171,7 @@ Status fill_basis(
 }
 
 std::pair<Status, Index> move_along(
-  const System & system, const StepRoutines & routines, const Chart & chart, Values from_q,
+  const System & system, const LaneRoutines & routines, const Chart & chart, Values from_q,
   Values from_qd, Table basis, Table changes, Values displacement, Table q, Table qd)
 {
   const Index nv = system.nv();

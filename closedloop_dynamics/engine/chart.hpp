@@ -26,11 +26,15 @@ struct Chart
   Indices pivots;  ///< Shape (nc,)
   Values right;  ///< Shape (nc,)
   Values displacement;  ///< Shape (nv,)
+  Values place;  ///< Shape (nq,)
+  Values seed;  ///< Shape (LANES (nq + 2 nv + entries),)
 
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(independent, dependent, parameters, closure, factors, pivots, right, displacement);
+    visit(
+      independent, dependent, parameters, closure, factors, pivots, right, displacement, place,
+      seed);
   }
 };
 
@@ -38,14 +42,14 @@ struct Chart
 /// ones and with parameters, shape (2 nv, 2 k + np). SINGULAR where the independent coordinates do
 /// not decide all others.
 Status fill_basis(
-  const System &, const StepRoutines &, const Chart &, Values q, Values qd, Table basis);
+  const System &, const LaneRoutines &, const Chart &, Values q, Values qd, Table basis);
 
 /// Move from a state by changes, shape (n, 2 k), to states whose loops are closed by the dependent
 /// coordinates: into q and qd, n rows each. Scratch: `basis`, which becomes that of the state, and
 /// `displacement`, shape (nv,). Returns how it ended, and the states that are reached: OPEN_LOOP where
 /// the loops cannot be closed at the next one.
 std::pair<Status, Index> move_along(
-  const System &, const StepRoutines &, const Chart &, Values from_q, Values from_qd, Table basis,
+  const System &, const LaneRoutines &, const Chart &, Values from_q, Values from_qd, Table basis,
   Table changes, Values displacement, Table q, Table qd);
 
 }  // namespace closedloop

@@ -152,30 +152,33 @@ void push(
 template<class Ball>
 void pull(
   const Manifold & manifold, double kept, double share, bool replaces, Values weight, Values of_q,
-  Values of_displacement, Ball && ball_at)
+  Values of_displacement, Index lanes, Ball && ball_at)
 {
   for (Index i = 0; i < manifold.place.size; ++i) {
-    const Index place = manifold.place[i];
-    if (place >= 0) {
+    for (Index lane = 0; manifold.place[i] >= 0 && lane < lanes; ++lane) {
+      const Index place = manifold.place[i] * lanes + lane;
       const double given = weight[place];
-      of_displacement[i] += share * given;
+      of_displacement[i * lanes + lane] += share * given;
       of_q[place] = (replaces ? 0.0 : of_q[place]) + kept * given;
     }
   }
   for (Index ball = 0; ball < manifold.balls.rows; ++ball) {
     const Index a = manifold.balls(ball, QUATERNION), b = manifold.balls(ball, TURN);
     const OfBall found = ball_at(a, b);
-    double total[FOUR + THREE] = {};
-    for (int n = 0; n < FOUR + THREE; ++n) {
-      for (int m = 0; m < FOUR; ++m) {
-        total[n] += found.by[m][n] * weight[a + m];
+    for (Index lane = 0; lane < lanes; ++lane) {
+      double total[FOUR + THREE] = {};
+      for (int n = 0; n < FOUR + THREE; ++n) {
+        for (int m = 0; m < FOUR; ++m) {
+          total[n] += found.by[m][n] * weight[(a + m) * lanes + lane];
+        }
       }
-    }
-    for (int n = 0; n < FOUR; ++n) {
-      of_q[a + n] = (replaces ? 0.0 : of_q[a + n]) + total[n];
-    }
-    for (int n = 0; n < THREE; ++n) {
-      of_displacement[b + n] += total[FOUR + n];
+      for (int n = 0; n < FOUR; ++n) {
+        double & to = of_q[(a + n) * lanes + lane];
+        to = (replaces ? 0.0 : to) + total[n];
+      }
+      for (int n = 0; n < THREE; ++n) {
+        of_displacement[(b + n) * lanes + lane] += total[FOUR + n];
+      }
     }
   }
 }
@@ -195,7 +198,8 @@ void change_of_rates(
 }
 
 void weights_of_rates(
-  const Manifold & manifold, Values q, Values qd, Values weight, Values of_q, Values of_qd)
+  const Manifold & manifold, Values q, Values qd, Values weight, Values of_q, Values of_qd,
+  Index lanes)
 {
   if (manifold.empty()) {
     for (Index i = 0; i < of_qd.size; ++i) {
@@ -204,7 +208,7 @@ void weights_of_rates(
     return;
   }
   pull(
-    manifold, 0.0, 1.0, false, weight, of_q, of_qd, [&](Index a, Index b) {
+    manifold, 0.0, 1.0, false, weight, of_q, of_qd, lanes, [&](Index a, Index b) {
       return of_rates(&q[a], &qd[b]);
     });
 }
@@ -227,7 +231,7 @@ void change_of_move(
 
 void weights_of_move(
   const Manifold & manifold, Values q, Values displacement, double share, Values weight,
-  Values of_displacement)
+  Values of_displacement, Index lanes)
 {
   if (manifold.empty()) {
     for (Index i = 0; i < weight.size; ++i) {
@@ -236,24 +240,26 @@ void weights_of_move(
     return;
   }
   pull(
-    manifold, 1.0, share, true, weight, weight, of_displacement, [&](Index a, Index b) {
+    manifold, 1.0, share, true, weight, weight, of_displacement, lanes, [&](Index a, Index b) {
       return of_move(&q[a], &displacement[b], share);
     });
 }
 
-void change_of_norm(const Manifold & manifold, Values q, Values change)
+void change_of_norm(const Manifold & manifold, Values q, Values change, Index lanes)
 {
   for (Index ball = 0; ball < manifold.balls.rows; ++ball) {
     const Index a = manifold.balls(ball, QUATERNION);
     const OfBall found = of_norm(&q[a]);
-    double total[FOUR] = {};
-    for (int m = 0; m < FOUR; ++m) {
-      for (int n = 0; n < FOUR; ++n) {
-        total[m] += found.by[m][n] * change[a + n];
+    for (Index lane = 0; lane < lanes; ++lane) {
+      double total[FOUR] = {};
+      for (int m = 0; m < FOUR; ++m) {
+        for (int n = 0; n < FOUR; ++n) {
+          total[m] += found.by[m][n] * change[(a + n) * lanes + lane];
+        }
       }
-    }
-    for (int m = 0; m < FOUR; ++m) {
-      change[a + m] = total[m];
+      for (int m = 0; m < FOUR; ++m) {
+        change[(a + m) * lanes + lane] = total[m];
+      }
     }
   }
 }

@@ -104,18 +104,18 @@ inline const char * recorded(
     inputs.torque.columns == nv && inputs.parameter.size == routines.seed.size - inner);
 }
 
-/// A chart of a system with routines.
-inline bool is_chart(const System & system, const StepRoutines & routines, const Chart & chart)
+/// A chart of a system with routines in lanes.
+inline bool is_chart(const System & system, const LaneRoutines & routines, const Chart & chart)
 {
   const Index nq = system.nq(), nv = system.nv(), nc = system.lam.size;
+  const Index inputs = LANES * (nq + 2 * nv + chart.parameters.rows);
   return routines.table.size >= step_routine::TABLE_COLUMNS &&
          chart.independent.size + nc == nv && are_places(chart.independent, 0, nv) &&
          chart.dependent.size == nc && are_places(chart.dependent, 0, nv) &&
-         routines.seed.size == nq + 2 * nv + chart.parameters.rows &&
-         routines.result.size >= 2 * nc &&
+         chart.seed.size == inputs && routines.result.size >= std::max(inputs, LANES * 2 * nc) &&
          has_shape(chart.closure, nv + chart.parameters.columns, 2 * nc) &&
          has_shape(chart.factors, nc, nc) && chart.pivots.size == nc && chart.right.size == nc &&
-         chart.displacement.size == nv;
+         chart.displacement.size == nv && chart.place.size == nq;
 }
 
 /// States to be advanced by a run that is recorded, with their Jacobians.
@@ -124,7 +124,8 @@ inline bool are_steps(
 {
   const Index n = steps.states(), nq = system.nq(), nv = system.nv();
   const Index changes = 2 * chart.independent.size, inputs = steps.actuated.size;
-  const Index count = chart.parameters.columns;
+  const Index count = chart.parameters.columns, wide = LANES * (nq + nv);
+  const RunInputs & gradient = steps.gradient;
   return run.torque.rows == 1 && has_shape(steps.q, n, nq) && has_shape(steps.qd, n, nv) &&
          has_shape(steps.torque, n, inputs) && are_places(steps.actuated, 0, nv) &&
          has_shape(steps.next_q, n, nq) && has_shape(steps.next_qd, n, nv) &&
@@ -132,7 +133,10 @@ inline bool are_steps(
            has_shape(steps.by_state, n, changes, changes) &&
            has_shape(steps.by_torque, n, changes, inputs) &&
            has_shape(steps.by_parameter, n, changes, count) &&
-           has_shape(steps.basis, n, 2 * nv, changes + count)));
+           has_shape(steps.basis, n, 2 * nv, changes + count) && steps.wide.columns == wide &&
+           steps.wide.rows >= run.stages() + 2 && steps.weight.size == wide &&
+           gradient.start.size == wide && has_shape(gradient.torque, 1, LANES * nv) &&
+           gradient.parameter.size == LANES * chart.parameters.rows));
 }
 
 inline const char * request(const System & system, const Request & request)
@@ -296,17 +300,17 @@ inline constexpr auto precondition<gradient_of_steps> =
 template<>
 inline constexpr auto precondition<step_states> =
   [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
-    const StepRoutines & routines, const Chart & chart, const StateSteps & steps) {
-    return expected::first_of(
-      expected::recorded(system, run, scratch, tape, routines, steps.weight, steps.gradient),
-      expected::unless(
-        expected::is_chart(system, routines, chart) &&
-        expected::are_steps(system, run, chart, steps)));
+    const StepRoutines & routines, const LaneRoutines & beside, const Chart & chart,
+    const StateSteps & steps) {
+    return expected::unless(
+      expected::is_recorded(system, run, scratch, tape) && routines.qdd.size == system.nv() &&
+      routines.lam.size == system.lam.size && expected::is_chart(system, beside, chart) &&
+      expected::are_steps(system, run, chart, steps));
   };
 
 template<>
 inline constexpr auto precondition<fill_basis> =
-  [](const System & system, const StepRoutines & routines, const Chart & chart, Values q, Values qd,
+  [](const System & system, const LaneRoutines & routines, const Chart & chart, Values q, Values qd,
     Table basis) {
     return expected::unless(
       expected::is_chart(system, routines, chart) && q.size == system.nq() &&
@@ -316,7 +320,7 @@ inline constexpr auto precondition<fill_basis> =
 
 template<>
 inline constexpr auto precondition<move_along> =
-  [](const System & system, const StepRoutines & routines, const Chart & chart, Values from_q,
+  [](const System & system, const LaneRoutines & routines, const Chart & chart, Values from_q,
     Values from_qd, Table basis, Table changes, Values displacement, Table q, Table qd) {
     return expected::first_of(
       precondition<fill_basis>(system, routines, chart, from_q, from_qd, basis),

@@ -204,15 +204,21 @@ private:
   Values now_, stage_;
 };
 
-/// Weights in reverse, from step to step.
+/// Weights in reverse, from step to step; those of several costs side by side in lanes.
 class Reverse : Walk
 {
 public:
   Reverse(
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, const RunInputs & gradient)
-  : Walk(system, run, scratch, tape, routines), gradient_(gradient), now_(gradient.start),
-    before_(spare(0).part(0, nx()))
+  : Reverse(system, run, scratch, tape, routines, {}, scratch, gradient, 1) {}
+  /// In lanes, with rows of scratch for these.
+  Reverse(
+    const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
+    const StepRoutines & routines, const LaneRoutines & beside, Table wide,
+    const RunInputs & gradient, Index lanes)
+  : Walk(system, run, scratch, tape, routines), beside_(beside), wide_(wide), gradient_(gradient),
+    now_(gradient.start), before_(wide[run.stages()].part(0, nx() * lanes)), lanes_(lanes)
   {
     now_.fill(0.0);
     gradient.torque.fill(0.0);
@@ -238,63 +244,83 @@ private:
     const Tableau & method = run_.tableau;
     const double size = run_.step_size;
     for (Index k = 0; k < method.steps(); ++k) {
-      slope(k).fill(0.0);
-      add(now_, size * method.b[k], slope(k));
+      weights(k).fill(0.0);
+      add(now_, size * method.b[k], weights(k));
     }
     for (Index k = method.steps() - 1; k >= 0; --k) {
-      const Values stage = stages[k], weight = slope(k);
+      const Values stage = stages[k], weight = weights(k);
       before_.fill(0.0);
-      if (!accelerate(stage, qd_of(weight), before_, of_torque)) {
+      if (!accelerate(stage, rates_in(weight), before_, of_torque)) {
         return false;
       }
       weights_of_rates(
-        system_.manifold, system_.q(stage), system_.qd(stage), q_of(weight), q_of(before_),
-        qd_of(before_));
+        system_.manifold, system_.q(stage), system_.qd(stage), places_in(weight),
+        places_in(before_), rates_in(before_), lanes_);
       add(before_, 1.0, now_);
       for (Index j = 0; j < k; ++j) {
         if (method.a(k, j) != 0.0) {
-          add(before_, size * method.a(k, j), slope(j));
+          add(before_, size * method.a(k, j), weights(j));
         }
       }
     }
     return true;
   }
 
+  /// Rows of the scratch in lanes, the first ones for the stages; and parts of what is in lanes.
+  Values weights(Index row) const {return wide_[row].part(0, nx() * lanes_);}
+  Values places_in(Values all) const {return all.part(0, nq() * lanes_);}
+  Values rates_in(Values all) const {return all.part(nq() * lanes_, nv() * lanes_);}
+
   bool euler(Values stage, Values of_torque)
   {
     const double size = run_.step_size;
-    const Values rate = spare(2).part(0, nv()), weight = slope(0);
+    const Values rate = spare(2).part(0, nv()), weight = rates_in(weights(0));
     copy(system_.qd(stage), rate);
     add(stage.part(system_.ns(), nv()), size, rate);
-    weights_of_move(system_.manifold, system_.q(stage), rate, size, q_of(now_), qd_of(now_));
+    weights_of_move(
+      system_.manifold, system_.q(stage), rate, size, places_in(now_), rates_in(now_), lanes_);
     weight.fill(0.0);
-    add(qd_of(now_), size, qd_of(weight));
-    return accelerate(stage, qd_of(weight), now_, of_torque);
+    add(rates_in(now_), size, weight);
+    return accelerate(stage, weight, now_, of_torque);
+  }
+
+  /// Call a routine in a state, of weights; its results, or none where it fails.
+  Values call_with(Index which, Values q, Values qd, Values weight) const
+  {
+    if (lanes_ == 1) {
+      copy(weight, routines_.seed.part(0, nv()));
+      return call(routines_.table, which, q, qd) ? routines_.result : Values();
+    }
+    return beside_.run(which, q, qd, weight) ? beside_.result : Values();
   }
 
   /// Add the gradient of weighted accelerations.
   bool accelerate(Values stage, Values weight, Values to, Values of_torque) const
   {
-    copy(weight, routines_.seed.part(0, nv()));
-    if (!call_at(step_routine::ACCELERATION_REVERSE, stage)) {
-      return false;
-    }
-    add(routines_.result, 1.0, to);
-    add(tau_of(routines_.result), 1.0, of_torque);
-    add(parameters_of(routines_.result), 1.0, gradient_.parameter);
-    return true;
+    copy(stage.part(system_.ns(), nv()), routines_.qdd);
+    copy(stage.from(system_.ns() + nv()), routines_.lam);
+    const Values found = call_with(
+      step_routine::ACCELERATION_REVERSE, system_.q(stage), system_.qd(stage), weight);
+    collect(found, to, of_torque);
+    return found.size > 0;
   }
 
   /// Add the gradient of a weighted correction.
   bool correct(Index which, Values q, Values qd, Values weight) const
   {
-    copy(weight, routines_.seed.part(0, nv()));
-    if (!call(routines_.table, which, q, qd)) {
-      return false;
+    const Values found = call_with(which, q, qd, weight);
+    collect(found, now_, {});
+    return found.size > 0;
+  }
+
+  /// Add results, or none.
+  void collect(Values found, Values to, Values of_torque) const
+  {
+    if (found.size > 0) {
+      add(found, 1.0, to);
+      add(found.from(nx() * lanes_), 1.0, of_torque);
+      add(found.from((nx() + nv()) * lanes_), 1.0, gradient_.parameter);
     }
-    add(routines_.result, 1.0, now_);
-    add(parameters_of(routines_.result), 1.0, gradient_.parameter);
-    return true;
   }
 
   bool stabilise_weights(Index number)
@@ -302,28 +328,37 @@ private:
     const Values raw = tape_.raw[number], qd = system_.qd(raw);
     const Manifold & manifold = system_.manifold;
     if (closes_) {
-      const Values after = tape_.state[number + 1], weight = spare(2).part(0, nv());
+      const Values after = tape_.state[number + 1], weight = rates_in(weights(run_.stages() + 1));
       if (!correct_again(number) ||
-        !correct(step_routine::RATE_REVERSE, system_.q(after), qd, qd_of(now_)))
+        !correct(step_routine::RATE_REVERSE, system_.q(after), qd, rates_in(now_)))
       {
         return false;
       }
       for (Index n = tape_.corrections[number] - 1; n >= 0; --n) {
         weight.fill(0.0);
-        weights_of_move(manifold, place(n), correction(n), 1.0, q_of(now_), weight);
+        weights_of_move(
+          manifold, place(n), correction(n), 1.0, places_in(now_), weight, lanes_);
         if (!correct(step_routine::POSITION_REVERSE, place(n), qd, weight)) {
           return false;
         }
       }
     }
-    change_of_norm(manifold, system_.q(raw), q_of(now_));
+    change_of_norm(manifold, system_.q(raw), places_in(now_), lanes_);
     return true;
   }
 
+  LaneRoutines beside_;
+  Table wide_;
   const RunInputs & gradient_;
   Values now_, before_;
+  Index lanes_;
 };
 }  // namespace
+
+bool LaneRoutines::run(Index which, Values q, Values qd, Values seed) const
+{
+  return call(table, 2 * which, q, qd) && call(table, 2 * which + 1, seed, result);
+}
 
 std::pair<Status, Index> record_steps(
   const System & system, const SteppedRun & run, Table scratch, const Tape & tape)
@@ -408,6 +443,21 @@ std::pair<Status, Index> gradient_of_steps(
   }
   add(weight[0], 1.0, walk.now());
   return {Status::DONE, tape.steps()};
+}
+
+bool gradients_in_lanes(
+  const System & system, const SteppedRun & run, Table scratch, Table wide, const Tape & tape,
+  const StepRoutines & routines, const LaneRoutines & beside, Values weight,
+  const RunInputs & gradients)
+{
+  Reverse walk(system, run, scratch, tape, routines, beside, wide, gradients, LANES);
+  copy(weight, walk.now());
+  for (Index left = tape.steps(); left > 0; --left) {
+    if (!walk.step(left - 1)) {
+      return false;
+    }
+  }
+  return true;
 }
 
 }  // namespace closedloop

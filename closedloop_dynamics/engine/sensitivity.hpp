@@ -6,6 +6,7 @@
 
 #include <utility>
 
+#include "batch.hpp"
 #include "projection.hpp"
 #include "runge_kutta.hpp"
 
@@ -68,6 +69,21 @@ struct StepRoutines
   void fields(Visitor && visit) {visit(table, qdd, lam, seed, result);}
 };
 
+/// The same routines for LANES directions or weights side by side, number k of lane n at k LANES + n.
+struct LaneRoutines
+{
+  /// Of a routine `which`: at 2 `which` what all lanes share, at 2 `which` + 1 the rest.
+  Indices table;
+  Values shared;  ///< What the former hands to the latter
+  Values result;  ///< Shape (LANES (nq + 2 nv + np),), or longer
+
+  /// Run a routine on seeds; return whether its results are good.
+  bool run(Index which, Values q, Values qd, Values seed) const;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(table, shared, result);}
+};
+
 /// Changes or weights of the inputs of a run.
 struct RunInputs
 {
@@ -109,6 +125,13 @@ std::pair<Status, Index> change_of_steps(
 std::pair<Status, Index> gradient_of_steps(
   const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
   Table weight, const RunInputs & gradient);
+
+/// The same of LANES costs of the last state, whose weights are side by side: gradients by the inputs,
+/// in rows of torques, too. `wide`, shape (>= stages + 2, LANES (nq + nv)), is scratch. False where
+/// there is no derivative.
+bool gradients_in_lanes(
+  const System &, const SteppedRun &, Table scratch, Table wide, const Tape &,
+  const StepRoutines &, const LaneRoutines &, Values weight, const RunInputs & gradients);
 
 }  // namespace closedloop
 

@@ -27,8 +27,10 @@ struct StateSteps
   Cube<double> by_torque;  ///< Shape (n, 2 k, na)
   Cube<double> by_parameter;  ///< Shape (n, 2 k, np)
   Cube<double> basis;  ///< Shape (n, 2 nv, 2 k + np): of `fill_basis`, before
-  // Scratch: weights at both ends, shape (2, nq + nv), and a gradient.
-  Table weight;
+  /// Scratch, in lanes: rows for the adjoint, weights at the end, shape (LANES (nq + nv),), and
+  /// gradients.
+  Table wide;
+  Values weight;
   RunInputs gradient;
 
   Index states() const {return q.rows;}
@@ -37,8 +39,8 @@ struct StateSteps
   void fields(Visitor && visit)
   {
     visit(
-      q, qd, torque, actuated, next_q, next_qd, by_state, by_torque, by_parameter, basis, weight,
-      gradient);
+      q, qd, torque, actuated, next_q, next_qd, by_state, by_torque, by_parameter, basis, wide,
+      weight, gradient);
   }
 };
 
@@ -46,7 +48,7 @@ struct StateSteps
 /// ended, and the states that are done.
 std::pair<Status, Index> step_states(
   const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
-  const Chart &, const StateSteps &);
+  const LaneRoutines &, const Chart &, const StateSteps &);
 
 }  // namespace closedloop
 

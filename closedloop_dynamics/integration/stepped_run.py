@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .system import number_of_states
+from .system import number_of_states, parts_of_state
 from .tableau import Tableau
+from ..core.codegen.function_table import LANES
 
 # Rows of the scratch of a run beside one for each stage of its method; see sensitivity.hpp.
 SCRATCH_ROWS = 20
@@ -50,6 +51,14 @@ class StepRoutines(NamedTuple):
     result: np.ndarray  # As long, or longer
 
 
+class LaneRoutines(NamedTuple):
+    """The same for LANES directions or weights side by side."""
+
+    table: np.ndarray  # Of int: addresses, of two routines each
+    shared: np.ndarray  # What the first of two hands to the second
+    result: np.ndarray  # Shape (LANES (nq + 2 nv + np),), or longer
+
+
 class RunInputs(NamedTuple):
     """Changes, or weights, of the inputs of a run."""
 
@@ -69,6 +78,8 @@ class Chart(NamedTuple):
     pivots: np.ndarray  # Of int, shape (nc,)
     right: np.ndarray  # Shape (nc,)
     displacement: np.ndarray  # Shape (nv,)
+    place: np.ndarray  # Shape (nq,)
+    seed: np.ndarray  # Shape (LANES (nq + 2 nv + entries),)
 
 
 class StateSteps(NamedTuple):
@@ -84,30 +95,35 @@ class StateSteps(NamedTuple):
     by_torque: np.ndarray  # Shape (n, 2 k, na)
     by_parameter: np.ndarray  # Shape (n, 2 k, np)
     basis: np.ndarray  # Shape (n, 2 nv, 2 k + np)
-    weight: np.ndarray  # Shape (2, nq + nv): scratch
-    gradient: RunInputs  # Scratch
+    # Scratch, in lanes.
+    wide: np.ndarray  # Shape (stages + 2, LANES (nq + nv))
+    weight: np.ndarray  # Shape (LANES (nq + nv),)
+    gradient: RunInputs
 
 
 def allocate_chart(system, independent, dependent, parameters):
     """Allocate a chart of independent and dependent coordinates, by their places."""
-    nv, nc = len(system.qdd), len(system.lam)
+    nq, nv, *_ = parts_of_state(system)
+    nq, nv, nc = nq.stop, nv.stop - nv.start, len(system.lam)
     return Chart(
         np.array(independent, dtype=np.int64), np.array(dependent, dtype=np.int64), parameters,
         np.zeros((nv + parameters.shape[1], 2 * nc)), np.zeros((nc, nc)),
-        np.zeros(nc, dtype=np.int64), np.zeros(nc), np.zeros(nv))
+        np.zeros(nc, dtype=np.int64), np.zeros(nc), np.zeros(nv), np.zeros(nq),
+        np.zeros(LANES * (nq + 2 * nv + len(parameters))))
 
 
-def allocate_steps(chart, nq, actuated, states, differentiates):
+def allocate_steps(chart, tableau, actuated, states, differentiates):
     """Allocate so many states before and after a period, with their Jacobians if wanted."""
-    nv, k = len(chart.displacement), len(chart.independent)
+    nq, nv, k = len(chart.place), len(chart.displacement), len(chart.independent)
     entries, count = chart.parameters.shape
-    pages = states if differentiates else 0
+    pages, wide = states if differentiates else 0, LANES * (nq + nv)
     return StateSteps(
         np.zeros((states, nq)), np.zeros((states, nv)), np.zeros((states, len(actuated))),
         np.array(actuated, dtype=np.int64), np.zeros((states, nq)), np.zeros((states, nv)),
         np.zeros((pages, 2 * k, 2 * k)), np.zeros((pages, 2 * k, len(actuated))),
         np.zeros((pages, 2 * k, count)), np.zeros((pages, 2 * nv, 2 * k + count)),
-        np.zeros((2, nq + nv)), RunInputs(np.zeros(nq + nv), np.zeros((1, nv)), np.zeros(entries)))
+        np.zeros((stages_of(tableau) + 2, wide)), np.zeros(wide),
+        RunInputs(np.zeros(wide), np.zeros((1, LANES * nv)), np.zeros(LANES * entries)))
 
 
 def stages_of(tableau):

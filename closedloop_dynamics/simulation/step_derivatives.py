@@ -3,19 +3,21 @@
 
 """Derivatives of accelerations, corrections and wrenches of a scene, compiled."""
 
+from functools import cache
+
 import numpy as np
 
 from .errors import SingularityError
 from .traced_scene import TracedScene
 from ..core.codegen import function_table as calls
-from ..core.codegen.machine_code import machine_code, SCALAR
+from ..core.codegen.machine_code import LANES, machine_code, SCALAR
 from ..core.codegen.routines import topology
 from ..core.codegen.scene_routines import POINT
 from ..core.codegen.sensitivities import (
-    ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, NAMES, RESULT, SEED,
+    ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, LANE_COLUMNS, NAMES, RESULT, SEED,
     SensitivityTrace, TABLE_COLUMNS, WRENCH, WRENCH_FORWARD)
 from ..engine import native
-from ..integration.stepped_run import StepRoutines
+from ..integration.stepped_run import LaneRoutines, StepRoutines
 
 
 class StepDerivatives:
@@ -58,6 +60,32 @@ class StepDerivatives:
             self._cuts).routine(one) for one in group], SCALAR)
         for one in group:
             table[one] = find(NAMES[one])
+
+    def in_lanes(self, group):
+        """Return the ``LaneRoutines`` of a group, compiled."""
+        model, scene, routines = self.parameters.model, self._scene, self.routines
+        count, found, most = np.zeros(1), {}, 0
+        for one in group:
+            key = ('sensitivities in lanes', one, topology(model), self.parameters.entries,
+                   *scene.key)
+
+            @cache
+            def both(one=one):
+                return SensitivityTrace(
+                    model, scene.act, scene.values.shape, self.parameters.entries, self._rows,
+                    self._cuts).in_lanes(one)
+
+            first = machine_code(key, lambda both=both: both()[0], SCALAR)
+            second = machine_code(key, lambda both=both: both()[1], LANES)
+            native.call(np.array([first('shared')]), 0, count, count)
+            most = max(most, int(count[0]))
+            found[one] = first('before'), second('beside')
+        shared = np.zeros(most)
+        table = scene.table({calls.QDD: routines.qdd, calls.LAM: routines.lam,
+                             calls.SHARED: shared}, LANE_COLUMNS)
+        for one, addresses in found.items():
+            table[2 * one:2 * one + 2] = addresses
+        return LaneRoutines(table, shared, np.zeros(calls.LANES * len(routines.result)))
 
     def _changes(self, which, q, qd, seeds):
         """Return results of a forward routine for many directions, shape (results, directions)."""

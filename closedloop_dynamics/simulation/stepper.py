@@ -183,8 +183,9 @@ class Stepper:
         simulation = self._simulation
         self._system = system = simulation.system
         self._derivatives = derivatives = StepDerivatives(simulation, self._arrays)
-        for group in (CLOSURE, REVERSE) if self._differentiates else (CLOSURE,):
-            derivatives.need(group)
+        # Whose results give the independent coordinates.
+        derivatives.need(CLOSURE)
+        beside = derivatives.in_lanes((*CLOSURE, *(REVERSE if self._differentiates else ())))
         method = simulation.scene.method
         tableau = INTEGRATORS[method.integrator].tableau
         run = SteppedRun(
@@ -192,7 +193,7 @@ class Stepper:
             self.steps, np.zeros((1, len(system.tau))))
         tape = allocate_tape(system, tableau, self.steps)
         tape.state[0] = simulation.integrated
-        self._run = run, allocate_scratch(system, tableau), tape, derivatives.routines
+        self._run = run, allocate_scratch(system, tableau), tape, derivatives.routines, beside
         self._choose(simulation.position, simulation.velocity, self._asked if self._chart is None
                      else self._chart.independent)
 
@@ -213,9 +214,9 @@ class Stepper:
     @count.setter
     def count(self, count: Optional[int]) -> None:
         _require_whole('count', count)
-        self._count, one = count, self._simulation
+        self._count = count
         self._reach = allocate_steps(
-            self._chart, len(one.position), self._actuated, count or 1, self._differentiates)
+            self._chart, self._run[0].tableau, self._actuated, count or 1, self._differentiates)
         for name, field in _ARRAYS.items():
             values = getattr(self._reach, field)
             setattr(self, name, values if count or not len(values) else values[0])

@@ -84,10 +84,8 @@ class DerivativeTrace(SceneTrace):
             block, lane = divmod(number, LANES)
             self.outputs += [(COLUMN, (block * count + n) * LANES + lane, value)
                              for n, value in enumerate(column) if hasattr(value, 'place') or value]
-        begin = len(self.graph.operations)
         found, factors = divided(
-            self.graph, self.solved(list(self.symbols(COLUMN, (count,)))), begin,
-            lambda source, place: (Q, place) if source == COLUMN else None, SHARED)
+            self.graph, self.solved(list(self.symbols(COLUMN, (count,)))), COLUMN, SHARED)
         self.outputs += [(SHARED, n, factor) for n, factor in enumerate(factors)]
         solve = Routine('solve', next(one.graph for one in found if hasattr(one, 'graph')),
                         [(QD, n, value) for n, value in enumerate(found)])

@@ -71,18 +71,18 @@ class Routine:
             self.graph.operations, [value.place for value in values if hasattr(value, 'place')])
 
 
-def needed_for(operations, places, begin=0):
+def needed_for(operations, places, within=None):
     """
     Return all places on which given ones depend, themselves included.
 
-    What operations before ``begin`` depend on is left out.
+    What operations that are not ``within`` some places depend on is left out.
     """
     found, rest = set(), list(places)
     while rest:
         place = rest.pop()
         if place not in found:
             found.add(place)
-            if place >= begin and operations[place][0] != LOAD:
+            if operations[place][0] != LOAD and (within is None or place in within):
                 rest.extend(o for o in operations[place][1:] if isinstance(o, int))
     return found
 
@@ -276,23 +276,25 @@ def replayed(graph, values, load):
     return [known[value.place] if isinstance(value, Symbol) else value for value in values]
 
 
-def divided(graph, values, begin, own, shared):
+def divided(graph, values, source, shared):
     """
-    Compute values in a graph of their own, from results of the first operations of another.
+    Compute values in a graph of their own, from results of another that do not need an input.
 
-    Operations before ``begin`` are results to be loaded; no later one asks for the guard. ``own``
-    returns the (input, place) of a later load in the new graph, None for one that is a result of
-    the first graph, too, by input and place. Returns the values, of the new graph, and the
-    results, of the first graph, by their places in the input ``shared``.
+    What depends on the input ``source``, which is Q in the new graph, is computed there, and does
+    not ask for the guard. Returns the values, of the new graph, and the results, of the first
+    graph, by their places in the input ``shared``.
     """
-    after, known, results = ExpressionGraph(), {}, []
+    after, known, results, moves = ExpressionGraph(), {}, [], set()
+    for place, (kind, *operands) in enumerate(graph.operations):
+        if operands[0] == source if kind == LOAD else any(
+                isinstance(one, int) and one in moves for one in operands):
+            moves.add(place)
     for place in sorted(needed_for(
-            graph.operations, [one.place for one in values if isinstance(one, Symbol)], begin)):
+            graph.operations, [one.place for one in values if isinstance(one, Symbol)], moves)):
         kind, *operands = graph.operations[place]
-        loaded = own(*operands) if kind == LOAD else None
-        if loaded is not None:
-            known[place] = after.put(LOAD, *loaded)
-        elif place < begin or kind == LOAD:
+        if place in moves and kind == LOAD:
+            known[place] = after.put(LOAD, Q, operands[1])
+        elif place not in moves:
             known[place] = after.put(LOAD, shared, len(results))
             results.append(Symbol(graph, place))
         else:

@@ -16,8 +16,8 @@ Evaluating Derivatives, 2nd ed. (2008), section 15).
 
 from .derivatives import DerivativeTrace
 from .differentiation import differentiated, gradients
-from .expression_graph import LOAD, replayed
-from .function_table import LAM, QDD
+from .expression_graph import divided, ExpressionGraph, LOAD, Q, QD, replayed, Routine
+from .function_table import LAM, QDD, SHARED
 from .routines import zeros
 from .scene_routines import POINT
 from .vectors import cross, in_space, subtract, times, ZERO
@@ -43,6 +43,8 @@ NAMES = {
 FORWARD = ACCELERATION_FORWARD, POSITION_FORWARD, RATE_FORWARD
 REVERSE = ACCELERATION_REVERSE, POSITION_REVERSE, RATE_REVERSE
 CLOSURE, WRENCH = (CLOSURE_FORWARD,), (WRENCH_FORWARD,)
+# Those that are there in lanes, too.
+LANE_COLUMNS = SHARED + 1
 
 
 class SensitivityTrace(DerivativeTrace):
@@ -64,6 +66,28 @@ class SensitivityTrace(DerivativeTrace):
         self._torque = len(state)
         behind = range(len(state) + self.nv, len(self._inputs) + self.nv)
         self._places = [*range(len(state)), *behind]
+
+    def in_lanes(self, which):
+        """
+        Return one of the routines for LANES directions, or weights, side by side.
+
+        Returns
+        -------
+        first : list of Routine
+            ``before`` stores what all of them share, at a state; ``shared`` tells how many numbers
+            these are, at q.
+        second : list of Routine
+            ``beside``, to be written in lanes: of seeds at q to results at qd.
+
+        """
+        self.routine(which)
+        found, shared = divided(
+            self.graph, [value for _, _, value in self.outputs], SEED, SHARED)
+        self.outputs = [(SHARED, n, value) for n, value in enumerate(shared)]
+        graph = next(one.graph for one in found if hasattr(one, 'graph'))
+        count = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(shared)))])
+        return [self.named('before'), count], [
+            Routine('beside', graph, [(QD, n, value) for n, value in enumerate(found)])]
 
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
