@@ -185,9 +185,9 @@ def speed(pictures, by_default):
         platform and a Delta robot
         {spread(_of(space, 'Pinocchio', *pinocchio) + _of(space, 'MuJoCo', *mujoco))} times
         faster than either. Most of that is generated code, which those libraries can
-        generate, too (not measured here). A whole planar motion with an error of 1e-6 rad is {spread(best)} times
-        faster than with the best of these libraries, each with the cheapest setting found
-        afterwards. {by_default}""", '- ', '  ')
+        generate, too (not measured here). A whole planar motion with an error of 1e-6 rad is
+        {spread(best)} times faster than with the best of these libraries, each with the cheapest
+        setting found afterwards. {by_default}""", '- ', '  ')
 
 
 def space_speed(pictures):
