@@ -28,6 +28,8 @@ GONE = {
     **{name: 'doc/examples/derived_machines of the sources writes such scenes: `python '
              f'doc/examples/derived_machines {name} --help`'
        for name in ('cognates', 'invert', 'mirror')},
+    'formulations': 'benchmark/formulations.py of the sources makes this study: `python '
+                    'benchmark/formulations.py --help`',
     'recover': 'killed recordings are read as they are; an MCAP file gets its index back, and '
                'loses what is damaged, by `mcap recover FILE -o NEW`, a bag its metadata.yaml by '
                '`ros2 bag reindex BAG`'}
