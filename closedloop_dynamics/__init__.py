@@ -34,16 +34,24 @@ _HOMES = {
     'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors',
     'State': 'simulation.state', 'Stepper': 'simulation.stepper',
     'write_scene': 'simulation.scene_text'}
+# Without hints of their own, and some of other packages, which may not be there.
+_MORE = {
+    'c_source': 'simulation.c_source', 'Differentiator': 'simulation.derivatives',
+    'fmu': 'simulation.fmu', 'identify': 'studies.identification',
+    'jax_dynamics': 'simulation.jax_dynamics', 'Linearisation': 'simulation.linearisation',
+    'LinearModel': 'simulation.linearisation', 'MechanismEnv': 'simulation.environment',
+    'MechanismVectorEnv': 'simulation.environment'}
 __all__ = sorted(_HOMES)
 __version__ = '1.1.0'
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use."""
-    if name not in _HOMES:
+    home = _HOMES.get(name) or _MORE.get(name)
+    if home is None:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
+    return getattr(import_module(f'{__name__}.{home}'), name)
 
 
 def __dir__() -> List[str]:
-    return [*globals(), *__all__]
+    return [*globals(), *__all__, *_MORE]

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
 # What __init__.py loads when it is first asked for.
+from typing import Any
+
 from .integration.evaluation import Evaluator as Evaluator
 from .mechanism.mechanism import (
     Body as Body, Coupling as Coupling, CutJoint as CutJoint, Joint as Joint,
@@ -26,3 +28,13 @@ from .simulation.state import State as State
 from .simulation.stepper import Stepper as Stepper
 
 __version__: str
+
+c_source: Any
+Differentiator: Any
+fmu: Any
+identify: Any
+jax_dynamics: Any
+Linearisation: Any
+LinearModel: Any
+MechanismEnv: Any
+MechanismVectorEnv: Any

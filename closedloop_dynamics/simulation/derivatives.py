@@ -10,6 +10,7 @@ import numpy as np
 
 from .derivative_code import DerivativeCode
 from .errors import SimulationError, SingularityError
+from .named_array import by_shapes
 from .parameters import parameter_arrays
 from .step_derivatives import StepDerivatives
 from .traced_scene import require_derivatives, structure, TracedScene
@@ -51,6 +52,10 @@ class Derivatives(NamedTuple):
     closure_by_parameter: np.ndarray
     closure_rate_by_parameter: np.ndarray
 
+    def __repr__(self):
+        """Show the shapes."""
+        return by_shapes(self, *self._fields)
+
 
 class WrenchDerivatives(NamedTuple):
     """
@@ -76,6 +81,10 @@ class WrenchDerivatives(NamedTuple):
     by_velocity: np.ndarray
     by_torque: np.ndarray
     by_parameter: np.ndarray
+
+    def __repr__(self):
+        """Show the names and shapes."""
+        return by_shapes(self, *self._fields)
 
 
 class Differentiator:
@@ -128,6 +137,11 @@ class Differentiator:
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
         self._code = DerivativeCode(simulation, self._qdd, self._lam, scene=self._scene)
+
+    def __repr__(self):
+        """Show the mechanism and the parameters."""
+        return (f'<Differentiator of {self._simulation.scene.name}, parameters: '
+                f'{", ".join(self._steps.parameters.names) or "none"}>')
 
     def __call__(self, position, velocity, torque=None):
         """

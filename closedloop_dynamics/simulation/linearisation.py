@@ -64,6 +64,17 @@ class LinearModel:
     output_units: Tuple[str, ...]
     period: Optional[float] = None
 
+    def __repr__(self):
+        """Show the names of states, inputs and outputs, and whether small motions die away."""
+        largest = np.linalg.eigvals(self.A)
+        largest = largest.real.max(initial=-math.inf) if self.period is None else np.abs(
+            largest).max(initial=0.0)
+        what, time = ('largest real part', 'continuous time') if self.period is None else (
+            'largest magnitude', f'period {self.period:g} s')
+        return (f'<LinearModel in {time}: states {", ".join(self.states)}; inputs '
+                f'{", ".join(self.inputs) or "none"}; {len(self.outputs)} outputs; {what} of the '
+                f'eigenvalues {largest:.6g}>')
+
     def to_control(self):
         """
         Return a ``control.StateSpace`` of the python-control package.
@@ -169,6 +180,12 @@ class Linearisation:
             'position': np.where(slides, 'm', 'rad'), 'velocity': np.where(slides, 'm/s', 'rad/s'),
             'acceleration': np.where(slides, 'm/s^2', 'rad/s^2'),
             'effort': np.where(slides, 'N', 'N m')}
+
+    def __repr__(self):
+        """Show the mechanism and the independent coordinates."""
+        own = ', '.join(self._names[place] for place in self._asked or ())
+        return (f'<Linearisation of {self._simulation.scene.name}, independent: '
+                f'{own or "chosen in each position"}>')
 
     def linear_model(self, position=None, velocity=None, torque=None, outputs=('position',)):
         """

@@ -46,6 +46,16 @@ def sealed(array: np.ndarray) -> np.ndarray:
     return array
 
 
+def by_shapes(record: Any, *names: str) -> str:
+    """Return a representation of a record: arrays and batches by shape, all else as it is."""
+    def shown(value: Any) -> str:
+        shape = np.shape(value) if isinstance(value, np.ndarray) else ()
+        return f'array{shape}' if shape else repr(value)
+
+    return (f'<{type(record).__name__}: '
+            f'{", ".join(f"{name} {shown(getattr(record, name))}" for name in names)}>')
+
+
 class NamedArray(Mapping[str, np.ndarray]):
     """
     A read-only array whose rows can be looked up by name.

@@ -4,7 +4,7 @@
 """Many simulations of one scene at once: ``Simulation.rollout``."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 import os
 import threading
 from typing import Optional
@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import SimulationError
 from .key_paths import changed, resolve
-from .named_array import reals
+from .named_array import by_shapes, reals
 from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, InitialState, MOST, nothing, record, record_all,
     SimdRuns, starts_as_given, STATE, TimeGrid)
@@ -72,6 +72,11 @@ class Rollout:
     closure: Optional[np.ndarray] = None
     energy: Optional[np.ndarray] = None
     failures: dict = field(default_factory=dict)
+
+    def __repr__(self):
+        """Show the shapes of what was requested, and the failures."""
+        asked = [one.name for one in fields(self) if getattr(self, one.name) is not None]
+        return by_shapes(self, *asked)
 
 
 def rollout(simulation, torques=None, initial_position=None, initial_velocity=None, *, hold=None,

@@ -14,7 +14,7 @@ from .errors import ClosureError, NumericalError, SimulationError, SingularityEr
 from .independent import (
     changes_along, choose_independent, dependent_on, following, places_of)
 from .model import Model
-from .named_array import frozen, reals, sealed
+from .named_array import by_shapes, frozen, reals, sealed
 from .parameters import parameter_arrays
 from .rollout import RolloutArguments, scheduled
 from .rollout_run import all_torques, TimeGrid
@@ -71,6 +71,10 @@ class Gradient(NamedTuple):
     velocity: np.ndarray
     parameters: np.ndarray
 
+    def __repr__(self) -> str:
+        """Show the shapes."""
+        return by_shapes(self, *self._fields)
+
 
 class Changes(NamedTuple):
     """
@@ -87,6 +91,10 @@ class Changes(NamedTuple):
 
     position: np.ndarray
     velocity: np.ndarray
+
+    def __repr__(self) -> str:
+        """Show the shapes."""
+        return by_shapes(self, *self._fields)
 
 
 class Sensitivity:
@@ -170,6 +178,12 @@ class Sensitivity:
     def parameters(self) -> Tuple[str, ...]:
         """Key paths of the parameters, in their order."""
         return self._arrays.names
+
+    def __repr__(self) -> str:
+        """Show the mechanism, the method and the parameters."""
+        method = self._simulation.scene.method
+        return (f'<Sensitivity of {self.model.mechanism.name}: {method.integrator}, steps of '
+                f'{method.step_size:g} s, parameters: {", ".join(self.parameters) or "none"}>')
 
     def trajectory(self, state: Optional[State] = None, torques: Optional[ArrayLike] = None, *,
                    duration: Optional[float] = None, steps: Optional[int] = None,
@@ -347,6 +361,10 @@ class Trajectory:
     position: np.ndarray
     velocity: np.ndarray
     _record: _Record
+
+    def __repr__(self) -> str:
+        """Show the shapes."""
+        return by_shapes(self, 'time', 'position', 'velocity')
 
     @property
     def independent(self) -> Tuple[str, ...]:

@@ -100,6 +100,13 @@ class Simulation(Stepping):
                 raise ValueError(f'state: expected a single one, got a batch of q {state.q.shape}')
         self.reset()
 
+    def __repr__(self) -> str:
+        """Show the mechanism, the time and the method."""
+        method = self.scene.method
+        return (f'<Simulation of {self.scene.name} at t = {self.time:.9g} s: {method.integrator}, '
+                f'steps of {self.step_size:g} s, actuated: '
+                f'{", ".join(self.actuated_joints) or "nothing"}>')
+
     def vary(self, scene: Scene) -> bool:
         """As ``Data.vary``: become a simulation of another scene."""
         if not super().vary(scene):

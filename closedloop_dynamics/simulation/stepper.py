@@ -187,7 +187,7 @@ class Stepper:
         derivatives.need(CLOSURE)
         beside = derivatives.in_lanes((*CLOSURE, *(REVERSE if self._differentiates else ())))
         method = simulation.scene.method
-        tableau = INTEGRATORS[method.integrator].tableau
+        tableau: Any = INTEGRATORS[method.integrator].tableau
         run = SteppedRun(
             tableau, STABILISATIONS[method.stabilisation], self.period / self.steps, self.steps,
             self.steps, np.zeros((1, len(system.tau))))
@@ -408,16 +408,16 @@ class Stepper:
             if values.shape != size.shape[1:]:
                 raise ValueError(f'{name}: expected shape {size.shape[1:]}, got {values.shape}')
         rows = np.atleast_2d(wanted)
-        found = tuple(np.zeros((len(rows), len(values))) for values in start)
+        places, rates = (np.zeros((len(rows), len(values))) for values in start)
         status, number = native.move_along(
             self._system.native, self._run[-1], self._chart, *start, self._basis, rows,
-            np.zeros(len(self._names)), *found)
+            np.zeros(len(self._names)), places, rates)
         if status == OPEN_LOOP:
             raise ClosureError(f'changes, row {number}: the loops cannot be closed that far from '
                                'the state: give smaller ones')
         if status != DONE:
             raise SingularityError(f'{_ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
-        return found if wanted.ndim == 2 else (found[0][0], found[1][0])
+        return (places, rates) if wanted.ndim == 2 else (places[0], rates[0])
 
     def minus(self, q: ArrayLike, qd: ArrayLike, from_q: ArrayLike,
               from_qd: ArrayLike) -> np.ndarray:

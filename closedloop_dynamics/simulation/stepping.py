@@ -183,8 +183,9 @@ class Stepping(Readings):
 
         Parameters
         ----------
-        tau : ndarray, shape (number of ``torque_names``,)
-            Joint torques [N m or N], finite.
+        tau : ndarray, shape (number of actuated joints,) or (number of ``torque_names``,)
+            Joint torques [N m or N], finite: of the actuated joints in their order, as for
+            ``step``, or, which is faster, of all ``torque_names``.
         steps : int
             Number of steps.
 
@@ -216,9 +217,13 @@ class Stepping(Readings):
     def _all_torques(self, tau: ArrayLike) -> np.ndarray:
         """Return joint torques in the order of ``torque_names`` as an array, or refuse them."""
         found = reals('torque', tau)
+        if found.shape == (len(self.actuated_joints),) != self.system.tau.shape:
+            return self.joint_torques(found)
         if found.shape != self.system.tau.shape:
-            raise ValueError(f'torque: expected shape {self.system.tau.shape}, for '
-                             f'{", ".join(self.torque_names)}; got shape {found.shape}')
+            raise ValueError(
+                f'torque: expected shape {self.system.tau.shape}, for '
+                f'{", ".join(self.torque_names)}, or ({len(self.actuated_joints)},), for '
+                f'{", ".join(self.actuated_joints) or "none"}; got shape {found.shape}')
         if not np.isfinite(found).all():
             raise ValueError(f'torque: expected finite numbers, got {tau!r}')
         return found

@@ -5,7 +5,9 @@
 
 from dataclasses import replace
 import math
+import re
 
+import closedloop_dynamics as cld
 from closedloop_dynamics import load_scene, Model, rollout, Sensitivity, Simulation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.simulation.linearisation import Linearisation
@@ -41,6 +43,43 @@ def test_torques_of_other_shapes_are_refused(tau, words, delay):
     np.testing.assert_array_equal(simulation.state, other.state)
     # Lists and whole numbers are numbers.
     simulation.advance([0] * JOINTS, 1)
+
+
+@pytest.mark.parametrize('delay', [0.0, 0.003])
+def test_torques_of_the_actuated_joints_are_those_of_step(delay):
+    scene = load_scene('three_rrr')
+    scene = replace(scene, effects={**scene.effects, 'motor': Actuator('theta_1', delay=delay)})
+    runs = [Simulation(scene) for _ in range(3)]
+    torque = np.array([0.3, -0.2, 0.1])
+    whole = np.zeros(JOINTS)
+    whole[[runs[0].torque_names.index(name) for name in runs[0].actuated_joints]] = torque
+    for _ in range(5):
+        runs[0].step(torque)
+        runs[1].advance(torque, 1)
+        runs[2].advance(whole, 1)
+    for run in runs[1:]:
+        np.testing.assert_array_equal(run.state, runs[0].state)
+
+
+def test_what_is_shown_is_short_and_names_what_it_is_of():
+    model, run = Model.from_scene('three_rrr'), Simulation.from_scene('three_rrr')
+    state = model.assemble()
+    sensitivity = cld.Sensitivity(model, 'rk4')
+    trajectory = sensitivity.trajectory(steps=2)
+    differentiate = cld.Differentiator(run)
+    linear = model.linearise(state)
+    for one, words in (
+            (run, 'three_rrr at t = 0 s'), (linear, 'position.theta_1'),
+            (cld.Linearisation(run), 'three_rrr'), (differentiate, 'three_rrr'),
+            (differentiate(run.position, run.velocity), r'by_position array\(11, 7\)'),
+            (differentiate.wrenches(run.position, run.velocity), r'wrench array\(9, 3\)'),
+            (sensitivity, 'rk4'), (trajectory, r'position array\(3, 7\)'),
+            (trajectory.gradient(), r'torques array\(1, 3\)'),
+            (trajectory.changes(), r'velocity array\(3, 7\)'),
+            (cld.rollout(model, steps=2), r'failures {}'),
+            (model.stepper(0.01), 'theta_1, theta_6, theta_7')):
+        assert re.search(words, repr(one)), repr(one)
+        assert len(repr(one)) < 500
 
 
 @pytest.mark.parametrize('steps', [-5, True, False, 2.0, '3', None, np.int64(-1)])

@@ -52,6 +52,7 @@ def ways_in(model, state):
         'evaluator': evaluated,
         'simulation': lambda: Simulation(model, state),
         'rollout': lambda: rollout(model, state, steps=2),
+        'step': lambda: model.step(state, None, 1e-3),
         'forward_dynamics': lambda: simulation.forward_dynamics(state.q, state.qd),
         'of lists': lambda: simulation.forward_dynamics(state.q.tolist(), state.qd.tolist()),
         'inverse_dynamics': lambda: simulation.inverse_dynamics(
