@@ -10,7 +10,8 @@ state that is not evaluated yet; ``inverse_dynamics`` as it is, and over ``forwa
 other readings as they are; one step of ``advance`` beyond a step of many. With ``--rollouts``
 what a sample of a short rollout takes beyond its steps [ms], made by the same calls of the
 method: torques are held, and the end is recorded. Once with the same model for all and once with
-a mass of its own for each.
+a mass of its own for each. With ``--poses`` what ``Model.assemble`` takes to close the loops of a
+pose near the start [us], by itself and in a batch; with the scene's joints held, and with none.
 """
 
 import argparse
@@ -23,7 +24,8 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.simulation.scene import scene_names  # noqa: E402,I100
+from closedloop_dynamics.simulation.model import Model  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene import scene_names  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.visual.tables import text_table  # noqa: E402
 
@@ -31,6 +33,9 @@ READINGS = ('position', 'velocity', 'points')
 CALLS = ('evaluation', 'acceleration +', 'evaluator +', 'forward +', 'inverse', 'over forward',
          *READINGS, 'joint forces +', 'step', 'advance +')
 SAMPLES = ('step', 'sample +', 'own mass +')
+POSES = ('alone', 'in a batch', 'held, alone', 'held, in a batch')
+# Poses of a batch, and how far from the start they are [rad, m].
+MANY, NEAR = 4096, 0.01
 
 
 def repeated(function):
@@ -113,6 +118,21 @@ def samples(scene, repeats):
         name: found[name] / count - of_steps for name in SAMPLES[1:]}}
 
 
+def poses(scene, repeats):
+    """Return the numbers of ``POSES`` [s] of a scene."""
+    model, rng = Model.from_scene(scene), np.random.default_rng(0)
+    names, few = model.coordinates, MANY // 64
+    q = names.moved(np.tile(model.assemble().q, (MANY, 1)), NEAR * rng.uniform(
+        -1.0, 1.0, (MANY, names.nv)))
+    tasks, counts = {}, {}
+    for prefix, hold in (('', ()), ('held, ', model.scene.initial.hold)):
+        tasks[f'{prefix}alone'] = repeated(lambda hold=hold: [
+            model.assemble(one, hold=hold) for one in q[:few]])
+        tasks[f'{prefix}in a batch'] = repeated(lambda hold=hold: model.assemble(q, hold=hold))
+        counts.update({f'{prefix}alone': few, f'{prefix}in a batch': MANY})
+    return {name: found / counts[name] for name, found in least(tasks, 1, repeats).items()}
+
+
 def main(arguments=None):
     """Print a table; see the module."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -121,11 +141,14 @@ def main(arguments=None):
     parser.add_argument('--count', type=int, default=2000, help='calls at once (default: 2000)')
     parser.add_argument('--repeats', type=int, default=15, help='default: 15')
     parser.add_argument('--rollouts', action='store_true', help='samples of short rollouts')
+    parser.add_argument('--poses', action='store_true', help='closing the loops of poses')
     options = parser.parse_args(arguments)
-    columns, unit = (SAMPLES, 1e3) if options.rollouts else (CALLS, 1e6)
+    columns, unit = ((SAMPLES, 1e3) if options.rollouts else (POSES, 1e6) if options.poses else
+                     (CALLS, 1e6))
     rows = []
     for scene in options.scenes:
-        found = samples(scene, options.repeats) if options.rollouts else calls(
+        found = samples(scene, options.repeats) if options.rollouts else poses(
+            scene, options.repeats) if options.poses else calls(
             scene, options.count, options.repeats)
         rows.append([scene, *(
             f'{found[name]:.1f}' if name == 'over forward' else f'{unit * found[name]:.3f}'

@@ -1,7 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Quantities of a state for Python: dense matrices, energies, forces."""
+"""Quantities of a state for Python: dense matrices, energies, forces; closed loops."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,9 +12,38 @@ from .codegen.workspace import allocate
 from .manifold import manifold_of
 from .ranks import null_space
 from .types import (
-    CUT_COUPLING, CUT_NUMBER, CUT_ROW, CUT_TYPE, DOF, KEPT, NO_RESPONSES, number_of_coordinates,
-    PATH_A, PATH_COMMON, POSSIBLE, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, ROW, ROWS, TYPE)
+    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
 from ..engine import native
+
+# What had a part in closing loops, as bits: the mass metric; equations that depend on others; a
+# metric that cannot be computed with, where nothing was found.
+MASSES, DEPENDENT, NO_METRIC = 1, 2, 4
+# How the loops of one state of many were closed: it is to be looked at by itself; at once; and the
+# determinant of the equations, as many as free coordinates, has changed its sign on the way.
+BY_ITSELF, PLAIN, TURNED = range(3)
+# Axes that a cut joint keeps parallel: none, Z, Z and X, and X turned by a slide along Z.
+NO_AXIS, ONE_AXIS, ALL_AXES, THREAD = range(4)
+
+
+class Loops(NamedTuple):
+    """Which loops are closed, and by what; ``engine/loop_solver.hpp``."""
+
+    places: np.ndarray
+    rows: np.ndarray
+    free: np.ndarray
+    tolerance: float
+    least: float
+    limit: float
+
+
+class Far(NamedTuple):
+    """What a search from far away asks for beyond; ``engine/loop_solver.hpp``."""
+
+    unit: np.ndarray
+    scale: np.ndarray
+    axes: np.ndarray
+    limits: np.ndarray
+    target: np.ndarray
 
 
 def with_all_equations(model):
@@ -54,8 +85,8 @@ class Equations:
         Which equations the elimination works on, too, in the mechanism's order.
     groups : ndarray of int, shape (nc,)
         Numbers that the places, and the angles, that one cut joint holds have in common.
-    places : ndarray of bool, shape (nc,)
-        Which equations hold places.
+    places : ndarray of int, shape (nc,)
+        1 for equations that hold places, 0 for those that hold angles.
 
     """
 
@@ -70,14 +101,13 @@ class Equations:
             rows = np.arange(cut[ROWS])
             self._order[cut[CUT_ROW] + rows] = cut[ROW] + rows
         self.counts = self.model.cut[by_user, ROWS].tolist()
-        self._cut_of = np.repeat(by_user, self.counts)
         self.kept, groups = np.ones(self.nc, dtype=bool), []
         group_of = joint_kernels.arrays_of(model).group_of
         for number, (cut, count) in enumerate(zip(model.cut[by_user], self.counts)):
             possible = [n for n in range(6) if cut[POSSIBLE] >> n & 1]
             self.kept[len(groups):len(groups) + count] = [cut[KEPT] >> n & 1 for n in possible]
             groups += [(number, group_of(cut[CUT_TYPE], n)) for n in possible]
-        self.places = np.array([kind == 0 for _, kind in groups], dtype=bool)
+        self.places = np.array([kind == 0 for _, kind in groups], dtype=np.int64)
         order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
         self.groups = np.array([order[group] for group in groups], dtype=int)
         nq = number_of_coordinates(model)
@@ -87,12 +117,11 @@ class Equations:
         self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
         self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
         self._largest = native.bind('largest', self.work.closure)
-        self._sizes = np.zeros(len(model.cut))
-        self._measure_loops = native.bind('loop_sizes', self.model, self._sizes)
-        self._closed = np.zeros(nq)
-        self._close_loops = native.bind(
-            'close_loops', self.model, self.work, manifold_of(self.model),
-            np.zeros((self.nc, self.nv)), np.zeros((self.nv, self.nv)), self._closed)
+        self._closed, self._rates = np.zeros(nq), np.zeros(self.nv)
+        solver = self.model, self.work, manifold_of(self.model)
+        self._close_loops = native.bind('close_loops', *solver, self._closed)
+        self._close_rates = native.bind('close_rates', *solver, self._closed, self._rates)
+        self._solver = solver
 
     def _present_constants(self):
         """Return the constants that may decide which code serves which body."""
@@ -127,20 +156,41 @@ class Equations:
         self._close()
         return self._largest()
 
-    def closed(self, q, free, error, limit):
+    def closed(self, q, loops, closed, enough):
         """
-        Return coordinates that close the loops, given some that nearly do, where that is plain.
+        Return coordinates that close loops, from some that nearly do, and what had a part in it.
 
-        ``free``: freedoms that may change, by the least in the mass metric; ``error``: closure
-        error that counts as closed; ``limit``: the most that one correction changes a coordinate
-        [m or rad]. None where they do not close, or equations may depend on one another on the
-        way.
+        ``closed``: closure error that counts as closed; ``enough``: with which no other method
+        than Newton's is tried.
         """
         self._connect()
         self._closed[:], self._jacobian = q, None
-        if not self._close_loops(free, error, limit):
-            return None
-        return self._closed.copy()
+        parts = self._close_loops(loops, closed, enough)
+        return self._closed.copy(), parts
+
+    def closed_rates(self, q, qd, loops, wanted):
+        """Return the nearest rates that keep loops closed, at a position, and likewise."""
+        self._connect()
+        self._closed[:], self._rates[:], self._jacobian = q, qd, None
+        parts = self._close_rates(loops, wanted)
+        return self._rates.copy(), parts
+
+    def close_states(self, q, qd, loops, closed):
+        """
+        Close the loops of many states in place, shapes (n, nq) and (n, nv), where that is plain.
+
+        Returns ints, shape (n,): ``closing`` of ``engine/loop_solver.hpp``.
+        """
+        self._connect()
+        self._jacobian, status = None, np.zeros(len(q), dtype=np.int64)
+        native.close_states(*self._solver, q, qd, loops, closed, status)
+        return status
+
+    def first_open(self, q, qd, limit):
+        """Return the first of many states whose loops are open, or how many there are."""
+        self._connect()
+        self._jacobian = None
+        return native.first_open(self.model, self.work, q, qd, limit)
 
     def jacobian(self):
         """Return J = d psi / d q, shape (nc, nv)."""
@@ -156,22 +206,8 @@ class Equations:
         Angles in radians, places and slides in sizes of the loops that they belong to [m],
         couplings, which have factors of any size, in what they change by.
         """
-        model = self.model
-        self._measure_loops()
-        columns = np.ones(self.nv)
-        slides = model.tree[1:, TYPE] == PRISMATIC
-        columns[model.tree[1:, DOF][slides]] = 0.0
-        for cut, size in zip(model.cut, self._sizes):
-            own = model.path_body[cut[PATH_A]:cut[PATH_COMMON]]
-            moved = model.tree[own[model.tree[own, TYPE] == PRISMATIC], DOF]
-            columns[moved] = np.maximum(columns[moved], size)
-        columns[columns == 0.0] = self._sizes.max(initial=0.0) or 1.0
-        rows = np.where(self.places, self._sizes[self._cut_of], 1.0)
-        kind = model.cut[self._cut_of, CUT_TYPE]
-        coupled = (kind >= CUT_COUPLING) & (kind != PRESCRIBED_PLACE) & (kind != PRESCRIBED_TURN)
-        if coupled.any():
-            changes = np.abs(self.jacobian()[coupled] * columns).max(axis=1, initial=0.0)
-            rows[coupled] = np.where(changes > 0.0, changes, 1.0)
+        rows, columns = np.empty(self.nc), np.empty(self.nv)
+        native.loop_units(self.model, self.places, self.jacobian(), rows, columns)
         return rows, columns
 
     def dimensionless(self, columns=None):

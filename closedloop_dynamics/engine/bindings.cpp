@@ -6,7 +6,6 @@
 #include <string_view>
 
 #include "arguments.hpp"
-#include "assembly.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
 #include "course.hpp"
@@ -23,6 +22,7 @@
 #include "left_out.hpp"
 #include "library.hpp"
 #include "loop_closure.hpp"
+#include "loop_solver.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "preconditions.hpp"
@@ -109,7 +109,24 @@ std::pair<double, double> follow(
     acceleration, is_interrupted);
 }
 
+bool close(
+  const Model & model, const Workspace & work, const Manifold & manifold, Table q, Table qd,
+  const Loops & loops, double closed, Indices status)
+{
+  return close_states(
+    model, work, manifold, q, qd, loops, closed, status, is_interrupted);
+}
+
 }  // namespace
+
+template<>
+inline constexpr auto precondition<close> =
+  [](const Model & model, const Workspace &, const Manifold & manifold, Table q, Table qd,
+    const Loops & loops, double, Indices status) {
+    return expected::first_of(
+      expected::loops(model, manifold, q.columns, loops),
+      expected::unless(qd.columns == model.joints() && qd.rows == q.rows && status.size == q.rows));
+  };
 
 template<>
 inline constexpr auto precondition<&On<&Run::write_whole>::call> =
@@ -308,14 +325,27 @@ const Entry entries[] = {
   entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
   entry<factorize_constraints>(
     "factorize", "factorize(model, work): factors of the constraint matrix; smallest pivot"),
-  entry<close_loops, Length::ANY, Length::ANY, Length::JACOBIAN, Length::INERTIA, Length::Q>(
+  entry<close_loops, Length::ANY, Length::ANY, Length::Q>(
     "close_loops",
-    "close_loops(model, work, manifold, jac, gim, q, free, closed, limit): whether this was plain"),
+    "close_loops(model, work, manifold, q, loops, closed, enough): what had a part in it"),
+  entry<close_rates, Length::ANY, Length::ANY, Length::Q, Length::QD>(
+    "close_rates", "close_rates(model, work, manifold, q, qd, loops, wanted): likewise"),
+  entry<search_loops, Length::ANY, Length::ANY, Length::Q>(
+    "search_loops", "search_loops(model, work, manifold, q, loops, far, goal, most): likewise"),
+  entry<loop_residuals, Length::ANY, Length::ANY, Length::Q>(
+    "loop_residuals",
+    "loop_residuals(model, work, manifold, q, loops, far, residuals, slopes): of such a search"),
+  released<close>(
+    "close_states",
+    "close_states(model, work, manifold, q, qd, loops, closed, status): whether all were seen"),
+  released<first_open>(
+    "first_open", "first_open(model, work, q, qd, limit): the first state with open loops"),
   entry<energies, Length::ANY, Length::QD, Length::PAIR>(
     "energies", "energies(model, work, qd, out): kinetic and potential energy"),
   entry<constraint_jacobian, Length::ANY, Length::JACOBIAN>(
     "constraint_jacobian", "constraint_jacobian(model, work, jac)"),
-  entry<loop_sizes>("loop_sizes", "loop_sizes(model, out): size of each cut joint's loop"),
+  entry<loop_units, Length::ANY, Length::JACOBIAN, Length::MULTIPLIERS, Length::QD>(
+    "loop_units", "loop_units(model, places, jac, rows, columns): what each is counted in"),
   entry<generalized_inertia_matrix, Length::ANY, Length::INERTIA>(
     "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
   entry<cut_wrenches>("cut_wrenches", "cut_wrenches(model, body, lam, share, out)"),

@@ -218,11 +218,44 @@ void solve_least(const Eigen::MatrixXd & matrix, const DenseVector & right, Valu
 }
 }  // namespace
 
-void loop_sizes(const Model & model, Values out)
+void loop_units(const Model & model, Indices places, Table jac, Values rows, Values columns)
 {
+  const Indexes & tree = model.tree, & cut = model.cut;
+  columns.fill(1.0);
+  for (Index body = 1; body < tree.rows; ++body) {
+    if (tree(body, tree::TYPE) == tree::PRISMATIC) {
+      columns[tree(body, tree::DOF)] = 0.0;
+    }
+  }
   const double largest = largest_loop(model);
-  for (Index a = 0; a < out.size; ++a) {
-    out[a] = loop_size(model, a, largest);
+  for (Index a = 0; a < cut.rows; ++a) {
+    const double size = loop_size(model, a, largest);
+    for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_COMMON); ++entry) {
+      const Index body = model.path_body[entry];
+      if (tree(body, tree::TYPE) == tree::PRISMATIC) {
+        double & slide = columns[tree(body, tree::DOF)];
+        slide = std::max(slide, size);
+      }
+    }
+    for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+      const Index row = cut(a, cut::CUT_ROW) + k;
+      rows[row] = places[row] != 0 ? size : 1.0;
+    }
+  }
+  for (double & column : columns) {
+    column = column > 0.0 ? column : largest > 0.0 ? largest : 1.0;
+  }
+  for (Index a = 0; a < cut.rows; ++a) {
+    const Index type = cut(a, cut::TYPE);
+    if (type != cut::COUPLING && type != cut::PRESCRIBED_JOINT && type < cut::COUPLED_PLACE) {
+      continue;
+    }
+    const Index row = cut(a, cut::CUT_ROW);
+    rows[row] = 0.0;
+    for (Index j = 0; j < columns.size; ++j) {
+      rows[row] = std::max(rows[row], std::abs(jac(row, j)) * columns[j]);
+    }
+    rows[row] = rows[row] > 0.0 ? rows[row] : 1.0;
   }
 }
 

@@ -93,9 +93,10 @@ struct Decomposition
   void decompose(const Model &, Table jac, Table gim);
 };
 
-/// Sizes of the loops that the cut joints close [m], shape (number of cuts,): the longest distance
-/// of two of a loop's joints on one body; where there is none, the largest of all.
-void loop_sizes(const Model &, Values out);
+/// What closure errors, shape (nc,), and coordinates, (nv,), are counted in: angles in radians,
+/// places and slides in sizes of the loops that they belong to [m], couplings, which have factors of
+/// any size, in what they change by. `places`, shape (nc,): 1 for equations that hold places, else 0.
+void loop_units(const Model &, Indices places, Table jac, Values rows, Values columns);
 
 /// Scales of the rows and columns of J that make its entries comparable lengths.
 void scales(const Model &, Table jac, Values row, Values column);

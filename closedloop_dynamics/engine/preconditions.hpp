@@ -8,7 +8,6 @@
 #include <limits>
 
 #include "arguments.hpp"
-#include "assembly.hpp"
 #include "bounds.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
@@ -19,6 +18,7 @@
 #include "joint_reaction.hpp"
 #include "laws.hpp"
 #include "loop_closure.hpp"
+#include "loop_solver.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "recursion.hpp"
@@ -156,12 +156,6 @@ inline const char * effects(const EffectTable & effects, Table body, Index nv)
     misfit(effects, nv, body.rows, planar), unless(body.rows > 0 && are_bodies(body, planar)));
 }
 }  // namespace expected
-
-template<>
-inline constexpr auto precondition<loop_sizes> =
-  [](const Model & model, Values out) {
-    return expected::unless(out.size == model.cut.rows);
-  };
 
 template<>
 inline constexpr auto precondition<cut_wrenches> =
@@ -449,12 +443,88 @@ inline constexpr auto precondition<find_joint_forces> =
       has_shape(out, row.size, size));
   };
 
+namespace expected
+{
+/// Check which loops are closed, by which freedoms, of so many coordinates.
+inline const char * loops(
+  const Model & model, const Manifold & manifold, Index coordinates, const Loops & given)
+{
+  return first_of(
+    unless(
+      given.places.size == model.equations() && coordinates == model.coordinates() &&
+      manifold.fits(coordinates, model.joints())),
+    unless(
+      are_places(given.rows, 0, model.equations()) && are_places(given.free, 0, model.joints()),
+      places));
+}
+
+/// Check what is searched from far away, too.
+inline const char * far(const Model & model, const Far & given)
+{
+  bool good = given.unit.size == model.equations() && given.scale.size == model.joints() &&
+    given.axes.size == model.cut.rows && given.limits.columns == 4 &&
+    are_places(given.axes, 0, axis::THREAD + 1) && (given.target.size == 0 ||
+    given.target.size == given.unit.size + given.axes.size + given.limits.rows);
+  for (Index a = 0; good && a < given.axes.size; ++a) {
+    const Index joint = model.cut(a, cut::NUMBER);
+    good = given.axes[joint] == axis::NO_AXIS || (
+      model.size() == 6 && model.cut(a, cut::TYPE) < cut::COUPLING);
+  }
+  for (Index k = 0; good && k < given.limits.rows; ++k) {
+    good = given.limits(k, 0) >= 0.0 && given.limits(k, 1) >= 0.0 &&
+      given.limits(k, 0) < static_cast<double>(model.coordinates()) &&
+      given.limits(k, 1) < static_cast<double>(model.joints()) &&
+      given.limits(k, 2) <= given.limits(k, 3);
+  }
+  return unless(good);
+}
+}  // namespace expected
+
 template<>
 inline constexpr auto precondition<close_loops> =
-  [](const Model & model, const Workspace &, const Manifold & manifold, Table, Table, Values q,
-    Indices free) {
+  [](const Model & model, const Workspace &, const Manifold & manifold, Values q,
+    const Loops & loops) {
+    return expected::loops(model, manifold, q.size, loops);
+  };
+
+template<>
+inline constexpr auto precondition<close_rates> =
+  [](const Model & model, const Workspace &, const Manifold & manifold, Values q, Values,
+    const Loops & loops, Values wanted) {
+    return expected::first_of(
+      expected::loops(model, manifold, q.size, loops),
+      expected::unless(wanted.size == loops.rows.size));
+  };
+
+template<>
+inline constexpr auto precondition<search_loops> =
+  [](const Model & model, const Workspace &, const Manifold & manifold, Values q,
+    const Loops & loops, const Far & far) {
+    return expected::first_of(
+      expected::loops(model, manifold, q.size, loops), expected::far(model, far));
+  };
+
+template<>
+inline constexpr auto precondition<loop_residuals> =
+  [](const Model & model, const Workspace & work, const Manifold & manifold, Values q,
+    const Loops & loops, const Far & far, Values residuals, Table slopes) {
+    return expected::first_of(
+      precondition<search_loops>(model, work, manifold, q, loops, far), expected::unless(
+        residuals.size == far.unit.size + far.axes.size + far.limits.rows &&
+        has_shape(slopes, residuals.size, model.joints())));
+  };
+
+template<>
+inline constexpr auto precondition<first_open> =
+  [](const Model & model, const Workspace &, Table q, Table qd) {
     return expected::unless(
-      manifold.fits(q.size, model.joints()) && are_places(free, 0, model.joints()));
+      q.columns == model.coordinates() && qd.columns == model.joints() && q.rows == qd.rows);
+  };
+
+template<>
+inline constexpr auto precondition<loop_units> =
+  [](const Model & model, Indices places) {
+    return expected::unless(places.size == model.equations());
   };
 
 }  // namespace closedloop

@@ -13,7 +13,6 @@ angular velocity relative to the parent, about the child's axes. A free joint ha
 y, z along the axes of the joint's frame before. So nq = nv + the number of quaternions.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -316,18 +315,22 @@ class Coordinates:
         return q
 
     def apart(self, q, other):
-        """Return the change, shape (nv,), from other coordinates to some; by the shorter turns."""
+        """
+        Return the change, shape (..., nv), from other coordinates to some, (..., nq).
+
+        By the shorter turns.
+        """
         single = self.place >= 0
-        change = np.zeros(self.nv)
-        change[single] = q[self.place[single]] - other[self.place[single]]
+        change = np.zeros((*q.shape[:-1], self.nv))
+        change[..., single] = (q - other)[..., self.place[single]]
         for first, rate in self.balls:
-            inverse = other[first:first + 4] * CONJUGATE
-            x, y, z, w = composed(inverse, q[first:first + 4])
-            sine = math.sqrt(x * x + y * y + z * z)
-            angle = 2.0 * math.atan2(sine, abs(w))
+            turned = composed(other[..., first:first + 4] * CONJUGATE, q[..., first:first + 4])
+            axis, cosine = turned[..., :3], turned[..., 3:]
+            sine = np.linalg.norm(axis, axis=-1, keepdims=True)
             # Of small turns the sine is half the angle.
-            change[rate:rate + 3] = np.array([x, y, z]) * math.copysign(
-                angle / sine if sine > 0.0 else 2.0, w)
+            length = np.where(sine > 0.0, 2.0 * np.arctan2(sine, np.abs(cosine)) / np.where(
+                sine > 0.0, sine, 1.0), 2.0)
+            change[..., rate:rate + 3] = axis * np.copysign(length, cosine)
         return change
 
     def by_freedom(self, q):

@@ -4,13 +4,12 @@
 """
 Positions and velocities that close the loops, found from approximate ones.
 
-Set-up work: dense linear algebra. The engine closes loops where this is plain; here is what is
-done at and near singular positions. Coordinates that are held stay as given; where none are held,
+The engine closes loops (``engine/loop_solver.hpp``); here is what is done at and near singular
+positions, and what is said of them. Coordinates that are held stay as given; where none are held,
 or velocities are free, the change is the least one in the mass metric.
 """
 
 from contextlib import suppress
-from functools import cache
 from itertools import chain
 import math
 from operator import itemgetter
@@ -19,22 +18,18 @@ import numpy as np
 
 from .errors import AssemblyError
 from .modeling import extent
-from ..core.ranks import null_space, RANK_TOLERANCE, rank_from, rank_of, singular_values
+from ..core.equations import BY_ITSELF, Loops, MASSES, NO_METRIC, TURNED
+from ..core.ranks import null_space, RANK_TOLERANCE, rank_of, singular_values
 from ..mechanism.closure import open_parts
 from ..mechanism.digits import EVERYDAY, suspicions
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
-MOST_ITERATIONS = 200
 # No single correction moves a coordinate further [rad, or in units of the size], so that
 # the solution found is the one on the branch of the guess.
 LARGEST_CORRECTION = 0.25
-# Damping of corrections at which they have become too short to go on with.
-MOST_DAMPING = 1e12
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-13
-# What a joint moves in the loops, in units: less is nothing.
-NO_LEVER = 1e-12
 # Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
 MOST_EQUATIONS = 300
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many; and
@@ -82,8 +77,8 @@ class Assembler:
         self.extent = extent(mechanism)
         self._limit = LARGEST_CORRECTION * max(1.0, self.extent)
         self._coordinates = mechanism.coordinates
-        self._kept = slice(None) if kept is None else kept
-        self.nv, self.nc = equations.nv, equations.nc if kept is None else int(kept.sum())
+        self._kept = np.arange(equations.nc) if kept is None else np.flatnonzero(kept)
+        self.nv, self.nc = equations.nv, len(self._kept)
         # Right-hand sides of the velocities: those of prescribed motions, behind all others.
         self.prescribed_rates = np.zeros(len(mechanism.motions))
         self.by_masses = False
@@ -134,6 +129,33 @@ class Assembler:
             self._require_inertia(q)
         return q
 
+    def close_states(self, q, qd, hold):
+        """
+        Close the loops of many states in place, shapes (n, nq) and (n, nv), where that is plain.
+
+        As ``positions`` and ``velocities`` do, without their messages. Returns how, by state, as
+        ``Equations.close_states``; others than ``BY_ITSELF`` are singular nowhere.
+        """
+        free = self._free(hold)
+        incomplete = len(hold) > 0 and len(free) != self.nc and (
+            not self._coordinates.with_orientation)
+        if self.is_light or self.prescribed_rates.size or incomplete:
+            return np.full(len(q), BY_ITSELF)
+        return self._equations.close_states(
+            q, qd, self._loops(free), TOLERANCE * self.extent)
+
+    def count_notes(self, position, velocity, q, qd, hold, how):
+        """Return how many ``notes`` there are of each of many states that were closed at once."""
+        names = self._coordinates
+        turned = np.array([how[k] == TURNED and self._mirrored(position[k], q[k], hold)
+                           for k in range(len(q))], dtype=bool) if (how == TURNED).any() else False
+        most = LARGE_MOVE * np.where(names.lengths, self.extent, 1.0)
+        moved = (np.abs(names.apart(q, position)) > most).any(axis=1) | turned
+        angles = position[:, names.place[(names.place >= 0) & ~names.lengths]]
+        degrees = (np.abs(angles) > 2.0 * math.pi) & _looks_like_degrees(angles)
+        changed = np.abs(qd - velocity) > LARGE_CHANGE_OF_RATE * np.abs(velocity)
+        return moved + degrees.any(axis=1).astype(int) + (changed & (velocity != 0.0)).sum(axis=1)
+
     def _is_closed_to_digits(self, guess, psi, hold):
         """Return whether loops stay open by digits alone, whatever is held."""
         enough = self.mechanism.tolerance
@@ -151,55 +173,24 @@ class Assembler:
         ``enough``: float; closure error, in sizes, with which no other method is tried.
 
         """
-        psi, start = self.closure(q), q
-        if self._is_closed(psi):
-            # As it is, to the last digit.
-            return q, psi
-        if not self.is_light and self.nc == self._equations.nc:
-            plain = self._equations.closed(q, free, TOLERANCE * self.extent, self._limit)
-            if plain is not None:
-                self.by_masses |= self.nc < len(free)
-                return plain, self.closure(plain)
+        found, parts = self._equations.closed(
+            q, self._loops(free), TOLERANCE * self.extent, enough * self.extent)
+        self._note(parts)
+        return found, self.closure(found)
 
-        @cache
-        def metric():
-            # Dense, and so for mechanisms of a thousand joints only where there is need.
-            self.by_masses = True
-            return self._metric(start, free)
+    def _loops(self, free, tolerance=RANK_TOLERANCE):
+        """Return what the engine is to close, by some freedoms."""
+        # Coordinates without inertia of their own get a little: the change stays finite.
+        return Loops(self._equations.places, self._kept, free, tolerance,
+                     NO_INERTIA if self.is_light else 0.0, self._limit)
 
-        for _ in range(MOST_ITERATIONS):
-            if np.abs(psi).max(initial=0.0) <= 0.01 * TOLERANCE * self.extent:
-                break
-            q, psi, better = self._correct(q, psi, free, metric)
-            if not better:
-                break
-        if not self._is_closed(psi, enough) and np.isfinite(psi).all():
-            return self._closed_with_damping(start, free, metric)
-        return q, psi
-
-    def _closed_with_damping(self, q, free, metric):
-        """
-        Return the same, found by Levenberg and Marquardt's method: slower, and more robust.
-
-        Equations that depend on one another where the loops are closed, and only there, lead
-        Newton's method astray. The damping goes as the square of the error, which keeps the
-        convergence quadratic there.
-        """
-        psi, damping = self.closure(q), 1.0
-        for _ in range(MOST_ITERATIONS):
-            error = np.linalg.norm(psi)
-            if np.abs(psi).max() <= 0.01 * TOLERANCE * self.extent or damping > MOST_DAMPING:
-                break
-            change = self._least_change(q, free, psi, metric, damping * error / self.extent)
-            largest = np.abs(change).max(initial=0.0)
-            trial = self._changed(
-                q, free, -change * min(1.0, self._limit / max(largest, self._limit)))
-            trial_psi = self.closure(trial)
-            if np.linalg.norm(trial_psi) < error:
-                q, psi, damping = trial, trial_psi, 0.3 * damping
-            else:
-                damping *= 4.0
-        return q, psi
+    def _note(self, parts):
+        """Note what had a part in closing loops."""
+        self.by_masses |= bool(parts & MASSES)
+        if parts & NO_METRIC:
+            raise AssemblyError(
+                f'The masses and lengths of {self.mechanism.name} give an inertia that cannot be '
+                'computed with: look for values that are far too large, or next to nothing.')
 
     def _is_closed(self, psi, enough=TOLERANCE):
         return np.abs(psi).max(initial=0.0) <= enough * self.extent
@@ -225,40 +216,31 @@ class Assembler:
         if not (qd.any() or self.prescribed_rates.any()):
             return qd
         jac = self.jacobian(q)
-        wanted = self._wanted_rates(jac)
+        wanted = self._wanted_rates()
         if np.abs(jac @ qd - wanted).max(initial=0.0) <= (
                 TOLERANCE * self.extent * np.abs(qd).max()):
             # As they are, to the last digit.
             return self._continued(q, qd, jac, hold)
         rate = jac @ qd - wanted
-        qd = self._nearest_rates(q, qd, jac, hold, RANK_TOLERANCE)
+        qd = self._nearest_rates(q, qd, hold)
         left = np.abs(jac @ qd - wanted).max(initial=0.0)
         scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
         if left > 1e-9 * scale:
             raise AssemblyError(self._rates_apart(q, left, hold))
         return self._continued(q, qd, jac, hold)
 
-    def _wanted_rates(self, jac):
+    def _wanted_rates(self):
         """Return the right-hand sides of J qd: the rates of prescribed motions, behind zeros."""
-        wanted = np.zeros(len(jac))
-        wanted[len(jac) - len(self.prescribed_rates):] = self.prescribed_rates
+        wanted = np.zeros(self.nc)
+        wanted[self.nc - len(self.prescribed_rates):] = self.prescribed_rates
         return wanted
 
-    def _nearest_rates(self, q, guess, jac, hold, tolerance):
+    def _nearest_rates(self, q, guess, hold, tolerance=RANK_TOLERANCE):
         """Return the rates nearest to a guess with which independent equations stay closed."""
-        free, qd = self._free(hold), np.array(guess, dtype=float)
-        if len(hold) > 0:
-            qd[free] = 0.0
-        change, before = jac @ qd - self._wanted_rates(jac), np.abs(guess).max(initial=0.0)
-
-        def metric():
-            self.by_masses = True
-            return self._metric(q, free)
-
-        qd[free] -= self._least_change(q, free, change, metric, tolerance=tolerance)
-        # Rounding of rates that are not possible is no motion.
-        qd[free[np.abs(qd[free]) <= TOLERANCE * before]] = 0.0
-        return qd
+        found, parts = self._equations.closed_rates(
+            q, guess, self._loops(self._free(hold), tolerance), self._wanted_rates())
+        self._note(parts)
+        return found
 
     def _rates_apart(self, q, left, hold):
         """Return why rates open the loops, at ``left`` [m/s]."""
@@ -283,7 +265,7 @@ class Assembler:
         """
         if self.nc > MOST_EQUATIONS or self.prescribed_rates.size:
             return None
-        jac, free, scaled = self.jacobian(q), self._free(hold), self.dimensionless(q)
+        free, scaled = self._free(hold), self.dimensionless(q)
         for columns in (scaled, scaled[:, free]):
             singular = singular_values(columns)
             weak = singular / singular.max(initial=1.0)
@@ -291,7 +273,7 @@ class Assembler:
                 break
         else:
             return None
-        ahead = self._nearest_rates(q, guess, jac, hold, BRANCH_DIGITS)
+        ahead = self._nearest_rates(q, guess, hold, BRANCH_DIGITS)
         fastest = np.abs(ahead).max(initial=0.0)
         if not fastest > 0.0:
             return None
@@ -602,21 +584,6 @@ class Assembler:
         return np.array([k for k, name in enumerate(self._coordinates.names)
                          if not hold & {name, joint_of(name)}], dtype=int)
 
-    def _metric(self, q, free):
-        """Return the Cholesky factor of the free coordinates' inertia."""
-        inertia = self.inertia(q)[np.ix_(free, free)]
-        diagonal = np.diag(inertia)
-        # Coordinates without inertia of their own get a little: the change stays finite.
-        little = NO_INERTIA * diagonal.max(initial=0.0) if self.is_light else 0.0
-        # LAPACK answers numbers that overflow in more than one way.
-        with suppress(np.linalg.LinAlgError):
-            factor = np.linalg.cholesky(inertia + little * np.eye(len(free)))
-            if np.isfinite(factor).all():
-                return factor
-        raise AssemblyError(
-            f'The masses and lengths of {self.mechanism.name} give an inertia that cannot be '
-            'computed with: look for values that are far too large, or next to nothing.')
-
     def _require_inertia(self, q):
         """Refuse massless bodies that the loops leave free to move."""
         basis = self._equations.move(q).free_motions()
@@ -633,58 +600,6 @@ class Assembler:
             f'{self.mechanism.name} has a motion without inertia: {", ".join(names)} can move '
             'while nothing that has mass does, so that forces would accelerate it without limit. '
             'Give the bodies there some mass, or close a loop that guides them.')
-
-    def _changed(self, q, free, change):
-        """Return coordinates after a change of some of the freedoms."""
-        whole = np.zeros(self.nv)
-        whole[free] = change
-        return self._coordinates.moved(q, whole)
-
-    def _correct(self, q, psi, free, metric):
-        """Return the state after one damped Newton correction, and whether it helped."""
-        change = self._least_change(q, free, psi, metric)
-        largest = np.abs(change).max(initial=0.0)
-        change *= min(1.0, self._limit / largest) if largest > 0.0 else 0.0
-        before = np.linalg.norm(psi)
-        for _ in range(30):
-            trial = self._changed(q, free, -change)
-            trial_psi = self.closure(trial)
-            if np.linalg.norm(trial_psi) < before:
-                return trial, trial_psi, True
-            change *= 0.5
-        return q, psi, False
-
-    def _least_change(self, q, free, error, metric, damping=0.0, tolerance=RANK_TOLERANCE):
-        """
-        Return the change of the free coordinates with J x = ``error`` that is least in a metric.
-
-        ``metric`` returns L of the metric L L^T, and is called where there is a choice.
-        With a ``damping``, as a share of the largest singular value, it is shorter, and no
-        solution. ``tolerance`` is that of ``rank_from``.
-
-        Which equations depend on others is decided on levers alone: in the mass metric those that
-        move a light body all look alike. What they leave open is decided by the masses.
-        """
-        if damping > 0.0:
-            root = metric()
-            weighted = np.linalg.solve(root, self.jacobian(q)[:, free].T).T
-            left, singular, right = np.linalg.svd(weighted, full_matrices=False)
-            damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
-            y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
-            return np.linalg.solve(root.T, y)
-        rows, columns = self._equations.units()
-        jac = self.dimensionless(q)
-        levers = np.abs(jac).max(axis=0, initial=0.0)
-        # These are rounding errors: nothing to scale by.
-        levers = np.where(levers <= NO_LEVER, 1.0, levers)[free]
-        left, singular, right = np.linalg.svd(jac[:, free] / levers)
-        rank, levers = rank_from(singular, tolerance), levers / columns[free]
-        x = right[:rank].T @ (left[:, :rank].T @ (error / rows[self._kept]) / singular[:rank])
-        x /= levers
-        if rank == len(x):
-            return x
-        open_ones, root = right[rank:].T / levers[:, np.newaxis], metric()
-        return x - open_ones @ np.linalg.lstsq(root.T @ open_ones, root.T @ x, rcond=None)[0]
 
     def _require_complete(self, q, free, hold):
         """Refuse held coordinates that leave others undetermined, here and all around."""
@@ -787,7 +702,11 @@ def angle_notes(mechanism, position):
 
 def degree_notes(mechanism, position):
     """Return the same of those that people give in degrees alone: states have turned before."""
-    return _angle_notes(mechanism, position, lambda angle: angle % DEGREES == 0.0)
+    return _angle_notes(mechanism, position, _looks_like_degrees)
+
+
+def _looks_like_degrees(angle):
+    return angle % DEGREES == 0.0
 
 
 def _angle_notes(mechanism, position, counts):

@@ -28,9 +28,10 @@ from .readings import Readings
 from .scene import load_scene
 from .scene_records import Scene
 from .state import State
+from ..core.equations import BY_ITSELF
 from ..engine import native
 from ..integration.evaluation import Evaluator
-from ..mechanism.fields import at
+from ..mechanism.fields import at, FieldError
 
 if TYPE_CHECKING:
     from .linearisation import LinearModel
@@ -182,23 +183,18 @@ class Model(Names):
             position, hold = initial.position, hold or initial.hold
             velocity = initial.velocity if velocity is None else velocity
         samples, (positions, velocities) = _batch({'position': position, 'velocity': velocity})
-        states: List[State] = []
-        notes: List[str] = []
         with self._lock:
-            for k in range(1 if samples is None else samples):
-                which = () if samples is None else (f'state {k}',)
-                try:
-                    with at(*which):
-                        states.append(self._work.assembled(
-                            positions(k), velocities(k), hold, time))
-                except AssemblyError as error:
-                    raise AssemblyError(': '.join((*which, str(error)))) from None
-                notes += [': '.join((*which, note)) for note in self._work.assembly_notes()]
+            if samples is None:
+                states = self._work.assembled(positions(0), velocities(0), hold, time)
+                notes = self._work.assembly_notes()
+            else:
+                states, notes = self._work.assembled_batch(
+                    samples, (position, velocity), (positions, velocities), hold, time)
         if len(notes) > MOST_NOTES:
             notes[MOST_NOTES:] = [f'and {len(notes) - MOST_NOTES} more notes on these states']
         for note in notes:
             warnings.warn(note, RuntimeWarning, stacklevel=2)
-        return states[0] if samples is None else State.stack(states)
+        return states
 
     def state(self, q: ArrayLike, qd: Optional[ArrayLike] = None, own: Optional[ArrayLike] = None,
               time: ArrayLike = 0.0, *, close: bool = False) -> State:
@@ -243,6 +239,9 @@ class Model(Names):
             return one if own is not None else self._work.begun(one.time, one.q, one.qd)
 
         with self._lock:
+            if given.is_batch and not close and (
+                    own is not None or self._work.begins_alike) and self._work.are_closed(given):
+                return given
             each = _of_all(taken, given)
         return each[0] if not given.is_batch else State.stack(each) if each else given
 
@@ -598,6 +597,87 @@ class _Workspace(Readings):
         self._put(vector('time', [time], 1)[0], q, np.zeros(self.coordinates.nv),
                   self._effects.initial)
         return self.begun(time, *self._near(position, velocity, hold))
+
+    def assembled_batch(
+            self, samples: int, given: Sequence[Optional[Numbers]],
+            each: Sequence[Callable[[int], Any]], hold: Sequence[str],
+            time: float) -> Tuple[State, List[str]]:
+        """
+        Return so many states as of ``assembled``, and notes of them.
+
+        ``given`` are positions and velocities, ``each`` functions that give those of one state.
+        Notes beyond ``MOST_NOTES`` may be empty.
+        """
+        present, rest = self._initial[0], np.zeros(self.coordinates.nv)
+        vector('time', [time], 1)
+        q, qd = (self._rows(what, values, start, samples) for what, values, start in zip(
+            ('position', 'velocity'), given, (present, rest)))
+        own = np.tile(self._effects.initial, (samples, 1))
+        if q is None or qd is None or self._motions:
+            how = np.zeros(samples, dtype=np.int64)
+            q, qd = np.tile(present, (samples, 1)), np.tile(rest, (samples, 1))
+        else:
+            self._fresh = False
+            guesses = q.copy(), qd.copy()
+            how = self._assembler.close_states(q, qd, hold)
+        found: Dict[int, List[str]] = {}
+        for k in np.flatnonzero((how == BY_ITSELF) | (not self.begins_alike)).tolist():
+            try:
+                with at(f'state {k}'):
+                    state = (self.begun(time, q[k], qd[k]) if how[k] != BY_ITSELF else
+                             self.assembled(each[0](k), each[1](k), hold, time))
+            except AssemblyError as error:
+                raise AssemblyError(f'state {k}: {error}') from None
+            if how[k] == BY_ITSELF:
+                found[k] = self.assembly_notes()
+            q[k], qd[k], own[k] = state.q, state.qd, state.own
+        notes: List[str] = []
+        plain = how != BY_ITSELF
+        if plain.any():
+            counts = np.where(plain, self._assembler.count_notes(*guesses, q, qd, hold, how), 0)
+            for k in np.flatnonzero(counts).tolist():
+                found[k] = int(counts[k]) * ['']
+        for k in sorted(found):
+            if plain[k] and len(notes) < MOST_NOTES:
+                found[k] = self._assembler.notes(*(one[k] for one in guesses), q[k], qd[k], hold)
+            notes += [f'state {k}: {note}' for note in found[k]]
+        return State(time, q, qd, own, self.coordinates), notes
+
+    def _rows(self, what: str, values: Optional[Numbers], present: np.ndarray,
+              samples: int) -> Optional[np.ndarray]:
+        """Return numbers of many states, None where some are to be looked at one by one."""
+        found = np.tile(present, (samples, 1))
+        if isinstance(values, Mapping):
+            names, single = self.coordinates, what == 'velocity'
+            for name, value in values.items():
+                rate = names.index.get(name, -1)
+                if rate < 0 or rate not in names.single or isinstance(value, (bool, str)):
+                    return None
+                found[:, rate if single else names.place[rate]] = reals(what, value)
+        elif values is not None:
+            array = reals(what, values)
+            if array.shape[-1:] != present.shape:
+                return None
+            found[:] = array
+        if not np.isfinite(found).all():
+            return None
+        try:
+            return self.coordinates.unit(found) if what == 'position' else found
+        except FieldError:
+            return None
+
+    @property
+    def begins_alike(self) -> bool:
+        """Return whether effects begin alike in all states: they have none of their own."""
+        effects = self._effects
+        return not (len(self._own) or effects.traced or self._table.loaded[0]
+                    ) and effects.cuts is None
+
+    def are_closed(self, states: State) -> bool:
+        """Return whether all of many states certainly close the loops."""
+        self._fresh = False
+        return not self._motions and len(states) == self._equations.first_open(
+            states.q.copy(), states.qd.copy(), float(self.system.settings.closure_limit))
 
     def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:
         """Move to a state, with closure equations that serve there."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 
 from closedloop_dynamics import engine
-from closedloop_dynamics.core import manifold, types
+from closedloop_dynamics.core import equations, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
@@ -58,6 +58,9 @@ ENUMS = {
     'energy_balance.cpp: OWN': (table, {}),
     'manifold_derivatives.cpp: QUATERNION': (manifold, {}),
     'step_routine': (sensitivities, {}),
+    'part': (equations, {}),
+    'axis': (equations, {}),
+    'closing': (equations, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
@@ -89,7 +92,8 @@ RECORDS = {
     'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau,
     'RunBuffer': recorded_run.RunBuffer, 'Watch': run.Watch,
     'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
-    'Batch': batch.Batch, 'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
+    'Batch': batch.Batch, 'Loops': equations.Loops, 'Far': equations.Far,
+    'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
     'StepRoutines': stepped_run.StepRoutines, 'RunInputs': stepped_run.RunInputs}
 
 

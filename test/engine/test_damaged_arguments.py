@@ -12,7 +12,8 @@ run.
 from copy import deepcopy
 import random
 
-from closedloop_dynamics.core.equations import with_all_equations
+from closedloop_dynamics.core.codegen.workspace import allocate
+from closedloop_dynamics.core.equations import Far, Loops, with_all_equations
 from closedloop_dynamics.effects.expression import program
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -58,7 +59,7 @@ ANY_LENGTH = {
     ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
     ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
     ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
-    ('run_samples', 3), ('close_loops', 6)}
+    ('run_samples', 3), ('close_loops', 4)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
 
 
@@ -186,6 +187,21 @@ def use_kernels(simulation, note):
     call('write_kept', run, False, simulation.state)
     call('set_watch', handle, run, simulation.run.watch, np.zeros(0, dtype=np.int64))
     call('move', system.manifold, q, qd, 0.1)
+    every = with_all_equations(model)
+    nc, numbers = len(simulation.constraint_jacobian), np.arange(max(nv, 6))
+    loops = Loops(np.ones(nc, dtype=np.int64), numbers[:min(nc, 2)].copy(), numbers[:nv].copy(),
+                  3e-6, 1e-12, 0.1)
+    solver = every, allocate(every), system.manifold
+    call('close_loops', *solver, q, loops, 1e-9, 1e-9)
+    call('close_rates', *solver, q, qd, loops, np.zeros(min(nc, 2)))
+    states = q[np.newaxis].copy(), qd[np.newaxis].copy()
+    call('close_states', *solver, *states, loops, 1e-9, np.zeros(1, dtype=np.int64))
+    call('first_open', *solver[:2], *states, 1e-9)
+    far = Far(np.ones(nc), np.ones(nv), np.zeros(len(every.cut), dtype=np.int64),
+              np.array([[0.0, 0.0, -1.0, 1.0]]), np.zeros(nc + len(every.cut) + 1))
+    call('search_loops', *solver, q, loops, far, 1e-9, 3)
+    call('loop_residuals', *solver, q, loops, far, far.target.copy(),
+         np.zeros((len(far.target), nv)))
     call('rates_of_coordinates', system.manifold, state, nv, np.zeros(nq), 1)
     call('fill_quaternions', np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 4)))
     call('nearest_to_path', np.array([0.0, 1, 0, 0, 0, 1, 0, 0]), 0.0, 1.0, 1.0, 0.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.core.equations import Equations
+from closedloop_dynamics.core.ranks import rank_of
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.simulation.assembly import angle_notes, Assembler, TOLERANCE
 from closedloop_dynamics.simulation.errors import AssemblyError
@@ -37,24 +38,44 @@ def tangents(one, q):
     return right[int(np.sum(singular > 1e-7 * singular[0])):]
 
 
+def nearest_by_pseudo_inverses(one, q, free):
+    """Close loops slowly: Newton's method, the least change in the metric of the start."""
+    root, limit = np.linalg.cholesky(one.inertia(q)[np.ix_(free, free)]), max(1.0, one.extent) / 4
+    while np.abs(one.closure(q)).max(initial=0.0) > 0.01 * TOLERANCE * one.extent:
+        weighted = np.linalg.solve(root, one.jacobian(q)[:, free].T).T
+        change = np.zeros(one.nv)
+        change[free] = -np.linalg.solve(root.T, np.linalg.pinv(weighted) @ one.closure(q))
+        change *= min(1.0, limit / max(limit, np.abs(change).max()))
+        for halvings in range(40):
+            trial = one.mechanism.coordinates.moved(q, change * 0.5 ** halvings)
+            if np.linalg.norm(one.closure(trial)) < np.linalg.norm(one.closure(q)):
+                break
+        else:
+            return q
+        q = trial
+    return q
+
+
 @pytest.mark.parametrize('name', scene_names())
 @pytest.mark.parametrize('held', [True, False])
-def test_the_engine_closes_loops_as_singular_values_do(monkeypatch, name, held):
+def test_the_engine_closes_loops_as_pseudo_inverses_do(name, held):
     scene, rng = load_scene(name), np.random.default_rng(5)
     mechanism = scene.mechanism
     one = Assembler(mechanism, Geometry(mechanism).equations)
     start, free = np.array(scene.initial.position), np.arange(one.nv)
     if held and scene.initial.hold:
         free = np.array([k for k in free if mechanism.coordinates.names[k] not in (
-            scene.initial.hold)])
+            scene.initial.hold)], dtype=int)
     guess = mechanism.coordinates.moved(
         start, 0.02 * one.extent * rng.uniform(-1.0, 1.0, one.nv))
     found, psi = one.solve_closure(guess, free)
-    monkeypatch.setattr(Equations, 'closed', lambda *_: None)
-    dense, _ = one.solve_closure(guess, free)
-    np.testing.assert_allclose(found, dense, rtol=0.0, atol=1e-9)
     # The joints held may leave no closed position so far from the start.
-    assert held or np.abs(psi).max(initial=0.0) <= TOLERANCE * one.extent
+    closed = np.abs(psi).max(initial=0.0) <= TOLERANCE * one.extent
+    assert held or closed
+    # Where equations repeat others only in closed positions, all have a part on the way there.
+    if closed and rank_of(one.dimensionless(found)) == one.nc:
+        np.testing.assert_allclose(
+            found, nearest_by_pseudo_inverses(one, guess, free), rtol=0.0, atol=1e-9)
 
 
 # Those in space have tests of their own (``test/mechanism/test_shipped_in_space.py``).

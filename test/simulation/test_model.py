@@ -8,6 +8,7 @@ from copy import deepcopy
 from dataclasses import FrozenInstanceError, replace
 import math
 import pickle
+import warnings
 
 import closedloop_dynamics as cld
 from closedloop_dynamics.effects.gravity import Gravity
@@ -172,6 +173,69 @@ def test_a_batch_is_its_states_one_by_one(name):
     same = model.evaluate(batch, torques[0])
     assert np.array_equal(same.acceleration[3], model.evaluate(batch[3], torques[0]).acceleration)
     assert batch[1:3].q.shape == (2, model.coordinates.nq)
+
+
+def told_by(function, *arguments, **options):
+    """Return what a function returns, and its warnings, those that are counted, too."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter('always')
+        found = function(*arguments, **options)
+    words = [str(one.message) for one in told]
+    if words and words[-1].endswith('more notes on these states'):
+        words[-1:] = int(words[-1].split()[1]) * ['and more']
+    return found, words
+
+
+@pytest.mark.parametrize('name', cases.first(4, [
+    'four_bar', 'stewart_platform', 'three_rrr', 'slider_crank_end_stop', 'bennett',
+    'carpet_scraper', 'rope_hoist', 'humanoid_ankle', 'geared_five_bar']))
+@pytest.mark.parametrize('held', [True, False])
+def test_a_batch_is_assembled_as_its_states_one_by_one(name, held):
+    model, rng = cld.Model.from_scene(name), np.random.default_rng(7)
+    start, names = model.assemble(), model.coordinates
+    q = names.moved(np.tile(start.q, (24, 1)), 0.02 * rng.uniform(-1.0, 1.0, (24, names.nv)))
+    qd = np.where(rng.uniform(size=(24, 1)) < 0.5, 0.0, rng.normal(size=(24, names.nv)))
+    hold = model.scene.initial.hold if held else ()
+    each, notes = [], []
+    for k in range(len(q)):
+        state, told = told_by(model.assemble, q[k], qd[k], hold, time=0.1)
+        each.append(state)
+        notes += [f'state {k}: {note}' for note in told]
+    batch, told = told_by(model.assemble, q, qd, hold, time=0.1)
+    one_by_one = cld.State.stack(each)
+    for key in ('time', 'q', 'qd', 'own'):
+        np.testing.assert_allclose(
+            getattr(batch, key), getattr(one_by_one, key), rtol=0.0, atol=1e-12)
+    assert told[:3] == notes[:3] and len(told) == len(notes)
+
+
+def test_notes_of_a_batch_are_those_of_its_states():
+    model, notes = cld.Model.from_scene('four_bar'), []
+    # Degrees; the other branch; far away; nothing.
+    cranks, rockers = (0.3, 90.0, 0.3, 3.0, 1.2), (1.5, 1.5, -1.5, 1.5, 1.5)
+    for k, (crank, rocker) in enumerate(zip(cranks, rockers)):
+        _, told = told_by(model.assemble, {'crank_joint': crank, 'rocker_joint': rocker},
+                          hold=['crank_joint'])
+        notes += [f'state {k}: {note}' for note in told]
+    _, told = told_by(model.assemble, {'crank_joint': cranks, 'rocker_joint': rockers},
+                      hold=['crank_joint'])
+    assert told[:3] == notes[:3] and len(told) == len(notes) > 3
+
+
+def test_states_of_a_batch_that_cannot_be_closed_are_named():
+    model = cld.Model.from_scene('four_bar')
+    with pytest.raises(cld.AssemblyError, match='^state 2: .*cannot be assembled') as error:
+        model.assemble({'rocker_joint': [1.727, 1.75, 0.2, 0.1]}, hold=['rocker_joint'])
+    with pytest.raises(cld.AssemblyError) as single:
+        model.assemble({'rocker_joint': 0.2}, hold=['rocker_joint'])
+    assert str(error.value) == f'state 2: {single.value}'
+    with pytest.raises(ValueError, match='^state 1.position.crank_joint: expected a f'):
+        model.assemble({'crank_joint': [0.3, np.nan]}, hold=['crank_joint'])
+    q = model.assemble({'crank_joint': [0.3, 0.4, 0.5]}, hold=['crank_joint']).q.copy()
+    assert len(model.state(q)) == 3
+    q[1, 2] += 1e-3
+    with pytest.raises(cld.AssemblyError, match='^state 1: .*leaves cut_joints'):
+        model.state(q)
 
 
 def test_what_is_assembled_closes_the_loops_and_keeps_what_is_held():
