@@ -19,8 +19,8 @@ import math
 from typing import Optional
 
 from .effect import Effect
+from .element import ForceElement, OWN, State, WORK
 from .force_law import DRIVE, force_law
-from .table import ForceElement, OWN, State, WORK
 from ..core.codegen.expression_graph import chosen, larger, smaller
 from ..mechanism.checks import freedom, not_negative, positive
 

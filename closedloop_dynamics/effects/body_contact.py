@@ -33,8 +33,8 @@ import numpy as np
 from . import curve
 from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect, require_point
+from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, OUTLINE, ROUND
-from .table import DISSIPATED, ForceElement, State
 from ..core.codegen import function_table as calls
 from ..core.codegen.expression_graph import chosen, square_root
 from ..core.codegen.vectors import add, dot, scale, subtract

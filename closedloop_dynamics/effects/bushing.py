@@ -27,8 +27,8 @@ from typing import Optional, Union
 import numpy as np
 
 from .effect import Effect, require_one_end
+from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
-from .table import DISSIPATED, ForceElement, State
 from ..core.codegen.expression_graph import square_root
 from ..core.codegen.vectors import add, cross, dot, scale, subtract, ZERO
 from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector

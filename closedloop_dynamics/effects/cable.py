@@ -36,8 +36,8 @@ from typing import Optional, Tuple
 import numpy as np
 
 from .effect import Effect, require_point
+from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, force_law
-from .table import DISSIPATED, ForceElement, State
 from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
 from ..core.codegen.vectors import add, cross, dot, IDENTITY, scale, subtract, ZERO
 from ..mechanism.checks import direction, list_of, name, not_negative, number, positive

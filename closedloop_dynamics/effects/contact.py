@@ -25,8 +25,8 @@ from typing import Optional
 
 from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect
+from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY
-from .table import DISSIPATED, ForceElement, State
 from ..core.codegen.vectors import dot, in_space, subtract
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown

@@ -5,8 +5,8 @@
 
 import math
 
+from .element import DISSIPATED, ForceElement, LOAD_TIME, OWN, State
 from .force_law import force_law, FRICTION
-from .table import DISSIPATED, ForceElement, LOAD_TIME, OWN, State
 from ..core.codegen.expression_graph import chosen, exponential
 from ..core.codegen.live_scene import REST
 

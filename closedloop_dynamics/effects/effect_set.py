@@ -11,17 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import law_code, scene_code
+from . import scene_code
+from .effect_table import EffectTable
+from .element import DISSIPATED, FOLLOWED, OWN, states_of, STORED, WORK
 from .force_law import FRICTION, INERTIA, MOTION
 from .sensor import Chain
-from .table import (
-    build_table, DATA, DISSIPATED, fill_row, FOLLOWED, LOADED, OWN, PASSED, PLACES, Row,
-    size_of_data, STATE, states_of, STORED, WORK)
 from .traced_effect import TracedEffect, TracedLaw
 from ..core import codegen
 from ..core.codegen import joint_kernels
 from ..core.codegen.function_table import EVALUATION
-from ..core.types import Arrays, TYPE, VARIES
+from ..core.types import TYPE, VARIES
 from ..engine import native
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -65,11 +64,11 @@ class EffectSet:
     enabled : dict of str to bool
         The effects that are switched on.
     elements : tuple of ForceElement
-        For ``table.build_table``.
+        For ``EffectTable.of``.
     initial : ndarray, shape (nz,)
         The effects' states at the start.
     roles : ndarray of int, shape (nz,)
-        Their roles: ``table.OWN``, ``DISSIPATED`` or ``WORK``.
+        Their roles: ``element.OWN``, ``DISSIPATED`` or ``WORK``.
     own : ndarray of int
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
@@ -85,7 +84,7 @@ class EffectSet:
     follows_time : bool
         Whether any effect has states that ``begin_at_time`` sets.
     cuts : tuple of 2 ndarrays or None
-        Of the cut joints that anything acts in, as for ``table.build_table``.
+        Of the cut joints that anything acts in, as for ``EffectTable.of``.
 
     """
 
@@ -116,7 +115,7 @@ class EffectSet:
         # By which decided directions friction was written last; None where others were, too.
         self._filled_by = None
         if self._table is None:
-            self._table = build_table((), system.tau, 0, 0)
+            self._table = EffectTable.of(system.model, system.model)
         self._fill([row for row, name in enumerate(self._rows) if not self.enabled[name]])
         return self._table
 
@@ -138,14 +137,7 @@ class EffectSet:
             self._filled_by = None
         for row in rows:
             name = self._rows[row]
-            fill_row(table, row, self.records[name].element(self._machine))
-            table.enabled[row] = self.enabled[name]
-            if not self.enabled[name]:
-                table.output[row] = 0.0
-                table.index[row, LOADED] = 0
-                table.loaded[0] = table.index[:, LOADED].sum()
-        if rows:
-            law_code.link(table)
+            table.put(row, self.records[name].element(self._machine), self.enabled[name])
         if rows and self._system.is_unrolled:
             scene_code.update(self._model, table, self._system.table, self._scene)
 
@@ -228,7 +220,7 @@ class EffectSet:
         self._update()
         changed = [row for row, name in enumerate(self._rows) if name in others]
         for row in changed:
-            states, first = elements[row].states, self._table.index[row, STATE]
+            states, first = elements[row].states, self._table.first_state[row]
             self.initial[first:first + len(states)] = [state.initial for state in states]
         self._fill(changed)
         return True
@@ -272,11 +264,11 @@ class EffectSet:
                 raise FieldError('an effect of the kind that it had when the scene was loaded',
                                  'one of another shape or place, which has other code',
                                  'load a scene that has it')
-            if len(element.places) > len(known.places):
+            room, wanted = (len(one.joints) + len(one.bodies) for one in (known, element))
+            if wanted > room:
                 raise FieldError('an effect in no more joints and bodies than when the scene was '
-                                 f'loaded ({len(known.places)})', f'{len(element.places)}',
-                                 'load a scene that has it')
-            room, wanted = map(size_of_data, (known, element))
+                                 f'loaded ({room})', f'{wanted}', 'load a scene that has it')
+            room, wanted = (len(one.numbers) for one in (known, element))
             if wanted > room:
                 raise FieldError('a course or curve of no more pieces than it had when the scene '
                                  'was loaded', f'one that takes {wanted} numbers instead of '
@@ -304,7 +296,7 @@ class EffectSet:
         self._fill([row])
         if was or not self.enabled[name]:
             return np.zeros(0, dtype=int)
-        first = self._table.index[row, STATE]
+        first = self._table.first_state[row]
         return np.intersect1d(np.arange(first, first + len(self.elements[row].states)), self.own)
 
     def trial(self):
@@ -315,15 +307,13 @@ class EffectSet:
         of a course was found last, too.
         """
         attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}
-        model, system = self._model, self._system
-        arrays = [(array, array.copy()) for array in _arrays((
-            model.tree, model.body, model.gravity, model.cut_point, model.kernel, model.cut_kernel,
-            self._table, system.table, system.work.health))]
+        numbers, table = native.snapshot(self._system), self._table
+        elements = list(table.elements)
 
         def undo():
             vars(self).update(attributes)
-            for array, values in arrays:
-                array[:] = values
+            native.restore(numbers)
+            table.elements[:] = elements
 
         return undo
 
@@ -340,9 +330,7 @@ class EffectSet:
         cuts, nv = self._table.cuts, len(qd)
         native.outward(self._system.model, q, qd, self._system.work)
         cuts.qd[:nv] = qd
-        native.measure_cut_coordinates(
-            cuts.index, cuts.values, self._system.work.body, self._table.states, nv, cuts.q,
-            cuts.qd)
+        native.measure_cut_coordinates(self._table, self._system.work.body, cuts.q, cuts.qd)
         return cuts.qd.copy()
 
     def restart_angles(self, states):
@@ -363,12 +351,12 @@ class EffectSet:
         """Initialise the own states from joint rates, as ``rates``; in place."""
         for row, name in enumerate(self._rows):
             if self.enabled[name] and self.records[name].ENDS_STEPS and self.elements[row].sticks:
-                states[self._table.index[row, STATE]] = self.records[name].direction(
+                states[self._table.first_state[row]] = self.records[name].direction(
                     self._along(row, qd))
 
     def _along(self, row, joints):
         """Return the sum along which an effect in joints acts, from values of all joints."""
-        found = Row(self._table, row)
+        found = self._table.row(row)
         along = joints[found.joints]
         return found.arms @ along if found.summed else along[0]
 
@@ -376,7 +364,7 @@ class EffectSet:
         """Initialise the own states of time-dependent effects at a time [s], in place."""
         if self._clocks[0] != time:
             # Python's own integers: numpy's take twice as long as places.
-            clocks = {int(self._table.index[row, STATE]): self.records[self._rows[row]].clock(time)
+            clocks = {int(self._table.first_state[row]): self.records[self._rows[row]].clock(time)
                       for row in self._timed}
             self._clocks = time, [
                 (first + k, value) for first, clock in clocks.items()
@@ -431,7 +419,7 @@ class EffectSet:
         """Refuse laws of users that have no finite value in the state that was evaluated."""
         for name in self.traced:
             row = self._rows.index(name)
-            first = self._table.index[row, STATE]
+            first = self._table.first_state[row]
             with at('effects', name):
                 self.records[name].require_finite(
                     self._table.output[row],
@@ -446,7 +434,7 @@ class EffectSet:
         found = {}
         for row, (name, element) in enumerate(zip(self._rows, self.elements)):
             if self.enabled[name] and len(element.data):
-                first = self._table.index[row, DATA]
+                first = self._table.first_number[row]
                 found.update({(name, point): first + place for point, place in
                               self.records[name].winding_places(len(element.data[0])).items()})
         return found
@@ -462,11 +450,11 @@ class EffectSet:
         rows = np.array([row for row, name in enumerate(self._rows)
                          if self.enabled[name] and self.records[name].drive() is not None],
                         dtype=int)
-        return rows, self._table.places[self._table.index[rows, PLACES]]
+        return rows, self._table.places[self._table.first_place[rows]]
 
     def _flows(self, row, states):
         """Return the energy dissipated, or work done, by a row's effect, and the present power."""
-        first = self._table.index[row, STATE]
+        first = self._table.first_state[row]
         flows = {}
         for place in range(first, first + len(self.elements[row].states)):
             if self.roles[place] == DISSIPATED:
@@ -484,7 +472,7 @@ class EffectSet:
     @property
     def passed(self):
         """Return the name of a contact that a step of fixed size has passed undetected."""
-        return self._rows[int(self._table.contacts.search[PASSED])]
+        return self._rows[int(self._table.contacts.passed[0])]
 
     def steady(self, q, qd):
         """Set the table's states to those of a steady motion, and switch the drives off."""
@@ -498,17 +486,6 @@ class EffectSet:
             self._table.enabled[row] = self.enabled[name]
 
 
-def _arrays(given):
-    """Return all arrays that may be written, and lists, of nested tuples and records."""
-    if isinstance(given, np.ndarray):
-        return [given] if given.flags.writeable else []
-    if isinstance(given, list):
-        return [given]
-    parts = vars(given).values() if isinstance(given, Arrays) else given
-    return [array for each in parts if isinstance(each, (tuple, np.ndarray, list, Arrays))
-            for array in _arrays(each)]
-
-
 def _has_code(known, element):
     """Return whether the law of an effect has code: that of a user is traced and compiled anew."""
     law = element.law
@@ -519,5 +496,5 @@ def _has_code(known, element):
 def _room_of(element):
     """Return the data of an effect that decides the sizes of a system's tables."""
     return (element.law.name, element.law.parts(element), len(element.joints),
-            len(element.bodies), size_of_data(element), len(element.states), element.law.role,
+            len(element.bodies), len(element.numbers), len(element.states), element.law.role,
             bool(element.gap), [state.role for state in element.states])

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Union
 
 from .effect import BODY, Effect, WORLD
+from .element import ForceElement, State, WORK
 from .force_law import force_law
 from .points import of_body_or_world
-from .table import ForceElement, State, WORK
 from ..core.codegen.vectors import add, dot, ZERO
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at

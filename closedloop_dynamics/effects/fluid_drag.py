@@ -18,8 +18,8 @@ from typing import Union
 import numpy as np
 
 from .effect import Effect
+from .element import DISSIPATED, ForceElement, State, WORK
 from .force_law import force_law
-from .table import DISSIPATED, ForceElement, State, WORK
 from ..core.codegen.expression_graph import square_root
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 from ..mechanism.checks import (

@@ -19,9 +19,9 @@ from typing import Optional, Tuple
 import numpy as np
 
 from .effect import Effect
+from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
 from .points import pull_together, two_places
-from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector

@@ -13,8 +13,8 @@ grows with the rate and vanishes at rest.
 from dataclasses import dataclass
 
 from .effect import Effect
+from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
-from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import freedom, not_negative
 
 

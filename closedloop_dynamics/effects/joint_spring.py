@@ -19,8 +19,8 @@ a large k) a joint that is meant to stand still.
 from dataclasses import dataclass
 
 from .effect import Effect
+from .element import ForceElement
 from .force_law import force_law
-from .table import ForceElement
 from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
 from ..core.codegen.vectors import dot, scale, subtract, ZERO
 from ..mechanism.checks import freedom, not_negative, number

@@ -9,8 +9,8 @@ whatever terms they have: a change of these compiles nothing.
 """
 
 from .force_law import COURSE, INERTIA, MOTION
-from .table import Row, VALUE_COLUMNS
 from ..core.codegen import plane, space
+from ..core.codegen.function_table import VALUE_COLUMNS
 from ..core.codegen.law_routine import addresses_of_laws, RowTrace
 from ..engine import native
 
@@ -18,24 +18,22 @@ from ..engine import native
 _known = set()
 
 
-def link(table):
-    """Give a table the addresses of the routines of its laws; those missing are compiled."""
-    rows = {number: Row(table, number) for number, law in enumerate(table.laws)
-            if law.role != INERTIA}
-    keys = {number: _key(row, table) for number, row in rows.items()}
+def routines_of(rows, spatial):
+    """Return the addresses of the routines of laws, 0 where the engine has it; see ``Row``."""
+    keys = [None if row.law.role == INERTIA else _key(row, spatial) for row in rows]
     found = addresses_of_laws({
-        keys[number]: (lambda row=row: _trace(row, table)) for number, row in rows.items()})
-    for number, row in rows.items():
-        table.routine[number] = address = found[keys[number]]
-        if address not in _known:
-            native.keep_law(address, *_needs(row, table))
-            _known.add(address)
+        key: (lambda row=row: _trace(row, spatial)) for key, row in zip(keys, rows) if key})
+    for key, row in zip(keys, rows):
+        if key and found[key] not in _known:
+            native.keep_law(found[key], *_needs(row, spatial))
+            _known.add(found[key])
+    return [found[key] if key else 0 for key in keys]
 
 
-def _key(row, table):
+def _key(row, spatial):
     """Return what the routine of a row's law depends on."""
-    return (row.law.name, _coordinates(row), len(row.bodies),
-            bool(row.bodies) and _is_spatial(table), *row.law.parts(row))
+    return (row.law.name, _coordinates(row), len(row.bodies), bool(row.bodies) and spatial,
+            *row.law.parts(row))
 
 
 def _coordinates(row):
@@ -43,19 +41,14 @@ def _coordinates(row):
     return min(1, row.summed) or len(row.joints)
 
 
-def _is_spatial(table):
-    return table.reaction.shape[1] == 12
-
-
-def _needs(row, table):
+def _needs(row, spatial):
     """Return what a row that has the routine must have: ``engine/laws.hpp``."""
     law = row.law
     read_one_by_one = 0 if law.listed or law.role in (COURSE, MOTION) else len(row.data)
-    return (_coordinates(row), len(row.bodies), row.states, read_one_by_one, law.listed,
-            _is_spatial(table))
+    return (_coordinates(row), len(row.bodies), row.states, read_one_by_one, law.listed, spatial)
 
 
-def _trace(row, table):
+def _trace(row, spatial):
     """Return the trace of a law for any row of its kind."""
-    return RowTrace(space if row.bodies and _is_spatial(table) else plane, VALUE_COLUMNS,
+    return RowTrace(space if row.bodies and spatial else plane, VALUE_COLUMNS,
                     _coordinates(row), row)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Optional
 
 from .effect import Effect, require_one_end
+from .element import ForceElement
 from .force_law import force_law
 from .points import pull_together, two_places
-from .table import ForceElement
 from ..core.codegen.expression_graph import square_root
 from ..mechanism.checks import name, number, positive, vector
 from ..mechanism.mechanism import Vector

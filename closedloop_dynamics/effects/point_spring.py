@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Optional
 
 from .effect import Effect, require_one_end
+from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
 from .points import pull_together, two_places
-from .table import DISSIPATED, ForceElement, State
 from ..mechanism.checks import name, not_negative, vector
 from ..mechanism.mechanism import Vector
 

@@ -18,9 +18,9 @@ from typing import Optional, Tuple
 
 from . import course, expression
 from .effect import BODY, Effect, WORLD
+from .element import ForceElement, OWN, State, WORK
 from .force_law import COURSE, force_law
 from .points import of_body_or_world
-from .table import ForceElement, OWN, State, WORK
 from ..core.codegen.vectors import dot, scale
 from ..mechanism.checks import (
     freedom, list_of, name, not_negative, number, one_of, positive, text, vector)

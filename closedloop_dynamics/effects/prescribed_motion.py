@@ -22,8 +22,8 @@ import numpy as np
 
 from . import course, expression
 from .effect import Effect
+from .element import ForceElement, OWN, State, WORK
 from .force_law import force_law, MOTION
-from .table import ForceElement, OWN, State, WORK
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown

@@ -32,8 +32,8 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
+from .element import ForceElement
 from .reflected_inertia import reflected_inertia
-from .table import ForceElement
 from ..core.codegen import space
 from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, freedom, not_negative, number

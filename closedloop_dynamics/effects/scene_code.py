@@ -13,11 +13,10 @@ joints under dry friction are at rest, or friction feels the reaction in its joi
 from functools import partial
 from types import SimpleNamespace
 
+from .element import (
+    ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, RATE_ONLY, ROW_A, ROW_B, SCALE, SIDE_A,
+    SIDE_B, SLIDES, ZERO)
 from .force_law import FRICTION, INERTIA, MOTION
-from .table import (
-    ACROSS_B, AXIS, CUT_VALUE_COLUMNS, FOLLOWED, IN_PLANE, NODE_COLUMNS, POINT_A, POINT_B,
-    PRESENT_COLUMNS, RATE_ONLY, Row, ROW_A, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, TRIAL_COLUMNS,
-    VALUE_COLUMNS, ZERO)
 from ..core.codegen import function_table as calls
 from ..core.codegen.live_scene import address_of_scene, LiveForces
 from ..core.codegen.machine_code import LANES, SCALAR
@@ -39,7 +38,7 @@ def structure(model, table):
     None where an effect has no code.
     """
     balls = set(model.tree[model.tree[:, TYPE] == BALL, DOF].tolist())
-    rows = [Row(table, number) for number in range(len(table.laws))]
+    rows = table.rows
     if any(row.law.role == INERTIA or not row.law.in_balls and balls & set(row.joints)
            for row in rows):
         return None
@@ -152,11 +151,13 @@ class LiveLaws:
     """
 
     def __init__(self, table, at_rest=calls.EVALUATION):
-        self._rows = [Row(table, number) for number in range(len(table.laws))]
+        self._rows = table.rows
         self.states, self.at_rest = len(table.states), at_rest
-        self.columns = {calls.VALUES: VALUE_COLUMNS, calls.PRESENT: PRESENT_COLUMNS,
-                        calls.GAPS: NODE_COLUMNS, calls.TRIALS: TRIAL_COLUMNS, calls.SIDES: 1,
-                        calls.CUT_VALUES: CUT_VALUE_COLUMNS}
+        self.columns = {place: array.shape[1] for place, array in (
+            (calls.VALUES, table.values), (calls.PRESENT, table.code.present),
+            (calls.GAPS, table.contacts.now), (calls.TRIALS, table.contacts.trial),
+            (calls.CUT_VALUES, table.cuts.values))}
+        self.columns[calls.SIDES] = 1
         self.cuts = [SimpleNamespace(
             slides=bool(row[SLIDES]), in_plane=bool(row[IN_PLANE]), row_a=int(row[ROW_A]),
             row_b=int(row[ROW_B]), followed=int(row[FOLLOWED]), rate_only=bool(row[RATE_ONLY]),

@@ -18,8 +18,8 @@ from numbers import Real
 from typing import Tuple, Union
 
 from .along_joints import AlongJoints
+from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
-from .table import DISSIPATED, ForceElement, State
 from ..core.codegen.expression_graph import larger, smaller
 from ..mechanism.checks import list_of, number
 from ..mechanism.fields import FieldError, shown

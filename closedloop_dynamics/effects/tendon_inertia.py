@@ -15,8 +15,8 @@ joints (as in a differential drive).
 from dataclasses import dataclass
 
 from .along_joints import AlongJoints
+from .element import ForceElement
 from .reflected_inertia import reflected_inertia
-from .table import ForceElement
 from ..mechanism.checks import not_negative
 
 

@@ -14,13 +14,14 @@ from functools import cached_property, partial
 import math
 
 from .effect import Effect, require_point
+from .element import DISSIPATED, ForceElement, OWN, State, WORK
 from .force_law import EVENT, ForceLaw, NO_GAP
 from .points import line_between, push_apart
-from .table import DISSIPATED, ForceElement, OWN, State, VALUE_COLUMNS, WORK
 from .user_code import defined, definition
 from ..core.codegen.differentiation import differentiated
 from ..core.codegen.expression_graph import (
     chosen, ExpressionGraph, LOAD, needed_for, replayed, Symbol)
+from ..core.codegen.function_table import VALUE_COLUMNS
 from ..core.codegen.vectors import dot
 from ..mechanism.checks import name as name_check
 from ..mechanism.checks import one_of, vector2, vector3

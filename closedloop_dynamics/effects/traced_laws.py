@@ -9,10 +9,9 @@ over time, at an instant. The numbers of a row are loads; those of its entries a
 code.
 """
 
-import numpy as np
 
 from .registry import effect_type
-from .table import Row, VALUE_COLUMNS
+from ..core.codegen.function_table import VALUE_COLUMNS
 
 
 def refused(effects, instant=False, along=False):
@@ -37,9 +36,8 @@ def act(table, forces):
     """
     if table is None:
         return
-    for number in np.flatnonzero(table.enabled).tolist():
-        row = Row(table, number)
-        forces.turn_to(row, _held(forces, table, number) if row.law.follows_time else None)
+    for row in table.enabled_rows:
+        forces.turn_to(row, _held(forces, table, row.number) if row.law.follows_time else None)
         row.law.act(forces)
 
 

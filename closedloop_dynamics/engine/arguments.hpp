@@ -164,6 +164,8 @@ inline void read(PyObject * from, bool & to, Place)
 
 /// The last value of each enumeration that Python hands over.
 constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
+constexpr Index last_of(effect::Role) {return effect::INERTIA;}
+constexpr Index last_of(effect::Gap) {return effect::EVENT;}
 constexpr Index last_of(Status) {return static_cast<Index>(Status::DOUBTFUL);}
 constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
 
@@ -192,8 +194,6 @@ inline void read(PyObject * from, std::string_view & to, Place)
   // The caller holds a reference to the text.
   to = {text, static_cast<std::size_t>(length)};
 }
-
-inline void read(PyObject *, Unread &, Place) {}
 
 /// Read a tuple of records.
 template<class Record>
@@ -225,6 +225,8 @@ template<class Object>
 inline constexpr const char * capsule_name = nullptr;
 template<>
 inline constexpr const char * capsule_name<Run> = "closedloop_dynamics.engine.Run";
+template<>
+inline constexpr const char * capsule_name<Snapshot> = "closedloop_dynamics.engine.Snapshot";
 
 template<class Object>
 void * pointer_in(PyObject * from)
@@ -302,22 +304,24 @@ struct Holder<Type, std::enable_if_t<(handle_name<Type> != nullptr)>>
   std::shared_ptr<Type> value;
   void take(PyObject * from, Place place)
   {
-    if constexpr (std::is_same_v<Type, Manifold>) {
-      value = std::make_shared<Manifold>();
-      read(from, *value, place);
-    } else {
-      value = read_handle<Type>(from, place);
+    // There may be none of these.
+    if constexpr (std::is_same_v<Type, Manifold> || std::is_same_v<Type, EffectTable>) {
+      if (from == &_Py_NoneStruct) {
+        value = std::make_shared<Type>();
+        return;
+      }
     }
+    value = read_handle<Type>(from, place);
   }
   Type & get() {return *value;}
 };
 
-template<>
-struct Holder<Run>
+template<class Type>
+struct Holder<Type, std::enable_if_t<(capsule_name<Type> != nullptr)>>
 {
-  Run * value = nullptr;
-  void take(PyObject * from, Place) {value = static_cast<Run *>(pointer_in<Run>(from));}
-  Run & get() {return *value;}
+  Type * value = nullptr;
+  void take(PyObject * from, Place) {value = static_cast<Type *>(pointer_in<Type>(from));}
+  Type & get() {return *value;}
 };
 
 /// Refuse to compute with what another thread computes with, or mark it as computed with.

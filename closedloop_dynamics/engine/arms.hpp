@@ -15,7 +15,7 @@ namespace closedloop
 /// Whether an effect has moment arms.
 inline bool has_arms(const EffectTable & table, Index row)
 {
-  return table.index(row, effect::SUMMED) == 1;
+  return table.summed[row] == 1;
 }
 
 /// The first joint of an effect.
@@ -28,9 +28,9 @@ inline double along(const EffectTable & table, Index row, Values joints)
     return joints[joint_of(table, row)];
   }
   const Index * places = table.places_of(row);
-  const double * arms = table.data.data + table.index(row, effect::DATA);
+  const double * arms = table.data.data + table.first_number[row];
   double sum = 0.0;
-  for (Index k = 0; k < table.index(row, effect::JOINTS); ++k) {
+  for (Index k = 0; k < table.joints[row]; ++k) {
     sum += arms[k] * joints[places[k]];
   }
   return sum;
@@ -44,8 +44,8 @@ inline void exert_along(const EffectTable & table, Index row, double force)
     return;
   }
   const Index * places = table.places_of(row);
-  const double * arms = table.data.data + table.index(row, effect::DATA);
-  for (Index k = 0; k < table.index(row, effect::JOINTS); ++k) {
+  const double * arms = table.data.data + table.first_number[row];
+  for (Index k = 0; k < table.joints[row]; ++k) {
     table.applied[places[k]] += arms[k] * force;
   }
 }

@@ -128,6 +128,11 @@ public:
   {
     return Array(from.rows, from.columns).filled(from.data);
   }
+  template<class Source>
+  static Array copy_of(const Cube<Source> & from)
+  {
+    return Array(from.pages, from.rows, from.columns).filled(from.data);
+  }
   const std::shared_ptr<Number[]> & memory() const {return memory_;}
   void own(std::shared_ptr<Number[]> memory)
   {

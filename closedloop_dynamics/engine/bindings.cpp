@@ -35,7 +35,6 @@
 #include "sticking.hpp"
 #include "stiffness.hpp"
 #include "stop_flag.hpp"
-#include "validation.hpp"
 
 namespace closedloop
 {
@@ -252,13 +251,13 @@ Manifold make_manifold(const Model & model) {return Manifold(model);}
 Workspace make_workspace(const Model & model) {return Workspace(model);}
 
 Data make_system(
-  const Model & model, const Model & all, const Kept<EffectTable> & effects, Indices row,
+  const Model & model, const Model & all, const EffectTable & effects, Indices row,
   Indexes body, Table point, double baumgarte, double size, double opening, bool independent,
   Indices code)
 {
   Data made(
     model, all, Settings(baumgarte, size, opening),
-    JointPlaces(model, row, body, point), effects.record, effects.owner, code);
+    JointPlaces(model, row, body, point), effects, code);
   made.use_independent(independent);
   made.interrupted = is_interrupted;
   return made;
@@ -276,10 +275,28 @@ Data with_independent(const Data & like, bool used)
   return made;
 }
 
-Data copy_system(const Data & from, const Kept<EffectTable> & effects)
+Data copy_system(const Data & from) {return from.copy();}
+
+EffectTable make_effects(
+  const Model & model, const Model & all, const std::vector<EffectElement> & elements,
+  Indexes cut_index, Table cut_values)
 {
-  return from.copy(effects.record, effects.owner);
+  return EffectTable(model, all, elements, cut_index, cut_values);
 }
+
+void put_effect(EffectTable & effects, Index row, const EffectElement & element)
+{
+  effects.put(row, element);
+}
+
+EffectTable effects_of(const Data & data) {return EffectTable(data.effects);}
+
+std::unique_ptr<Snapshot> take_snapshot(const Data & data)
+{
+  return std::make_unique<Snapshot>(data);
+}
+
+void restore_snapshot(const Snapshot & snapshot) {snapshot.restore();}
 
 void take_numbers(Data & data, const Data & from) {data.take(from);}
 
@@ -309,7 +326,16 @@ const Entry entries[] = {
     "with_equations", "with_equations(system, model, all, code): of the same state and effects"),
   entry<with_independent>(
     "with_independent", "with_independent(system, used): of the same memory otherwise"),
-  entry<copy_system>("copy_system", "copy_system(system, effects): with memory of its own"),
+  entry<make_effects>(
+    "effects",
+    "effects(model, all, elements, cut_index, cut_values): a handle of what effects say"),
+  entry<put_effect>(
+    "put_effect", "put_effect(effects, row, element): what the effect of a row says now"),
+  entry<effects_of>("effects_of", "effects_of(system): a handle of its own effects"),
+  entry<take_snapshot>(
+    "snapshot", "snapshot(system): of all numbers that computations write, of effects, too"),
+  entry<restore_snapshot>("restore", "restore(snapshot): put them back"),
+  entry<copy_system>("copy_system", "copy_system(system): with memory of its own"),
   entry<take_numbers>("take_numbers", "take_numbers(system, other): those that it is a copy of"),
   entry<use_derivatives>("use_derivatives", "use_derivatives(system, derivatives): for stiff steps"),
   entry<forget>("forget", "forget(system): the motion so far"),
@@ -398,12 +424,12 @@ const Entry entries[] = {
   entry<load_joints>("load_joints", "load_joints(system, model, work, qd, qdd, lam)"),
   entry<measure_cut_coordinates>(
     "measure_cut_coordinates",
-    "measure_cut_coordinates(index, values, body, states, first, position, velocity)"),
+    "measure_cut_coordinates(effects, body, position, velocity): the last places of these"),
   entry<accelerations>(
-    "cut_accelerations", "cut_accelerations(cuts, model, work, qdd, whole, out)"),
+    "cut_accelerations", "cut_accelerations(effects, model, work, qdd, whole, out)"),
   entry<cut_direction>(
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
-  entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
+  entry<minimise_in_box>("minimise_in_box", "minimise_in_box(effects, count, out)"),
   entry<require_free>(
     "require_free", "require_free(system): refuses what another thread computes with"),
   entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),

@@ -7,7 +7,7 @@
 #include "array.hpp"
 
 // Columns of the arrays. The names and meanings are those of core/types.py, core/codegen/space.py,
-// core/codegen/function_table.py and effects/table.py; a test compares them.
+// core/codegen/function_table.py; a test compares them.
 
 namespace closedloop
 {

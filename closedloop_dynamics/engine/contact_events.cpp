@@ -162,9 +162,9 @@ bool is_judged(const EffectTable & effects, Index row)
 /// integration: no law does that, except laws that account for it otherwise.
 bool has_gained(const EffectTable & effects, Index row)
 {
-  const double lost = effects.states[effects.index(row, effect::STATE)];
+  const double lost = effects.states[effects.first_state[row]];
   const double before = effects.contacts.trial(row, contact::LOST);
-  return effects.index(row, effect::GAP_OF) != effect::EVENT &&
+  return effects.gap[row] != effect::EVENT &&
          lost < before - FALLS * (std::abs(before) + effects.output(row, effect::STORED)) - CLOSED;
 }
 
@@ -365,7 +365,7 @@ ChordDistance nearest_to_body(
   const EffectTable & effects, Index row, const double * left, const double * right)
 {
   const double radius = effects.values(row, RADIUS);
-  if (effects.index(row, effect::GAP_OF) == effect::OUTLINE) {
+  if (effects.gap[row] == effect::OUTLINE) {
     const ChordDistance found = nearest_to_chord(
       pieces_of_curve(effects, row), vector2(left + PLACE), vector2(right + PLACE));
     return {found.distance - radius, found.along};
@@ -543,7 +543,7 @@ void update_gaps(const System & system, Values state)
 
 bool is_finite(const EffectTable & effects, Index row)
 {
-  const Index gap = effects.index(row, effect::GAP_OF);
+  const Index gap = effects.gap[row];
   return gap == effect::ROUND || gap == effect::OUTLINE;
 }
 
@@ -573,7 +573,7 @@ bool freeze_modes(const System & system)
       contacts.mode[row] = touches ? contact::TOUCHING : contact::FREE;
       store_start(contacts, row);
       contacts.trial(row, contact::CHANGED) = 0.0;
-      contacts.trial(row, contact::LOST) = effects.states[effects.index(row, effect::STATE)];
+      contacts.trial(row, contact::LOST) = effects.states[effects.first_state[row]];
     }
   }
   forget(contacts);
@@ -649,7 +649,7 @@ double ContactGuard::examine_end(Values out, double size, bool & passed) const
       contacts.mode[row] = contact::FREE;
       doubtful = true;
     } else if (penetrates(contacts, row, size)) {
-      contacts.search[contact::PASSED] = static_cast<double>(row);
+      contacts.passed[0] = row;
       passed = true;
       return -1.0;
     }
@@ -667,7 +667,7 @@ double ContactGuard::examine_inside(Values state, double size, double share, boo
   update_gaps(system_, state);
   const Trial found = push(system_.effects, size, share);
   if (found.part != size) {
-    system_.effects.contacts.search[contact::PASSED] = static_cast<double>(found.sought);
+    system_.effects.contacts.passed[0] = found.sought;
     passed = true;
     return -1.0;
   }
@@ -687,7 +687,7 @@ double ContactGuard::next_share(double size, bool & passed) const
       if (is_judged(effects, row) &&
         nearest_to_body(effects, row, left.row(row), right.row(row)).distance < -CLOSED)
       {
-        contacts.search[contact::PASSED] = static_cast<double>(row);
+        contacts.passed[0] = row;
         passed = true;
         return -1.0;
       }

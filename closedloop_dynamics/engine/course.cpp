@@ -75,7 +75,7 @@ Index piece_number(double state)
 
 PresentPiece present_piece(const EffectTable & table, Index row, double period)
 {
-  const Index state = table.index(row, effect::STATE), count = table.index(row, effect::ENTRIES);
+  const Index state = table.first_state[row], count = table.entries[row];
   Index number = piece_number(table.states[state + 1]), cycle = 0;
   if (period > 0.0) {
     cycle = floor_divide(number, count);
@@ -83,20 +83,20 @@ PresentPiece present_piece(const EffectTable & table, Index row, double period)
     // A state that has diverged must not read beyond the pieces.
     number = std::max<Index>(0, std::min(number, count - 1));
   }
-  const Index at = table.index(row, effect::DATA) + course::COLUMNS * (number - cycle * count);
+  const Index at = table.first_number[row] + course::COLUMNS * (number - cycle * count);
   return {table.data.data + at, period > 0.0 ? cycle * period : 0.0};
 }
 
 double end_of_piece(const EffectTable & table, Index row, double period, Index piece)
 {
-  const Index count = table.index(row, effect::ENTRIES), following = piece + 1;
+  const Index count = table.entries[row], following = piece + 1;
   Index cycle = 0;
   if (period > 0.0) {
     cycle = floor_divide(following, count);
   } else if (following >= count) {
     return std::numeric_limits<double>::infinity();
   }
-  const Index at = table.index(row, effect::DATA) + course::COLUMNS * (following - cycle * count);
+  const Index at = table.first_number[row] + course::COLUMNS * (following - cycle * count);
   return table.data[at] + cycle * period;
 }
 

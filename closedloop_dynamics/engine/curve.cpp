@@ -238,7 +238,7 @@ inline Vector2 unit(Vector2 a)
 Values pieces_of_curve(const EffectTable & table, Index row)
 {
   return table.data.part(
-    table.index(row, effect::DATA), curve::COLUMNS * table.index(row, effect::ENTRIES));
+    table.first_number[row], curve::COLUMNS * table.entries[row]);
 }
 
 namespace

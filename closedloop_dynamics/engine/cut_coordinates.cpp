@@ -110,9 +110,12 @@ Vector3 cut_direction(
 }
 
 void measure_cut_coordinates(
-  Indexes index, Table values, Table body, Values states, Index first, Values position,
-  Values velocity)
+  const EffectTable & effects, Table body, Values position, Values velocity)
 {
+  const Indexes & index = effects.cuts.index;
+  const Table & values = effects.cuts.values;
+  const Values & states = effects.states;
+  const Index first = position.size - index.rows;
   for (Index k = 0; k < index.rows; ++k) {
     const bool planar = index(k, cut_coordinate::IN_PLANE) == 1;
     const bool slides = index(k, cut_coordinate::SLIDES) == 1;
@@ -178,9 +181,10 @@ void apply_cut_efforts(
 }
 
 void accelerations(
-  const CutCoordinates & cuts, const Model & model, const Workspace & work, Values qdd,
+  const EffectTable & effects, const Model & model, const Workspace & work, Values qdd,
   bool whole, Values out)
 {
+  const CutCoordinates & cuts = effects.cuts;
   const Indexes & index = cuts.index;
   const Table & values = cuts.values, & body = work.body, & scratch = cuts.scratch;
   scratch.fill(0.0);

@@ -20,12 +20,10 @@ namespace closedloop
 Vector3 cut_direction(
   Table body, Index row, bool planar, Table values, Index k, Index first);
 
-/// Coordinates [rad, m] and their rates, written from place `first` on. `states`, shape (nz,), are
-/// the effects' own, among them integrated angles and rates. Angles in space are within half a turn
-/// of the integrated one, or of zero; integrals of rates without a state are zero.
-void measure_cut_coordinates(
-  Indexes index, Table values, Table body, Values states, Index first, Values position,
-  Values velocity);
+/// Coordinates [rad, m] and their rates, written to the last nk places. Angles in space are within
+/// half a turn of the integrated one among the states of the effects, or of zero; integrals of rates
+/// without a state are zero.
+void measure_cut_coordinates(const EffectTable &, Table body, Values position, Values velocity);
 
 /// Apply efforts along the coordinates [N m; N], from place `first` on: bias forces are reduced.
 void apply_cut_efforts(
@@ -35,7 +33,7 @@ void apply_cut_efforts(
 /// written to the last nk of `out`. `whole`: with the velocity-product terms; without, this is J
 /// qdd, J being the derivatives of the coordinates by those of the tree.
 void accelerations(
-  const CutCoordinates &, const Model &, const Workspace &, Values qdd, bool whole, Values out);
+  const EffectTable &, const Model &, const Workspace &, Values qdd, bool whole, Values out);
 
 }  // namespace closedloop
 

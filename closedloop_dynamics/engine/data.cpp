@@ -11,7 +11,6 @@
 
 #include "batch.hpp"
 #include "bounds.hpp"
-#include "validation.hpp"
 
 namespace closedloop
 {
@@ -42,13 +41,11 @@ class Numbers
 {
 public:
   template<class ... Field>
-  void operator()(Field & ... field) {(add(field), ...);}
+  void operator()(const char *, Field & ... field) {(add(field), ...);}
 
   std::vector<Values> found;
 
 private:
-  void add(const char *) {}
-  void add(Unread) {}
   void add(const std::shared_ptr<Settings> &) {}
   template<class View>
   auto add(View & view)->decltype(view.all(), void())
@@ -57,8 +54,6 @@ private:
   }
   template<class Record>
   auto add(Record & record)->decltype(record.arrays(*this)) {record.arrays(*this);}
-  template<class Record>
-  auto add(Record & record)->decltype(record.fields(*this)) {record.fields(*this);}
 };
 }  // namespace
 
@@ -94,11 +89,10 @@ JointPlaces::JointPlaces(const Model & model, Indices row, Indexes body, Table p
 
 Data::Data(
   const Model & model, const Model & all, const Settings & settings, const JointPlaces & joints,
-  const EffectTable & effects, std::shared_ptr<void> owner_of_effects, Indices code)
+  const EffectTable & effects, Indices code)
 : model(model), work(model), settings(std::make_shared<Settings>(settings)),
   tau(model.joints() + effects.cuts.index.rows), qdd(model.joints()), lam(model.equations()),
-  effects(effects), manifold(model), joints(joints), passage(1 + model.coordinates()),
-  owner_of_effects(std::move(owner_of_effects))
+  effects(effects), manifold(model), joints(joints), passage(1 + model.coordinates())
 {
   require(model.is_connected(), "model: expected addresses of code for its joints");
   if (all.cut.data != model.cut.data) {
@@ -125,13 +119,11 @@ Data::Data(const Data & like, const Model & model, const Model & all, Indices co
   link(code);
 }
 
-Data Data::copy(const EffectTable & given, std::shared_ptr<void> owner) const
+Data Data::copy() const
 {
   Data made(*this);
   Copies separate;
   made.arrays(separate);
-  made.effects = given;
-  made.owner_of_effects = std::move(owner);
   made.derivatives = {};
   made.owner_of_derivatives = nullptr;
   made.worker = std::make_shared<std::thread::id>();
@@ -147,9 +139,7 @@ void Data::take(const Data & from)
     table.begin() + routine::BODY, table.begin() + routine::TABLE_COLUMNS);
   Data other(from);
   arrays(own);
-  effects.fields(own);
   other.arrays(others);
-  other.effects.fields(others);
   require(
     std::equal(
       own.found.begin(), own.found.end(), others.found.begin(), others.found.end(),
@@ -163,11 +153,10 @@ void Data::take(const Data & from)
 }
 
 Snapshot::Snapshot(const Data & data)
+: data_(data)
 {
-  Data same(data);
   Numbers numbers;
-  same.arrays(numbers);
-  same.effects.fields(numbers);
+  data_.arrays(numbers);
   places_ = std::move(numbers.found);
   std::size_t size = 0;
   for (Values place : places_) {
@@ -232,11 +221,9 @@ void Data::link(Indices code)
 
 void Data::connect()
 {
-  if (has_effects()) {
-    if (const char * found = misfit(effects, *this)) {
-      throw std::invalid_argument(found);
-    }
-  }
+  require(
+    !has_effects() || effects.fits(model, whole.empty() ? model : whole.model),
+    "effects: expected a table for this mechanism");
   applied = has_effects() ? effects.applied.part(0, nv()) : tau.part(0, nv());
   const struct {Index place; const double * array;} arrays[] = {
     {routine::BODY, model.body.data}, {routine::GRAVITY, model.gravity.data},

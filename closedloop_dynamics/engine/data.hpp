@@ -137,8 +137,7 @@ struct Data
   /// Of evaluations from places around a singular position: the largest closure error of a state
   /// between these [m], and its coordinates, shape (1 + nq,); 0: none since the last reset.
   Array<Values> passage;
-  /// What owns the arrays of the effects, and of the derivatives.
-  std::shared_ptr<void> owner_of_effects;
+  /// What owns the arrays of the derivatives.
   std::shared_ptr<void> owner_of_derivatives;
   /// Returns whether a long computation is to stop; nullptr: never. Set by the host.
   bool (* interrupted)() = nullptr;
@@ -149,13 +148,13 @@ struct Data
   /// addresses of routines, by place in the function table; of no length where there are none.
   Data(
     const Model & model, const Model & all, const Settings &, const JointPlaces &,
-    const EffectTable &, std::shared_ptr<void> owner_of_effects, Indices code);
+    const EffectTable &, Indices code);
   /// On other equations of the same mechanism, with their code.
   Data(const Data & like, const Model & model, const Model & all, Indices code);
 
-  /// With memory of its own, but for effects, which are copied elsewhere; without derivatives.
-  Data copy(const EffectTable &, std::shared_ptr<void> owner) const;
-  /// Take over the numbers of data of which this is a copy, those of its effects, too.
+  /// With memory of its own, without derivatives.
+  Data copy() const;
+  /// Take over the numbers of data of which this is a copy.
   void take(const Data & from);
   /// Use independent coordinates, no set chosen yet, or none.
   void use_independent(bool used) {partition = used ? Partition(model) : Partition();}
@@ -173,13 +172,13 @@ struct Data
   /// Whether evaluations are by routines that were generated for this mechanism.
   bool is_unrolled() const {return corrections.columns > 0;}
   bool is_independent() const {return partition.order.size > 0;}
-  bool has_effects() const {return effects.loaded.size > 0;}
+  bool has_effects() const {return !effects.empty();}
   bool has_cut_coordinates() const {return effects.cuts.index.rows > 0;}
   Values q(Values state) const {return state.part(0, nq());}
   Values qd(Values state) const {return state.part(nq(), nv());}
 
   CLOSEDLOOP_ARRAYS(
-    model, work, partition, settings, tau, qdd, lam, table, corrections, manifold, whole,
+    model, work, partition, settings, tau, qdd, lam, effects, table, corrections, manifold, whole,
     joints, passage)
 
 private:
@@ -188,7 +187,7 @@ private:
   void connect();
 };
 
-/// Everything that computations with data write, to be put back.
+/// Everything that computations with data write, to be put back, to the last bit.
 class Snapshot
 {
 public:
@@ -196,6 +195,7 @@ public:
   void restore() const;
 
 private:
+  Data data_;
   /// Whole numbers are kept by their bits, too.
   std::vector<Values> places_;
   std::vector<double> kept_;

@@ -38,8 +38,7 @@ void measure_joints(const EffectTable & table, Table body, Values q, Values qd)
     cuts.q[i] = q[i];
     cuts.qd[i] = qd[i];
   }
-  measure_cut_coordinates(
-    cuts.index, cuts.values, body, table.states, qd.size, cuts.q, cuts.qd);
+  measure_cut_coordinates(table, body, cuts.q, cuts.qd);
 }
 
 /// Apply the efforts along the coordinates of cut joints, and follow their angles.

@@ -4,19 +4,20 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__EFFECT_TABLE_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__EFFECT_TABLE_HPP_
 
-#include "array.hpp"
+#include <vector>
 
-// The listed effects of a scene as the kernels read them; names and meanings are those of
-// effects/table.py.
+#include "model.hpp"
+
+// The listed effects of a scene as the kernels read them: one row for each, built from what the
+// effect says of itself. Each row obeys a law, whose routine it has the address of.
 
 namespace closedloop
 {
 
-/// Columns of EffectTable.index.
 namespace effect
 {
-enum : Index {STATE, PLACES, JOINTS, BODIES, SUMMED, LOADED, DATA, ENTRIES, GAP_OF};
-/// Column of EffectTable.values where a law is LOADED, and of EffectTable.output.
+/// Column of EffectTable.output with the stored energy [J], and of EffectTable.values where a law
+/// reads the reaction in its joint, with the time constant of its load [s].
 enum Column : Index {STORED = 0, LOAD_TIME = 11};
 /// Roles of laws: a force; one in the place of a command; force or motion over time; dry friction;
 /// inertia whose force follows from accelerations.
@@ -27,31 +28,51 @@ enum Gap : Index {NO_GAP, BOUNDARY, ROUND, OUTLINE, EVENT};
 /// Places of a prescribed motion: row of Model.cut, multiplier, column of Model.cut_point.
 enum Equation : Index {CUT_ROW, MULTIPLIER, COLUMN, EQUATION_PLACES};
 }
-/// Values of Contacts.mode, and columns of its arrays.
 namespace contact
 {
+/// Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap tells.
 enum : Index {UNDECIDED, FREE, TOUCHING};
+/// Columns of Contacts.now, .start and .nodes: gap [m; rad], its rate, and the place of the roller
+/// as the other body sees it [m], three numbers; of nodes alone the error of a cubic through gaps
+/// and rates, and how far the path departs from its chord [m], both up to the node.
 enum Node : Index {GAP, RATE, PLACE, ERROR = 5, BEND, NODE_COLUMNS};
+/// Columns of Contacts.trial, over all evaluations of a step: the fastest rate of the gap; the
+/// fastest motion of the roller; the largest gap on the wrong side; the largest gap of any node;
+/// whether the mode has been changed; dissipated energy at the start [J].
 enum Trial : Index {FASTEST, SPEED, WRONG, LARGEST, CHANGED, LOST, TRIAL_COLUMNS};
-enum Search : Index
-{
-  LOW, HIGH, TOP, SUSPECTED, REFINED, PASSED, SHARES, NODE_LEVELS = 17, SEARCH_LENGTH = 28
-};
 /// Halvings of a step that is searched for contacts.
 constexpr Index LEVELS = 8;
+/// Places in Contacts.search: the longest part of a step known to agree with the modes, and the
+/// shortest that does not [s]; nodes on the stack; cuts on suspicion, and for the sake of the last
+/// digits; share and level of each node.
+enum Search : Index
+{
+  LOW, HIGH, TOP, SUSPECTED, REFINED, SHARES, NODE_LEVELS = 16, SEARCH_LENGTH = 27
+};
+static_assert(NODE_LEVELS == SHARES + LEVELS + 3 && SEARCH_LENGTH == NODE_LEVELS + LEVELS + 3);
 }
 
-/// Columns of CutCoordinates.index and .values.
 namespace cut_coordinate
 {
-enum : Index {SLIDES, IN_PLANE, ROW_A, ROW_B, FOLLOWED, CUT, RATE_ONLY, ACROSS};
+/// Columns of CutCoordinates.index: whether it slides; whether it is one in the plane; the rows of
+/// bodies A and B; where among the effects' states its angle is followed, less than zero where it
+/// is not: in space, angles are found within a turn; its row of Model.cut; whether it has a rate
+/// alone, whose integral is followed in the place of a coordinate; whether of the force in its
+/// joint the part across the axis is what friction feels.
+enum : Index {SLIDES, IN_PLANE, ROW_A, ROW_B, FOLLOWED, CUT, RATE_ONLY, ACROSS, CUT_INDEX_COLUMNS};
+/// Columns of CutCoordinates.values, in the frames of the rows: the cut point in A and in B; the
+/// axis in B; a direction of A across it, and where that is in B at zero; what follows this in the
+/// sense of the turn; coordinates per metre of a slide; the angle at zero, in the plane.
 enum Value : Index
 {
-  POINT_A = 0, POINT_B = 3, AXIS = 6, SIDE_A = 9, SIDE_B = 12, ACROSS_B = 15, SCALE = 18, ZERO = 19
+  POINT_A = 0, POINT_B = 3, AXIS = 6, SIDE_A = 9, SIDE_B = 12, ACROSS_B = 15, SCALE = 18, ZERO = 19,
+  CUT_VALUE_COLUMNS
 };
 }
 
-/// Columns of SceneCode.present.
+/// Columns of SceneCode.present: the number of the piece of a course that it holds, NaN where none
+/// is known; when the present period and, in it, the piece began [s]; its coefficients c0 to c5, a,
+/// w and p, of an expression its value and its derivatives. Of a curve: curve.hpp.
 namespace present
 {
 enum : Index
@@ -60,118 +81,213 @@ enum : Index
 };
 }
 
-/// Joints at rest under dry friction, and their holding forces.
+/// Joints stuck under dry friction in the latest evaluation, their holding forces; inertia.
 struct Sticking
 {
-  Indices rows;
-  Values hold;
-  Table response;
-  Table matrix;
-  Values right;
-  Values bound;
-  Values move;
-  Table factor;
-  Indices free;
-  Values share;
-  Values impulse;
+  /// Shape (nf + 1,): how many joints and tendons stick, and the rows of their effects; nf effects
+  /// may stick. Reflected inertia always does so: its force, too, follows from accelerations.
+  Array<Indices> rows;
+  /// Shape (ne,): friction that dispatch.cpp gives to a joint that sticks [N m; N]: zero but while
+  /// responses are computed.
+  Array<Values> hold;
+  /// Shape (nf + 1, nv + nk + nc): what the limit of each friction changes of accelerations, those
+  /// of cut joints behind, and multipliers; last, these without the friction of any joint at rest.
+  Array<Table> response;
+  /// Shape (nf, nf), (nf,).
+  Array<Table> matrix;
+  Array<Values> right;
+  Array<Values> bound;
+  Array<Values> move;
+  Array<Table> factor;
+  /// Of the active set.
+  Array<Indices> free;
+  /// Friction relative to its limit.
+  Array<Values> share;
+  Array<Values> impulse;
 
-  template<class Visitor>
-  void fields(Visitor && visit)
-  {
-    visit(rows, hold, response, matrix, right, bound, move, factor, free, share, impulse);
-  }
+  Sticking() = default;
+  /// `most`: nf; `width`: of a response.
+  Sticking(Index effects, Index most, Index width);
+
+  CLOSEDLOOP_ARRAYS(
+    rows, hold, response, matrix, right, bound, move, factor, free, share, impulse)
 };
 
-/// Gaps between bodies that may touch, and the decisions about them while a step is made.
+/// Gaps of possible contacts, and the decisions about them while a step is made.
 struct Contacts
 {
-  Indices rows;
-  Indices mode;
-  Table now;
-  Table start;
-  Table trial;
-  Cube<double> nodes;
-  Values search;
+  /// Of the effects that are contacts.
+  Array<Indices> rows;
+  /// Shape (ne,).
+  Array<Indices> mode;
+  /// Shape (ne, NODE_COLUMNS): written by the law; the same at the start of a step.
+  Array<Table> now;
+  Array<Table> start;
+  /// Shape (ne, TRIAL_COLUMNS): written by the law.
+  Array<Table> trial;
+  /// Shape (LEVELS + 3, ne, NODE_COLUMNS): where a step is looked into. The first is the left end of
+  /// the interval in question, the last on the stack its right end.
+  Array<Cube<double>> nodes;
+  Array<Values> search;
+  /// Shape (1,): row of the contact that a step of one size has passed.
+  Array<Indices> passed;
 
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(rows, mode, now, start, trial, nodes, search);}
+  Contacts() = default;
+  Contacts(Index effects, Array<Indices> rows);
+
+  CLOSEDLOOP_ARRAYS(rows, mode, now, start, trial, nodes, search, passed)
 };
 
-/// Freedoms of cut joints that anything acts in.
+/// Degrees of freedom of cut joints, nk of them, and the joint values that laws read.
 struct CutCoordinates
 {
-  Indexes index;
-  Table values;
-  Values q;
-  Values qd;
-  Values before;
-  Values qdd;
-  Table scratch;
+  Array<Indexes> index;
+  Array<Table> values;
+  /// Shape (nv + nk,): coordinates and rates of the tree, then of these joints, in the latest
+  /// evaluation; rates before a step; accelerations.
+  Array<Values> q;
+  Array<Values> qd;
+  Array<Values> before;
+  Array<Values> qdd;
+  /// Shape (nb + 1, 6 or 12).
+  Array<Table> scratch;
 
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(index, values, q, qd, before, qdd, scratch);}
+  CutCoordinates() = default;
+  /// `states` of the effects; throws std::invalid_argument.
+  CutCoordinates(const Model &, Indexes index, Table values, Index states);
+
+  CLOSEDLOOP_ARRAYS(index, values, q, qd, before, qdd, scratch)
 };
 
 /// Inputs of a scene's code beside the table of effects.
 struct SceneCode
 {
-  Indices fits;
-  Table present;
-  Values sides;
+  /// Shape (1,): whether the evaluation that was generated has the laws of all effects, as they are
+  /// but for numbers that it reads.
+  Array<Indices> fits;
+  /// Shape (ne, PRESENT_COLUMNS): pieces of courses that are in force.
+  Array<Table> present;
+  /// Shape (ne,): modes of contacts.
+  Array<Values> sides;
 
-  template<class Visitor>
-  void fields(Visitor && visit) {visit(fits, present, sides);}
+  CLOSEDLOOP_ARRAYS(fits, present, sides)
 };
 
-/// A field of a named tuple that the engine has no use for.
-struct Unread {};
-
-/// The listed effects.
-struct EffectTable
+/// What an effect says of itself.
+struct EffectElement
 {
-  Unread laws;
-  Indices role;
-  Indices routine;
-  Indices enabled;
-  Indexes index;
-  Indices places;
-  Indices calls;
-  Table values;
-  Table output;
-  Values states;
-  Values rates;
+  effect::Role role;
+  /// Address of the law's routine; 0: the engine has the law.
+  Index routine;
+  /// Places of its joints in q, of cut joints behind those of the tree; rows of its bodies; of a
+  /// motion its row of Model.cut, multiplier, column of Model.cut_point.
+  Indices joints;
+  Indices bodies;
+  Indices equation;
+  /// Parameters, and numbers of entries such as pieces of a course, in the order the law reads them.
+  Values values;
+  Values numbers;
+  Index entries;
+  /// Of the states that it adds: sizes for error control, and their start.
   Values scale;
-  Indices loaded;
-  Values applied;
-  Table reaction;
-  Sticking sticking;
-  Values data;
-  Contacts contacts;
-  Table motions;
-  CutCoordinates cuts;
-  SceneCode code;
-
-  Index count() const {return role.size;}
-  /// Places of the joints of a law, behind them rows of its bodies; or those of an equation.
-  const Index * places_of(Index row) const
-  {
-    return places.data + index(row, effect::PLACES);
-  }
-  /// Numbers of a law behind the arms of a sum.
-  const double * numbers_of(Index row) const
-  {
-    return data.data + index(row, effect::DATA) +
-           (index(row, effect::SUMMED) == 1 ? index(row, effect::JOINTS) : 0);
-  }
+  Values initial;
+  /// Whether the law acts along the sum of its joints, whose arms are the first entry.
+  bool summed;
+  /// Whether it wants the reaction in its joint, as its second state.
+  bool loaded;
+  effect::Gap gap;
+  bool enabled;
 
   template<class Visitor>
   void fields(Visitor && visit)
   {
     visit(
-      laws, role, routine, enabled, index, places, calls, values, output, states, rates, scale,
-      loaded, applied, reaction, sticking, data, contacts, motions, cuts, code);
+      role, routine, joints, bodies, equation, values, numbers, entries, scale, initial, summed,
+      loaded, gap, enabled);
   }
 };
+
+/// The listed effects, ne of them, with nz states.
+struct EffectTable
+{
+  /// Shape (ne,).
+  Array<Indices> role;
+  Array<Indices> routine;
+  Array<Indices> enabled;
+  /// Of each effect: first own state; where its places begin among those of all; how many joints and
+  /// bodies; whether it is summed and wants the reaction; where its numbers begin among those of
+  /// all, and how many entries they are; what its gap is.
+  Array<Indices> first_state;
+  Array<Indices> first_place;
+  Array<Indices> joints;
+  Array<Indices> bodies;
+  Array<Indices> summed;
+  Array<Indices> feels;
+  Array<Indices> first_number;
+  Array<Indices> entries;
+  Array<Indices> gap;
+  Array<Indices> places;
+  /// Shape (LAW_COLUMNS + nb,): of a routine; nb bodies at most for one law.
+  Array<Indices> calls;
+  /// Shape (ne, 13), (ne, 5): parameters; written by the laws.
+  Array<Table> values;
+  Array<Table> output;
+  /// Shape (nz,): of the latest evaluation.
+  Array<Values> states;
+  Array<Values> rates;
+  Array<Values> scale;
+  /// Shape (1,): how many effects want the reaction in their joint.
+  Array<Indices> loaded;
+  /// Shape (nv + nk,): joint torques, of cut joints behind: commands and effects.
+  Array<Values> applied;
+  /// Shape (nb + 1, 6 or 12): wrenches in the joints, then scratch.
+  Array<Table> reaction;
+  /// Numbers of all effects.
+  Array<Values> data;
+  Sticking sticking;
+  Contacts contacts;
+  /// Model.cut_point, whose rows the prescribed motions are set in; of no length where there are
+  /// none.
+  Array<Table> motions;
+  CutCoordinates cuts;
+  SceneCode code;
+
+  EffectTable() = default;
+  /// `all`: with the equations, too, that `model` leaves out; index and values of CutCoordinates are
+  /// of the freedoms of cut joints that anything acts in. Throws std::invalid_argument.
+  EffectTable(
+    const Model & model, const Model & all, const std::vector<EffectElement> &, Indexes cut_index,
+    Table cut_values);
+
+  /// Have a row say what an effect says now, with room for no more than at first. Throws
+  /// std::invalid_argument, the row as it was.
+  void put(Index row, const EffectElement &);
+  /// Whether it was made for such a mechanism, with so many equations at most.
+  bool fits(const Model & model, const Model & all) const;
+
+  bool empty() const {return loaded.size == 0;}
+  Index count() const {return role.size;}
+  /// Places of the joints of a law, behind them rows of its bodies; or those of an equation.
+  const Index * places_of(Index row) const {return places.data + first_place[row];}
+  /// Numbers of a law behind the arms of a sum.
+  const double * numbers_of(Index row) const
+  {
+    return data.data + first_number[row] + (summed[row] == 1 ? joints[row] : 0);
+  }
+
+  CLOSEDLOOP_ARRAYS(
+    role, routine, enabled, first_state, first_place, joints, bodies, summed, feels, first_number,
+    entries, gap, places, calls, values, output, states, rates, scale, loaded, applied, reaction,
+    data, sticking, contacts, motions, cuts, code)
+
+private:
+  void write(Index row, const EffectElement &);
+  /// Message of what the law or the engine would not find in a row; nullptr where all is there.
+  const char * lacks(Index row) const;
+};
+
+/// Whether an expression (course.hpp) has a result, and every operation its operands.
+bool is_expression(Values data, Index at);
 
 }  // namespace closedloop
 

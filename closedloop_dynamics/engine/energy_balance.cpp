@@ -14,7 +14,7 @@ namespace closedloop
 
 namespace
 {
-// Roles of the effects' states (effects/table.py).
+// Roles of the effects' states (effects/element.py).
 enum : Index {OWN, DISSIPATED, WORK};
 
 bool is_driven(const EffectTable & effects, Index freedom)

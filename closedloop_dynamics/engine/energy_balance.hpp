@@ -18,7 +18,7 @@ namespace closedloop
 /// Data of a run for its energy balance.
 struct EnergyAccount
 {
-  /// Shape (nz,): roles of the effects' states (effects/table.py).
+  /// Shape (nz,): roles of the effects' states (effects/element.py).
   std::vector<Index> roles;
   /// Shape (nv + nk,): coordinate of each freedom when work was added last.
   std::vector<double> since;

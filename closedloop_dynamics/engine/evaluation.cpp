@@ -158,7 +158,7 @@ void accelerations_with_cuts(const System & system, Values q, Values qd)
   const CutCoordinates & cuts = system.effects.cuts;
   outward(system.model, q, qd, system.work);
   copy(system.qdd, cuts.qdd.part(0, system.nv()));
-  accelerations(cuts, system.model, system.work, system.qdd, true, cuts.qdd);
+  accelerations(system.effects, system.model, system.work, system.qdd, true, cuts.qdd);
 }
 
 /// Accelerations and multipliers that the limit of a friction at rest adds; false where refinement
@@ -429,8 +429,7 @@ void rates_with_cuts(const System & system, Values state, Values out)
   const CutCoordinates & cuts = system.effects.cuts;
   outward(system.model, system.q(state), system.qd(state), system.work);
   copy(system.qd(state), out.part(0, system.nv()));
-  measure_cut_coordinates(
-    cuts.index, cuts.values, system.work.body, system.effects.states, system.nv(), cuts.q, out);
+  measure_cut_coordinates(system.effects, system.work.body, cuts.q, out);
 }
 
 void update_motions(const System & system, Values state)

@@ -65,11 +65,11 @@ void apply_generated(
   const EffectTable & table, Index row, Table body, Values q, Values qd, Values tau)
 {
   using namespace routine;  // NOLINT: places of one table
-  const Index * index = table.index.row(row), * joints = table.places_of(row);
-  const Index * bodies = joints + index[effect::JOINTS], state = index[effect::STATE];
-  const bool summed = index[effect::SUMMED] == 1;
-  const Index coordinates = summed ? 1 : index[effect::JOINTS];
-  const double count = static_cast<double>(index[effect::ENTRIES] - (summed ? 1 : 0));
+  const Index * joints = table.places_of(row), * bodies = joints + table.joints[row];
+  const Index state = table.first_state[row], entries = table.entries[row];
+  const bool summed = table.summed[row] == 1;
+  const Index coordinates = summed ? 1 : table.joints[row];
+  const double count = static_cast<double>(entries - (summed ? 1 : 0));
   double position[MOST_COORDINATES], rate[MOST_COORDINATES], command[MOST_COORDINATES];
   double effort[MOST_COORDINATES];
   double nowhere[cut::MOTION_COLUMNS];
@@ -106,13 +106,13 @@ void apply_generated(
   places[SIDES] = address(&table.code.sides[row]);
   places[GAPS] = address(table.contacts.now.row(row));
   places[TRIALS] = address(table.contacts.trial.row(row));
-  if (index[effect::ENTRIES] > 0) {
+  if (entries > 0) {
     places[PRESENT] = address(table.code.present.row(row));
     for (Index which : {library::PIECE, library::NEAREST, library::FURTHEST}) {
       places[which] = library_function(which);
     }
   }
-  for (Index k = 0; k < index[effect::BODIES]; ++k) {
+  for (Index k = 0; k < table.bodies[row]; ++k) {
     places[law_routine::LAW_COLUMNS + k] = address(body.data, bodies[k] * body.columns);
   }
   call(table.calls, EVALUATION, {found.position, coordinates}, {found.rate, coordinates});

@@ -4,6 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__HANDLES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__HANDLES_HPP_
 
+#include <algorithm>
+#include <initializer_list>
 #include <memory>
 #include <new>
 #include <string>
@@ -67,6 +69,8 @@ inline constexpr const char * handle_name<Manifold> = "closedloop_dynamics.engin
 template<>
 inline constexpr const char * handle_name<Workspace> = "closedloop_dynamics.engine.Workspace";
 template<>
+inline constexpr const char * handle_name<EffectTable> = "closedloop_dynamics.engine.EffectTable";
+template<>
 inline constexpr const char * handle_name<Data> = "closedloop_dynamics.engine.System";
 
 /// The object of a handle, or of an object that has a handle as its attribute `native`.
@@ -96,8 +100,8 @@ struct MemoryObject
   PyObject head;
   std::shared_ptr<void> memory;
   const char * format;
-  Py_ssize_t shape[2];
-  Py_ssize_t strides[2];
+  Py_ssize_t shape[3];
+  Py_ssize_t strides[3];
   int dimensions;
   bool is_constant;
 };
@@ -173,18 +177,20 @@ private:
   }
   void put(
     const std::string & name, std::shared_ptr<void> memory, const char * format, bool is_constant,
-    int dimensions, Py_ssize_t rows, Py_ssize_t columns) const
+    std::initializer_list<Py_ssize_t> shape) const
   {
     const Owned object(PyType_GenericAlloc(reinterpret_cast<PyTypeObject *>(memory_type), 0));
     auto * made = reinterpret_cast<MemoryObject *>(object.get());
     new (&made->memory) std::shared_ptr<void>(std::move(memory));
     made->format = format;
     made->is_constant = is_constant;
-    made->dimensions = dimensions;
-    made->shape[0] = rows;
-    made->shape[1] = columns;
-    made->strides[0] = 8 * (dimensions == 2 ? columns : 1);
-    made->strides[1] = 8;
+    made->dimensions = static_cast<int>(shape.size());
+    std::copy(shape.begin(), shape.end(), made->shape);
+    Py_ssize_t stride = 8;
+    for (int n = made->dimensions - 1; n >= 0; --n) {
+      made->strides[n] = stride;
+      stride *= made->shape[n];
+    }
     if (PyDict_SetItemString(dictionary_, name.c_str(), object.get()) < 0) {
       throw PythonError();
     }
@@ -192,17 +198,24 @@ private:
   template<class Number>
   void add(const std::string & name, const Array<Vector<Number>> & array) const
   {
-    put(name, array.memory(), format<Number>(), array.is_constant, 1, array.size, 0);
+    put(name, array.memory(), format<Number>(), array.is_constant, {array.size});
   }
   template<class Number>
   void add(const std::string & name, const Array<Matrix<Number>> & array) const
   {
-    put(name, array.memory(), format<Number>(), array.is_constant, 2, array.rows, array.columns);
+    put(name, array.memory(), format<Number>(), array.is_constant, {array.rows, array.columns});
+  }
+  template<class Number>
+  void add(const std::string & name, const Array<Cube<Number>> & array) const
+  {
+    put(
+      name, array.memory(), format<Number>(), array.is_constant,
+      {array.pages, array.rows, array.columns});
   }
   void add(const std::string & name, const std::shared_ptr<Settings> & settings) const
   {
     const auto put_one = [&](const char * part, double & number) {
-        put(name + "." + part, {settings, &number}, format<double>(), false, 0, 0, 0);
+        put(name + "." + part, {settings, &number}, format<double>(), false, {});
       };
     put_one("baumgarte_gain", settings->baumgarte_gain);
     put_one("closure_tolerance", settings->closure_tolerance);

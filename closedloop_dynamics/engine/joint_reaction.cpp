@@ -27,13 +27,13 @@ constexpr int MOST_ROUNDS = 20;
 
 bool is_loaded(const EffectTable & table, Index row)
 {
-  return table.enabled[row] == 1 && table.index(row, effect::LOADED) == 1;
+  return table.enabled[row] == 1 && table.feels[row] == 1;
 }
 
 /// The state of an effect follows a reaction [N].
 void follow_load(const EffectTable & table, Index row, double size)
 {
-  const Index state = table.index(row, effect::STATE) + 1;
+  const Index state = table.first_state[row] + 1;
   table.rates[state] =
     (size - table.states[state]) / table.values(row, effect::LOAD_TIME);
   table.output(row, 2) = size;
@@ -137,8 +137,8 @@ bool feel_loads(const System & system, Values states, double share)
   const EffectTable & table = system.effects;
   double change = 0.0, most = 0.0;
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.index(row, effect::LOADED) != 0) {
-      double & felt = states[table.index(row, effect::STATE) + 1];
+    if (table.feels[row] != 0) {
+      double & felt = states[table.first_state[row] + 1];
       const double load = table.output(row, 2);
       change = std::max(change, std::abs(felt - load));
       most = std::max(most, load);

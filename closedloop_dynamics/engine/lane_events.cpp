@@ -34,7 +34,7 @@ Index LaneEvents::resting(Values state, std::size_t lane) const
   const Index own = batch_.nq() + batch_.nv();
   return std::count_if(
     frictions_.begin(), frictions_.end(), [&](Index row) {
-      return std::abs(state[LANES * (own + effects_.index(row, effect::STATE)) + lane]) < 0.5;
+      return std::abs(state[LANES * (own + effects_.first_state[row]) + lane]) < 0.5;
     });
 }
 
@@ -117,9 +117,9 @@ double LaneEvents::along(Index row, Values out, std::size_t lane) const
     return rates[LANES * places[0] + lane];
   }
   const double * arms = lanes_[std::min(lane, lanes_.size() - 1)].system->effects.data.data +
-    effects_.index(row, effect::DATA);
+    effects_.first_number[row];
   double sum = 0.0;
-  for (Index k = 0; k < effects_.index(row, effect::JOINTS); ++k) {
+  for (Index k = 0; k < effects_.joints[row]; ++k) {
     sum += arms[k] * rates[LANES * places[k] + lane];
   }
   return sum;
@@ -130,7 +130,7 @@ bool LaneEvents::creeps(Index row, Values out, std::size_t lane) const
   const double rate = along(row, out, lane);
   if (std::abs(rate) > REST) {
     const Index own = batch_.nq() + batch_.nv();
-    out[LANES * (own + effects_.index(row, effect::STATE)) + lane] = std::copysign(1.0, rate);
+    out[LANES * (own + effects_.first_state[row]) + lane] = std::copysign(1.0, rate);
     return false;
   }
   if (!(std::abs(rate) <= RATE_ROUNDING)) {
@@ -146,7 +146,7 @@ void LaneEvents::find(Values state, Values out, double size)
 {
   const Index own = batch_.nq() + batch_.nv();
   for (Index row : frictions_) {
-    const Index mode = LANES * (own + effects_.index(row, effect::STATE));
+    const Index mode = LANES * (own + effects_.first_state[row]);
     for (Index lane = 0; lane < LANES; ++lane) {
       const std::size_t place = static_cast<std::size_t>(lane);
       const double direction = state[mode + lane];

@@ -27,7 +27,6 @@
 #include "routines.hpp"
 #include "state_steps.hpp"
 #include "sticking.hpp"
-#include "validation.hpp"
 
 // Preconditions on the arguments of functions that Python calls, beside the lengths that
 // bindings.cpp names: kernels index blindly. Each returns a message, or nullptr. Those of the first
@@ -148,13 +147,6 @@ inline const char * request(const System & system, const Request & request)
     (request.lam.size == 0 || request.lam.size == system.whole.lam.size));
 }
 
-/// Effects beside a machine.
-inline const char * effects(const EffectTable & effects, Table body, Index nv)
-{
-  const bool planar = effects.reaction.columns == 6;
-  return first_of(
-    misfit(effects, nv, body.rows, planar), unless(body.rows > 0 && are_bodies(body, planar)));
-}
 }  // namespace expected
 
 template<>
@@ -197,9 +189,11 @@ inline constexpr auto precondition<rates_of_coordinates> =
 template<>
 inline constexpr auto precondition<apply_effects> =
   [](const EffectTable & effects, Table body, Values q, Values qd, Values tau) {
-    return expected::first_of(
-      expected::effects(effects, body, qd.size), expected::unless(
-        q.size >= qd.size && tau.size >= effects.applied.size));
+    return expected::unless(
+      body.rows == effects.reaction.rows &&
+      expected::are_bodies(body, effects.reaction.columns == 6) &&
+      qd.size == effects.applied.size - effects.cuts.index.rows && q.size >= qd.size &&
+      tau.size >= effects.applied.size);
   };
 
 template<>
@@ -222,34 +216,27 @@ inline constexpr auto precondition<load_joints> =
     return expected::unless(
       model.joints() == nv && qd.size == nv && qdd.size == nv &&
       work.size() == system.work.size() && lam.size == model.equations() &&
-      has_shape(system.effects.reaction, bodies, 2 * work.size()) &&
-      has_cuts(system.effects.cuts, model.cut.rows));
+      has_shape(system.effects.reaction, bodies, 2 * work.size()));
   };
 
 template<>
 inline constexpr auto precondition<measure_cut_coordinates> =
-  [](Indexes index, Table values, Table body, Values states, Index first, Values position,
-    Values velocity) {
-    using namespace cut_coordinate;  // NOLINT: columns of one table
-    bool good = index.columns == ACROSS + 1 && has_shape(values, index.rows, ZERO + 1) &&
-      first >= 0 && first <= std::min(position.size, velocity.size) - index.rows;
-    for (Index k = 0; good && k < index.rows; ++k) {
-      good = index(k, ROW_A) >= 0 && index(k, ROW_A) < body.rows && index(k, ROW_B) >= 0 &&
-        index(k, ROW_B) < body.rows && index(k, FOLLOWED) < states.size &&
-        expected::are_bodies(body, index(k, IN_PLANE) == 1);
-    }
-    return expected::unless(good);
+  [](const EffectTable & effects, Table body, Values position, Values velocity) {
+    const CutCoordinates & cuts = effects.cuts;
+    return expected::unless(
+      body.rows == cuts.scratch.rows &&
+      expected::are_bodies(body, effects.reaction.columns == 6) &&
+      position.size >= cuts.index.rows && velocity.size == position.size);
   };
 
 template<>
 inline constexpr auto precondition<accelerations> =
-  [](const CutCoordinates & cuts, const Model & model, const Workspace & work, Values qdd, bool,
+  [](const EffectTable & effects, const Model & model, const Workspace & work, Values qdd, bool,
     Values out) {
-    return expected::first_of(
-      expected::unless(
-        qdd.size >= model.joints() && out.size >= model.joints() + cuts.index.rows &&
-        cuts.scratch.columns >= 2 * work.size()), misfit(
-        cuts, model.joints(), model.tree.rows, work.planar(), std::numeric_limits<Index>::max()));
+    const CutCoordinates & cuts = effects.cuts;
+    return expected::unless(
+      qdd.size >= model.joints() && out.size >= model.joints() + cuts.index.rows &&
+      has_shape(cuts.scratch, model.tree.rows, 2 * work.size()));
   };
 
 template<>
@@ -262,13 +249,9 @@ inline constexpr auto precondition<cut_direction> =
 
 template<>
 inline constexpr auto precondition<minimise_in_box> =
-  [](const Sticking & sticking, Index count, Values out) {
-    const Index most = sticking.rows.size - 1;
+  [](const EffectTable & effects, Index count, Values out) {
     return expected::unless(
-      count >= 0 && count <= most && count <= out.size &&
-      has_shape(sticking.matrix, most, most) &&
-      has_shape(sticking.factor, most, most) && sticking.right.size == most &&
-      sticking.bound.size == most && sticking.move.size == most && sticking.free.size == most);
+      count >= 0 && count < effects.sticking.rows.size && count <= out.size);
   };
 
 template<>

@@ -30,7 +30,7 @@ void output_driving_forces(const EffectTable & table, Values lam)
       const double * right = right_side(table, row);
       const Values output = table.output[row];
       const double force = lam[table.places_of(row)[effect::MULTIPLIER]], rate = right[1];
-      table.rates[table.index(row, effect::STATE) + 2] = force * rate;
+      table.rates[table.first_state[row] + 2] = force * rate;
       output[1] = force;
       output[2] = force * rate;
       output[3] = right[0];

@@ -27,7 +27,7 @@ void apply_friction(
   const EffectTable & table, Index row, Table body, Values q, Values qd, Values tau)
 {
   apply_generated(table, row, body, q, qd, tau);
-  const Index state = table.index(row, effect::STATE);
+  const Index state = table.first_state[row];
   const double rate = along(table, row, qd);
   // Where loops and motions hold the joint, any friction would do: no response decides it.
   if (std::fabs(table.states[state]) < 0.5 && std::fabs(rate) <= REST &&

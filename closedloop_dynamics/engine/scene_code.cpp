@@ -18,10 +18,10 @@ namespace
 void take_piece(const EffectTable & table, Index row)
 {
   const Values values = table.values[row], held = table.code.present[row];
-  const Index state = table.index(row, effect::STATE);
+  const Index state = table.first_state[row];
   const bool written = values[1] == 1.0;
   if (written) {
-    const Index at = table.index(row, effect::DATA);
+    const Index at = table.first_number[row];
     const double time = table.states[state];
     held[present::COEFFICIENTS] = expression_value(table.data, at, time);
     if (table.role[row] == effect::MOTION) {
@@ -66,7 +66,7 @@ Index prepare_code(const EffectTable & table)
       return -1;
     }
     if (table.role[row] == effect::FRICTION) {
-      resting += std::fabs(table.states[table.index(row, effect::STATE)]) < 0.5 ? 1 : 0;
+      resting += std::fabs(table.states[table.first_state[row]]) < 0.5 ? 1 : 0;
     }
   }
   take_pieces(table);

@@ -46,7 +46,7 @@ double first_rest(
   double shortest = size;
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
-      const double grip = grips[effects.index(row, effect::STATE)];
+      const double grip = grips[effects.first_state[row]];
       const double start = std::max(0.0, grip * along(effects, row, before));
       const double end = grip * along(effects, row, after);
       if (end < -ARRIVED) {
@@ -66,7 +66,7 @@ bool stick(const EffectTable & effects, Values rates, Values own)
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
       const bool in_tree = !has_arms(effects, row) && joint_of(effects, row) < first;
-      double & mode = own[effects.index(row, effect::STATE)];
+      double & mode = own[effects.first_state[row]];
       const double rate = along(effects, row, rates);
       if (std::abs(rate) > REST) {
         mode = std::copysign(1.0, rate);
@@ -135,7 +135,7 @@ void begin_friction(const EffectTable & effects, Values rates, Values own)
   for (Index row = 0; row < effects.count(); ++row) {
     if (has_friction(effects, row)) {
       const double rate = along(effects, row, rates);
-      own[effects.index(row, effect::STATE)] =
+      own[effects.first_state[row]] =
         std::abs(rate) > REST ? std::copysign(1.0, rate) : 0.0;
     }
   }

@@ -102,8 +102,9 @@ bool stays_at_rest(const EffectTable & table, Index place)
 }
 }  // namespace
 
-void minimise_in_box(const Sticking & sticking, Index count, Values out)
+void minimise_in_box(const EffectTable & table, Index count, Values out)
 {
+  const Sticking & sticking = table.sticking;
   const Table & matrix = sticking.matrix;
   const Values & bound = sticking.bound, & move = sticking.move;
   const Indices & free = sticking.free;
@@ -192,7 +193,7 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
       sticking.matrix(a, a) += limit;
     }
   }
-  minimise_in_box(sticking, count, sticking.share);
+  minimise_in_box(table, count, sticking.share);
   for (Index i = 0; i < nv; ++i) {
     qdd[i] = base[i];
   }
@@ -254,7 +255,7 @@ void stop_sticking_joints(const EffectTable & table, Values qd)
     sticking.bound[a] =
       stays_at_rest(table, a) ? std::numeric_limits<double>::infinity() : 0.0;
   }
-  minimise_in_box(sticking, count, sticking.impulse);
+  minimise_in_box(table, count, sticking.impulse);
   for (Index a = 0; a < count; ++a) {
     for (Index i = 0; i < qd.size; ++i) {
       qd[i] += sticking.impulse[a] * sticking.response(a, i);

@@ -58,7 +58,7 @@ void stop_sticking_joints(const EffectTable &, Values qd);
 /// Sticking.matrix is symmetric, positive semidefinite; `bound`: the largest magnitude of each
 /// unknown, zero leaves it out. Nocedal and Wright, Numerical Optimization, 2nd ed. (2006),
 /// section 16.5.
-void minimise_in_box(const Sticking &, Index count, Values out);
+void minimise_in_box(const EffectTable &, Index count, Values out);
 
 }  // namespace closedloop
 

@@ -29,7 +29,7 @@ double time_to_next_corner(const EffectTable & effects, Values own)
   double wait = std::numeric_limits<double>::infinity();
   for (Index row = 0; row < effects.count(); ++row) {
     if (follows_time(effects, row)) {
-      const Index state = effects.index(row, effect::STATE);
+      const Index state = effects.first_state[row];
       const double end =
         end_of_piece(effects, row, effects.values(row, 0), piece_number(own[state + 1]));
       wait = std::min(wait, end - own[state]);
@@ -42,7 +42,7 @@ void handle_time_events(const EffectTable & effects, Values own)
 {
   for (Index row = 0; row < effects.count(); ++row) {
     if (follows_time(effects, row)) {
-      const Index state = effects.index(row, effect::STATE);
+      const Index state = effects.first_state[row];
       const double limit = own[state] + SAME_TIME * std::max(1.0, std::abs(own[state]));
       Index piece = piece_number(own[state + 1]);
       while (end_of_piece(effects, row, effects.values(row, 0), piece) <= limit) {

@@ -3,7 +3,6 @@
 
 """The system of equations that is integrated: a mechanism under joint torques."""
 
-from copy import deepcopy
 from typing import NamedTuple, Optional
 
 import numpy as np
@@ -13,9 +12,9 @@ from ..core.codegen import function_table as calls, joint_kernels, space
 from ..core.equations import with_all_equations
 from ..core.manifold import manifold_of
 from ..core.types import Handle, KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT
-from ..effects import law_code, scene_code
+from ..effects import scene_code
+from ..effects.effect_table import EffectTable
 from ..effects.force_law import FRICTION
-from ..effects.table import build_table
 from ..engine import native
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
@@ -98,9 +97,6 @@ class System(Handle):
     """
 
     def __init__(self, made, model, effects, joints):
-        if effects is not None and len(effects.motions):
-            # In a copy, too.
-            effects = effects._replace(motions=model.cut_point)
         super().__init__(made, model=model, effects=effects, joints=joints,
                          manifold=manifold_of(model))
         self.work = Handle(native.workspace_of(self))
@@ -137,9 +133,9 @@ class System(Handle):
 
     def __deepcopy__(self, memo):
         """Return one with memory of its own, without derivatives."""
-        effects = deepcopy(self.effects, memo)
-        made = native.copy_system(self, effects)
-        return System(made, Model(native.model_of(made[0])), effects, self.joints)
+        made = native.copy_system(self)
+        return System(made, Model(native.model_of(made[0])),
+                      self.effects and self.effects.copied(made[0]), self.joints)
 
 
 def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(), unrolled=None,
@@ -157,13 +153,13 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
         Size of the mechanism [m], to which closure tolerances are relative.
     independent : bool
         Whether to integrate independent coordinates.
-    elements : sequence of effects.table.ForceElement
+    elements : sequence of effects.element.ForceElement
         Of the effects that act.
     unrolled : bool, optional
         Whether to unroll the kernels for this mechanism; where not said, for few
         bodies.
     cuts : tuple of 2 ndarrays, optional
-        Of the cut joints that anything acts in, as for ``effects.table.build_table``.
+        Of the cut joints that anything acts in, as for ``EffectTable.of``.
     joints : JointPlaces, optional
         Needed where the elimination leaves equations out.
     opening : float
@@ -173,18 +169,14 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
     if unrolled is None:
         unrolled = _can_be_unrolled(model)
     nv, nc, whole = len(model.tree) - 1, len(model.column) - 1, with_all_equations(model)
-    # With room for those that are left out: they may be taken again.
-    effects = None if len(elements) == 0 and cuts is None else build_table(
-        elements, np.zeros(nv + (0 if cuts is None else len(cuts[0]))), nv,
-        len(whole.column) - 1, space.is_spatial(model), model.cut_point, cuts)
+    effects = None if len(elements) == 0 and cuts is None else EffectTable.of(
+        model, whole, elements, cuts)
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and FRICTION in effects.role
     code = Code((*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
                  *((codegen.REACTIONS,) if reactions else ()),
                  *_routines_of_forces(model, joints)) if unrolled else (), None)
     joint_kernels.connect(model)
-    if effects is not None:
-        law_code.link(effects)
     return System(
         native.system(
             model, whole, effects, *(joints or _NO_PLACES), baumgarte, extent, opening,

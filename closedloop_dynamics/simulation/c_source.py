@@ -20,10 +20,10 @@ from ..core.codegen.derivatives import (
     COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, SHARED, TAU, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, SHARED, TAU, VALUE_COLUMNS,
+    VALUES)
 from ..core.codegen.scene_routines import PLACE, PLACE_RATE, POINT, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
-from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act
 from ..engine import native
 

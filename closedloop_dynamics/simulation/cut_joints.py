@@ -7,8 +7,9 @@ import numpy as np
 
 from ..core import types as t
 from ..core.codegen.space import FRAME
-from ..effects.table import (
-    ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
+from ..effects.effect_table import EffectTable
+from ..effects.element import (
+    ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
 from ..engine import native
 from ..mechanism.cut_freedoms import cut_freedoms
@@ -30,7 +31,7 @@ def coordinate_arrays(mechanism, model, placements, names, followed):
 
     ``placements``: where the bodies' frames are in those of their rows; ``names`` of freedoms of
     cut joints; ``followed``: whether angles in space are followed, in the place of a number within
-    half a turn. Index and values, a row each, are as ``effects.table.CutCoordinates`` has them.
+    half a turn. Index and values, a row each, are as ``EffectTable.of`` takes them.
     """
     index = np.zeros((len(names), CUT_INDEX_COLUMNS), dtype=np.int64)
     values = np.zeros((len(names), CUT_VALUE_COLUMNS))
@@ -104,11 +105,7 @@ class CutJoints:
         self._numbers = [numbers.index(one.cut.name) for one in known.values()]
         # Efforts act on the freedom's own body A.
         self._signs = [-1.0 if one.exchanged else 1.0 for one in known.values()]
-        nv, bodies = len(model.tree) - 1, len(model.tree)
-        self._arrays = CutCoordinates(
-            self._index, self._values, *(np.zeros(nv + self.count) for _ in range(4)),
-            np.zeros((bodies, 6 if mechanism.planar else 12)))
-        self._none = np.zeros(0)
+        self._table = EffectTable.of(model, model, cuts=(self._index, self._values))
         # Of spherical joints the rows of bodies B, then of A; the joints' axes in their frames.
         balls = [cut for cut in mechanism.cut_joints
                  if cut.name in self._coordinates.with_orientation]
@@ -127,8 +124,7 @@ class CutJoints:
         m/s].
         """
         position, velocity = np.zeros(self.count), np.zeros(self.count)
-        native.measure_cut_coordinates(
-            self._index, self._values, body, self._none, 0, position, velocity)
+        native.measure_cut_coordinates(self._table, body, position, velocity)
         return position, velocity
 
     def whole(self, body, position):
@@ -148,9 +144,10 @@ class CutJoints:
 
     def accelerations(self, equations, qdd):
         """Return accelerations [rad/s^2; m/s^2], given those of the tree in a state."""
+        out = self._table.cuts.qdd
         native.cut_accelerations(
-            self._arrays, equations.model, equations.work, qdd, True, self._arrays.qdd)
-        return self._arrays.qdd[len(qdd):].copy()
+            self._table, equations.model, equations.work, qdd, True, out)
+        return out[len(qdd):].copy()
 
     def place(self, name):
         """Return the place of a freedom among the names; None where it is none of them."""
@@ -182,9 +179,9 @@ class CutJoints:
 
         Shape (number of names, nv), of freedoms by name.
         """
-        nv, out = len(model.tree) - 1, self._arrays.qdd
+        nv, out = len(model.tree) - 1, self._table.cuts.qdd
         columns = []
         for unit in np.eye(nv):
-            native.cut_accelerations(self._arrays, model, work, unit, False, out)
+            native.cut_accelerations(self._table, model, work, unit, False, out)
             columns.append(out[[nv + self.names.index(name) for name in names]])
         return np.array(columns).reshape(nv, len(names)).T

@@ -29,7 +29,7 @@ from .fmu_template import BOTH, COMMON, FMI2, FMI3, WORDS
 from .key_paths import changed, numbers, resolve
 from .parameters import finite
 from ..core.codegen import space
-from ..effects.table import VALUE_COLUMNS
+from ..core.codegen.function_table import VALUE_COLUMNS
 from ..engine import build
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError

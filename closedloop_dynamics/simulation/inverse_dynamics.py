@@ -93,7 +93,7 @@ class InverseDynamics:
             self._effects.steady(q, qd)
             if len(table.cuts.index):
                 native.cut_accelerations(
-                    table.cuts, system.model, system.work, qdd, True, table.cuts.qdd)
+                    table, system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
             self._effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
             native.apply_effects(

@@ -104,7 +104,8 @@ def _structure(data):
     model, effects = data.system.model, data.system.effects
     parts = [model.tree, model.cut, model.path_body]
     if effects is not None:
-        parts += [effects.role, effects.index, effects.places, effects.enabled, effects.data]
+        parts += [effects.role, effects.places, effects.enabled, effects.data, effects.joints,
+                  effects.bodies, effects.entries, effects.summed, effects.feels, effects.gap]
     return [(array.shape, array.tobytes()) for array in parts]
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
+from ..core.codegen.function_table import VALUE_COLUMNS
 from ..effects.force_law import COURSE
-from ..effects.table import Row, VALUE_COLUMNS
 from ..effects.traced_laws import act, refused
 
 
@@ -93,8 +93,7 @@ class TracedScene:
 def structure(simulation):
     """Return what code depends on of the effects that are switched on: their laws, by rows."""
     table = simulation.system.effects
-    rows = () if table is None else [
-        Row(table, number) for number in np.flatnonzero(table.enabled).tolist()]
+    rows = () if table is None else table.enabled_rows
     return tuple((
         row.number, row.law.name, *row.law.parts(row), *row.joints, *row.bodies,
         # Of a course the force is a number.

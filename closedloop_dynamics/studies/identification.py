@@ -35,9 +35,9 @@ from .inertial_parameters import (
 from ..core import types as t
 from ..core.codegen import space
 from ..core.ranks import rank_from
-from ..effects.registry import effect_type
+from ..effects.element import OWN
 from ..effects.force_law import FRICTION
-from ..effects.table import OWN
+from ..effects.registry import effect_type
 from ..engine import native
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError

@@ -30,7 +30,6 @@ from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.effects.registry import effect_type, EFFECTS
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
-from closedloop_dynamics.effects.table import LOADED
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.effects.tendon_inertia import TendonInertia
@@ -377,8 +376,8 @@ def test_inverse_dynamics_sees_the_effects(case):
     simulation.set_effect('motor', enabled=False)
     moving = simulation.integrated
     table = simulation.system.effects
-    row, = np.flatnonzero(table.index[:, LOADED])
-    state = table.index[row, 0]
+    row, = np.flatnonzero(table.feels)
+    state = table.first_state[row]
     torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
     for _ in range(60):
         qdd, lam = simulation.forward_dynamics(q, qd, torque)

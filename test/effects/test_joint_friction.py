@@ -7,15 +7,17 @@ from dataclasses import replace
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.dry_friction import dry_friction
+from closedloop_dynamics.effects.effect_table import EffectTable
+from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, State
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.table import build_table, ForceElement
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.integration import system
+from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
+from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
@@ -188,16 +190,18 @@ def test_a_coefficient_given_later_is_the_same_as_from_the_start(scene):
 
 
 def test_friction_at_rest_makes_the_accelerations_least():
-    rng = np.random.default_rng(0)
+    rng, model = np.random.default_rng(0), build_model(block())
     for _ in range(200):
         count = int(rng.integers(1, 7))
         # Several joints share a freedom where there are fewer rows.
         root = rng.normal(size=(int(rng.integers(1, count + 1)), count)) * 10.0 ** rng.uniform(
             -2, 2, count)
         free = 10.0 * rng.normal(size=len(root))
-        rows = [ForceElement(dry_friction, (0,))] * count
-        table = build_table(rows, np.zeros(1), 1, 0).sticking
-        table.matrix[:], table.right[:], table.bound[:] = root.T @ root, root.T @ free, 1.0
+        rows = [ForceElement(dry_friction, (0,), states=(
+            State(OWN), State(OWN), State(DISSIPATED)))] * count
+        table = EffectTable.of(model, model, rows)
+        made = table.sticking
+        made.matrix[:], made.right[:], made.bound[:] = root.T @ root, root.T @ free, 1.0
         found = np.zeros(count)
         native.minimise_in_box(table, count, found)
         best = lsq_linear(root, -free, (-1.0, 1.0), method='bvls', tol=1e-15, max_iter=500)

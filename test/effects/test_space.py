@@ -7,13 +7,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from closedloop_dynamics.core.codegen.space import WORK_COLUMNS
-from closedloop_dynamics.effects import law_code
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.effect import Machine
 from closedloop_dynamics.effects.effect_set import EffectSet
+from closedloop_dynamics.effects.effect_table import EffectTable
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.force_table import ForceTable
@@ -24,7 +24,6 @@ from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.effects.table import build_table
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
@@ -48,8 +47,7 @@ def accelerations(mechanism, q, qd, tau, effects):
         record.fit(mechanism)
     chosen = EffectSet(effects, built.model, Machine(mechanism, built.placements))
     numbers = Numbers(built.model)
-    table = build_table(chosen.elements, tau, numbers.nv, numbers.nc, spatial=True)
-    law_code.link(table)
+    table = EffectTable.of(built.model, built.model, chosen.elements)
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
     numbers.write(body)

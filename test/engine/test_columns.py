@@ -11,7 +11,7 @@ from closedloop_dynamics.core import equations, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
-    course, curve, expression, force_law, table, traced_effect)
+    course, curve, effect_table, element, expression, force_law, traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, recorded_run, registry, run, stepped_run, system, tableau)
 from closedloop_dynamics.simulation import guards
@@ -37,25 +37,19 @@ ENUMS = {
     'Responses': (types, {'NONE': 'NO_RESPONSES'}),
     'Stabilisation': (registry, {}),
     'Status': (control, {}),
-    'effect': (table, {}),
-    'effect.Column': (table, {}),
+    'effect.Column': (element, {}),
     'effect.Role': (force_law, {}),
     'effect.Gap': (force_law, {}),
-    'contact': (table, {}),
-    'contact.Node': (table, {}),
-    'contact.Trial': (table, {}),
-    'contact.Search': (table, {}),
-    'cut_coordinate': (table, {}),
-    'present': (table, {}),
+    'cut_coordinate': (element, {}),
     'library.Function': (function_table, {}),
     'law_routine': (function_table, {}),
-    'cut_coordinate.Value': (table, {}),
+    'cut_coordinate.Value': (element, {}),
     'course.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (system, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
     'Outcome': (run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
-    'energy_balance.cpp: OWN': (table, {}),
+    'energy_balance.cpp: OWN': (element, {}),
     'manifold_derivatives.cpp: QUATERNION': (manifold, {}),
     'step_routine': (sensitivities, {}),
     'part': (equations, {}),
@@ -63,7 +57,7 @@ ENUMS = {
     'closing': (equations, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
+INNER = {'contact', 'contact.Node', 'contact.Trial', 'contact.Search', 'present', 'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
          'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked'}
 # Constants of the same name.
@@ -86,10 +80,8 @@ CONSTANTS = {
                               'HEALTH_COLUMNS')),
 }
 RECORDS = {
-    'AccelerationDerivatives': system.AccelerationDerivatives, 'Sticking': table.Sticking,
-    'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
-    'SceneCode': table.SceneCode,
-    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau,
+    'AccelerationDerivatives': system.AccelerationDerivatives,
+    'EffectElement': effect_table.EffectElement, 'Tableau': tableau.Tableau,
     'RunBuffer': recorded_run.RunBuffer, 'Watch': run.Watch,
     'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
     'Batch': batch.Batch, 'Loops': equations.Loops, 'Far': equations.Far,

@@ -14,6 +14,7 @@ import random
 
 from closedloop_dynamics.core.codegen.workspace import allocate
 from closedloop_dynamics.core.equations import Far, Loops, with_all_equations
+from closedloop_dynamics.effects import effect_table
 from closedloop_dynamics.effects.expression import program
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -32,7 +33,7 @@ import pytest
 from ..effects import (
     test_curve_search, test_cut_freedoms, test_effect_set, test_joint_spring, test_space)
 from ..effects.machines import simulated
-from ..simulation import test_driven
+from ..simulation import test_driven, test_stepper
 
 RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
         ('three_rrr', 'dopri5'), ('carpet_scraper_on_carpet', 'auto'), ('geneva_drive', 'auto'),
@@ -55,9 +56,8 @@ ANY_LENGTH = {
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
     ('find_joint_forces', 4), ('advance_run', 3),
-    ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('measure_cut_coordinates', 2),
-    ('measure_cut_coordinates', 3), ('cut_direction', 0), ('cut_direction', 3),
-    ('apply_effects', 1), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
+    ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('cut_direction', 0),
+    ('cut_direction', 3), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
     ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
     ('run_samples', 3), ('close_loops', 4)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
@@ -215,13 +215,14 @@ def use_kernels(simulation, note):
     call('apply_effects', effects, work.body, np.resize(q, nv), qd, system.tau)
     call('expression_value', np.array(program('2*sin(3*t)')), 0, 0.1)
     call('load_joints', handle, model, work, qd, system.qdd, system.lam)
-    call('minimise_in_box', effects.sticking, len(effects.sticking.rows) - 1,
+    told, = effect_table._told([effects.elements[0]], effects.is_spatial, True)
+    call('put_effect', effects, 0, told)
+    call('minimise_in_box', effects, len(effects.sticking.rows) - 1,
          np.zeros(len(effects.sticking.rows)))
     cuts = effects.cuts
     for k, index in enumerate(cuts.index):
         call('cut_direction', work.body, int(index[2]), bool(index[1]), cuts.values, k, 6)
-        call('measure_cut_coordinates', cuts.index, cuts.values, work.body, effects.states, nv,
-             cuts.q, cuts.qd)
+        call('measure_cut_coordinates', effects, work.body, cuts.q, cuts.qd)
 
 
 def use_driver(simulation, integrator):
@@ -267,6 +268,9 @@ def calls(tmp_path_factory):
             for name, place in zip('xy', platform.place)], workers=1)
         grid.start_from(platform.start)
         grid.spread()
+        stepper = test_stepper.Case('rssr_four_bar')
+        stepper.after(stepper.q, stepper.qd, stepper.tau)
+        stepper.stepper.change_independent()
         pieces = test_curve_search.curve(np.random.default_rng(0), True, 'cubic')
         native.curve_distance(pieces.ravel(), True, test_curve_search.forgotten(), 0.05, 0.01)
     for simulation in simulations:
@@ -275,13 +279,13 @@ def calls(tmp_path_factory):
         recorder.note('evaluate_request', handle, handle, request)
     # The first ones take no arrays, the others addresses of code and what it was generated for.
     without_arrays = {'stop_flag', 'set_stop', 'heed', 'call', 'call_for_columns', 'keep_law',
-                      'copy_system', 'model_of'}
+                      'copy_system', 'model_of', 'effects_of', 'snapshot', 'restore'}
     assert set(names) - set(recorder.calls) <= {'bind', *without_arrays}
     for name in without_arrays:
         recorder.calls.pop(name, None)
     # Generated code has the addresses of arrays that only the simulations keep.
     yield {name: list(found.values()) for name, found in recorder.calls.items()}
-    del simulations, sensitivities
+    del simulations, sensitivities, stepper
 
 
 def leaves(given, path=(), names=()):

@@ -27,7 +27,7 @@ ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
 OF_SCENE = (EVALUATION, AT_REST, RESPONSES)
-# Addresses of arrays; the last ones are of effects (``effects/table.py``).
+# Addresses of arrays; the last ones are of effects (``engine/effect_table.hpp``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
  RATES) = range(14, 36)
@@ -49,8 +49,8 @@ TABLE_COLUMNS = 47
 # its bodies.
 STATES, OUTPUT, COUNT, RIGHT_SIDE = range(47, 51)
 LAW_COLUMNS = 51
-# Numbers of a row of PRESENT (``effects/table.py``).
-PRESENT_COLUMNS = 12
+# Numbers of a row of VALUES and of PRESENT (``engine/effect_table.hpp``).
+VALUE_COLUMNS, PRESENT_COLUMNS = 13, 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.
 SHARED = 52
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.

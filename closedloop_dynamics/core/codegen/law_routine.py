@@ -64,7 +64,7 @@ class RowTrace:
         Of a row of the table.
     coordinates : int
         Of joints, that it reads.
-    row : effects.table.Row
+    row : effects.element.Row
         One that obeys the law.
 
     """

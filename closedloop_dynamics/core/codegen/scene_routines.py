@@ -153,7 +153,7 @@ class Forces:
         return len(self._unrolling.model.gravity)
 
     def turn_to(self, row, held=None):
-        """Have the turn of a ``effects.table.Row``."""
+        """Have the turn of a ``effects.element.Row``."""
         self._turn, self.row, self.first, self.held = row, row.number, row.state, held
         self.values, self.terms = self.numbers(row.number), row.law.terms(row)
         self.bodies = row.bodies
