@@ -21,7 +21,7 @@ MASSES, DEPENDENT, NO_METRIC = 1, 2, 4
 # How the loops of one state of many were closed: it is to be looked at by itself; at once; and the
 # determinant of the equations, as many as free coordinates, has changed its sign on the way.
 BY_ITSELF, PLAIN, TURNED = range(3)
-# Axes that a cut joint keeps parallel: none, Z, Z and X, and X turned by a slide along Z.
+# Axes that a cut joint keeps parallel: none, Z, all, and Z beside X turned by a slide along Z.
 NO_AXIS, ONE_AXIS, ALL_AXES, THREAD = range(4)
 
 
@@ -191,6 +191,25 @@ class Equations:
         self._connect()
         self._jacobian = None
         return native.first_open(self.model, self.work, q, qd, limit)
+
+    def residual(self, q, rows, far):
+        """Return the residuals of a search from far away, and their Jacobian."""
+        self._connect()
+        self._closed[:], self._jacobian = q, None
+        count = len(far.unit) + len(far.axes) + len(far.limits)
+        values, slopes = np.empty(count), np.empty((count, self.nv))
+        native.loop_residuals(
+            *self._solver, self._closed, Loops(self.places, rows, np.zeros(0, dtype=np.int64), 0.0,
+                                               0.0, 0.0), far, values, slopes)
+        return values, slopes
+
+    def nearest(self, q, rows, free, far, least, limit, goal, most):
+        """Return coordinates where a search from far away, of so many iterations, ends."""
+        self._connect()
+        self._closed[:], self._jacobian = q, None
+        native.search_loops(*self._solver, self._closed, Loops(
+            self.places, rows, free, 0.0, least, limit), far, goal, most)
+        return self._closed.copy()
 
     def jacobian(self):
         """Return J = d psi / d q, shape (nc, nv)."""

@@ -153,6 +153,7 @@ double LoopSolver::astray(Index a, Index axes)
   add(axes_a.col(2), axes_b.col(2));
   if (axes == axis::ALL_AXES) {
     add(axes_a.col(0), axes_b.col(0));
+    add(axes_a.col(1), axes_b.col(1));
   } else if (axes == axis::THREAD) {
     const Place x = axes_b.col(0), y = axes_b.col(1), z = axes_b.col(2);
     const Place at_a = frame_a * place(point + space::POINT_A);

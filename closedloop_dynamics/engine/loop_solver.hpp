@@ -54,7 +54,7 @@ enum : Index
 {
   NO_AXIS,  ///< None, or they need not be the right way round
   ONE_AXIS,  ///< Z
-  ALL_AXES,  ///< Z and X
+  ALL_AXES,
   THREAD  ///< Z, and X with where the slide along Z turns it
 };
 }

@@ -24,12 +24,13 @@ class MechanismArrays(NamedTuple):
     rows: dict  # Rows of the tree by joint (dict of str to list of int)
 
 
-def build_model(mechanism, gravity=None, decomposition=None, kept=None):
+def build_model(mechanism, gravity=None, decomposition=None, kept=None, with_constant=False):
     """Return the constant arrays of a mechanism; as for ``mechanism_arrays``."""
-    return mechanism_arrays(mechanism, gravity, decomposition, kept).model
+    return mechanism_arrays(mechanism, gravity, decomposition, kept, with_constant).model
 
 
-def mechanism_arrays(mechanism, gravity=None, decomposition=None, kept=None):
+def mechanism_arrays(
+        mechanism, gravity=None, decomposition=None, kept=None, with_constant=False):
     """
     Build the constant arrays of a mechanism.
 
@@ -44,6 +45,8 @@ def mechanism_arrays(mechanism, gravity=None, decomposition=None, kept=None):
     kept : sequence of bool, optional
         Which of the equations that do not always hold the elimination is to work on, in the order
         of the cut joints; all that a motion may change when not given.
+    with_constant : bool, optional
+        Whether, in space, equations that no motion changes are among them, met or not.
 
     Returns
     -------
@@ -67,6 +70,9 @@ def mechanism_arrays(mechanism, gravity=None, decomposition=None, kept=None):
     if planar:
         cut[:, t.POSSIBLE] = [plane.possible(kind) for kind in cut[:, t.CUT_TYPE].tolist()]
         kept = changeable_in_plane(model) if kept is None else kept
+    elif with_constant:
+        cut[:, t.POSSIBLE] = [(1 << len(space.equation_names(kind, space.HELD))) - 1
+                              for kind in cut[:, t.CUT_TYPE].tolist()]
     else:
         cut[:, t.POSSIBLE] = [sum(1 << n for n in possible) for possible in changeable_in_space(
             mechanism, model.replaced(cut=cut.copy()), extent(mechanism))]

@@ -358,16 +358,15 @@ def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
         assert cut.point_a == (0.4, 0.0, 0.0)
     for _ in range(3):
         data, q, _ = state(compiled, imported, rng)
-        ours, unit = loops.residual(q, wanted=False)[0], 1.0
+        ours, unit = loops.residual(q)[0], 1.0
         for coupling in imported.mechanism.couplings:
             unit = max(map(abs, coupling.joints.values()))
         assert unit * np.linalg.norm(ours[:3]) == pytest.approx(
             np.linalg.norm(data.efc_pos[:3]), rel=1e-9)
         if kind.startswith('weld'):
-            # Three pairs of directions differ by 2 sin(angle / 2) across the axis.
-            angle = 2.0 * np.arcsin(min(1.0, np.linalg.norm(ours[3:]) / np.sqrt(8.0)))
+            # What the cosines of three pairs of axes lack of 1: 4 sin(angle / 2) ** 2.
             assert np.linalg.norm(data.efc_pos[3:6]) == pytest.approx(
-                abs(np.sin(0.5 * angle)), rel=1e-9)
+                0.5 * np.sqrt(ours[-1]), rel=1e-9)
 
 
 @pytest.mark.parametrize('kind', ['weld', 'weld_sites'])
@@ -378,7 +377,7 @@ def test_a_weld_whose_torques_count_nothing_is_a_ball(tmp_path, kind):
     loops, rng = ClosureProblem(imported.mechanism, 1.0), np.random.default_rng(1)
     data, q, _ = state(compiled, imported, rng)
     assert not data.efc_pos[3:6].any()
-    assert np.linalg.norm(loops.residual(q, wanted=False)[0]) == pytest.approx(
+    assert np.linalg.norm(loops.residual(q)[0]) == pytest.approx(
         np.linalg.norm(data.efc_pos[:3]), rel=1e-9)
 
 

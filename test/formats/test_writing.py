@@ -433,7 +433,7 @@ def test_mujoco_has_the_accelerations_of_machines_that_are_exported(name):
     loops, q = ClosureProblem(mechanism, 1.0), found.q
     for _ in range(3):
         # As exactly as equations that repeat others need it.
-        values, jac, _ = loops.residual(q)
+        values, jac = loops.residual(q)
         q = loops.moved(q, -np.linalg.pinv(jac, rcond=1e-6) @ values)
     jac = loops.residual(q)[1]
     qd -= np.linalg.pinv(jac, rcond=1e-6) @ jac @ qd
