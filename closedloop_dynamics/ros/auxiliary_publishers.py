@@ -6,15 +6,14 @@
 from array import array
 
 from closedloop_dynamics.effects.end_stop import stops_of
+from closedloop_dynamics.ros.messages import LATCHED_QOS
 from closedloop_dynamics.simulation.scene_text import scene_text
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
-from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
 
-LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LOG_QOS = QoSProfile(depth=1000)
 # Names of the columns, before the commands by joint and the state.
 COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')

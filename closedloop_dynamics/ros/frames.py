@@ -3,6 +3,8 @@
 """
 Frames on ``/tf``: one at each cut point, to which constraint forces refer, and those of links.
 
+Those that do not move are on ``/tf_static``, once.
+
 ``joint_states`` do not have the joints with an orientation, and robot_state_publisher leaves out
 floating joints: the links that they carry always have a frame here.
 
@@ -12,8 +14,8 @@ whose origin is the cut point of body A; its axes are those of the world.
 
 from closedloop_dynamics.mechanism.coordinates import WITH_ORIENTATION
 from closedloop_dynamics.mechanism.kinematics import place_on, poses_in_space
-from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
-from closedloop_dynamics.ros.messages import SerializedTemplate
+from closedloop_dynamics.mechanism.mechanism import FIXED, GROUND, UNTURNED
+from closedloop_dynamics.ros.messages import LATCHED_QOS, SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import TransformStamped
@@ -41,10 +43,10 @@ FRAME_PARAMETERS = (
 
 class Frames:
     """
-    Broadcasts frames with every state, while ``/tf`` has subscribers.
+    Broadcasts frames with every state, while ``/tf`` has subscribers; at once those that rest.
 
     ``node`` broadcasts and is given ``FRAME_PARAMETERS``. ``of_cuts``: ``frame_id`` of the force
-    at each cut joint; ``any``: whether there are frames to broadcast. StartError if frames of
+    at each cut joint; ``any``: whether there are frames that move. StartError if frames of
     links are asked for and there is no message type for them.
     """
 
@@ -74,37 +76,69 @@ class Frames:
                     for name, cut in zip(self.of_cuts, cuts) if with_cuts),
                   *((self._prefix + body, body, origin, True)
                     for body in bodies if with_links or body in floating)]
-        self.any = bool(frames)
-        if frames:
-            self._names, of, points, turns = zip(*frames)
-            self._rows = np.array([bodies.index(body) for body in of])
-            self._points, self._turns = np.array(points), np.array(turns)[:, np.newaxis]
-            self._poses = np.tile(unmoved, (len(bodies), 1))
-            self._transforms = np.zeros((len(frames), 7))
-            self._message = SerializedTemplate(self._build, len(frames) * [7])
+        still = _fixed_to_ground(simulation.mechanism)
+        moving, at_rest = ([frame for frame in frames if (frame[1] in still) == rests]
+                           for rests in (False, True))
+        self._poses = np.tile(unmoved, (len(bodies), 1))
+        self.any = bool(moving)
+        if moving:
+            self._moving = _Group(moving, bodies, self._prefix)
             self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+        if at_rest:
+            self._still = node.create_publisher(TFMessage, '/tf_static', LATCHED_QOS)
+            stamp = node.get_clock().now().to_msg()
+            self._still.publish(_Group(at_rest, bodies, self._prefix).message(
+                stamp, self._present()))
+
+    def _present(self):
+        """Return the present poses of all bodies, the ground first, which stays as it is."""
+        self._poses[1:] = self._simulation.body_poses
+        return self._poses
 
     def on_state(self, stamp):
-        """Broadcast the frames of the present state."""
+        """Broadcast the frames of the present state that move."""
         if self._publisher.get_subscription_count():
-            self._publisher.publish(
-                self._message.filled(stamp.sec, stamp.nanosec, *self.transforms()))
+            self._publisher.publish(self._moving.message(stamp, self._present()))
 
-    def transforms(self):
-        """Return origins [m] and quaternions x, y, z, w, shape (number of frames, 7)."""
-        # The first is the ground's, which stays as it is.
-        self._poses[1:] = self._simulation.body_poses
-        out, poses = self._transforms, self._poses[self._rows]
+
+def _fixed_to_ground(mechanism):
+    """Return the names of the bodies that do not move, the ground among them."""
+    still, count = {GROUND}, 0
+    while count != len(still):
+        count = len(still)
+        still |= {joint.child for joint in mechanism.joints
+                  if joint.type == FIXED and joint.parent in still}
+    return still
+
+
+class _Group:
+    """
+    Frames that are broadcast together.
+
+    ``frames``: name, body, place on it, and whether it turns with it, of each.
+    """
+
+    def __init__(self, frames, bodies, prefix):
+        self._names, of, points, turns = zip(*frames)
+        self._world = prefix + WORLD
+        self._rows = np.array([bodies.index(body) for body in of])
+        self._points, self._turns = np.array(points), np.array(turns)[:, np.newaxis]
+        self._transforms = np.zeros((len(frames), 7))
+        self._message = SerializedTemplate(self._build, len(frames) * [7])
+
+    def message(self, stamp, poses):
+        """Return a TFMessage of the poses of all bodies."""
+        # Origins [m] and quaternions x, y, z, w.
+        out, poses = self._transforms, poses[self._rows]
         out[:, :self._points.shape[1]] = place_on(poses, self._points)
         out[:, 3:] = np.where(self._turns, poses_in_space(poses)[:, 3:], UNTURNED)
-        return out
+        return self._message.filled(stamp.sec, stamp.nanosec, *out)
 
     def _build(self, sec, nanosec, *transforms):
-        """Return a TFMessage."""
         message = TFMessage()
         for name, numbers in zip(self._names, transforms):
             frame = TransformStamped(child_frame_id=name)
-            frame.header.frame_id = self._prefix + WORLD
+            frame.header.frame_id = self._world
             frame.header.stamp.sec, frame.header.stamp.nanosec = sec, nanosec
             place, turn = frame.transform.translation, frame.transform.rotation
             place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers.tolist()

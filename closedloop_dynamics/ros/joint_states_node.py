@@ -12,10 +12,9 @@ from closedloop_dynamics.control.controller import per_joint
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.recording.run import moving_joints
-from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
 from closedloop_dynamics.ros.loading import load_simulation
-from closedloop_dynamics.ros.messages import StatePublisher
+from closedloop_dynamics.ros.messages import LATCHED_QOS, StatePublisher
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import (
     ALLOW_CODE, declare, Parameter, usage, watch_changes)

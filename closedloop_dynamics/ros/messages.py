@@ -26,6 +26,7 @@ from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -44,6 +45,8 @@ ESTIMATED, ESTIMATED_TURNS, DEVIATIONS = (
     'estimated_joint_states', 'estimated_multi_dof_joint_states', 'estimated_joint_deviations')
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
+# Whoever comes late gets the latest, too.
+LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class SerializedTemplate:

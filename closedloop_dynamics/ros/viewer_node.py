@@ -19,10 +19,10 @@ from closedloop_dynamics.mechanism.kinematics import body_poses, body_velocities
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
-from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.loading import allow_code
-from closedloop_dynamics.ros.messages import DEVIATIONS, ESTIMATED, ESTIMATED_TURNS
+from closedloop_dynamics.ros.messages import (
+    DEVIATIONS, ESTIMATED, ESTIMATED_TURNS, LATCHED_QOS)
 from closedloop_dynamics.ros.parameters import (
     ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import run

@@ -18,23 +18,30 @@ from visualization_msgs.msg import Marker, MarkerArray
 @pytest.fixture
 def broadcast(make_node, monkeypatch):
     """Return a function that makes a simulator, and what it broadcasts, without the real type."""
-    def make(**parameters):
+    def make(still=frozenset(), **parameters):
         monkeypatch.setattr(frames, 'TFMessage', lambda: SimpleNamespace(transforms=[]))
         monkeypatch.setattr(frames, 'SerializedTemplate', lambda build, sizes: SimpleNamespace(
             filled=build))
-        sent = []
+        sent = {'/tf': [], '/tf_static': []}
         create = SimulatorNode.create_publisher
         monkeypatch.setattr(
             SimulatorNode, 'create_publisher', lambda node, kind, topic, *more: create(
-                node, kind, topic, *more) if topic != '/tf' else SimpleNamespace(
-                publish=sent.append, get_subscription_count=lambda: 1))
+                node, kind, topic, *more) if topic not in sent else SimpleNamespace(
+                publish=sent[topic].append, get_subscription_count=lambda: 1))
         node = make_node(SimulatorNode, wait_for_command=True, **parameters)
         node.timer.cancel()
         for _ in range(20):
             node.simulation.step(duration=0.01)
         node.live.publish()
-        message, = sent
-        return node, {frame.child_frame_id: frame for frame in message.transforms}
+        moving, = sent['/tf']
+        # Once, however many states there are.
+        node._frames.on_state(node.states.stamp)
+        assert len(sent['/tf']) == 2 and len(sent['/tf_static']) <= 1
+        found = {frame.child_frame_id: frame for frame in moving.transforms}
+        assert not still & set(found)
+        return node, found | {
+            frame.child_frame_id: frame for message in sent['/tf_static']
+            for frame in message.transforms}
 
     return make
 
@@ -68,12 +75,12 @@ def test_constraint_forces_refer_to_frames_at_the_cut_points(broadcast, scene):
 
 
 def test_links_are_where_they_are_under_a_prefix(broadcast):
-    node, found = broadcast(scene='three_rrr', publish_tf=True, cut_frames=False,
-                            frame_prefix='left/')
+    node, found = broadcast(still={'left/ground'}, scene='three_rrr', publish_tf=True,
+                            cut_frames=False, frame_prefix='left/')
     mechanism = node.simulation.mechanism
-    assert list(found) == ['left/ground', *(f'left/{body.name}' for body in mechanism.bodies)]
+    assert list(found) == [*(f'left/{body.name}' for body in mechanism.bodies), 'left/ground']
     np.testing.assert_array_equal(pose(found['left/ground']), np.zeros(3))
-    for frame, expected in zip(list(found.values())[1:], node.simulation.body_poses):
+    for frame, expected in zip(found.values(), node.simulation.body_poses):
         assert frame.header.frame_id == 'left/world'
         miss = pose(frame) - expected
         np.testing.assert_allclose(miss[:2], 0.0, atol=1e-12)
