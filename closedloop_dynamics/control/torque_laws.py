@@ -72,6 +72,10 @@ class ProportionalDerivative:
             raise ValueError('no state has been answered yet')
         self.reference, self._first = reference, time
 
+    def desired(self, time):
+        """Return positions and velocities of the reference at a time [s], shape (2, n)."""
+        return np.array(self.reference.at(time - self._first, self._start))
+
     def torque(self, time, position, velocity):
         """
         Return the torques for a state, shape (n,).
@@ -139,6 +143,10 @@ class ComputedTorque:
         position = self._coordinates.by_freedom(position)
         self.controller.follow(Trajectory(
             points, time, position[self._actuated], velocity[self._actuated]), time)
+
+    def desired(self, time):
+        """Return positions and velocities of the reference at a time [s], shape (2, n)."""
+        return self.controller.desired(time)
 
     def torque(self, time, position, velocity):
         """Return the torques, shape (n,), for a state, shapes (nq,), (nv,), at a time [s]."""

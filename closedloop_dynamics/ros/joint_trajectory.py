@@ -43,14 +43,15 @@ def points_of(message, joints, held=True):
         if len(point.effort) or len(derivatives) < 2 and len(point.accelerations):
             raise TrajectoryError(f'points[{index}]: expected no effort, and accelerations only '
                                   'with velocities')
-    times = np.array([_seconds(point.time_from_start) for point in message.points])
+    times = np.array([seconds_of(point.time_from_start) for point in message.points])
     if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
         raise TrajectoryError(
             f'time_from_start: expected increasing times from 0 s on, got {times.tolist()}')
     if held and len(derivatives) > 1 and np.any(derivatives[1][-1]):
         raise TrajectoryError('velocities: expected 0 in the last point, which is held')
-    return Waypoints(_seconds(message.header.stamp), times, derivatives)
+    return Waypoints(seconds_of(message.header.stamp), times, derivatives)
 
 
-def _seconds(time):
+def seconds_of(time):
+    """Return a time or duration of a message [s]."""
     return time.sec + 1e-9 * time.nanosec

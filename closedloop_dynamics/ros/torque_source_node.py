@@ -4,6 +4,7 @@
 """The node ``closedloop_torque_source``: torques for any scene, from a process of their own."""
 
 from array import array
+from importlib.util import find_spec
 from itertools import chain
 from math import isfinite
 import time
@@ -147,7 +148,7 @@ class TorqueSourceNode(Node):
         self._answered = None
         # The last command, when the state that it answers was, and the states skipped since.
         self._sent, self._sent_for, self._skipped = None, None, 0
-        self._has_acted, self._points = False, None
+        self._has_acted, self._points, self._action = False, None, None
         self._read_names = self._read_indices = None
         self._timer = self.simulation = self.law = self._orientations = None
         self.add_on_set_parameters_callback(self._check_change)
@@ -192,6 +193,9 @@ class TorqueSourceNode(Node):
             return
         self._publish(torque, message.header.stamp)
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
+        if self._action is not None:
+            self._action.on_state(time_of_state, self.law.desired(time_of_state), np.array(
+                [message.position, message.velocity])[:, self._driven_indices])
         if self._points is not None:
             self._begin_trajectory(time_of_state, *state)
 
@@ -227,6 +231,13 @@ class TorqueSourceNode(Node):
             self._points = points_of(message, self.joints)
         except TrajectoryError as error:
             self.get_logger().warning(f'joint_trajectory refused: {error}')
+            return
+        if self._action is not None:
+            self._action.replaced()
+
+    def _follow(self, points):
+        """Follow points from the next state on."""
+        self._points = points
 
     def _begin_trajectory(self, *state):
         points, self._points = self._points, None
@@ -234,7 +245,11 @@ class TorqueSourceNode(Node):
             self.law.follow(points, *state)
         except TrajectoryError as error:
             self.get_logger().warning(f'joint_trajectory refused: {error}')
+            if self._action is not None:
+                self._action.refused(str(error))
             return
+        if self._action is not None:
+            self._action.begun(state[0])
         self.get_logger().info(
             f'following a trajectory of {len(points.times)} points in {points.times[-1]:.6g} s')
 
@@ -301,10 +316,18 @@ class TorqueSourceNode(Node):
             if self.values['mode'] == 'computed_torque':
                 self.create_subscription(
                     JointTrajectory, 'joint_trajectory', self.on_trajectory, QUEUE_DEPTH)
+                self._action = self._create_action()
         else:
             self._epoch = None
             self._every(1.0 / self.values['rate'], self.on_timer)
         self.get_logger().info(f"mode {self.values['mode']}, driving {', '.join(joints)}")
+
+    def _create_action(self):
+        """Offer the action where the package control_msgs is installed."""
+        if find_spec('control_msgs') is None:
+            return None
+        from closedloop_dynamics.ros.trajectory_action import TrajectoryAction
+        return TrajectoryAction(self, self.joints, self._follow)
 
     def _load(self, joints):
         """Return the model of modes that have one."""

@@ -41,15 +41,27 @@ def test_change_log_is_read_once_it_has_a_version():
 
 def test_everything_needed_from_the_package_index_is_in_the_manifest():
     # Keys of rosdep that bring Python packages of other names.
-    brought = {'eigen': 'cmeel-eigen', 'mcap-ros2-support': 'mcap',
-               'python3-numba': 'llvmlite', 'python3-pil': 'pillow',
-               'python3-rosbags-pip': 'rosbags'}
+    brought = {'eigen': 'cmeel-eigen', 'python3-numba': 'llvmlite', 'python3-pil': 'pillow'}
     keys = {depend.name for depend in manifest().exec_depends + manifest().build_depends}
     present = {brought.get(key, key.removeprefix('python3-')) for key in keys}
     lines = (ROOT / 'requirements' / 'runtime.txt').read_text().splitlines()
     needed = {re.split(r'[<>=]', line)[0].lower().removeprefix('py') for line in lines
               if line and not line.startswith('#')}
-    assert needed - {'setuptools'} <= present
+    # Where ROS is, rosbag2_py reads bags.
+    assert needed - {'mcap', 'rosbags', 'setuptools'} <= present
+    assert 'rosbag2_py' in keys
+
+
+def test_no_key_is_of_pip_alone():
+    # bloom makes packages of a distribution, which cannot depend on what pip installs.
+    for path in (ROOT, ROOT / 'closedloop_hardware'):
+        package = parse_package(str(path / 'package.xml'))
+        keys = {depend.name for depend in (
+            *package.build_depends, *package.exec_depends, *package.test_depends)}
+        assert not [key for key in keys if key.endswith('-pip') or '-' in key and not
+                    key.startswith('python3-')]
+        assert {'website', 'repository', 'bugtracker'} == {url.type for url in package.urls}
+        assert package.authors
 
 
 def test_every_ros_package_that_is_imported_is_in_the_manifest():
@@ -59,9 +71,7 @@ def test_every_ros_package_that_is_imported_is_in_the_manifest():
         r'^\s*(?:from|import) (\w+)', path.read_text(), flags=re.M)}
     ros = {name for name in imported if re.search(
         r'_(msgs|srvs|interfaces|ros)$|^(rclpy|launch|ament_\w+)$', name)}
-    # Looked for at run time: the standard's services are offered where its messages are installed.
-    optional = {'simulation_interfaces'}
-    assert len(ros) > 10 and optional <= ros and ros - optional <= keys
+    assert len(ros) > 10 and ros <= keys
 
 
 def test_container_recipe_names_what_exists():
