@@ -3,11 +3,13 @@
 #
 #   use_environment runtime|test|docs    makes it if need be, and switches this shell to it
 #
-# With ROS 2 Jazzy sourced it is a virtual environment on top of that ROS's Python, with only what is missing
-# there. Otherwise everything comes from the Python package index, ROS 2 Jazzy included. It lives in .venv/ of
-# the checkout, one directory per Python and kind, and is made again when requirements/ or the Python change.
+# With ROS 2 sourced (Jazzy, Kilted, Lyrical or Rolling) it is a virtual environment on top of that ROS's
+# Python, with only what is missing there. Otherwise everything comes from the Python package index, ROS 2
+# included. It lives in .venv/ of the checkout, one directory per Python and kind, and is made again when
+# requirements/ or the Python change.
 #
-# PYTHON=python3.12       which Python to use (3.11, 3.12 or 3.13)
+# PYTHON=python3.12       which Python to use (3.11 to 3.14)
+# WHEELS=kilted           without ROS sourced: which ROS 2 (jazzy, or kilted, which alone has Python 3.14)
 # VERSIONS=ubuntu-24.04   without ROS sourced: the versions that Ubuntu 24.04 has, such as numpy 1.26
 
 set -euo pipefail
@@ -24,13 +26,13 @@ fail() {
 }
 
 in_range() {
-  "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' &>/dev/null </dev/null
+  "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' &>/dev/null </dev/null
 }
 
 # Set base_python to the Python that can import the sourced ROS, if there is one.
 find_ros_python() {
   local candidate candidates=(python3 /usr/bin/python3)
-  [[ ${ROS_DISTRO:-} == jazzy ]] || return 1
+  [[ ${ROS_DISTRO:-} =~ ^(jazzy|kilted|lyrical|rolling)$ ]] || return 1
   [[ -z ${PYTHON:-} ]] || candidates=("$PYTHON")
   for candidate in "${candidates[@]}"; do
     if in_range "$candidate" && "$candidate" -c 'import rclpy' &>/dev/null </dev/null; then
@@ -45,31 +47,43 @@ find_ros_python() {
 find_any_python() {
   local candidate
   if [[ -n ${PYTHON:-} ]]; then
-    in_range "$PYTHON" || fail "PYTHON=$PYTHON is no Python 3.11, 3.12 or 3.13." \
+    in_range "$PYTHON" || fail "PYTHON=$PYTHON is no Python 3.11 to 3.14." \
       "Set PYTHON to one, or unset it to have one looked for."
     base_python=$PYTHON
     return
   fi
-  for candidate in python3 python3.12 python3.13 python3.11 /usr/bin/python3; do
+  for candidate in python3 python3.12 python3.13 python3.11 python3.14 /usr/bin/python3; do
     if in_range "$candidate"; then
       base_python=$candidate
       return
     fi
   done
-  fail "no Python 3.11, 3.12 or 3.13 was found (python3 is: $(python3 --version 2>&1 || true))." \
+  fail "no Python 3.11 to 3.14 was found (python3 is: $(python3 --version 2>&1 || true))." \
     "Install one, or set PYTHON to its path."
 }
 
-# Set kind (ros or pypi), base_python and name (of the directory in .venv).
+# Set distribution: the ROS 2 that the wheels are of.
+choose_wheels() {
+  distribution=${WHEELS:-jazzy}
+  if [[ -z ${WHEELS:-} ]] && "$base_python" -c 'import sys; sys.exit(sys.version_info < (3, 14))'; then
+    distribution=kilted
+  fi
+  [[ $distribution =~ ^(jazzy|kilted)$ ]] || fail "WHEELS=$distribution is unknown: expected jazzy or kilted."
+}
+
+# Set kind (ros or pypi), base_python, distribution and name (of the directory in .venv).
 choose_kind() {
+  local suffix=''
   if find_ros_python; then
-    kind=ros
+    kind=ros distribution=$ROS_DISTRO
   else
     kind=pypi
     leave_other_ros
     find_any_python
+    choose_wheels
   fi
-  name=$kind-$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')${VERSIONS:+-$VERSIONS}
+  [[ $distribution == jazzy ]] || suffix=-$distribution
+  name=$kind-$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')$suffix${VERSIONS:+-$VERSIONS}
   # Not the Python of an environment that happens to be active: it may be the one that is about to be remade.
   base_python=$("$base_python" -c 'import os, sys; print(os.path.realpath(sys._base_executable))')
 }
@@ -77,8 +91,8 @@ choose_kind() {
 # A ROS that cannot be used must not be found half-way either: its paths come before those of the wheels.
 leave_other_ros() {
   if [[ -n ${ROS_DISTRO:-} ]]; then
-    say "ROS 2 '$ROS_DISTRO' is sourced, but is not Jazzy, or ${PYTHON:-python3} does not import its rclpy."
-    say "It is left aside: ROS 2 Jazzy comes from the Python package index instead."
+    say "ROS 2 '$ROS_DISTRO' is sourced, but is none of Jazzy, Kilted, Lyrical and Rolling, or"
+    say "${PYTHON:-python3} does not import its rclpy. It is left aside: ROS 2 comes from the Python package index."
   fi
   unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
     LD_LIBRARY_PATH RMW_IMPLEMENTATION PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -89,8 +103,8 @@ check_machine() {
     fail "$base_python cannot make virtual environments: Debian and Ubuntu keep that in a package of its own." \
       "Install it: sudo apt install python$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv"
   if [[ $kind == pypi && $(uname -sm) != 'Linux x86_64' ]]; then
-    fail "ROS 2 Jazzy exists as wheels for Linux x86_64 only; this is $(uname -sm)." \
-      "Install ROS 2 Jazzy, source its setup.bash, and run this again."
+    fail "ROS 2 exists as wheels for Linux x86_64 only; this is $(uname -sm)." \
+      "Install ROS 2, source its setup.bash, and run this again."
   fi
 }
 
@@ -129,7 +143,15 @@ make_environment() {
     constraints=$venv/constraints.txt
   else
     "$base_python" -m venv "$venv"
-    wheels+=(--requirement "$root/requirements/ros.txt")
+    if [[ $distribution == jazzy ]]; then
+      wheels+=(--requirement "$root/requirements/ros.txt")
+    else
+      # What is pinned is of Jazzy.
+      sed "s/-jazzy-/-$distribution-/" "$root/requirements/ros.txt" > "$venv/ros.txt"
+      sed '/^ros-/d; /^-c/d' -- "$constraints" "$requirements/constraints-common.txt" > "$venv/constraints.txt"
+      constraints=$venv/constraints.txt
+      wheels+=(--requirement "$venv/ros.txt")
+    fi
   fi
   # The engine is compiled while the rest is downloaded: it needs no more than these headers.
   pip_install cmeel-eigen
@@ -138,9 +160,9 @@ make_environment() {
   building=$!
   trap 'kill "$building" 2>/dev/null || true' EXIT
   if [[ $kind == ros ]]; then
-    say "Installing what the sourced ROS 2 Jazzy does not bring: llvmlite, rosbags, mcap (60 MB or more, a minute)"
+    say "Installing what the sourced ROS 2 does not bring: llvmlite, rosbags, mcap (60 MB or more, a minute)"
   else
-    say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
+    say "Installing ROS 2 ($distribution) and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
   wait "$building" || fail 'The engine could not be compiled.'

@@ -10,6 +10,7 @@ its last megabyte, and no message at all in a database.
 
 from collections import Counter
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 import os
 from pathlib import Path
@@ -22,7 +23,8 @@ import zstandard
 from .contents import dump, METADATA_FILE, ROOT
 
 FORMAT_VERSION = 9
-DEFAULT_DISTRIBUTION = 'jazzy'
+# Of ROS, newest first.
+DISTRIBUTIONS = ('lyrical', 'kilted', 'jazzy')
 # What each storage can be compressed with.
 COMPRESSIONS = {'mcap': ('none', 'zstd', 'lz4'), 'sqlite3': ('none', 'zstd')}
 # A chunk of an MCAP file is written when it has become larger [bytes].
@@ -155,7 +157,7 @@ class BagFiles:
                 'message_count': file.counts.total(),
             } for file in files],
             'custom_data': None,
-            'ros_distro': _distribution(),
+            'ros_distro': distribution(),
         }
 
 
@@ -287,7 +289,7 @@ class SqliteFile(_File):
         self._database = sqlite3.connect(path)
         with self._errors():
             self._database.executescript(SCHEMA)
-            self._insert('schema', 4, _distribution())
+            self._insert('schema', 4, distribution())
         self.flush()
 
     def add_channel(self, channel, topic):
@@ -347,5 +349,14 @@ def checksum(channel, nanoseconds, data):
     return zlib.crc32(data, zlib.crc32(b'%d %d' % (channel, nanoseconds)))
 
 
-def _distribution():
-    return os.environ.get('ROS_DISTRO') or DEFAULT_DISTRIBUTION
+def distribution():
+    """Return the distribution of ROS that is sourced, or whose wheels are installed."""
+    return os.environ.get('ROS_DISTRO') or next(
+        (name for name in DISTRIBUTIONS if _is_installed(f'ros-{name}-rclpy')), DISTRIBUTIONS[-1])
+
+
+def _is_installed(package):
+    try:
+        return bool(version(package))
+    except PackageNotFoundError:
+        return False

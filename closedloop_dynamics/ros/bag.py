@@ -15,7 +15,7 @@ import time
 
 from closedloop_dynamics.recording.contents import Topic
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS
-from closedloop_dynamics.recording.writer import BagFiles
+from closedloop_dynamics.recording.writer import BagFiles, distribution
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys import get_typestore
@@ -182,12 +182,14 @@ class MessageTypes:
     """
     Message types by name: their Python classes and their definitions, in a ``typestore``.
 
-    The definitions of Jazzy's own messages come with ``rosbags``; others are read from the
-    ``.msg`` files installed with their package.
+    The definitions of the distribution's own messages come with ``rosbags``; others are read from
+    the ``.msg`` files installed with their package.
     """
 
     def __init__(self):
-        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+        # Those of a distribution that it does not know are of the newest that it does.
+        self.typestore = get_typestore(
+            getattr(Stores, f'ROS2_{distribution().upper()}', Stores.LATEST))
 
     def message_class(self, name):
         """

@@ -357,7 +357,7 @@ def _run_main(module):
     watch_signals()
     if find_spec('rclpy') is None:
         print('cannot start: this Python finds no ROS 2 (package rclpy). Source the setup.bash of '
-              "ROS 2 Jazzy, or install it: pip install 'ros-jazzy-rclpy[fastrtps]' "
+              "ROS 2, or install it: pip install 'ros-jazzy-rclpy[fastrtps]' "
               'ros-jazzy-common-interfaces',
               file=sys.stderr, flush=True)
         os._exit(2)

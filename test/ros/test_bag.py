@@ -6,6 +6,7 @@
 import sys
 from test.ros.bags import read_with_mcap, read_with_rosbags
 
+from closedloop_dynamics.recording import writer
 from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
 import pytest
 from rclpy.qos import DurabilityPolicy
@@ -15,6 +16,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+import yaml
 
 TYPES = MessageTypes()
 STATE = 'sensor_msgs/msg/JointState'
@@ -142,3 +144,24 @@ def test_definitions_of_other_packages_are_found_with_all_they_contain(own_packa
 def test_types_that_are_not_installed_are_named(own_package, name, problem):
     with pytest.raises(UnknownTypeError, match=problem):
         MessageTypes().message_class(name)
+
+
+@pytest.mark.parametrize('distribution', ['jazzy', 'kilted', 'lyrical', 'rolling'])
+def test_bag_names_its_distribution_and_has_its_types(tmp_path, monkeypatch, distribution):
+    monkeypatch.setenv('ROS_DISTRO', distribution)
+    types = MessageTypes()
+    bag = BagWriter(tmp_path / 'bag', 'mcap', types.typestore)
+    bag.add_topic('/states', STATE, [QoSProfile(depth=5)])
+    bag.write('/states', 5, serialize_message(state(3)))
+    bag.close()
+    facts = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())
+    assert facts['rosbag2_bagfile_information']['ros_distro'] == distribution
+    (time, message), = read_with_mcap(tmp_path / 'bag')['/states']
+    assert (time, message.header.stamp.sec) == (5, 3)
+
+
+def test_bag_names_the_wheels_where_no_distribution_is_sourced(monkeypatch):
+    monkeypatch.delenv('ROS_DISTRO', raising=False)
+    monkeypatch.setattr(writer, 'version', {'ros-kilted-rclpy': '9.1.2'}.__getitem__)
+    monkeypatch.setattr(writer, 'PackageNotFoundError', KeyError)
+    assert writer.distribution() == 'kilted'
