@@ -149,7 +149,7 @@ class Motion:
         simulation = Simulation(replace(self.scene, method=replace(
             self.scene.method.without_budget, step_size=step, stabilisation='projection',
             baumgarte_time_constant=None, **method)))
-        simulation.monitor.sampling = False
+        simulation.stepping.monitor.sampling = False
         return simulation
 
     def run(self, **method):
@@ -174,7 +174,7 @@ class Motion:
     def time_once(self, simulation):
         """Return the CPU time of the motion [s]."""
         simulation.reset()
-        simulation.monitor.sampling = False
+        simulation.stepping.monitor.sampling = False
         steps = 1 if self.rate else round(self.duration * OUTPUTS / DURATION)
         begin = time.thread_time()
         for torque in self.torques:
@@ -215,7 +215,7 @@ def ours(motion, rounds):
     for target in TARGETS:
         try:
             positions, simulation = motion.run(integrator='auto', accuracy=target)
-            evaluations = simulation.system.work.health[EVALUATIONS]
+            evaluations = simulation.data.system.work.health[EVALUATIONS]
             costs = [motion.time_once(simulation)]
             while len(costs) < rounds and sum(costs) < LONG:
                 costs.append(motion.time_once(simulation))

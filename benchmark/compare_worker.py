@@ -37,7 +37,7 @@ def again(system, q, qd):
 def evaluation(scene):
     """Return one evaluation of the accelerations inside compiled code."""
     one = Simulation.from_scene(scene)
-    return again(one.system, one.position, one.velocity)
+    return again(one.data.system, one.position, one.velocity)
 
 
 def python_call(scene):
@@ -79,7 +79,7 @@ def beside_flat(loops, tilt):
     from closedloop_dynamics.simulation.scene_records import Method
     from closedloop_dynamics.studies.hard_machines import ladder, scene
     one = Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method()))
-    return again(one.system, one.position, one.velocity)
+    return again(one.data.system, one.position, one.velocity)
 
 
 def rollouts(scene):

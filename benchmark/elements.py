@@ -142,7 +142,7 @@ def record(scene, element):
 
 def operations_of(simulation, which=EVALUATION):
     """Return how many operations the one routine of a scene takes, or one of joints at rest."""
-    model, table = simulation.system.model, simulation.system.effects
+    model, table = simulation.data.system.model, simulation.data.system.effects
     return operations(model) if table is None else count(
         LiveTrace(model, LiveLaws(table, which)).routine(EVALUATION))
 

@@ -142,7 +142,7 @@ def ratios(machine, rounds):
     mechanism, q, qd = machine(REGULAR)
     effects = machines.gravity() if len(mechanism.bodies[0].center_of_mass) == 2 else (
         machines.gravity_in_space())
-    system = Simulation(machines.scene(mechanism, q, qd, Method(), effects)).system
+    system = Simulation(machines.scene(mechanism, q, qd, Method(), effects)).data.system
     tasks = [(system, *machine(distance)[1:]) for distance in (REGULAR, *DISTANCES)]
     counts = [max(1, int(PORTION / timed(task, 100))) for task in tasks]
     regular, *others, called, with_forces = np.min([

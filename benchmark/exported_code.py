@@ -67,7 +67,7 @@ def measured(scene, rounds=ROUNDS, steps=STEPS):
 
     """
     simulation = Simulation.from_scene(scene, integrator='rk4', step_size=STEP)
-    simulation.monitor.sampling = False
+    simulation.stepping.monitor.sampling = False
     tau = np.zeros(len(simulation.torque_names))
     with TemporaryDirectory() as folder:
         codes = {name: compiled(simulation, Path(folder), options)

@@ -222,7 +222,7 @@ def _of_scene(scene):
     motion = np.concatenate((moved.position, moved.velocity))
     # As where it is released in this motion: effects with a memory have none of it.
     moved.reset()
-    state, system = moved.integrated.copy(), moved.system
+    state, system = moved.data.integrated.copy(), moved.data.system
     state[:len(motion)] = motion
     found, failures, timed = {}, {}, {}
     for name in (SUBSYSTEM, *DENSE):

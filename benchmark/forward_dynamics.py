@@ -54,8 +54,8 @@ def timed(function, count, repeats):
 def evaluation(simulation, count, repeats):
     """Time one evaluation inside compiled code."""
     q, qd = simulation.position, simulation.velocity
-    evaluate_again(simulation.system, q, qd, 1)
-    return timed(lambda n: evaluate_again(simulation.system, q, qd, n), count, repeats)
+    evaluate_again(simulation.data.system, q, qd, 1)
+    return timed(lambda n: evaluate_again(simulation.data.system, q, qd, n), count, repeats)
 
 
 def python_call(simulation, count, repeats):
@@ -73,7 +73,7 @@ def python_call(simulation, count, repeats):
 def step(simulation, count, repeats):
     """Time one step of a run of ``count`` steps."""
     tau = simulation.joint_torques(None)
-    simulation.monitor.sampling = False
+    simulation.stepping.monitor.sampling = False
 
     def run(number):
         simulation.reset()

@@ -104,13 +104,13 @@ def motion(scene, rate, integrator, value, rounds=0):
     if adaptive:
         method['accuracy' if integrator == AUTO else 'tolerance'] = value
     simulation = Simulation.from_scene(scene, integrator=integrator, **method)
-    simulation.monitor.sampling = False
+    simulation.stepping.monitor.sampling = False
     torques = _torques(simulation, scene, rate)
     positions = []
     for torque in torques:
         simulation.advance(torque, steps)
         positions.append(simulation.position.copy())
-    evaluations = simulation.system.work.health[EVALUATIONS] / DURATION
+    evaluations = simulation.data.system.work.health[EVALUATIONS] / DURATION
     costs = [_time_once(simulation, torques, steps) for _ in range(rounds)]
     return np.array(positions), evaluations, median(costs) if costs else math.nan
 
@@ -128,7 +128,7 @@ def _torques(simulation, scene, rate):
 def _time_once(simulation, torques, steps):
     """Return the CPU time of a simulated second [s]."""
     simulation.reset()
-    simulation.monitor.sampling = False
+    simulation.stepping.monitor.sampling = False
     begin = time.thread_time()
     for torque in torques:
         simulation.advance(torque, steps)

@@ -173,7 +173,7 @@ def measure_model(path, quick, largest=LARGEST):
     others, row['why'] = peers(path, mechanism, gravity)
     begin = time.process_time()
     simulation = Simulation(scene)
-    system = simulation.system
+    system = simulation.data.system
     states = states_of(mechanism, found.q, QUICK_STATES if quick else STATES)
 
     def ours(state, count=1):

@@ -44,7 +44,7 @@ def parts(node, rate, count):
 
     def read():
         # Something new to read: as after a step.
-        simulation._fresh = False
+        simulation.data.touch()
         return (*simulation.measured(), simulation.effort, simulation.constraint_forces)
 
     content = read()

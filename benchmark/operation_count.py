@@ -187,7 +187,7 @@ def measured_times():
     for name in MEASURED:
         one = Simulation.from_scene(name)
         result[one.mechanism.name] = least(lambda: evaluate_again(
-            one.system, one.position, one.velocity, 2000), 1) / 2000
+            one.data.system, one.position, one.velocity, 2000), 1) / 2000
     return result
 
 

@@ -333,27 +333,27 @@ class Referee:
 
     def acceleration(self, q, qd, tau):
         """Return our joint accelerations, shape (nv,)."""
-        system = self.simulation.system
+        system = self.simulation.data.system
         system.tau[:] = tau
         native.evaluate(system.native, q, qd)
         return system.qdd.copy()
 
     def closure(self, q):
         """Return the largest closure error [m, rad]."""
-        state = self.simulation.integrated
+        state = self.simulation.data.integrated
         state[:] = 0.0
         names = self.mechanism.coordinates
         # Quaternions of norm 1.
         state[:len(q)] = names.moved(q, np.zeros(names.nv))
-        self.simulation.touch()
+        self.simulation.data.touch()
         return self.simulation.closure
 
     def poses(self, q, qd):
         """Return {body: (pose, velocity)} of centres of mass in the plane: x, y, angle each."""
-        system = self.simulation.system
+        system = self.simulation.data.system
         native.outward(system.model, q, qd, system.work)
         result, row = {}, 0
-        for j in self.simulation.decomposition.joint_order:
+        for j in self.simulation.data.decomposition.joint_order:
             row += 1
             name = self.mechanism.joints[j].child
             x, y = next(b.center_of_mass for b in self.mechanism.bodies if b.name == name)

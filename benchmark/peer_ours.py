@@ -43,7 +43,7 @@ class Engine:
 
     def acceleration(self, q, qd, tau):
         """Return joint accelerations, shape (nv,)."""
-        system = self._simulation.system
+        system = self._simulation.data.system
         system.tau[:] = tau
         evaluate_again(system, q, qd, 1)
         return system.qdd.copy()
@@ -51,7 +51,7 @@ class Engine:
     def timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations}."""
         one = self._simulation
-        one.system.tau[:] = tau
+        one.data.system.tau[:] = tau
         torque = tau[list(one.coordinates.actuated)]
 
         def call(count):
@@ -65,23 +65,24 @@ class Engine:
 
         def back():
             stepping.set_state(q, qd)
-            stepping.monitor.sampling = False
+            stepping.stepping.stepping.stepping.monitor.sampling = False
 
         steps.prepare = back
         return {'evaluation, compiled loop': lambda count: evaluate_again(
-                    one.system, q, qd, count),
+                    one.data.system, q, qd, count),
                 'evaluation, from Python': call, 'RK4 step with projection': steps}
 
     def derivative_timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations with all derivatives}."""
         one = self._simulation
-        one.system.tau[:] = tau
+        one.data.system.tau[:] = tau
         # Kept: its code writes into arrays of its own.
-        self._derivatives = code = DerivativeCode(one, one.system.qdd, one.system.lam)
+        self._derivatives = code = DerivativeCode(
+            one.data, one.data.system.qdd, one.data.system.lam)
         again = native.bind('call_for_columns', code.table, q, qd, code.columns, code.found)
 
         def derivatives(count):
-            evaluate_again(one.system, q, qd, count)
+            evaluate_again(one.data.system, q, qd, count)
             for _ in range(count):
                 again()
 
@@ -104,7 +105,7 @@ def _motion(one, case, steps):
     """Return a function that computes the motion of a case."""
     def execute():
         one.reset()
-        one.monitor.sampling = False
+        one.stepping.stepping.stepping.monitor.sampling = False
         try:
             one.advance(case.tau, steps)
         except SimulationError:

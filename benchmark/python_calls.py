@@ -65,7 +65,7 @@ def calls(scene, count, repeats):
     qdd, _ = one.forward_dynamics(q, qd)
 
     def joint_forces():
-        one.touch()
+        one.data.touch()
         return one.joint_forces
 
     def stepped(portion):
@@ -77,7 +77,7 @@ def calls(scene, count, repeats):
 
     found = least({
         'nothing': repeated(lambda: None),
-        'evaluation': lambda number: evaluate_again(one.system, q, qd, number),
+        'evaluation': lambda number: evaluate_again(one.data.system, q, qd, number),
         'acceleration +': repeated(one.evaluator('acceleration')),
         'evaluator +': repeated(one.evaluator()),
         'forward +': repeated(lambda: one.forward_dynamics(q, qd)),

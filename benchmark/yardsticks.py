@@ -73,8 +73,8 @@ class SciPyMotion:
         simulation, method = self._simulation, self._simulation.scene.method
         if not steps:
             return
-        simulation.system.tau[:] = tau
-        state = simulation.integrated
+        simulation.data.system.tau[:] = tau
+        state = simulation.data.integrated
         self._evaluations = 0
         if self._solver is None:
             self._solver = self._type(
@@ -88,14 +88,14 @@ class SciPyMotion:
             self._dense = self._solver.dense_output()
         out = self._dense(self._time)
         if not native.stabilise(
-                simulation.system.native, STABILISATIONS[method.stabilisation], out):
+                simulation.data.system.native, STABILISATIONS[method.stabilisation], out):
             raise SimulationError('the loops cannot be closed')
         state[:] = out
-        simulation.touch()
+        simulation.data.touch()
 
     def _slope(self, time, state):
         out = np.empty(len(state))
-        native.derivative(self._simulation.system.native, np.ascontiguousarray(state), out)
+        native.derivative(self._simulation.data.system.native, np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
         self._evaluations += 1
         if self._evaluations > MOST_EVALUATIONS or not np.isfinite(out).all():

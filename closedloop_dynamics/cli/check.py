@@ -46,7 +46,7 @@ def _run(arguments):
         print(describe(read))
         raise UsageError(f'{arguments.scene}: {error}') from None
     print(describe(read, simulation))
-    for note in simulation.start_notes():
+    for note in simulation.data.start_notes():
         complain(arguments, note)
     return 0
 

@@ -89,7 +89,7 @@ def _write_c(arguments):
     arguments.output.write_text(text, encoding='utf-8')
     header.write_text(declared, encoding='utf-8')
     print(f'{arguments.output}, {header}: {len(simulation.position)} coordinates, '
-          f'{len(simulation.joint_names)} rates, {len(simulation.system.lam)} multipliers')
+          f'{len(simulation.joint_names)} rates, {len(simulation.data.system.lam)} multipliers')
     _print_left_out(simulation)
     return 0
 

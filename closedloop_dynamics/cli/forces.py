@@ -75,13 +75,13 @@ class _Largest:
     def __init__(self, simulation):
         self._simulation, self.count = simulation, 0
         self._torque = np.zeros(len(simulation.actuated_joints))
-        self._force = np.zeros(len(simulation.cut_joints))
+        self._force = np.zeros(len(simulation.mechanism.cut_joints))
 
     def sample(self):
         """Add the present state."""
         simulation = self._simulation
         self.count += 1
-        np.maximum(self._torque, np.abs(simulation.system.tau[simulation.actuated]),
+        np.maximum(self._torque, np.abs(simulation.data.system.tau[simulation.data.actuated]),
                    out=self._torque)
         np.maximum(self._force, magnitudes(simulation.constraint_forces), out=self._force)
 
@@ -92,7 +92,7 @@ class _Largest:
             *(f'  {name}: at most {value:.4g} N m or N' for name, value in zip(
                 simulation.actuated_joints, self._torque)),
             *(f'  {cut.name}: force of at most {value:.4g} N' for cut, value in zip(
-                simulation.cut_joints, self._force))])
+                simulation.mechanism.cut_joints, self._force))])
 
 
 COMMAND = Command(

@@ -183,9 +183,10 @@ def _summary(simulation, report, arguments, estimate):
     if math.isfinite(cost.local_error):
         lines.insert(2, f'  steps     local error {cost.local_error:.2g} rad or m in the worst '
                         f'step checked')
-    if simulation.shared_forces:
-        lines.append(f'  forces    of {", ".join(simulation.shared_forces)} are not unique, as '
-                     'equations repeat others: the least are written')
+    shared = simulation.data.shared_forces
+    if shared:
+        lines.append(f'  forces    of {", ".join(shared)} are not unique, as equations repeat '
+                     'others: the least are written')
     lines += [f'  WARNING   {finding}' for finding in cost.findings]
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} '

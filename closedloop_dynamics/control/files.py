@@ -49,7 +49,7 @@ class Controller:
     def __init__(self, name, values, scene):
         self.name, self._values, self._model = name, values, Simulation(scene)
         self.joints = self._model.actuated_joints
-        driven = [cut.name for cut in self._model.cut_joints if cut.actuated]
+        driven = [cut.name for cut in self._model.mechanism.cut_joints if cut.actuated]
         if driven or not self.joints:
             raise StartError(f'{name}: expected joints of the tree to drive, got '
                              f'{driven[0] if driven else "none"}')
@@ -79,7 +79,7 @@ class Controller:
         if self._singles:
             found = self._law(time)
         elif self._by_joint:
-            places = self._model.actuated
+            places = self._model.data.actuated
             found = self._law.torque(
                 time, self._model.coordinates.by_freedom(position)[places], velocity[places])
         else:

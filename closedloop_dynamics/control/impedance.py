@@ -44,7 +44,7 @@ class Impedance:
         self._body = points[name].body
         self._place = np.array([*points[name].position, 0.0][:3])
         self._closures = Geometry(self._mechanism).equations
-        self._actuated = simulation.actuated
+        self._actuated = simulation.data.actuated
         self.target = self.pose(simulation.position)
         self.tune(stiffness, damping, feedforward, limit)
 

@@ -116,7 +116,7 @@ class ComputedTorque:
         self.controller = controller
         self._feedforward = feedforward
         self.torque_limit = limit
-        self._actuated = simulation.actuated
+        self._actuated = simulation.data.actuated
         self._coordinates = simulation.coordinates
         self._torque = np.zeros(len(self._actuated))
         self._last = None

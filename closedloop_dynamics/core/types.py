@@ -146,13 +146,17 @@ class Handle(Arrays):
         """``made``: as functions of the engine return it; further attributes by name."""
         native, arrays = made
         super().__init__(native=native)
+        self.see(arrays)
+        vars(self).update(attributes)
+
+    def see(self, arrays):
+        """See the arrays of the object, by their names."""
         for name, array in arrays.items():
             *path, last = name.split('.')
             record = self
             for part in path:
                 record = vars(record).setdefault(part, Arrays())
             setattr(record, last, np.asarray(array))
-        vars(self).update(attributes)
 
 
 class Model(Handle):

@@ -119,9 +119,9 @@ class EffectSet:
         self._fill([row for row, name in enumerate(self._rows) if not self.enabled[name]])
         return self._table
 
-    def move(self, system):
-        """Adopt a system that works on other equations; the arrays of effects are shared."""
-        self._system, self._model = system, system.model
+    def use_equations(self, model):
+        """Go on with the model of other equations; the arrays of effects are shared."""
+        self._model = model
         self._linked = joint_kernels.structure(self._model)
         # Their multipliers have other places.
         self._refill(MOTION)
@@ -135,6 +135,7 @@ class EffectSet:
         table = self._table
         if rows:
             self._filled_by = None
+            native.touch(self._system.native)
         for row in rows:
             name = self._rows[row]
             table.put(row, self.records[name].element(self._machine), self.enabled[name])
@@ -169,6 +170,7 @@ class EffectSet:
         for record in active:
             record.change(model, self._machine)
         if self._system is not None:
+            native.touch(self._system.native)
             self._link()
         self.drives = {}
         for record in active:
@@ -312,6 +314,7 @@ class EffectSet:
 
         def undo():
             vars(self).update(attributes)
+            native.touch(self._system.native)
             native.restore(numbers)
             table.elements[:] = elements
 
@@ -328,6 +331,7 @@ class EffectSet:
         if self.cuts is None:
             return qd
         cuts, nv = self._table.cuts, len(qd)
+        native.touch(self._system.native)
         native.outward(self._system.model, q, qd, self._system.work)
         cuts.qd[:nv] = qd
         native.measure_cut_coordinates(self._table, self._system.work.body, cuts.q, cuts.qd)

@@ -66,6 +66,21 @@ class EffectTable(Handle):
             model, whole, _told(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
             list(elements))
 
+    @property
+    def description(self):
+        """What ``described`` rebuilds the table of: elements, which of them act, cut joints."""
+        return list(self.elements), self.enabled.tolist(), (
+            self.cuts.index.copy(), self.cuts.values.copy())
+
+    @classmethod
+    def described(cls, model, whole, elements, enabled, cuts):
+        """Return a table by its ``description``."""
+        made = cls.of(model, whole, elements, cuts)
+        for number, element in enumerate(elements):
+            if not enabled[number]:
+                made.put(number, element, False)
+        return made
+
     def copied(self, system):
         """Return the table of a copy of the system, a handle, that this one is of."""
         return EffectTable(native.effects_of(system), list(self.elements))

@@ -344,6 +344,14 @@ inline void mark(const Holder<System> & system, bool works)
   *system.value->worker = works ? std::this_thread::get_id() : std::thread::id();
 }
 
+/// Whether a function keeps track of what is evaluated by itself, or leaves it as it is; all others
+/// leave something else in the memory of a system.
+template<auto Function>
+inline constexpr bool keeps_evaluation = false;
+template<class Argument>
+void outdate(const Argument &) {}
+inline void outdate(const Holder<System> & system) {system.value->latest->forget();}
+
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
 inline PyObject * to_python(Index value) {return PyLong_FromLongLong(value);}
@@ -652,6 +660,9 @@ private:
   {
     // Under the interpreter lock, so that no other thread comes in between.
     std::apply([&](auto & ... holder) {(check_free(holder, name), ...);}, arguments);
+    if constexpr (!keeps_evaluation<Function>) {
+      std::apply([](auto & ... holder) {(outdate(holder), ...);}, arguments);
+    }
     if constexpr (Releases) {
       const Working working(arguments);
       const Released released;

@@ -261,6 +261,9 @@ Status run_batch(
   {
     throw std::invalid_argument("run_batch: lanes that do not fit together");
   }
+  for (const Lane & lane : lanes) {
+    lane.system->latest->forget();
+  }
   const Run & like = *lanes[0].run;
   const Tableau tableau = like.stepper().tableau();
   const Stabilisation stabilisation = like.stepper().stabilisation();

@@ -43,6 +43,9 @@ namespace
 /// Nothing: what another thread computes with is refused where arguments are read.
 void require_free(const System &) {}
 
+/// Nothing, but that constants or effects were changed from outside.
+void touch(const System &) {}
+
 double factorize_constraints(const Model & model, const Workspace & work)
 {
   return factorize(model, work);
@@ -275,6 +278,17 @@ Data with_independent(const Data & like, bool used)
   return made;
 }
 
+void use_equations(Data & data, const Model & model, const Model & all, Indices code)
+{
+  data.use_equations(model, all, code);
+}
+
+void use_independent(Data & data, bool used) {data.use_independent(used);}
+
+ViewsOf views(Data & data) {return {&data};}
+
+void take_run(Run & run, const Run & other) {run = other;}
+
 Data copy_system(const Data & from) {return from.copy();}
 
 EffectTable make_effects(
@@ -311,6 +325,29 @@ Model model_of(const Data & data) {return data.model;}
 
 Workspace workspace_of(const Data & data) {return data.work;}
 
+}  // namespace
+
+template<>
+inline constexpr bool keeps_evaluation<require_free> = true;
+template<>
+inline constexpr bool keeps_evaluation<evaluate_present> = true;
+template<>
+inline constexpr bool keeps_evaluation<find_multipliers> = true;
+template<>
+inline constexpr bool keeps_evaluation<points_in_state> = true;
+template<>
+inline constexpr bool keeps_evaluation<find_joint_forces> = true;
+template<>
+inline constexpr bool keeps_evaluation<views> = true;
+template<>
+inline constexpr bool keeps_evaluation<workspace_of> = true;
+template<>
+inline constexpr bool keeps_evaluation<&On<&Run::whole_length>::call> = true;
+template<>
+inline constexpr bool keeps_evaluation<&On<&Run::write_whole>::call> = true;
+
+namespace
+{
 const Entry entries[] = {
   entry<make_model>(
     "model",
@@ -335,6 +372,12 @@ const Entry entries[] = {
   entry<take_snapshot>(
     "snapshot", "snapshot(system): of all numbers that computations write, of effects, too"),
   entry<restore_snapshot>("restore", "restore(snapshot): put them back"),
+  entry<use_equations>(
+    "use_equations", "use_equations(system, model, all, code): from now on, of its state and effects"),
+  entry<use_independent>(
+    "use_independent", "use_independent(system, used): coordinates, none chosen yet, or none"),
+  entry<views>("views", "views(system): of its arrays, by name"),
+  entry<take_run>("take_run", "take_run(run, other): become a copy of another one"),
   entry<copy_system>("copy_system", "copy_system(system): with memory of its own"),
   entry<take_numbers>("take_numbers", "take_numbers(system, other): those that it is a copy of"),
   entry<use_derivatives>("use_derivatives", "use_derivatives(system, derivatives): for stiff steps"),
@@ -394,6 +437,8 @@ const Entry entries[] = {
     "evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
   entry<evaluate_with_poses, Length::STATE>(
     "evaluate_with_poses", "evaluate_with_poses(system, state)"),
+  entry<evaluate_present, Length::STATE>(
+    "evaluate_present", "evaluate_present(system, state): unless that was done last"),
   entry<is_regular, Length::Q, Length::QD>(
     "is_regular", "is_regular(system, q, qd): whether elimination will do"),
   entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
@@ -430,6 +475,7 @@ const Entry entries[] = {
   entry<cut_direction>(
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
   entry<minimise_in_box>("minimise_in_box", "minimise_in_box(effects, count, out)"),
+  entry<touch>("touch", "touch(system): constants or effects were changed"),
   entry<require_free>(
     "require_free", "require_free(system): refuses what another thread computes with"),
   entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
@@ -537,7 +583,11 @@ const Entry entries[] = {
   entry<find_all_multipliers, Length::Q, Length::QD>(
     "find_all_multipliers",
     "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),
+  entry<find_multipliers, Length::STATE>(
+    "find_multipliers", "find_multipliers(system, state, lam): of all equations in a state"),
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
+  entry<points_in_state, Length::STATE>(
+    "points_in_state", "points_in_state(system, state, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
   released<follow>(

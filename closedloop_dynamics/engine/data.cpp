@@ -119,6 +119,28 @@ Data::Data(const Data & like, const Model & model, const Model & all, Indices co
   link(code);
 }
 
+bool LatestEvaluation::is_of(Values state, Values tau) const
+{
+  // By their bits.
+  const auto same = [](const std::vector<double> & kept, Values now) {
+      return static_cast<Index>(kept.size()) == now.size &&
+             std::memcmp(kept.data(), now.data, sizeof(double) * kept.size()) == 0;
+    };
+  return known_ && same(state_, state) && same(tau_, tau);
+}
+
+void LatestEvaluation::keep(Values state, Values tau)
+{
+  state_.assign(state.begin(), state.end());
+  tau_.assign(tau.begin(), tau.end());
+  known_ = true;
+}
+
+void Data::use_equations(const Model & other, const Model & all, Indices code)
+{
+  *this = Data(*this, other, all, code);
+}
+
 Data Data::copy() const
 {
   Data made(*this);
@@ -127,6 +149,7 @@ Data Data::copy() const
   made.derivatives = {};
   made.owner_of_derivatives = nullptr;
   made.worker = std::make_shared<std::thread::id>();
+  made.latest = std::make_shared<LatestEvaluation>();
   made.connect();
   return made;
 }

@@ -103,6 +103,21 @@ struct AccelerationDerivatives
   void fields(Visitor && visit) {visit(table, columns, found, flows);}
 };
 
+/// The state and torques that the host has evaluated last, as long as nothing else is computed in the
+/// same memory.
+class LatestEvaluation
+{
+public:
+  bool is_of(Values state, Values tau) const;
+  void keep(Values state, Values tau);
+  void forget() {known_ = false;}
+
+private:
+  bool known_ = false;
+  std::vector<double> state_;
+  std::vector<double> tau_;
+};
+
 /// One mechanism with all that an evaluation of its motion reads and writes. A state vector has the
 /// coordinates, shape (nq,), the rates, shape (nv,), the effects' own states, and, where there are
 /// quaternions, the work of their torques.
@@ -143,6 +158,7 @@ struct Data
   bool (* interrupted)() = nullptr;
   /// The thread of the host that computes with this memory, if any.
   std::shared_ptr<std::thread::id> worker = std::make_shared<std::thread::id>();
+  std::shared_ptr<LatestEvaluation> latest = std::make_shared<LatestEvaluation>();
 
   /// Throws std::invalid_argument. `all`: with the equations, too, that `model` leaves out; `code`:
   /// addresses of routines, by place in the function table; of no length where there are none.
@@ -152,6 +168,8 @@ struct Data
   /// On other equations of the same mechanism, with their code.
   Data(const Data & like, const Model & model, const Model & all, Indices code);
 
+  /// Go on with other equations of the same mechanism; throws std::invalid_argument.
+  void use_equations(const Model & model, const Model & all, Indices code);
   /// With memory of its own, without derivatives.
   Data copy() const;
   /// Take over the numbers of data of which this is a copy.

@@ -253,6 +253,19 @@ auto to_python(Type value)->std::enable_if_t<handle_name<Type> != nullptr, PyObj
   return PyTuple_Pack(2, capsule.get(), views.get());
 }
 
+/// Views of the arrays of data alone, by name.
+struct ViewsOf
+{
+  Data * data;
+};
+
+inline PyObject * to_python(ViewsOf of)
+{
+  Owned views(PyDict_New());
+  of.data->arrays(Views(views.get()));
+  return views.release();
+}
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__HANDLES_HPP_

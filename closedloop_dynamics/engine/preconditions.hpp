@@ -144,7 +144,8 @@ inline const char * request(const System & system, const Request & request)
     request.state.size >= system.ns() && request.own.size == system.effects.states.size &&
     are_places(request.actuated, -1, system.tau.size) &&
     request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
-    (request.lam.size == 0 || request.lam.size == system.whole.lam.size));
+    (request.lam.size == 0 ||
+    request.lam.size == (system.whole.empty() ? system.lam : system.whole.lam).size));
 }
 
 }  // namespace expected
@@ -411,6 +412,22 @@ inline constexpr auto precondition<place_points> =
       (point.columns == 2 || point.columns == 3) && row.size <= point.rows &&
       out.rows >= row.size && out.columns == point.columns &&
       expected::are_bodies(body, point.columns == 2) && are_places(row, 0, body.rows));
+  };
+
+template<>
+inline constexpr auto precondition<points_in_state> =
+  [](const System & system, Values, Indices row, Table point, Table out) {
+    return expected::unless(
+      point.columns == (system.work.planar() ? 2 : 3) && row.size <= point.rows &&
+      out.rows >= row.size && out.columns == point.columns &&
+      are_places(row, 0, system.model.tree.rows));
+  };
+
+template<>
+inline constexpr auto precondition<find_multipliers> =
+  [](const System & system, Values, Values lam) {
+    return expected::unless(
+      lam.size == (system.whole.empty() ? system.lam : system.whole.lam).size);
   };
 
 template<>

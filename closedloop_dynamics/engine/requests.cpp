@@ -71,6 +71,7 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
     }
     if (system.whole.empty()) {
       evaluate_state(system, request.state);
+      copy(system.lam.part(0, request.lam.size), request.lam);
     } else {
       if (request.lam.size == 0) {
         evaluate_state(system, request.state);
@@ -254,6 +255,35 @@ bool fulfil_left_out(const System & system, Values q, Values qd)
   return fulfil(view(whole.jac), view(whole.bias), system.qdd);
 }
 
+void evaluate_present(const System & system, Values state)
+{
+  if (!system.latest->is_of(state, system.tau)) {
+    evaluate_with_poses(system, state);
+    system.latest->keep(state, system.tau);
+  }
+}
+
+void find_multipliers(const System & system, Values state, Values lam)
+{
+  evaluate_present(system, state);
+  if (system.whole.empty()) {
+    copy(system.lam, lam);
+  } else {
+    find_all_multipliers(system, system.q(state), system.qd(state), lam);
+    if (system.has_effects()) {
+      // Their readings are those on other bodies now.
+      system.latest->forget();
+    }
+  }
+}
+
+void points_in_state(
+  const System & system, Values state, Indices row, Table point, Table out)
+{
+  evaluate_present(system, state);
+  place_points(system.work.body, row, point, out);
+}
+
 void place_points(Table body, Indices row, Table point, Table out)
 {
   for (Index k = 0; k < row.size; ++k) {
@@ -270,10 +300,11 @@ void place_points(Table body, Indices row, Table point, Table out)
   }
 }
 
-bool find_joint_forces(
+void find_joint_forces(
   const System & system, Values state, Values lam, Indices row, Table point, Table scratch,
   Table out)
 {
+  find_multipliers(system, state, lam);
   const AllEquations & all = system.whole;
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
@@ -283,6 +314,7 @@ bool find_joint_forces(
     copy(lam, all.empty() ? system.lam : all.lam);
     call(system.table, routine::WRENCHES, q, qd);
   } else {
+    system.latest->forget();
     load_effect_states(system, state);
     outward(model, q, qd, work);
     if (system.has_cut_coordinates()) {
@@ -310,7 +342,6 @@ bool find_joint_forces(
       out(k, 2) -= moment.z;
     }
   }
-  return leaves;
 }
 
 }  // namespace closedloop

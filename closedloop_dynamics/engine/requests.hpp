@@ -20,7 +20,7 @@ struct Request
   /// Torques of the actuated joints, and their places in System.tau, -1 for a joint without torque.
   Values torque;
   Indices actuated;
-  /// Multipliers of all equations; empty where the elimination works on all, or if not requested.
+  /// Multipliers of all equations; empty if not requested.
   Values lam;
   /// Scratch, of the length of System.tau.
   Values held;
@@ -72,14 +72,19 @@ bool fulfil_left_out(const System &, Values q, Values qd);
 /// Whether accelerations fulfil J qdd = -bias but for rounding.
 bool fulfil(Table jac, Values bias, Values qdd);
 
-/// Positions in the world of points of bodies, shape (n, 2) or (n, 3).
-void place_points(Table body, Indices row, Table point, Table out);
+/// Evaluate a state under the present torques, unless this has been done last.
+void evaluate_present(const System &, Values state);
 
-/// Wrenches in the joints of an evaluated state, with multipliers of all equations: moments and
-/// forces at points of the bodies `row`, NaN where that is 0; `scratch` has the shape of
-/// Workspace.force. A `point` of no rows is the bodies' own origins. Returns whether the state is
-/// still evaluated then.
-bool find_joint_forces(
+/// Multipliers of all equations in a state, which is evaluated.
+void find_multipliers(const System &, Values state, Values lam);
+
+/// Positions in the world of points of bodies, shape (n, 2) or (n, 3); in a state, which is evaluated.
+void place_points(Table body, Indices row, Table point, Table out);
+void points_in_state(const System &, Values state, Indices row, Table point, Table out);
+
+/// Wrenches in the joints in a state, which is evaluated, as are all multipliers: moments and forces at points of the bodies `row`, NaN where that is 0; `scratch` has the shape of
+/// Workspace.force.
+void find_joint_forces(
   const System &, Values state, Values lam, Indices row, Table point, Table scratch, Table out);
 
 }  // namespace closedloop

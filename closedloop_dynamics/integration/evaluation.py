@@ -8,7 +8,7 @@ from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from .system import parts_of_state, System, with_equations
+from .system import number_of_equations, parts_of_state, System, with_equations
 from ..core.types import Model
 from ..engine import native
 
@@ -22,7 +22,7 @@ class Request(NamedTuple):
     own: np.ndarray  # Shape (nz,): effects' own states that it begins with
     torque: np.ndarray  # Shape (number of actuated joints,)
     actuated: np.ndarray  # Their places in ``System.tau``; -1 where a motion is prescribed
-    lam: np.ndarray  # Shape (nc,): of all equations; of no length where these are not wanted
+    lam: np.ndarray  # Shape (nc,): of all equations; of no length if these are not requested
     held: np.ndarray  # Shape (nv + nk,): scratch
 
 
@@ -30,10 +30,10 @@ def request(system: System, own: np.ndarray, actuated: np.ndarray,
             wants_multipliers: bool = True) -> Request:
     """Allocate a request; ``own`` and ``actuated`` are taken as they are."""
     *_, states = parts_of_state(system)
-    whole = system.whole if wants_multipliers else None
     return Request(
         np.zeros(states), own, np.zeros(len(actuated)), actuated,
-        np.zeros(0 if whole is None else len(whole.lam)), np.zeros(len(system.tau)))
+        np.zeros(number_of_equations(system) if wants_multipliers else 0),
+        np.zeros(len(system.tau)))
 
 
 class Evaluator:
@@ -108,8 +108,7 @@ class Evaluator:
         self.q, self.qd, self.tau = asked.state[places], asked.state[rates], asked.torque
         self._refused, self._names = refused, tuple(quantities)
         self._evaluate = native.bind('evaluate_request', one.native, whole.native, asked)
-        results = {'acceleration': one.qdd,
-                   'multipliers': asked.lam if one.has_redundant_constraints else one.lam}
+        results = {'acceleration': one.qdd, 'multipliers': asked.lam}
         for name in quantities:
             view = results[name].view()
             view.flags.writeable = False

@@ -79,31 +79,28 @@ class Run(SimpleNamespace):
         options = MethodOptions(
             integrator.tableau, DOPRI5, STABILISATIONS[method.stabilisation],
             method.accuracy if method.integrator == AUTO else method.tolerance)
-        self.watch, self._state = watch, state
+        self.watch, self._system = watch, system
         self.native = native.run(
             system.native, integrator.stepper, options, watch, roles, windings)
-        self._bind(_OF_RUN, self.native)
-        self.rebind(system)
+        for names, arguments in (
+                (_OF_RUN, (self.native,)), (_OF_SYSTEM, (system.native, self.native)),
+                (_OF_STATE, (system.native, self.native, state))):
+            for name in names:
+                setattr(self, name, native.bind(name, *arguments))
 
-    def _bind(self, names, *arguments):
-        for name in names:
-            setattr(self, name, native.bind(name, *arguments))
-
-    def rebind(self, system):
-        """Go on with a system that works on other equations."""
-        self._bind(_OF_SYSTEM, system.native, self.native)
-        self._bind(_OF_STATE, system.native, self.native, self._state)
-
-    def set_watch(self, system, watch, windings):
+    def set_watch(self, watch, windings):
         """Go on with other limits."""
-        native.set_watch(system.native, self.native, watch, windings)
+        native.set_watch(self._system.native, self.native, watch, windings)
         self.watch = watch
 
-    def take_method(self, system, other):
+    def take_method(self, other):
         """Go on by the method and with the limits of another run."""
-        native.take_method(system.native, self.native, other.native)
+        native.take_method(self._system.native, self.native, other.native)
         self.watch = other.watch
-        self.rebind(system)
+
+    def take(self, other):
+        """Become a copy of another run, by the same method."""
+        native.take_run(self.native, other.native)
 
     @property
     def report(self):

@@ -87,6 +87,8 @@ class System(Handle):
         Of all equations, where the elimination works on some of them only.
     joints : JointPlaces or None
         For forces that are not unique; None: there are none of these.
+    how : tuple
+        Size [m] and opening, as ``build_system`` takes them.
 
     Notes
     -----
@@ -96,13 +98,38 @@ class System(Handle):
 
     """
 
-    def __init__(self, made, model, effects, joints):
-        super().__init__(made, model=model, effects=effects, joints=joints,
-                         manifold=manifold_of(model))
-        self.work = Handle(native.workspace_of(self))
-        self.applied = self.tau if effects is None else effects.applied[:len(self.qdd)]
+    def __init__(self, made, model, effects, joints, how):
+        super().__init__(made, effects=effects, joints=joints, manifold=manifold_of(model),
+                         how=how)
+        self._work_on(model)
+
+    def _work_on(self, model):
+        """Have what belongs to the equations that the elimination works on."""
+        self.model, self.work = model, Handle(native.workspace_of(self))
+        self.applied = self.tau if self.effects is None else (
+            self.effects.applied[:len(self.qdd)])
         if not len(self.whole.lam):
             self.whole = None
+
+    def _see_again(self, model):
+        """See arrays that are others now."""
+        joints = self.joints
+        del self.joints, self.whole
+        self.see(native.views(self))
+        self.joints = joints
+        self._work_on(model)
+
+    def use_equations(self, model, code=LOOPS):
+        """Work on other closure equations from now on, as the system of ``with_equations``."""
+        joint_kernels.connect(model)
+        native.use_equations(self, model, with_all_equations(model), _addresses(
+            model, self.effects, self.joints, code))
+        self._see_again(model)
+
+    def use_independent(self, used):
+        """Use independent coordinates from now on, none chosen yet, or none."""
+        native.use_independent(self, used)
+        self._see_again(self.model)
 
     @property
     def is_unrolled(self):
@@ -135,7 +162,14 @@ class System(Handle):
         """Return one with memory of its own, without derivatives."""
         made = native.copy_system(self)
         return System(made, Model(native.model_of(made[0])),
-                      self.effects and self.effects.copied(made[0]), self.joints)
+                      self.effects and self.effects.copied(made[0]), self.joints, self.how)
+
+    def __reduce__(self):
+        """Pickle as what it is built from, torques and settings, without derivatives."""
+        code = Code(self.routines, scene_code.known_structure(self.table))
+        settings = {name: float(number) for name, number in vars(self.settings).items()}
+        return _rebuilt, (self.model, self.effects and self.effects.description, self.joints,
+                          self.how, self.is_independent, code, self.tau, settings)
 
 
 def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(), unrolled=None,
@@ -176,12 +210,29 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
     code = Code((*codegen.ALWAYS, *((codegen.LOOP_EQUATIONS,) if 0 < nc < nv else ()),
                  *((codegen.REACTIONS,) if reactions else ()),
                  *_routines_of_forces(model, joints)) if unrolled else (), None)
+    return _built(
+        model, effects, joints, (extent, opening), independent, code, baumgarte)
+
+
+def _built(model, effects, joints, how, independent, code, baumgarte):
+    """Return a system of a table of effects, or none."""
     joint_kernels.connect(model)
+    extent, opening = how
     return System(
         native.system(
-            model, whole, effects, *(joints or _NO_PLACES), baumgarte, extent, opening,
-            independent, _addresses(model, effects, joints, code)),
-        model, effects, joints)
+            model, with_all_equations(model), effects, *(joints or _NO_PLACES), baumgarte,
+            extent, opening, independent, _addresses(model, effects, joints, code)),
+        model, effects, joints, how)
+
+
+def _rebuilt(model, effects, joints, how, independent, code, tau, settings):
+    """Return a system as it was pickled."""
+    table = effects and EffectTable.described(model, with_all_equations(model), *effects)
+    made = _built(model, table, joints, how, independent, code, settings['baumgarte_gain'])
+    made.tau[:] = tau
+    for name, number in settings.items():
+        getattr(made.settings, name)[...] = number
+    return made
 
 
 _NO_PLACES = JointPlaces(
@@ -258,45 +309,21 @@ def with_equations(system, model, code=LOOPS):
     joint_kernels.connect(model)
     return System(
         native.with_equations(system, model, with_all_equations(model), _addresses(
-            model, system.effects, system.joints, code)), model, system.effects, system.joints)
+            model, system.effects, system.joints, code)), model, system.effects, system.joints,
+        system.how)
 
 
 def with_partition(system, used):
-    """
-    Return a system with another set of independent coordinates, none chosen yet.
+    """Return a system that shares all but independent coordinates, none chosen yet, or none."""
+    return System(native.with_independent(system, used), system.model, system.effects,
+                  system.joints, system.how)
 
-    Parameters
-    ----------
-    system : System
-        As it was; all else is shared.
-    used : bool
-        Whether independent coordinates are used.
 
-    """
-    other = System(native.with_independent(system, used), system.model, system.effects,
-                   system.joints)
-    # The same arrays, not only the same memory.
-    own = ('native', 'partition')
-    vars(other).update({name: each for name, each in vars(system).items() if name not in own})
-    return other
+def number_of_equations(system):
+    """Return nc: how many equations there are, those that are left out among them."""
+    return len(system.lam if system.whole is None else system.whole.lam)
 
 
 def number_of_states(system):
     """Return ns: the length of the state vector."""
     return parts_of_state(system)[-1]
-
-
-class Probe:
-    """
-    Evaluations from Python, one at a time, with the arguments bound.
-
-    ``q``, ``qd``, ``own``: coordinates, rates and effects' states that are evaluated: views of a
-    state vector; ``evaluate``: as ``evaluate_with_poses`` of the engine.
-    """
-
-    def __init__(self, system, state=None):
-        """Evaluate a state vector, shape (ns,), wherever it moves, or one of its own."""
-        *parts, count = parts_of_state(system)
-        state = np.zeros(count) if state is None else state
-        self.q, self.qd, self.own = (state[part] for part in parts)
-        self.evaluate = native.bind('evaluate_with_poses', system.native, state)

@@ -153,7 +153,7 @@ def _probed(simulation, key, value, duration, rate, torque, estimated, longest):
 
     def mark():
         marks.append((report.time, report.cpu_time, time.process_time() - begin,
-                      *simulation.monitor.work))
+                      *simulation.stepping.monitor.work))
 
     def keep_going():
         mark()

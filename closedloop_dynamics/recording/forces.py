@@ -142,9 +142,8 @@ def forces_along(simulation, joints, times, positions, deviation=0.0):
                 'meet: these joints do not determine the one on which it goes on')
         q, qd = completion.position, completion.velocity
         torque, _ = simulation.inverse_dynamics(q, qd, completion.accelerations(acceleration))
-        simulation.integrated[:nq] = q
-        simulation.integrated[nq:nq + nv] = qd
-        simulation.touch()
+        simulation.data.integrated[:nq] = q
+        simulation.data.integrated[nq:nq + nv] = qd
         simulation.advance(simulation.joint_torques(torque), 0)
         yield k
 
@@ -208,7 +207,8 @@ class ForceBag(MessageBag):
     def __init__(self, path, simulation):
         super().__init__(path)
         self._simulation, self._moving = simulation, moving_joints(simulation)
-        self._topics = [f'/constraint_forces/{cut.name}' for cut in simulation.cut_joints] + [
+        mechanism = simulation.mechanism
+        self._topics = [f'/constraint_forces/{cut.name}' for cut in mechanism.cut_joints] + [
             f'/joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
 
     def write(self, stamp):

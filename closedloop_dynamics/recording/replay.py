@@ -83,7 +83,7 @@ def replay(recording, progress=lambda time: None):
         values.append(portion if known else tuple(np.full_like(each, np.nan) for each in portion))
         true.append(simulation.state)
         if recording.efforts:
-            forces.append(simulation.equation_forces() if known else {})
+            forces.append(simulation.data.equation_forces() if known else {})
         growth.append(np.abs(other - simulation.position).max() / PERTURBATION)
         progress(len(values))
     simulated = Trajectory(
@@ -185,7 +185,7 @@ class _Logged(_Player):
                       else 'the first recorded state')
         else:
             if self._scene.method.by_budget and log.whole is not None:
-                self.simulation.adopt_accuracy(log.whole[before])
+                self.simulation.stepping.adopt_accuracy(log.whole[before])
             self._advance(k, log.time[k] - log.time[before])
             if k == self._known:
                 self._start(log.whole[k], log.time[k])
@@ -231,7 +231,7 @@ class _Logged(_Player):
     def _first_known(self, k):
         """Return the first entry from k on at which nothing acts that is not in the log."""
         log, simulation = self._log, self.simulation
-        delay = simulation.command_delay
+        delay = max(simulation.data.effect_set.drives.values(), default=0.0)
         # Error control restarts with a command; a delayed one does so between two entries.
         adaptive = INTEGRATORS[simulation.scene.method.integrator].kind == ADAPTIVE
         for entry in range(k, len(log.time) - 1):
@@ -257,7 +257,7 @@ class _Logged(_Player):
             if method:
                 # What a budget led to is in the log.
                 method.pop('budget', None)
-                self.simulation.prepare_method(**method)()
+                self.simulation.stepping.prepare_method(**method)()
             _switch(self.simulation, scene)
             self._scene = scene
 
@@ -284,7 +284,7 @@ class _Stamped(_Player):
         motion, simulation = self._motion, self.simulation
         simulation.set_state(motion.position[0], motion.velocity[0])
         self._start(simulation.state, 0.0)
-        tau, driven = simulation.joint_torques(None), simulation.actuated_in_tree
+        tau, driven = simulation.joint_torques(None), simulation.data.actuated_in_tree
         done = 0
         for time, effort in zip(motion.time, motion.effort):
             due = round(time / simulation.step_size)
@@ -298,7 +298,8 @@ def _switch(simulation, scene):
     """Give the effects of a running simulation those values that they have in a scene."""
     for name, record in scene.effects.items():
         enabled = name not in scene.switched_off
-        if record != simulation.effects[name] or enabled != (name in simulation.enabled_effects):
+        acts = name in simulation.data.enabled_effects
+        if record != simulation.effects[name] or enabled != acts:
             simulation.set_effect(name, enabled=enabled, **{
                 field.name: getattr(record, field.name) for field in fields(record)})
 

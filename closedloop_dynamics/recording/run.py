@@ -15,6 +15,7 @@ from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.budget import FINEST
 from ..simulation.errors import SimulationError
+from ..simulation.readings import readings_of
 from ..simulation.redundancy import wrench_names
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.trajectory import LEAST, wrench_parts
@@ -83,12 +84,12 @@ def columns(simulation, all_forces=False, costs=False):
     names = ['time']
     for quantity in QUANTITIES:
         names += simulation.coordinates.columns(quantity)
-    for cut in simulation.cut_joints:
+    for cut in simulation.mechanism.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
     names += [f'coupling.{coupling.name}' for coupling in simulation.mechanism.couplings]
     names += [f'tooth_force.{simulation.mechanism.couplings[k].name}'
               for k in _toothed(simulation)]
-    names += [f'motion.{name}.{part}' for name in simulation.motion_names
+    names += [f'motion.{name}.{part}' for name in readings_of(simulation).motion_names
               for part in ('force', 'power')]
     if all_forces:
         parts = _force_parts(simulation)
@@ -109,7 +110,7 @@ def headings(simulation, all_forces=False, costs=False):
     That is found where the simulation is. Of a wrench its components are marked, in world axes;
     of couplings and prescribed motions all that belongs to them.
     """
-    redundancy = simulation.redundancy()
+    redundancy = simulation.data.redundancy()
     parts = dict(zip(wrench_names(simulation.mechanism), wrench_parts(simulation.mechanism)))
     least = {f'force.{name}.{parts[component]}'
              for name, components in redundancy.components.items() for component in components}
@@ -128,11 +129,11 @@ def row(simulation, seconds, all_forces=False):
     for quantity in (simulation.position, simulation.velocity, simulation.acceleration,
                      simulation.effort):
         values += quantity.tolist()
-    for cut, wrench in zip(simulation.cut_joints, simulation.constraint_forces.tolist()):
+    for cut, wrench in zip(simulation.mechanism.cut_joints, simulation.constraint_forces.tolist()):
         values += [wrench[place] for place in _force_parts(simulation, cut).values()]
     values += simulation.coupling_forces.tolist()
     values += simulation.tooth_forces[_toothed(simulation)].tolist()
-    for name in simulation.motion_names:
+    for name in readings_of(simulation).motion_names:
         readings = simulation.effect_readings(name)
         values += [readings['force'], readings['power']]
     if all_forces:
@@ -150,9 +151,10 @@ def row(simulation, seconds, all_forces=False):
 
 def _effect_readings(simulation):
     """Return effects that are on, each with its readings, but motions, which have columns."""
-    effects = simulation.effect_set
+    data = readings_of(simulation)
+    effects = data.effect_set
     return [(name, reading) for name, record in effects.records.items()
-            if effects.enabled[name] and name not in simulation.motion_names
+            if effects.enabled[name] and name not in data.motion_names
             for reading in record.READINGS]
 
 
@@ -252,7 +254,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
 def _spent(simulation, report):
     """Return simulated time [s], evaluations and CPU time [s] so far, shape (3,)."""
     return np.array([
-        simulation.time, simulation.system.work.health[EVALUATIONS], report.cpu_time])
+        simulation.time, simulation.data.system.work.health[EVALUATIONS], report.cpu_time])
 
 
 def _estimated(estimate, simulation, torque, report):

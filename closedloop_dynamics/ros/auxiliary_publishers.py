@@ -43,7 +43,7 @@ class Descriptions:
     def on_state(self, stamp=None):
         """Publish the scene if it has changed since the state before."""
         simulation = self._simulation
-        present = simulation.scene, simulation.effects, simulation.enabled_effects
+        present = simulation.scene, simulation.effects, simulation.data.enabled_effects
         # Records that were not replaced are found equal without being compared. What changed did
         # so after the last state that was published.
         if present != self._published:

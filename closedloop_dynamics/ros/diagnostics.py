@@ -71,7 +71,7 @@ class Diagnostics:
 
     def watch_health(self, stamp):
         """Record the smallest pivot of a state, and warn before forces lose their meaning."""
-        pivot = self._live.simulation.system.work.health[SMALLEST_PIVOT]
+        pivot = self._live.simulation.data.system.work.health[SMALLEST_PIVOT]
         if pivot < self._worst:
             self._worst = pivot
         if near_singular(pivot) and not self._redundant and self._singular.ready():
@@ -158,7 +158,7 @@ class Diagnostics:
 
     def _effects(self):
         simulation = self._live.simulation
-        enabled = simulation.enabled_effects
+        enabled = simulation.data.enabled_effects
         values = {}
         for name, record in simulation.effects.items():
             values[name] = effect_type(record) + ('' if name in enabled else ', switched off')

@@ -52,7 +52,7 @@ class EffectParameters:
         kind = effect_type(record)
         descriptor = ParameterDescriptor(
             description=f'Whether the effect {name!r} ({kind}) is simulated.')
-        values = {ENABLED: (name in self._simulation.enabled_effects, descriptor)}
+        values = {ENABLED: (name in self._simulation.data.enabled_effects, descriptor)}
         for field in fields(record):
             value = getattr(record, field.name)
             # A whole number serves as a number, and nothing as no limit.
@@ -88,7 +88,7 @@ class EffectParameters:
     def _check(self, parameters):
         try:
             for name, values in self._changes(parameters).items():
-                self._simulation.check_effect(name, **values)
+                self._simulation.stepping.check_effect(name, **values)
         except (ValueError, StiffnessError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -74,7 +74,7 @@ class ExternalWrench:
         tau[:len(self.torques)] = wrench_in_joints(
             simulation.mechanism, simulation.position, *self._places[name], wrench)
         try:
-            simulation.require_bearable(tau)
+            simulation.stepping.require_bearable(tau)
         except SimulationError as error:
             raise CommandError(error) from None
 

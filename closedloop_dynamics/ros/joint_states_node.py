@@ -81,7 +81,7 @@ class JointStatesNode(Node):
         self.counts = dict.fromkeys((COMPLETED, NOT_USABLE, NOT_CLOSED), 0)
         self._before = dict(self.counts)
         self._moving = moving_joints(simulation)
-        wrenches = [f'constraint_forces/{cut.name}' for cut in simulation.cut_joints] + [
+        wrenches = [f'constraint_forces/{cut.name}' for cut in simulation.mechanism.cut_joints] + [
             f'joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
         if not values['forces']:
             wrenches = []
@@ -155,9 +155,8 @@ class JointStatesNode(Node):
     def _publish(self, message):
         simulation, completion = self._simulation, self.completion
         nq = len(completion.position)
-        simulation.integrated[:nq] = completion.position
-        simulation.integrated[nq:nq + len(completion.velocity)] = completion.velocity
-        simulation.touch()
+        simulation.data.integrated[:nq] = completion.position
+        simulation.data.integrated[nq:nq + len(completion.velocity)] = completion.velocity
         effort, forces = np.zeros(len(completion.velocity)), self._no_forces
         if len(message.effort):
             effort[self._index] = self._factors * np.array(message.effort)[self._places]
@@ -167,7 +166,7 @@ class JointStatesNode(Node):
             simulation.advance(tau, 0)
             forces = np.concatenate([
                 simulation.constraint_forces, simulation.joint_forces[self._moving]])
-        cuts = (*simulation.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
+        cuts = (*simulation.data.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
             simulation.cut_joint_names) else ()
         self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,
                             forces, cuts)

@@ -31,7 +31,7 @@ class LiveSimulation:
         self.simulation, self.command, self.stamps, self.states = (
             simulation, command, stamps, states)
         self._pacer, self._logger = pacer, logger
-        self._others = bool(simulation.equation_forces())
+        self._others = bool(simulation.data.equation_forces())
         self.torque, self.wrench = simulation.joint_torques(None), ExternalWrench(simulation)
         self.on_published, self.on_advance, self.on_jump = [], [], []
         self._published_at = self._published_stamp = None
@@ -50,9 +50,9 @@ class LiveSimulation:
             self.command.held += (
                 steps * self.simulation.step_size / self._pacer.real_time_factor)
         # Before the notes, which report the accuracy of the steps that follow.
-        self.simulation.keep_budget()
+        self.simulation.stepping.keep_budget()
         self.torque[:] = 0.0
-        self.torque[self.simulation.actuated] = self.command.torque
+        self.torque[self.simulation.data.actuated] = self.command.torque
         self.wrench.act(self.torque)
         for note in self.on_advance:
             note(self.torque)
@@ -65,14 +65,14 @@ class LiveSimulation:
         It was due ``late`` s ago, of the steady clock. Raises NumericalError instead of publishing
         a state that the energy guard refuses, or forces that are not finite.
         """
-        self.simulation.energy_guard.pass_on(self.simulation)
+        self.simulation.stepping.energy_guard.pass_on(self.simulation.stepping)
         simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
         forces = simulation.constraint_forces
         others = [np.array(list(each.values()))
-                  for each in (simulation.equation_forces() if self._others else {}).values()]
+                  for each in (simulation.data.equation_forces() if self._others else {}).values()]
         if not all(np.isfinite(each).all() for each in (forces, *others)):
             raise NumericalError('the constraint forces are not finite numbers')
-        cuts = (*simulation.measured_cut_joints(), simulation.cut_effort) if (
+        cuts = (*simulation.data.measured_cut_joints(), simulation.cut_effort) if (
             simulation.cut_joint_names) else ()
         self.states.publish(stamp, *simulation.measured(),
                             self.wrench.without(simulation.effort), forces, cuts, *others)

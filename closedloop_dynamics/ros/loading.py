@@ -48,7 +48,7 @@ def load_simulation(values, logger, moved='', **method):
             joints = [name.strip() for name in moved.split(',') if name.strip()]
             simulation = Simulation.from_scene(read, {
                 joint: PrescribedMotion(COMMANDED, joint=joint) for joint in joints}, **method)
-            simulation.prepare_exchanges()
+            simulation.data.prepare_exchanges()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')

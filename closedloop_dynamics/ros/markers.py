@@ -154,7 +154,7 @@ class Markers:
         wanted = [('constraint_forces', k, FORCE_COLOR, place, force) for k, (place, force) in (
             enumerate(zip(places, force_of(simulation.constraint_forces).tolist())))]
         lines = []
-        for k, name in enumerate(simulation.enabled_effects):
+        for k, name in enumerate(simulation.data.enabled_effects):
             record = simulation.effects[name]
             if isinstance(record, Contact):
                 lines.append(self._contact_line(k, record))

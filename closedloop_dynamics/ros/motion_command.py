@@ -35,7 +35,7 @@ class MotionCommand:
 
     def _commands(self, message):
         """Return the arguments of ``Simulation.command_motion``."""
-        names, known = list(message.joint_names), self._simulation.commanded_motions
+        names, known = list(message.joint_names), self._simulation.data.commanded_motions
         unknown = [name for name in names if name not in known]
         if unknown or not names:
             raise CommandError(

@@ -123,8 +123,8 @@ class SimulatorNode(Node):
             f"simulating '{self.simulation.scene.name}' in steps of "
             f'{self.simulation.step_size:g} s, {pace}; torque_command takes '
             f'{", ".join(self.simulation.actuated_joints) or "no joint"}'
-            + (f'; motion_command moves {", ".join(self.simulation.commanded_motions)}'
-               if self.simulation.commanded_motions else '')
+            + (f'; motion_command moves {", ".join(self.simulation.data.commanded_motions)}'
+               if self.simulation.data.commanded_motions else '')
             + self._but())
 
     def _create_simulation(self):
@@ -133,17 +133,17 @@ class SimulatorNode(Node):
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
             self, simulation.coordinates,
-            [f'constraint_forces/{cut.name}' for cut in simulation.cut_joints],
+            [f'constraint_forces/{cut.name}' for cut in simulation.mechanism.cut_joints],
             self._frames.of_cuts, simulation.mechanism.cut_coordinates,
-            {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
+            {topic: list(forces) for topic, forces in simulation.data.equation_forces().items()})
         self.command = TorqueCommand(
             (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
             values['command_timeout'],
-            lambda torque: simulation.require_bearable(simulation.joint_torques(torque)))
+            lambda torque: simulation.stepping.require_bearable(simulation.joint_torques(torque)))
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
         if real_time:
-            simulation.pace = values['real_time_factor']
+            simulation.stepping.pace = values['real_time_factor']
         stamps = Stamps(self, simulation, values['publish_clock'] or not real_time,
                         values['publish_clock'], 1.0 / values['publish_rate'])
         self.live = LiveSimulation(simulation, self.command, stamps, self.states,
@@ -177,7 +177,7 @@ class SimulatorNode(Node):
                 (Float64MultiArray, 'torque_command', self.on_torque_command),
                 (JointState, 'joint_command', self.on_joint_command)):
             subscribe(self, kind, topic, follow, qos, partial(self._count_lost, topic))
-        if self.simulation.commanded_motions:
+        if self.simulation.data.commanded_motions:
             subscribe(self, JointTrajectory, 'motion_command', self.on_motion_command,
                       QoSProfile(depth=COMMAND_DEPTH), self._count_lost_motion)
         # The newest counts: a late one is of no use.
@@ -383,7 +383,7 @@ class SimulatorNode(Node):
     @property
     def _motion_counts(self):
         """Return the counts of trajectories, where any may be followed."""
-        return self.motion.counts if self.simulation.commanded_motions else {}
+        return self.motion.counts if self.simulation.data.commanded_motions else {}
 
     # Services.
 
@@ -414,7 +414,7 @@ class SimulatorNode(Node):
 
     def restart_time(self):
         """Set simulated time to zero in the present state, which may raise SimulationError."""
-        self.simulation.begin_at(replace(self.simulation.snapshot(), time=0.0))
+        self.simulation.stepping.begin_at(replace(self.simulation.snapshot(), time=0.0))
         self._guarded(self.jump)
 
     def reset(self):
@@ -499,7 +499,7 @@ class SimulatorNode(Node):
         """Go to a state, as ``Simulation.set_state`` does, which may refuse; and publish it."""
         simulation = self.simulation
         simulation.set_state(position, velocity, hold)
-        for note in simulation.assembly_notes():
+        for note in simulation.data.assembly_notes():
             self.warn('refused', f'set_state: {note}')
         self.counts['states set'] += 1
         self._guarded(self.jump)
@@ -529,7 +529,7 @@ class SimulatorNode(Node):
                 self.get_logger().info(
                     'taking another method: ' + ', '.join(f'{k} {v}' for k, v in changes.items()))
                 with self._standing_still(), leaving_at_once():
-                    self._method_prepared = self.simulation.prepare_method(**changes)
+                    self._method_prepared = self.simulation.stepping.prepare_method(**changes)
         except (ValueError, SimulationError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -550,7 +550,7 @@ class SimulatorNode(Node):
         if 'real_time_factor' in values:
             self.pacer.real_time_factor = values['real_time_factor']
             if self.mode.name == REALTIME:
-                self.simulation.pace = values['real_time_factor']
+                self.simulation.stepping.pace = values['real_time_factor']
         self.command.timeout = self._values['command_timeout']
         if 'keep_core_awake' in values:
             self._attend_to_core()

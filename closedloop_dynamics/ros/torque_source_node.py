@@ -338,7 +338,7 @@ class TorqueSourceNode(Node):
             raise StartError(f"mode '{mode}' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
         simulation = load_simulation(self.values, self.get_logger())[0]
-        driven = [cut.name for cut in simulation.cut_joints if cut.actuated]
+        driven = [cut.name for cut in simulation.mechanism.cut_joints if cut.actuated]
         if driven:
             raise StartError(f"mode '{mode}' leads joints of the tree, and not "
                              f"{driven[0]}, which closes a loop: take mode 'pd', or cut another "

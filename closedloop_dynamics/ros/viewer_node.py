@@ -364,7 +364,7 @@ class RemoteSimulator(Shown):
                 replace(self._hand.scene, effects={}, switched_off=()))
             self._busy = None
         self._model.set_state(self._position)
-        felt = felt_inertia(self._model)[self._model.actuated_in_tree]
+        felt = felt_inertia(self._model)[self._model.data.actuated_in_tree]
         self._felt = {name: float(inertia) if np.isfinite(inertia) else 1.0
                       for name, inertia in zip(self.drives, felt)}
 

@@ -73,7 +73,7 @@ def c_source(simulation, name, derivatives=False):
     """
     if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
         raise ValueError(f'name: expected letters, digits and _, a letter first, got {name!r}')
-    reasons = refusals(simulation)
+    reasons = refusals(simulation.data)
     if reasons:
         raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
             f'{what} ({why})' for what, why in reasons.items()))
@@ -83,11 +83,10 @@ def c_source(simulation, name, derivatives=False):
 
 def _require_good_start(simulation):
     """Refuse a state that the elimination alone, as in C, cannot evaluate."""
-    system = simulation.system
+    system = simulation.data.system
     before = system.work.health.copy()
     good = native.is_regular(system.native, simulation.position, simulation.velocity)
     system.work.health[:] = before
-    simulation.touch()
     if not good:
         raise SimulationError(
             f'{simulation.scene.name} cannot be written as C: closure equations depend on one '
@@ -97,7 +96,7 @@ def _require_good_start(simulation):
 
 def left_out(simulation):
     """Return names of effects that only measure, and have no part in the motion."""
-    return [name for name, record in simulation.effect_set.records.items()
+    return [name for name, record in simulation.data.effect_set.records.items()
             if record.instrument() is not None]
 
 
@@ -106,17 +105,17 @@ class _Text:
 
     def __init__(self, simulation, name, derivatives):
         self.simulation, self.name, self.derivatives = simulation, name, derivatives
-        self.system, self.model = simulation.system, simulation.system.model
+        self.system, self.model = simulation.data.system, simulation.data.system.model
         self.planar, table = simulation.mechanism.planar, self.system.effects
         values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
-        self.rows, places = simulation.point_rows
+        self.rows, places = simulation.data.loop_model.named_points
         body, cut = ((_BODY_COLUMNS, _CUT_COLUMNS) if self.planar
                      else (_SPATIAL_BODY_COLUMNS, _SPATIAL_CUT_COLUMNS))
-        effects = ', '.join(simulation.effect_set.by_name)
+        effects = ', '.join(simulation.data.effect_set.by_name)
         # Of the joints whose wrenches are unique: rows of their children, origins and axes there.
-        self.joints, self.carried = simulation.force_places()
+        self.joints, self.carried = simulation.data.force_places()
         # Behind them the cut joints: their rows, and axes of bodies A.
-        self.cuts = simulation.cut_rows, self._cut_axes()
+        self.cuts = simulation.data.cut_rows, self._cut_axes()
         if self.joints:
             self.joints += [cut.name for cut in simulation.mechanism.cut_joints]
         # Factors that columns of derivatives have in common.
@@ -133,7 +132,8 @@ class _Text:
 
     def _cut_axes(self):
         """Return the axes of bodies A of the cut joints in the frames of their rows."""
-        mechanism, (_, _, axes) = self.simulation.mechanism, self.simulation.carried
+        mechanism = self.simulation.mechanism
+        _, _, axes = self.simulation.data.loop_model.joint_places
         turned = {joint.child: own for joint, own in zip(mechanism.joints, axes)}
         return np.array([turned.get(cut.body_a, np.eye(3))
                          for cut in mechanism.cut_joints]).reshape(-1, 3, 3)

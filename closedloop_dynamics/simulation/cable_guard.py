@@ -16,11 +16,11 @@ NEAR = 1e-3
 LIMITS = -0.5 * math.pi, 1.5 * math.pi
 
 
-def explain(simulation):
+def explain(data):
     """Raise NumericalError where a run has stopped because a winding is at its limit."""
-    for place, angle in simulation.windings().items():
+    for place, angle in data.windings().items():
         if min(abs(angle - limit) for limit in LIMITS) < NEAR:
-            raise leapt(place, angle, simulation.time)
+            raise leapt(place, angle, data.time)
 
 
 def leapt(place, angle, time):

@@ -5,27 +5,26 @@
 A state of a mechanism, and all that evaluates it: the arrays that change.
 
 What a scene says stays as it is (``model.Model``); here are the coordinates and rates, the
-torques, the effects with their own states, and the engine's system with its scratch.
+torques, the effects with their own states, and the engine's system with its scratch, which works
+on the closure equations that serve in the present state.
 """
 
 from functools import partial
 import math
-from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .assembly import Assembler
-from .cut_joints import coordinate_arrays, CutJoints
+from .cut_joints import acted_in, coordinate_arrays, CutJoints
 from .errors import AssemblyError, SimulationError
 from .geometry import Geometry
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
-from .loop_model import LoopModel
 from .modeling import extent
-from .motions import DrivingConstraints, require_actuated
+from .motions import DrivingConstraints, require_actuated, with_motions
 from .named_array import reals
-from .names import Names
 from .scene_records import Method, Scene
 from .second_order import find_second_order, SecondOrder
 from .state import State
@@ -36,16 +35,17 @@ from ..engine import native
 from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.registry import PROJECTION
 from ..integration.system import (
-    build_system, LOOPS, parts_of_state, Probe, refine, System, with_equations)
+    build_system, LOOPS, number_of_equations, parts_of_state, refine, System, with_equations)
+from ..mechanism.coordinates import Coordinates
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at
-from ..mechanism.mechanism import Point
+from ..mechanism.mechanism import Mechanism, Point
 
 # Torques, or numbers of a state, by name or in their order.
 Numbers = Union[Mapping[str, Any], ArrayLike]
 
 
-class Data(Names):
+class Data:
     """
     One state of a scene's mechanism, and the system that evaluates it.
 
@@ -56,8 +56,42 @@ class Data(Names):
 
     Attributes
     ----------
+    scene : scene_records.Scene
+    mechanism : mechanism.mechanism.Mechanism
+        With the equations of the motions that the scene prescribes.
+    coordinates : mechanism.coordinates.Coordinates
+        Names and places of the numbers of positions and velocities.
+    acted : tuple of str
+        Freedoms of cut joints that a drive or an effect acts along.
+    joint_names : tuple of str
+        Names of the joints, in the order of velocities and torques. A joint of several degrees of
+        freedom has a name for each: ``hip.1``, ``ball.rx``.
+    torque_names : tuple of str
+        Names of the entries of the torques that ``Simulation.advance`` takes: those of
+        ``joint_names``, then ``acted``.
     decomposition : mechanism.decomposition.Decomposition
     system : integration.system.System
+    clock : callable
+        Returns the time of the state [s]; of a run its own.
+    exchanges : int
+        How often the equations that the elimination works on were exchanged.
+    loop_model : geometry.Geometry
+        The choice of closure equations that the elimination works on, and places of bodies.
+    effect_set : effects.effect_set.EffectSet
+        The effects as the kernels have them.
+    integrated : ndarray, shape (ns,)
+        Joint coordinates, rates and the effects' own states; may be written.
+    actuated_joints : tuple of str
+        In the order of torque sequences; see ``joint_names``.
+    actuated : ndarray of int
+        Places of the actuated joints among ``torque_names``, in their order.
+    cut_joints : tuple of CutJoint
+        In the order of the constraint forces.
+    cut_joint_names : tuple of str
+        Names of the freedoms of cut joints, as in the tree: ``guide.1``, ``ball.rx``; in the
+        order of their velocities and efforts. ``Mechanism.cut_coordinates`` has them.
+    motion_names : tuple of str
+        Names of the effects that prescribe motions, in the scene's order.
 
     Raises
     ------
@@ -67,36 +101,46 @@ class Data(Names):
     """
 
     def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
+        self.scene = scene
+        self.mechanism: Mechanism = with_motions(scene)
+        self.coordinates: Coordinates = self.mechanism.coordinates
+        self.acted: Tuple[str, ...] = acted_in(self.mechanism, scene.effects)
+        self.joint_names: Tuple[str, ...] = self.coordinates.names
+        self.torque_names = (*self.joint_names, *self.acted)
+        self.exchanges = 0
+        self.clock: Callable[[], float] = float
         self.decomposition = decompose(self.mechanism)
-        self._time = 0.0
         self._points = {point.name: point for point in self.mechanism.points}
-        self._geometry = Geometry(self.mechanism, self.decomposition)
+        self.loop_model = Geometry(self.mechanism, self.decomposition)
         self._prescribe(scene)
         self._choose_equations(scene)
-        placements = self._geometry.placements
-        model, self._equations = self._geometry.model, self._geometry.equations
+        mechanism = self.mechanism
+        self.actuated_joints, self.cut_joints = mechanism.actuated_joints, mechanism.cut_joints
+        self.cut_joint_names: Tuple[str, ...] = mechanism.cut_coordinates.names
+        self.motion_names = tuple(motion.name for motion in mechanism.motions)
+        placements = self.loop_model.placements
+        model, self._equations = self.loop_model.model, self.loop_model.equations
         machine = Machine(
             self.mechanism, placements, self._motions.rows, self.acted)
-        self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
+        self.effect_set = EffectSet(scene.effects, model, machine, coordinate_arrays(
             self.mechanism, model, placements, self.acted, True)
             if self.acted else None, scene.switched_off)
         self._cuts = CutJoints(self.mechanism, model, placements, self.acted)
         for name, angle in scene.initial.turned.items():
-            self._effects.begin_angle(name, angle)
+            self.effect_set.begin_angle(name, angle)
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         self.system: System = build_system(
             model, baumgarte, extent(self.mechanism), method.stabilisation == 'independent',
-            self._effects.elements, cuts=self._effects.cuts, joints=self._geometry.joint_points,
-            opening=self._geometry.opening)
-        self._table = self._effects.bind(self.system)
-        self._motions.records = self._effects.records
+            self.effect_set.elements, cuts=self.effect_set.cuts,
+            joints=self.loop_model.joint_points, opening=self.loop_model.opening)
+        self._table = self.effect_set.bind(self.system)
+        self._motions.records = self.effect_set.records
         *parts, states = parts_of_state(self.system)
-        self._parts, self._state = tuple(parts), np.zeros(states)
-        self._q, self._qd, self._own = (self._state[part] for part in parts)
+        self.parts, self.integrated = tuple(parts), np.zeros(states)
+        self._q, self._qd, self._own = (self.integrated[part] for part in parts)
         self._places = {name: place for place, name in enumerate(self.torque_names)}
-        self._actuated = np.array(
+        self.actuated = np.array(
             [self._places[name] for name in self.actuated_joints], dtype=int)
         # Those that take a torque: no joints whose motion is prescribed.
         prescribed = {motion.freedom for motion in self.mechanism.motions}
@@ -107,13 +151,15 @@ class Data(Names):
         self._decided: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
         self._code = self.system.code
-        self.inverse = self._inverse_dynamics()
-        self._set_probes()
+        self.inverse = InverseDynamics(
+            self.mechanism, self.system, self.effect_set, self._table, self._equations, self._cuts,
+            self.actuated, self._own)
+        self._bind()
 
     def _choose_equations(self, scene: Scene) -> None:
         """Leave out equations that repeat others, and hold what they forbid to second order."""
         position, hold = np.array(scene.initial.position), scene.initial.hold
-        leaves_out, chosen = self._may_leave_out(scene.method), self._geometry
+        leaves_out, chosen = self._may_leave_out(scene.method), self.loop_model
         self.second_order: Optional[SecondOrder] = None
         if not leaves_out and chosen.plainly_independent(position):
             return
@@ -126,13 +172,13 @@ class Data(Names):
         if self.second_order is not None:
             self.mechanism = self.second_order.added_to(self.mechanism)
             self.decomposition = decompose(self.mechanism)
-            self._geometry = Geometry(self.mechanism, self.decomposition)
+            self.loop_model = Geometry(self.mechanism, self.decomposition)
             self._prescribe(scene)
             if leaves_out:
-                self._geometry.leave_out_repeated(position, hold)
+                self.loop_model.leave_out_repeated(position, hold)
         if not leaves_out:
-            self._geometry.leave_out_unchanging(position)
-        self._motions.look_up(self._geometry.model)
+            self.loop_model.leave_out_unchanging(position)
+        self._motions.look_up(self.loop_model.model)
 
     def _assemble_start(self) -> None:
         """Go to the scene's start, which its masses and forces have a part in."""
@@ -149,9 +195,8 @@ class Data(Names):
         """Go to the start that was assembled."""
         self._find_decided()
         self._q[:], self._qd[:] = self._initial
-        self._own[:] = self._effects.initial
-        refine(self.system, self._state)
-        self._fresh = False
+        self._own[:] = self.effect_set.initial
+        refine(self.system, self.integrated)
 
     def varies(self, paths: Iterable[Tuple[str, ...]]) -> bool:
         """
@@ -165,7 +210,7 @@ class Data(Names):
         """
         # Frames in space lie along centres of mass; lengths decide which equations are worked on.
         masses = ('mass', 'inertia', *(('center_of_mass',) if self.mechanism.planar else ()))
-        return not (self._geometry.by_masses or self._motions or self.second_order) and all(
+        return not (self.loop_model.by_masses or self._motions or self.second_order) and all(
             path[0] == 'effects' or (
                 path[:2] == ('mechanism', 'bodies') and path[3] in masses) for path in paths)
 
@@ -192,10 +237,11 @@ class Data(Names):
         mechanism = scene.mechanism
         others = {body.name for body, present in zip(mechanism.bodies, self.mechanism.bodies)
                   if body is not present}
-        if not self._effects.vary(mechanism, scene.effects, partial(
-                self._geometry.weigh, bodies=mechanism.bodies, changed=others)):
+        if not self.effect_set.vary(mechanism, scene.effects, partial(
+                self.loop_model.weigh, bodies=mechanism.bodies, changed=others)):
             return False
-        self.scene, self.mechanism, self._motions.records = scene, mechanism, self._effects.records
+        self.scene, self.mechanism = scene, mechanism
+        self._motions.records = self.effect_set.records
         self.system.tau[:] = 0.0
         if others:
             was_light = self._assembler.is_light
@@ -208,7 +254,7 @@ class Data(Names):
 
     def _find_decided(self) -> None:
         """Find the joints with friction that loops and motions move, or hold, by themselves."""
-        directions = self._effects.directions_with_friction
+        directions = self.effect_set.directions_with_friction
         if not directions:
             return
         names = list({name: None for arms in directions for name, _ in arms})
@@ -226,27 +272,22 @@ class Data(Names):
         start = self._initial[0].tobytes(), directions
         if self._decided[0] != start:
             self._decided = start, self._assembler.decided(self._initial[0], derivatives)
-        self._effects.decide(
+        self.effect_set.decide(
             found for found, decided in zip(directions, self._decided[1]) if decided)
 
-    def _inverse_dynamics(self) -> InverseDynamics:
-        """Return the inverse dynamics of the present equations."""
-        return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
-                               self._equations, self._cuts, self._actuated, self._own)
-
-    def _set_probes(self) -> None:
-        """Evaluate the present state, and any other, of the present system."""
+    def _bind(self) -> None:
+        """Bind evaluations of the present state, and of any other."""
         system = self.system
-        self._present = Probe(system, self._state)
-        self._probe = Probe(system)
+        #: Evaluates the present state under the present torques, unless that was done last.
+        self.evaluate: Callable[[], None] = native.bind(
+            'evaluate_present', system.native, self.integrated)
+        self._elsewhere = np.zeros_like(self.integrated)
         asked = request(system, self._own, self._allowed)
         self._evaluate_given = native.bind('evaluate_given', system.native, asked)
         # Of all equations, in the present state and in that one.
-        self._lam, self._lam_given = system.lam, system.lam
-        if system.has_redundant_constraints:
-            self._lam, self._lam_given = np.zeros(len(asked.lam)), asked.lam
-            self._find_all_multipliers = native.bind(
-                'find_all_multipliers', system.native, self._q, self._qd, self._lam)
+        self._lam, self._lam_given = np.zeros(number_of_equations(system)), asked.lam
+        self.find_multipliers: Callable[[], None] = native.bind(
+            'find_multipliers', system.native, self.integrated, self._lam)
         self._spread = np.zeros(len(system.tau))
         self._spread_torques = native.bind('spread_torques', self._allowed, self._spread)
 
@@ -261,21 +302,21 @@ class Data(Names):
     def _prescribe(self, scene: Scene) -> None:
         """Find the equations of prescribed motions, and start their courses."""
         self._motions = DrivingConstraints(
-            scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
+            scene, self.mechanism, self.loop_model.model, self.place, self._cut_place)
         self._motions.set_time(0.0)
 
     def _cut_place(self, name: str, position: np.ndarray) -> float:
         """Return the coordinate of a freedom of a cut joint in a position of the joints."""
-        equations = self._geometry.equations
+        equations = self.loop_model.equations
         cuts = CutJoints(
-            self.mechanism, equations.model, self._geometry.placements, ())
+            self.mechanism, equations.model, self.loop_model.placements, ())
         found, _ = cuts.measure(equations.move(position).work.body)
         return float(found[cuts.place(name)])
 
     @property
     def time(self) -> float:
         """Time of the state [s]."""
-        return self._time
+        return self.clock()
 
     @property
     def position(self) -> np.ndarray:
@@ -295,20 +336,6 @@ class Data(Names):
         Of an orientation the angular velocity relative to the parent, about the child's axes.
         """
         return self._qd.copy()
-
-    @property
-    def loop_model(self) -> LoopModel:
-        """Return the choice of closure equations that the elimination works on."""
-        return self._geometry
-
-    @property
-    def integrated(self) -> np.ndarray:
-        """
-        Joint coordinates, rates and the effects' own states, shape (ns,): not a copy.
-
-        Who writes it calls ``touch`` then.
-        """
-        return self._state
 
     def snapshot(self) -> State:
         """Return the present state; torques and the memory of a method are no part of it."""
@@ -383,11 +410,10 @@ class Data(Names):
             Where a few corrections find none.
 
         """
-        state = self._state.copy()
-        q, qd = (state[part] for part in self._parts[:2])
+        state = self.integrated.copy()
+        q, qd = (state[part] for part in self.parts[:2])
         q[:] = self._taken(position)
         qd[:] = vector('velocity', velocity, len(qd))
-        self._fresh = False
         if not native.stabilise(self.system.native, PROJECTION, state):
             opened = self._assembler.opened(q, qd, self.system.settings.closure_limit)
             raise AssemblyError(
@@ -395,16 +421,9 @@ class Data(Names):
                 f'leave {opened}; give one nearer to a closed one, as Model.assemble returns them')
         return q.copy(), qd.copy()
 
-    def __reduce__(self) -> Tuple[Any, ...]:
-        """Refuse to be copied and pickled: copies would work on the same memory."""
-        raise TypeError(
-            f'{type(self).__name__}: expected no copy, as two would work on the same memory. Make '
-            'another one of its scene, and bring it to the same state: '
-            'Simulation(one.scene).restore(one.state, one.time); a Model can be copied')
-
     def touch(self) -> None:
-        """Mark the state or the system's arrays as changed from outside."""
-        self._fresh = False
+        """Mark constants or arrays of the system as changed from outside."""
+        native.touch(self.system.native)
 
     def place(self, name: str, position: np.ndarray) -> np.ndarray:
         """
@@ -424,7 +443,7 @@ class Data(Names):
 
         """
         point = self._named_point(name)
-        return self._geometry.point(position, point.body, point.position)
+        return self.loop_model.point(position, point.body, point.position)
 
     def _named_point(self, name: str) -> Point:
         if name not in self._points:
@@ -436,17 +455,7 @@ class Data(Names):
     @property
     def has_redundant_constraints(self) -> bool:
         """Whether equations that repeat others are left out, and watched."""
-        return self._geometry.has_redundant_constraints
-
-    @property
-    def carried(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Return where the wrenches in the joints act: at the origins of the bodies they carry.
-
-        Rows of these bodies in the arrays, 0 of fixed joints; and their origins [m], shape (number
-        of joints, 3), and axes, (number of joints, 3, 3), in the frames of the rows.
-        """
-        return self._geometry.joint_places
+        return self.loop_model.has_redundant_constraints
 
     @property
     def takes_closed_states(self) -> bool:
@@ -455,33 +464,23 @@ class Data(Names):
                     or self._assembler.is_light or self._table.loaded[0])
 
     @property
-    def effect_set(self) -> EffectSet:
-        """Return the effects as the kernels have them, an ``effects.effect_set.EffectSet``."""
-        return self._effects
+    def enabled_effects(self) -> Tuple[str, ...]:
+        """Names of the effects that are switched on."""
+        return tuple(name for name, enabled in self.effect_set.enabled.items() if enabled)
 
     @property
-    def actuated(self) -> np.ndarray:
-        """Return the places of the actuated joints among ``torque_names``, in their order."""
-        return self._actuated
+    def commanded_motions(self) -> Tuple[str, ...]:
+        """
+        Names that ``command_motion`` takes: of joints, and of effects that move points.
+
+        Of prescribed motions of the shape ``commanded``, in the scene's order.
+        """
+        return tuple(self._motions.commanded)
 
     @property
     def actuated_in_tree(self) -> np.ndarray:
         """Return those among ``joint_names`` alone: of actuated joints that are not cut."""
-        return self._actuated[self._actuated < len(self.joint_names)]
-
-    @property
-    def point_rows(self) -> Tuple[np.ndarray, np.ndarray]:
-        """Rows of the bodies of the named points, and the places in them, shape (n, 2 or 3)."""
-        return self._geometry.named_points
-
-    def body_row(self, name: str) -> int:
-        """Return the row of a body in the arrays of ``system``."""
-        return self._geometry.rows[name]
-
-    @property
-    def command_delay(self) -> float:
-        """Longest time that a command is on its way to a drive [s]."""
-        return max(self._effects.drives.values(), default=0.0)
+        return self.actuated[self.actuated < len(self.joint_names)]
 
     def _assembled(
             self, position: ArrayLike, velocity: Optional[ArrayLike],
@@ -489,8 +488,6 @@ class Data(Names):
         nv = self.coordinates.nv
         q = self._taken(position)
         qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
-        # The assembler works in the same workspace, whether it succeeds or not.
-        self._fresh = False
         self._motions.begin(self._assembler, self.time, q, qd)
         try:
             self._assembly = self._closed(q, qd, hold)
@@ -532,40 +529,45 @@ class Data(Names):
 
     def _begin_loads(self) -> None:
         """Initialise effects with the present rates and reactions of their joints."""
-        if self._effects.cuts is not None:
-            self._fresh = False
-            self._evaluate()
-            self._effects.restart_angles(self._own)
-            self._fresh = False
-        self._effects.initialise_states(self._own, self._effects.rates(self._q, self._qd))
-        self._effects.begin_at_time(self._own, self.time)
+        if self.effect_set.cuts is not None:
+            self.evaluate()
+            self.effect_set.restart_angles(self._own)
+        self.effect_set.initialise_states(self._own, self.effect_set.rates(self._q, self._qd))
+        self.effect_set.begin_at_time(self._own, self.time)
         if self._table.loaded[0] > 0:
-            native.begin_loads(self.system.native, self._state)
-            self._fresh = False
+            native.begin_loads(self.system.native, self.integrated)
         self._require_finite_laws()
 
     def _require_finite_laws(self) -> None:
         """Refuse laws of users that have no finite value in the present state."""
-        if self._effects.traced:
-            self._fresh = False
-            self._evaluate()
-            # Others evaluate other states.
-            self._fresh = False
-            self._effects.require_finite()
+        if self.effect_set.traced:
+            self.evaluate()
+            self.effect_set.require_finite()
 
-    def _evaluate(self) -> None:
-        """Evaluate the present state once for all quantities."""
-        if not self._fresh:
-            self._present.evaluate()
-            self._fresh = True
-
-    def exchange(self, model: t.Model) -> None:
-        """Evaluate with other closure equations, from the same state."""
+    def use_equations(self, model: t.Model) -> None:
+        """Evaluate with other closure equations from now on, from the same state."""
         # By loops over bodies where they are too many to have code: whether it is there must not
         # decide, as results differ in their last digits.
-        code = self._code if self._geometry.has_code(model, self._initial[0]) else LOOPS
-        self._rebind(with_equations(self.system, model, code))
-        self._fresh = False
+        self.system.use_equations(
+            model, self._code if self.loop_model.has_code(model, self._initial[0]) else LOOPS)
+        self._equations = self.loop_model.equations
+        self._motions.look_up(model)
+        self.effect_set.use_equations(model)
+        self.exchanges += 1
+
+    def choose_equations(self, q: np.ndarray) -> None:
+        """Work on equations that serve at a position, if the present ones do not."""
+        if self.has_redundant_constraints and not self.loop_model.is_valid(q):
+            self.use_equations(self.loop_model.choose(q))
+
+    def forget_commands(self) -> None:
+        """Let motions be those of the scene again, which a start follows."""
+        if self._motions:
+            for name, record in self._motions.forget_commands(self.scene.effects).items():
+                self.effect_set.put(name, record, True)
+            # They may have been changed since.
+            initial = self.scene.initial
+            self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
 
     def prepare_exchanges(self) -> None:
         """
@@ -574,17 +576,8 @@ class Data(Names):
         What runs live calls this before: else a run waits for code where the mechanism moves so
         far that equations which were left out are taken instead of others. Results are the same.
         """
-        for kept in self._geometry.choices(self._initial[0]) if self._code.routines else ():
-            with_equations(self.system, self._geometry.model_of(kept)[0], self._code)
-
-    def _rebind(self, system: System) -> None:
-        """Evaluate by a system that works on the equations that are kept."""
-        self.system, self._equations = system, self._geometry.equations
-        self._motions.look_up(system.model)
-        self._effects.move(system)
-        self._assembler = Assembler(self.mechanism, self._equations)
-        self.inverse = self._inverse_dynamics()
-        self._set_probes()
+        for kept in self.loop_model.choices(self._initial[0]) if self._code.routines else ():
+            with_equations(self.system, self.loop_model.model_of(kept)[0], self._code)
 
     def joint_torques(self, torque: Optional[Numbers]) -> np.ndarray:
         """
@@ -612,11 +605,11 @@ class Data(Names):
             tau[[self._places[name] for name in named]] = values
         else:
             values = reals('torque', torque)
-            if values.shape != (len(self._actuated),):
+            if values.shape != (len(self.actuated),):
                 raise ValueError(
-                    f'torque: expected {len(self._actuated)} values, for '
+                    f'torque: expected {len(self.actuated)} values, for '
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
-            tau[self._actuated] = values
+            tau[self.actuated] = values
             if self.mechanism.motions:
                 require_actuated(
                     self.mechanism, [self.torque_names[place] for place in np.flatnonzero(tau)])
@@ -651,25 +644,23 @@ class Data(Names):
         ValueError
 
         """
-        self._fresh = False
         if self._evaluate_given(position, velocity, torque):
             return self.system.qdd.copy(), self._lam_given.copy()
         nv, system = len(self.joint_names), self.system
-        probe = self._probe
-        probe.q[:] = self._taken(position)
-        probe.qd[:] = vector('velocity', velocity, nv)
-        self.require_closed(probe.q, probe.qd)
+        q, qd, own = (self._elsewhere[part] for part in self.parts)
+        q[:] = self._taken(position)
+        qd[:] = vector('velocity', velocity, nv)
+        self.require_closed(q, qd)
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau
         self._table.states[:] = self._own
-        self._effects.initialise_states(self._table.states, self._effects.rates(probe.q, probe.qd))
-        probe.own[:] = self._table.states
-        probe.evaluate()
+        self.effect_set.initialise_states(self._table.states, self.effect_set.rates(q, qd))
+        own[:] = self._table.states
+        native.evaluate_with_poses(system.native, self._elsewhere)
         lam = system.lam
         if self.has_redundant_constraints:
-            lam = self._multipliers_elsewhere(probe)
+            lam = self._multipliers_elsewhere(q, qd)
         system.tau[:] = applied
-        self._fresh = False
         return system.qdd.copy(), lam.copy()
 
     def evaluator(self, *quantities: str) -> Evaluator:
@@ -700,7 +691,7 @@ class Data(Names):
         >>> evaluate.acceleration
 
         """
-        model = (self._geometry.model_of(None)[0] if self.has_redundant_constraints
+        model = (self.loop_model.model_of(None)[0] if self.has_redundant_constraints
                  else self.system.model)
         made = Evaluator(
             self.system, model, self._own, self._allowed, quantities or QUANTITIES, self._refuse)
@@ -712,16 +703,13 @@ class Data(Names):
         self.require_closed(self._taken(q), vector('velocity', qd, len(self.joint_names)))
         self.joint_torques(torque)
 
-    def _multipliers_elsewhere(self, probe: Probe) -> np.ndarray:
+    def _multipliers_elsewhere(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the multipliers of all equations, which are solved where those kept do not do."""
-        everything: Any = self.system.whole
-        lam = np.zeros(len(everything.lam))
-        if native.find_all_multipliers(self.system.native, probe.q, probe.qd, lam):
+        lam = np.zeros(number_of_equations(self.system))
+        if native.find_all_multipliers(self.system.native, q, qd, lam):
             return lam
-        whole = with_equations(self.system, self._geometry.model_of(None)[0])
-        other = Probe(whole)
-        other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own
-        other.evaluate()
+        whole = with_equations(self.system, self.loop_model.model_of(None)[0])
+        native.evaluate_with_poses(whole.native, self._elsewhere)
         return whole.lam
 
     def inverse_dynamics(
@@ -756,7 +744,6 @@ class Data(Names):
         effects are those of the present state, as for ``forward_dynamics``.
 
         """
-        self._fresh = False
         inverse = self.inverse
         if inverse.find(position, velocity, acceleration):
             return inverse.torque.copy(), inverse.lam.copy()
@@ -787,7 +774,6 @@ class Data(Names):
             depends on forces in joints is that of the forces felt in the present state.
 
         """
-        self._fresh = False
         self._table.states[:] = self._own
         return self.inverse.needed(position, velocity, acceleration)
 

@@ -20,7 +20,7 @@ class DerivativeCode:
     Code for the derivatives of accelerations and multipliers, compiled once for a mechanism.
 
     ``qdd``, ``lam``, those of the state, are read by the code; ``states``, nz: of the effects,
-    whose rates are differentiated, too; all of them, or none; ``scene``: that of the simulation,
+    whose rates are differentiated, too; all of them, or none; ``scene``: that of the data,
     where it was traced before.
 
     ``table`` is as ``engine.native.call_for_columns`` takes it; ``columns``, ``found``, shape
@@ -29,9 +29,9 @@ class DerivativeCode:
     ``flows``, shape (2 nv, nz): derivatives of the rates of the effects' states.
     """
 
-    def __init__(self, simulation, qdd, lam, states=0, scene=None):
-        self._scene, model = scene or TracedScene(simulation), simulation.system.model
-        effects = simulation.system.effects
+    def __init__(self, data, qdd, lam, states=0, scene=None):
+        self._scene, model = scene or TracedScene(data), data.system.model
+        effects = data.system.effects
         nv, nc = len(qdd), len(lam)
         shape = -(-3 * nv // calls.LANES), (nv + nc) * calls.LANES
         self.columns, self.found = np.zeros(shape), np.zeros(shape)
@@ -54,6 +54,6 @@ class DerivativeCode:
         self._residuals = first('residuals')
         self.table[:2] = self._residuals, machine_code(key, lambda: routines()[1], LANES)('solve')
 
-    def enable_for(self, simulation):
-        """Enable the code for a simulation with the effects of the code; else disable it."""
-        self.table[0] = self._residuals if TracedScene(simulation).key == self._scene.key else 0
+    def enable_for(self, data):
+        """Enable the code for data with the effects of the code; else disable it."""
+        self.table[0] = self._residuals if TracedScene(data).key == self._scene.key else 0

@@ -12,6 +12,7 @@ from .derivative_code import DerivativeCode
 from .errors import SimulationError, SingularityError
 from .named_array import by_shapes
 from .parameters import parameter_arrays
+from .readings import readings_of
 from .step_derivatives import StepDerivatives
 from .traced_scene import require_derivatives, structure, TracedScene
 from ..core.codegen.function_table import LANES
@@ -123,20 +124,19 @@ class Differentiator:
     """
 
     def __init__(self, simulation, parameters=()):
-        require_derivatives(simulation, instant=True)
+        self._data = data = readings_of(simulation)
+        require_derivatives(data, instant=True)
         for key in parameters:
             if re.fullmatch(r'effects\..*\.period', key):
                 raise ValueError(f'{key}: expected a number that forces at an instant follow, '
                                  'got that of a course over time')
-        self._scene = TracedScene(simulation, instant=True)
-        self._steps = StepDerivatives(
-            simulation, parameter_arrays(simulation, parameters), self._scene)
-        self._simulation = simulation
-        self._enabled, self._laws = dict(simulation.effect_set.enabled), structure(simulation)
-        self._system = system = simulation.system
+        self._scene = TracedScene(data, instant=True)
+        self._steps = StepDerivatives(data, parameter_arrays(data, parameters), self._scene)
+        self._enabled, self._laws = dict(data.effect_set.enabled), structure(data)
+        system, self._model = data.system, data.system.model
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
-        self._code = DerivativeCode(simulation, self._qdd, self._lam, scene=self._scene)
+        self._code = DerivativeCode(data, self._qdd, self._lam, scene=self._scene)
 
     def __repr__(self):
         """Show the mechanism and the parameters."""
@@ -213,15 +213,15 @@ class Differentiator:
             In positions where closure equations depend on one another, or nearly.
 
         """
-        joints, _ = self._simulation.force_places()
+        joints, _ = self._data.force_places()
         if not joints:
             raise SimulationError(
                 'The wrenches in the joints have no derivatives here: closure equations that '
                 'repeat others are left out, so that forces are not unique, or couplings hand '
                 'torques over at cut joints.')
         q, qd = self._evaluated(position, velocity, torque)
-        joints += [cut.name for cut in self._simulation.mechanism.cut_joints]
-        nv, size = len(qd), 3 if self._simulation.mechanism.planar else 6
+        joints += [cut.name for cut in self._data.mechanism.cut_joints]
+        nv, size = len(qd), 3 if self._data.mechanism.planar else 6
         # In the plane: the moment about z, and the forces along x and y.
         kept = [2, 3, 4] if size == 3 else range(6)
         wrench, changes = (
@@ -232,17 +232,17 @@ class Differentiator:
 
     def _evaluated(self, position, velocity, torque):
         """Evaluate a state with the generated code; return copies of its numbers."""
-        if self._system is not self._simulation.system:
+        if self._model is not self._data.system.model:
             raise SimulationError(
                 'The simulation works on other closure equations now: make a new Differentiator.')
-        if self._enabled != self._simulation.effect_set.enabled:
+        if self._enabled != self._data.effect_set.enabled:
             raise SimulationError(
                 'Other effects are switched on now: make a new Differentiator.')
-        if self._laws != structure(self._simulation):
+        if self._laws != structure(self._data):
             raise SimulationError(
                 'Effects have other expressions, ends or lists of numbers now: make a new '
                 'Differentiator.')
-        self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
-        self._lam[:] = self._system.lam
+        self._qdd[:], _ = self._data.forward_dynamics(position, velocity, torque)
+        self._lam[:] = self._data.system.lam
         self._scene.update()
         return tuple(np.array(one, dtype=float) for one in (position, velocity))

@@ -343,7 +343,7 @@ class MechanismEnv(Env):
 
 def _require_plain(simulation):
     """Refuse scenes of which positions and rates alone do not show how they go on."""
-    effects = simulation.effect_set
+    effects = simulation.data.effect_set
     reasons = [reason for there, reason in (
         (len(effects.own), 'effects with states or clocks of their own'),
         (effects.delays, 'commands that arrive late'),

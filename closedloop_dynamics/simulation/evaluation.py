@@ -22,7 +22,7 @@ class Evaluation:
     Attributes
     ----------
     state : State
-    torque : ndarray, shape (number of ``Model.torque_names``,)
+    torque : ndarray, shape (number of ``Simulation.torque_names``,)
         As commanded [N m or N].
     acceleration : ndarray, shape (nv,)
         Joint accelerations [rad/s^2 or m/s^2].

@@ -209,7 +209,7 @@ class _Unit:
     def _choice(self, balls):
         """Return independent freedoms, or why there are none."""
         jac = self.simulation.constraint_jacobian
-        nc, nv = len(self.simulation.system.lam), jac.shape[1]
+        nc, nv = len(self.simulation.data.system.lam), jac.shape[1]
         if nc == nv:
             return [], 'there is no degree of freedom'
         if nc == 0:
@@ -280,7 +280,7 @@ class _Unit:
                   for name, slide in zip(acceleration, slides)]
         found += [_output(f'multiplier[{k + 1}]', None, 'of a closure equation, in the order of '
                           f'{self.name}.h [N; N m]')
-                  for k in range(len(simulation.system.lam))]
+                  for k in range(len(simulation.data.system.lam))]
         found += [_output(f'{_structured(point.name)}.position[{k + 1}]', 'm', 'in the world')
                   for point in simulation.mechanism.points for k in range(size)]
         found += [Variable(f'energy.{what}', 'local', 'continuous', 'calculated', unit='J')
@@ -468,7 +468,7 @@ def _varied(simulation, key, value):
 
 
 def _arrays(simulation):
-    system = simulation.system
+    system = simulation.data.system
     table = system.effects
     values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
     return {'body': system.model.body.copy(), 'gravity': system.model.gravity.copy(),

@@ -119,7 +119,7 @@ class EnergyGuard:
         self._method, self._rate, self._run, self._limit = method, rate, run, limit
         self._least = FIRST_CHECK_ORDER_1 if INTEGRATORS[method.integrator].order == 1 else 1
 
-    def pass_on(self, simulation):
+    def pass_on(self, stepping):
         """
         Check before a state is handed to others, however few steps have led to it.
 
@@ -127,7 +127,7 @@ class EnergyGuard:
         latest that was passed on.
         """
         if self._run.report.unchecked >= self._least:
-            simulation.check_energy()
+            stepping.check_energy()
 
     @property
     def finding(self):
@@ -137,16 +137,16 @@ class EnergyGuard:
             self._method, report.worst_lost, report.worst_moved, report.worst_time) if (
                 report.worst > ENERGY_WARN) else ''
 
-    def problem(self, simulation):
+    def problem(self, data):
         """Return the error to raise where the latest check has ended a run."""
         report = self._run.report
         lost, moving, before = report.lost, report.moving, report.check_time
         # Where the balance is no number, not even the start of it may be believed.
         worst = report.worst if math.isfinite(lost) else math.inf
-        rate, size = self._rate(simulation.integrated), self._method.step_size
+        rate, size = self._rate(data.integrated), self._method.step_size
         kept = f'The state of t = {before:.9g} s is kept.'
         what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
-                f'{simulation.time:.9g} s, where {moving:.3g} J were exchanged')
+                f'{data.time:.9g} s, where {moving:.3g} J were exchanged')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
             what = (f'The energy balance misses {report.worst_lost:.3g} J of the '
                     f'{report.worst_moved:.3g} J exchanged until t = {report.worst_time:.6g} s, '
@@ -183,17 +183,17 @@ def _cure(method):
     return 'Take integrator: auto, which controls its error, or a smaller step.'
 
 
-def opened_loops(simulation):
+def opened_loops(data, limits):
     """Return the error to raise where a method that does not close the loops has lost them."""
-    stabilisation, time = simulation.scene.method.stabilisation, simulation.time
-    if simulation.run.watch.regular and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
+    stabilisation, time = data.scene.method.stabilisation, data.time
+    if limits.regular and data.system.work.health[SINGULAR_COUNT] > 0.0:
         return SingularityError(
             f'A singular configuration was met up to t = {time:.9g} s: closure '
             'equations vanish there, and with the drift that stabilisation: none allows the '
             'branch on which the mechanism goes on is undetermined. Take stabilisation: '
             'projection.')
     return ClosureError(
-        f'The loops have drifted apart by {simulation.closure:.3g} m (or rad) at t = '
+        f'The loops have drifted apart by {data.closure:.3g} m (or rad) at t = '
         f'{time:.9g} s: stabilisation: {stabilisation} does not close '
         'them again. Take stabilisation: projection, or a smaller step.')
 
@@ -215,10 +215,6 @@ class StiffnessGuard:
             method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
         self._explicit = integrator.family == EXPLICIT and system.effects is not None
         self.among_laws = self._explicit and self._fixed
-
-    def move(self, system):
-        """Adopt a system that works on other equations."""
-        self._system = system
 
     def stable(self, state, step_size):
         """Return whether steps of ``step_size`` from ``state`` can be stable."""

@@ -88,6 +88,7 @@ class InverseDynamics:
         I qdd + c - tau_effects [N m or N]; q, qd, qdd need not close the loops.
         """
         need, table, system = np.zeros(len(qd)), self._table, self._system
+        native.touch(system.native)
         native.outward(system.model, q, qd, system.work)
         if len(table.role):
             self._effects.steady(q, qd)

@@ -44,8 +44,8 @@ def jax_dynamics(model):
         raise RuntimeError("expected JAX with 64 bits: jax.config.update('jax_enable_x64', True)")
     simulation, lock = Simulation(model), Lock()
     differentiate = Differentiator(simulation)
-    names, driven = model.coordinates, simulation.actuated
-    nq, nv, nc = names.nq, names.nv, len(simulation.system.lam)
+    names, driven = model.coordinates, simulation.data.actuated
+    nq, nv, nc = names.nq, names.nv, len(simulation.data.system.lam)
 
     def values(*state):
         with lock:

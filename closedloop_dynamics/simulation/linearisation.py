@@ -16,6 +16,7 @@ from .derivatives import Differentiator
 from .errors import AssemblyError, SimulationError
 from .independent import changes_along, choose_independent, dependent_on, places_of
 from .named_array import reals
+from .readings import readings_of
 from ..engine import native
 
 QUANTITIES = ('position', 'velocity', 'acceleration')
@@ -171,11 +172,12 @@ class Linearisation:
     """
 
     def __init__(self, simulation, independent=None):
-        self._simulation, self._names = simulation, simulation.joint_names
+        self._data = data = readings_of(simulation)
+        self._names = data.joint_names
         self._asked = places_of(self._names, independent)
-        self._differentiate = Differentiator(simulation)
-        self._inputs = [self._names.index(name) for name in simulation.actuated_joints]
-        slides = simulation.coordinates.lengths
+        self._differentiate = Differentiator(data)
+        self._inputs = [self._names.index(name) for name in data.actuated_joints]
+        slides = data.coordinates.lengths
         self._units = {
             'position': np.where(slides, 'm', 'rad'), 'velocity': np.where(slides, 'm/s', 'rad/s'),
             'acceleration': np.where(slides, 'm/s^2', 'rad/s^2'),
@@ -216,9 +218,9 @@ class Linearisation:
 
     def _state(self, position, velocity):
         """Return a state given, or the present one."""
-        simulation = self._simulation
-        return (simulation.position if position is None else reals('position', position),
-                simulation.velocity if velocity is None else reals('velocity', velocity))
+        data = self._data
+        return (data.position if position is None else reals('position', position),
+                data.velocity if velocity is None else reals('velocity', velocity))
 
     def _model(self, q, qd, torque, outputs, chosen):
         """Return a linear model, the derivatives and the tangents; coordinates may be chosen."""
@@ -255,7 +257,7 @@ class Linearisation:
 
     def _spin(self, qd):
         """Return the matrix that turns changes of orientations with their axes."""
-        matrix, manifold = np.zeros((len(qd), len(qd))), self._simulation.system.manifold
+        matrix, manifold = np.zeros((len(qd), len(qd))), self._data.system.manifold
         for _, first in [] if manifold is None else manifold.balls.tolist():
             x, y, z = qd[first:first + 3]
             matrix[first:first + 3, first:first + 3] = ((0, -z, y), (z, 0, -x), (-y, x, 0))
@@ -308,13 +310,13 @@ class Linearisation:
         """
         if not (math.isfinite(period) and period > 0.0):
             raise ValueError(f'period: expected a finite number > 0 [s], got {period!r}')
-        if self._simulation.effect_set.follows_time:
+        if self._data.effect_set.follows_time:
             raise SimulationError('forces follow the time: their model in discrete time would '
                                   'change from period to period. Switch them off.')
         q, qd = self._state(position, velocity)
         model, _, own, _, _ = self._model(q, qd, torque, outputs, None)
         nq, nv, n, m = len(q), len(qd), len(model.states), len(model.inputs)
-        manifold = self._simulation.system.manifold
+        manifold = self._data.system.manifold
 
         def rates(_, values):
             q, qd = values[:nq], values[nq:nq + nv]
@@ -347,10 +349,10 @@ class Linearisation:
             Where the actuated joints cannot hold it.
 
         """
-        simulation, (q, _) = self._simulation, self._state(position, None)
+        data, (q, _) = self._data, self._state(position, None)
         rest = np.zeros(len(self._names))
-        torque, _ = simulation.inverse_dynamics(q, rest, rest)
-        return dict(zip(simulation.actuated_joints, torque.tolist()))
+        torque, _ = data.inverse_dynamics(q, rest, rest)
+        return dict(zip(data.actuated_joints, torque.tolist()))
 
     def equilibrium(self, torque=None, position=None):
         """
@@ -418,13 +420,13 @@ class Linearisation:
             Where the loops cannot be closed there.
 
         """
-        manifold, moved = self._simulation.system.manifold, np.array(position, dtype=float)
+        manifold, moved = self._data.system.manifold, np.array(position, dtype=float)
         if manifold is None:
             moved += change
         else:
             native.move(manifold, moved, np.array(change, dtype=float), 1.0)
         try:
-            return self._simulation.closed(moved, rates)
+            return self._data.closed(moved, rates)
         except AssemblyError:
             raise SimulationError('The loops cannot be closed that far from the position given: '
                                   'give one nearer to what is sought, or a smaller amplitude.'
@@ -434,10 +436,10 @@ class Linearisation:
         """Return an equilibrium."""
         growth = float(_eigenvalues(model, rate).real.max(initial=-math.inf)) + 0.0
         limit = ZERO_RATE * rate
-        simulation = self._simulation
-        tau = simulation.joint_torques(torque)
+        data = self._data
+        tau = data.joint_torques(torque)
         return Equilibrium(
-            q, dict(zip(simulation.actuated_joints, tau[self._inputs].tolist())), growth,
+            q, dict(zip(data.actuated_joints, tau[self._inputs].tolist())), growth,
             None if abs(growth) <= limit else growth < 0.0)
 
     def modes(self, position=None, torque=None):

@@ -4,6 +4,7 @@
 """The model of a mechanism, with redundant closure equations left out of the elimination."""
 
 from contextlib import suppress
+from copy import deepcopy
 from itertools import combinations
 import math
 
@@ -141,7 +142,7 @@ class LoopModel:
             self.by_masses = assembler.by_masses
             dependent = rank_of(assembler.dimensionless(place)) < self.equations.nc
             self.choose(place)
-            self._first = self._kept()
+            self._first = self.kept
             self.unexplained = place if dependent and (
                 self.model is self.model_of(None)[0]) else None
 
@@ -232,7 +233,8 @@ class LoopModel:
         singular = rank_of(jac, self._digits) < self.equations.kept.sum()
         return assembler.jacobian_of_largest_rank(q) if singular else jac
 
-    def _kept(self):
+    @property
+    def kept(self):
         """Return the argument of ``select``."""
         return None if self.equations.kept.all() else self.equations.kept
 
@@ -280,6 +282,17 @@ class LoopModel:
     def contradiction(self, q):
         """Return which loops contradict one another near a position, as ``Assembler`` has it."""
         return Assembler(self.mechanism, self.equations).contradiction(q, AS_GOOD_AS_CLOSED)
+
+    @property
+    def choice(self):
+        """Return the present choice of equations, and what was found on the way to it."""
+        return {'kept': self.kept, **{name: deepcopy(getattr(self, name)) for name in (
+            'opening', '_changing', '_has_looked', '_place', '_tried', '_first')}}
+
+    def take(self, choice):
+        """Choose equations as another one of the same mechanism has them; return the model."""
+        vars(self).update({name: value for name, value in choice.items() if name != 'kept'})
+        return self.select(choice['kept'])
 
     @property
     def may_leave_out(self):

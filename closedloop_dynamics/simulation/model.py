@@ -23,7 +23,6 @@ from .evaluation import Evaluation
 from .geometry import Geometry
 from .key_paths import changed, resolve
 from .named_array import frozen, reals
-from .names import Names
 from .readings import Readings
 from .scene import load_scene
 from .scene_records import Scene
@@ -59,7 +58,7 @@ class InverseDynamicsResult(NamedTuple):
     multipliers: np.ndarray
 
 
-class Model(Names):
+class Model:
     """
     A mechanism with its effects, constant: states go in, evaluations come out.
 
@@ -75,6 +74,10 @@ class Model(Names):
     scene : scene_records.Scene
     mechanism : mechanism.mechanism.Mechanism
     coordinates : mechanism.coordinates.Coordinates
+    joint_names : tuple of str
+        Names of the joints, in the order of rates.
+    actuated_joints : tuple of str
+        In the order of torques.
 
     Raises
     ------
@@ -110,16 +113,15 @@ class Model(Names):
         if not isinstance(scene, Scene):
             raise TypeError(
                 f'Model: expected a Scene, as load_scene returns it, got {scene!r}')
-        super().__init__(scene)
         self._lock = RLock()
-        self._work = _Workspace(scene, self._lock)
-        # With what holds motions that loops forbid to second order only.
-        self.mechanism = self._work.mechanism
+        self._work = work = _Workspace(scene, self._lock)
+        self.scene, self.mechanism, self.coordinates = scene, work.mechanism, work.coordinates
+        self.joint_names, self.actuated_joints = work.joint_names, work.actuated_joints
         # Of each thread, where its readings are.
         self._reading = local()
         # By driven joints and points.
         self._driven: Dict[Any, DrivenKinematics] = {}
-        # By independent joints: the system, and its linearisation.
+        # By independent joints: the model of its equations, and the linearisation.
         self._linear: Dict[Any, Tuple[Any, Any]] = {}
         # By all that they are made of.
         self._steppers: 'Dict[Any, Stepper]' = {}
@@ -445,10 +447,10 @@ class Model(Names):
         chosen = None if independent is None else tuple(independent)
         with self._lock:
             work = self._work.at(state)
-            system, linearisation = self._linear.get(chosen, (None, None))
-            if system is not work.system:
+            model, linearisation = self._linear.get(chosen, (None, None))
+            if model is not work.system.model:
                 linearisation = Linearisation(work, chosen)
-                self._linear[chosen] = work.system, linearisation
+                self._linear[chosen] = work.system.model, linearisation
             if period is None:
                 return linearisation.linear_model(state.q, state.qd, torque, outputs)
             return linearisation.discrete_model(period, state.q, state.qd, torque, outputs)
@@ -482,7 +484,7 @@ class Model(Names):
 
         """
         self._work.require_state(state)
-        if not self.begins(state):
+        if not self._begins(state):
             raise ValueError('state: expected one in which the effects begin again, as '
                              'Model.assemble returns it, got one in which they have gone on')
         chosen = None if independent is None else tuple(independent)
@@ -536,16 +538,8 @@ class Model(Names):
             self._work.at(self._work.start())
             return self._work.evaluator(*quantities)
 
-    def begins(self, state: State) -> bool:
-        """
-        Return whether the effects restart in a state, or in all of a batch.
-
-        Parameters
-        ----------
-        state : State
-            Of this model; times and dissipated energies do not count.
-
-        """
+    def _begins(self, state: State) -> bool:
+        """Return whether the effects restart in a state, or in all of a batch."""
         self._work.require_state(state)
         with self._lock:
             return all(_of_all(self._work.begins, state))
@@ -558,7 +552,7 @@ class Model(Names):
         """Show the mechanism's name, sizes and effects."""
         effects = f'; effects: {", ".join(self.scene.effects)}' if self.scene.effects else ''
         return (f'<Model of {self.mechanism.name}: {self.coordinates.nv} joint rates, '
-                f'{len(self.cut_joints)} cut joints, actuated: '
+                f'{len(self.mechanism.cut_joints)} cut joints, actuated: '
                 f'{", ".join(self.actuated_joints) or "nothing"}{effects}>')
 
 
@@ -585,7 +579,7 @@ class _Workspace(Readings):
 
     def begun(self, time: float, q: np.ndarray, qd: np.ndarray) -> State:
         """Return a state in which the effects begin again, as it is."""
-        self._put(time, q, qd, self._effects.initial)
+        self._put(time, q, qd, self.effect_set.initial)
         self.system.tau[:] = 0.0
         self._begin_loads()
         return self.snapshot()
@@ -595,7 +589,7 @@ class _Workspace(Readings):
         """Return a state near another one; joints not named are as at the start."""
         q, _ = self._initial
         self._put(vector('time', [time], 1)[0], q, np.zeros(self.coordinates.nv),
-                  self._effects.initial)
+                  self.effect_set.initial)
         return self.begun(time, *self._near(position, velocity, hold))
 
     def assembled_batch(
@@ -612,12 +606,11 @@ class _Workspace(Readings):
         vector('time', [time], 1)
         q, qd = (self._rows(what, values, start, samples) for what, values, start in zip(
             ('position', 'velocity'), given, (present, rest)))
-        own = np.tile(self._effects.initial, (samples, 1))
+        own = np.tile(self.effect_set.initial, (samples, 1))
         if q is None or qd is None or self._motions:
             how = np.zeros(samples, dtype=np.int64)
             q, qd = np.tile(present, (samples, 1)), np.tile(rest, (samples, 1))
         else:
-            self._fresh = False
             guesses = q.copy(), qd.copy()
             how = self._assembler.close_states(q, qd, hold)
         found: Dict[int, List[str]] = {}
@@ -669,25 +662,23 @@ class _Workspace(Readings):
     @property
     def begins_alike(self) -> bool:
         """Return whether effects begin alike in all states: they have none of their own."""
-        effects = self._effects
+        effects = self.effect_set
         return not (len(self._own) or effects.traced or self._table.loaded[0]
                     ) and effects.cuts is None
 
     def are_closed(self, states: State) -> bool:
         """Return whether all of many states certainly close the loops."""
-        self._fresh = False
         return not self._motions and len(states) == self._equations.first_open(
             states.q.copy(), states.qd.copy(), float(self.system.settings.closure_limit))
 
     def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:
         """Move to a state, with closure equations that serve there."""
-        if self.has_redundant_constraints and not self._geometry.is_valid(q):
-            self.exchange(self._geometry.choose(q))
-        self._time = float(time)
+        self.choose_equations(q)
+        time = float(time)
+        self.clock = lambda: time
         self._q[:], self._qd[:], self._own[:] = q, qd, own
         if self._motions:
-            self._motions.set_time(self._time)
-        self._fresh = False
+            self._motions.set_time(time)
 
     def at(self, state: State) -> Readings:
         """Move to a state that closes the loops, without torques; AssemblyError for others."""
@@ -709,12 +700,12 @@ class _Workspace(Readings):
             return found
         if not len(state):
             raise ValueError('state: expected at least one, got an empty batch')
-        rows = self._rows(state, torque)
+        rows = self._torques_of_each(state, torque)
         each = iter(rows) if rows is not None and rows.ndim > 1 else repeat(torque)
         return Evaluation.stack(
             _of_all(lambda one: self.evaluated(one, next(each)), state), state)
 
-    def _rows(self, state: State, torque: Optional[Numbers]) -> Optional[np.ndarray]:
+    def _torques_of_each(self, state: State, torque: Optional[Numbers]) -> Optional[np.ndarray]:
         """Return torques that are given as numbers, checked where each state has its own."""
         rows = None if torque is None or isinstance(torque, Mapping) else reals('torque', torque)
         if rows is not None and rows.ndim > 1 and rows.shape != (
@@ -727,7 +718,7 @@ class _Workspace(Readings):
 
     def rows_of_torques(self, state: State, torque: Optional[Numbers]) -> np.ndarray:
         """Return torques of the actuated joints, shape (na,), or (n, na) for a batch."""
-        rows = self._rows(state, torque) if state.is_batch else None
+        rows = self._torques_of_each(state, torque) if state.is_batch else None
         if rows is not None and rows.ndim > 1:
             return rows
         places = [self.joint_names.index(name) for name in self.actuated_joints]
@@ -743,7 +734,7 @@ class _Workspace(Readings):
     def begins(self, state: State) -> bool:
         """Return whether the effects that act on the motion restart in a state."""
         self.at(state)
-        places = self._effects.own
+        places = self.effect_set.own
         return not len(places) or np.array_equal(
             self.begun(0.0, state.q, state.qd).own[places], state.own[places])
 

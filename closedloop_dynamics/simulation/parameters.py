@@ -44,25 +44,25 @@ class ParameterArrays(NamedTuple):
     model: object
 
 
-def parameter_arrays(simulation, keys):
+def parameter_arrays(data, keys):
     """
-    Differentiate the arrays of a simulation, which stays as it is, by numbers of its scene.
+    Differentiate the arrays of data, which stay as they are, by numbers of its scene.
 
     ``keys``: key paths, such as ``'mechanism.bodies.crank.mass'`` or ``'parameters.l'``.
     ValueError where there is no such number, or the motion does not follow it smoothly, with the
     reason.
     """
-    scene, effects = simulation.scene, simulation.effect_set
+    scene, effects = data.scene, data.effect_set
     # The nearest start will do.
     scene = replace(
         scene, effects=dict(effects.records), initial=replace(scene.initial, hold=()),
         switched_off=tuple(name for name, enabled in effects.enabled.items() if not enabled))
-    arrays, columns, parallel = _arrays(simulation), [], _parallel(simulation)
+    arrays, columns, parallel = _arrays(data), [], _parallel(data)
     flat = np.concatenate([array.ravel() for array in arrays.values()])
     size = np.concatenate([
         np.full(array.size, np.abs(array).max(initial=0.0)) for array in arrays.values()])
     for key in keys:
-        others, width = _others(scene, simulation, key)
+        others, width = _others(scene, data, key)
         parallel = np.min([parallel, *map(_parallel, others)], axis=0)
         sides = np.array([np.concatenate([
             array.ravel() for array in _arrays(other).values()]) for other in others])
@@ -77,7 +77,7 @@ def parameter_arrays(simulation, keys):
     some = np.flatnonzero(matrix.any(axis=1))
     entries = tuple(places[n] for n in some)
     return ParameterArrays(tuple(keys), entries, np.ascontiguousarray(matrix[some]), _generic(
-        simulation.system.model, entries, parallel))
+        data.system.model, entries, parallel))
 
 
 def _arrays(data):
@@ -85,7 +85,7 @@ def _arrays(data):
     model, effects = data.system.model, data.system.effects
     return {calls.BODY: model.body, calls.GRAVITY: model.gravity, calls.CUT_POINT: model.cut_point,
             calls.VALUES: np.zeros(0) if effects is None else finite(effects.values),
-            POINT: data.carried[1]}
+            POINT: data.loop_model.joint_places[1]}
 
 
 def finite(values):
@@ -109,7 +109,7 @@ def _structure(data):
     return [(array.shape, array.tobytes()) for array in parts]
 
 
-def _others(scene, simulation, key):
+def _others(scene, data, key):
     """Return data of other values on both sides, upper ones first, and their distance."""
     path = resolve(scene, key)
     value = numbers(scene)['.'.join(path)]
@@ -118,7 +118,7 @@ def _others(scene, simulation, key):
             'a number of the mechanism, of an effect or of the parameters',
             'one that is not given' if value is None else f'one of the {path[0]}',
             'a start is varied as a state' if path[0] == 'initial' else '', (key,))
-    size, reason = abs(value) or extent(simulation.mechanism), None
+    size, reason = abs(value) or extent(data.mechanism), None
     for share in SHARES:
         try:
             found = [Data(changed(scene, {path: value + sign * step * share * size}))
@@ -126,7 +126,7 @@ def _others(scene, simulation, key):
         except (MechanismError, FieldError, AssemblyError) as error:
             reason = error
             continue
-        if any(_structure(one) != _structure(simulation) for one in found):
+        if any(_structure(one) != _structure(data) for one in found):
             raise FieldError('a number that the motion follows smoothly',
                              'one by which other equations or laws are worked on', '', (key,))
         return found, share * size

@@ -3,11 +3,13 @@
 
 """Readings of the present state: accelerations, forces, energies and places."""
 
+from functools import partial
 import math
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
+from .assembly import angle_notes, degree_notes, MOST_EQUATIONS
 from .cut_joints import coupling_moments
 from .data import Data
 from .errors import SimulationError
@@ -21,6 +23,15 @@ from ..core.equations import Equations
 from ..core.types import CUT_NUMBER
 from ..engine import native
 from ..mechanism.couplings import coupling_scales, measured
+from ..mechanism.digits import suspicions
+
+# Gravity's acceleration, to compare forces with weights [m/s^2].
+EARTH = 9.81
+
+
+def readings_of(given: Any) -> 'Readings':
+    """Return the readings of a simulation, or readings as they are."""
+    return given if isinstance(given, Readings) else given.data
 
 
 class Readings(Data):
@@ -49,33 +60,26 @@ class Readings(Data):
         self._places_of: Dict[str, Dict[str, Place]] = {
             what: {record.name: place for place, record in enumerate(each)}
             for what, each in records.items()}
-        self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
+        self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self.actuated)
 
     @property
     def _mass(self) -> float:
         """Mass of all bodies [kg]."""
         return sum(body.mass for body in self.mechanism.bodies)
 
-    def _set_probes(self) -> None:
-        """Bind the evaluations of points, forces and energies in the present state."""
-        super()._set_probes()
-        system, geometry = self.system, self._geometry
-        body, (row, point) = system.work.body, geometry.named_points
+    def _bind(self) -> None:
+        """Bind the evaluations of points and forces in the present state, too."""
+        super()._bind()
+        system, geometry = self.system, self.loop_model
+        row, point = geometry.named_points
         self._points_found = np.zeros((len(row), 2 if self.mechanism.planar else 3))
-        self._place_points = native.bind('place_points', body, row, point, self._points_found)
+        self._find_points = native.bind(
+            'points_in_state', system.native, self.integrated, row, point, self._points_found)
         row, point, _ = geometry.joint_places
         self._joint_forces_found = np.zeros((len(row), system.work.wrench.shape[1]))
         self._find_joint_forces = native.bind(
-            'find_joint_forces', system.native, self._state, self._lam, row, point,
+            'find_joint_forces', system.native, self.integrated, self._lam, row, point,
             np.zeros_like(system.work.force), self._joint_forces_found)
-        self._energies_found = np.empty(2)
-        self._find_energies = native.bind(
-            'energies', system.model, system.work, self._qd, self._energies_found)
-        model, work = self._equations.model, self._equations.work
-        self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
-        self._find_cut_wrenches = native.bind(
-            'cut_wrenches', model, body, self._lam,
-            work.share, self._wrenches_found)
 
     @property
     def cut_position(self) -> np.ndarray:
@@ -134,7 +138,7 @@ class Readings(Data):
         """Coordinates and rates of the cut joints, found together."""
         if not self._cuts.count:
             return np.zeros(0), np.zeros(0)
-        self._evaluate()
+        self.evaluate()
         position, velocity = self._cuts.measure(self.system.work.body)
         if len(self._cuts.acted):
             position[self._cuts.acted] = self._table.cuts.q[len(self._qd):]
@@ -152,15 +156,15 @@ class Readings(Data):
     def _efforts(self) -> np.ndarray:
         """Return the torques applied last, behind the drives, those of cut joints last."""
         tau = self.system.tau.copy()
-        if self._effects.drives:
-            self._evaluate()
-            self._effects.efforts(tau)
+        if self.effect_set.drives:
+            self.evaluate()
+            self.effect_set.efforts(tau)
         return tau
 
     @property
     def acceleration(self) -> np.ndarray:
         """Joint accelerations of the present state under the last torques, shape (nv,)."""
-        self._evaluate()
+        self.evaluate()
         return self.system.qdd.copy()
 
     @property
@@ -171,7 +175,8 @@ class Readings(Data):
         Of all equations that do not always hold. Where some repeat others, those of the forces
         that are least in all joints together (engine/least_forces.hpp).
         """
-        return self._all_multipliers().copy()
+        self.find_multipliers()
+        return self._lam.copy()
 
     @property
     def constraint_forces(self) -> np.ndarray:
@@ -182,27 +187,20 @@ class Readings(Data):
         and what the joint's drive, springs, dampers and friction hand over. In space of shape
         (number of cuts, 6): moment x, y, z, force x, y, z.
         """
-        self._all_multipliers()
-        self._find_cut_wrenches()
-        found = self._wrenches_found[:len(self.cut_joints)].copy()
+        self.find_multipliers()
+        model, work = self._equations.model, self._equations.work
+        wrenches = np.empty((len(model.cut), work.wrench.shape[1]))
+        native.cut_wrenches(model, self.system.work.body, self._lam, work.share, wrenches)
+        found = wrenches[:len(self.cut_joints)]
         if self.acts_in_cuts:
             self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
             if self._couples:
                 found[:, 0] += self._coupled[0] @ self.coupling_forces
         return found
 
-    def _all_multipliers(self) -> np.ndarray:
-        """Return the multipliers of all equations in the present state."""
-        self._evaluate()
-        if self._lam is not self.system.lam:
-            self._find_all_multipliers()
-            # Readings of effects are those on other bodies now.
-            self._fresh = self.system.effects is None
-        return self._lam
-
     def _moved_equations(self) -> Equations:
         """Return the equations in the present state, which is evaluated, too."""
-        self._evaluate()
+        self.evaluate()
         return self._equations.move(self._q, self._qd)
 
     def redundancy(self) -> Redundancy:
@@ -221,7 +219,8 @@ class Readings(Data):
 
         Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
         """
-        lam = self._all_multipliers()
+        self.find_multipliers()
+        lam = self._lam
         first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
         return lam[first:first + len(self.mechanism.couplings)] / self._coupling_scales
 
@@ -233,7 +232,7 @@ class Readings(Data):
         In a joint what its drive exerts [N m; N], at a point the force along the direction [N];
         ``effect_readings`` gives their power and work, too.
         """
-        self._evaluate()
+        self.evaluate()
         count = len(self.mechanism.motions)
         return {motion.name: float(force) for motion, force in zip(
             self.mechanism.motions, self.system.lam[len(self.system.lam) - count:])}
@@ -284,8 +283,7 @@ class Readings(Data):
         reaction, and what the joint's drive, springs, dampers and friction hand over. In space of
         shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
         """
-        self._all_multipliers()
-        self._fresh = self._find_joint_forces()
+        self._find_joint_forces()
         found = self._joint_forces_found.copy()
         if self._couples:
             found[:, 0] += self._coupled[1] @ self.coupling_forces
@@ -303,7 +301,7 @@ class Readings(Data):
             Rows of their children, and origins and axes of these in the frames of the rows.
 
         """
-        row, point, axes = self.carried
+        row, point, axes = self.loop_model.joint_places
         if self.has_redundant_constraints or self._couples:
             row = np.zeros_like(row)
         moving = row > 0
@@ -352,7 +350,7 @@ class Readings(Data):
         """Largest closure error of positions [m or rad]."""
         if self.has_redundant_constraints:
             return self._closure_of_all()
-        self._evaluate()
+        self.evaluate()
         return native.largest(self.system.work.closure)
 
     @property
@@ -376,10 +374,10 @@ class Readings(Data):
 
     def _energies(self) -> Tuple[float, float]:
         """Return kinetic and stored energy of the present state."""
-        self._evaluate()
-        self._find_energies()
-        (own, potential), (kinetic, stored) = self._energies_found.tolist(), (
-            self._effects.energies())
+        self.evaluate()
+        found = np.empty(2)
+        native.energies(self.system.model, self.system.work, self._qd, found)
+        (own, potential), (kinetic, stored) = found.tolist(), self.effect_set.energies()
         return own + kinetic, potential + stored
 
     @property
@@ -389,8 +387,8 @@ class Readings(Data):
 
         In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
         """
-        self._evaluate()
-        return self._geometry.poses_among(self.system.work.body)
+        self.evaluate()
+        return self.loop_model.poses_among(self.system.work.body)
 
     def point(self, name: str) -> np.ndarray:
         """Return the world place of a named point, shape (2,), in space (3,) [m]."""
@@ -400,8 +398,7 @@ class Readings(Data):
     @property
     def points(self) -> np.ndarray:
         """Places of all named points, shape (number of points, 2), in space 3 [m]."""
-        self._evaluate()
-        self._place_points()
+        self._find_points()
         return self._points_found.copy()
 
     def evaluation(self, state: Optional[State] = None) -> Evaluation:
@@ -446,7 +443,7 @@ class Readings(Data):
         velocity : ndarray, shape (nv,)
 
         """
-        position, velocity = self._effects.sensors.measure(self.time, self._q, self._qd)
+        position, velocity = self.effect_set.sensors.measure(self.time, self._q, self._qd)
         return position.copy(), velocity.copy()
 
     def measured_cut_joints(self) -> Tuple[np.ndarray, np.ndarray]:
@@ -459,7 +456,7 @@ class Readings(Data):
             As ``cut_position`` and ``cut_velocity``.
 
         """
-        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self.cut_state)
+        position, velocity = self.effect_set.sensors_at_cuts.measure(self.time, *self.cut_state)
         return position.copy(), velocity.copy()
 
     def effect_readings(self, name: str) -> Dict[str, float]:
@@ -478,8 +475,8 @@ class Readings(Data):
             where the effect has such; the effect's own readings, such as forces; SI units.
 
         """
-        self._evaluate()
-        return self._effects.readings(name, self._own)
+        self.evaluate()
+        return self.effect_set.readings(name, self._own)
 
     def windings(self) -> Dict[Tuple[str, str], float]:
         """
@@ -491,8 +488,38 @@ class Readings(Data):
             By cable and point of the pulley [rad].
 
         """
-        self._evaluate()
-        return self._effects.windings()
+        self.evaluate()
+        return self.effect_set.windings()
+
+    def start_notes(self) -> List[str]:
+        """
+        Return notes of the start: its ``assembly_notes``, digits, angles beyond 2 pi, effects.
+
+        Returns
+        -------
+        list of str
+
+        """
+        weight = EARTH * sum(body.mass for body in self.mechanism.bodies)
+        effects = [note for name, record in self.scene.effects.items() for note in
+                   record.start_notes(name, partial(self.effect_readings, name), weight)]
+        held = self.second_order.notes() if self.second_order is not None else []
+        angles = angle_notes(self.mechanism, self.scene.initial.position)
+        # Some of those angles are noted where the start was assembled, too.
+        known = (*angles, *degree_notes(self.mechanism, self.scene.initial.position))
+        return ([*self.mechanism.rounded, *self._suspicions()] + angles + held
+                + self._motions.notes()
+                + [note for note in self.assembly_notes() if note not in known]
+                + effects + self.load_notes())
+
+    def _suspicions(self) -> List[str]:
+        """Return notes on rounded digits where equations that repeat others depend on these."""
+        found, coordinates = suspicions(self.mechanism), self.mechanism.coordinates
+        if found and self._assembler.nc <= MOST_EQUATIONS:
+            freedoms = self.degrees_of_freedom()
+            if freedoms and coordinates.nv - freedoms == self._assembler.nc:
+                return []
+        return found
 
     def assembly_notes(self) -> List[str]:
         """
@@ -505,7 +532,6 @@ class Readings(Data):
             change point, other velocities.
 
         """
-        self._fresh = False
         return self._assembler.notes(*self._assembly)
 
     def load_notes(self) -> List[str]:
@@ -518,8 +544,8 @@ class Readings(Data):
             A sentence for each effect that is switched on and reads such a force.
 
         """
-        loaded = {name: record for name, record in self._effects.records.items()
-                  if record.depends_on_reactions and self._effects.enabled[name]}
+        loaded = {name: record for name, record in self.effect_set.records.items()
+                  if record.depends_on_reactions and self.effect_set.enabled[name]}
         if not loaded:
             return []
         components = self.redundancy().components
@@ -542,7 +568,6 @@ class Readings(Data):
             Joints less the closure equations that do not depend on the others.
 
         """
-        self._fresh = False
         return self._assembler.degrees_of_freedom(self._q)
 
     @property

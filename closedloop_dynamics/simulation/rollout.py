@@ -155,7 +155,7 @@ class _Twins:
 
     @staticmethod
     def _traits(simulation):
-        return (simulation.scene, *simulation.effects.values()), simulation.enabled_effects
+        return (simulation.scene, *simulation.effects.values()), simulation.data.enabled_effects
 
     def fit(self, simulation):
         """Return whether they still are like it."""
@@ -271,7 +271,7 @@ class _BatchRunner:
                 velocities = np.zeros((len(samples), simulation.coordinates.nv))
             states, fine = starts_as_given(simulation, positions, velocities)
         else:
-            states = [simulation.integrated.copy()] * len(samples)
+            states = [simulation.data.integrated.copy()] * len(samples)
             fine = [True] * len(samples)
         return {sample: InitialState(simulation, state, given.torques_of(sample))
                 for sample, state, good in zip(samples, states, fine) if good}
@@ -299,7 +299,8 @@ class _BatchRunner:
             if position is None:
                 position, hold = initial.position, hold or initial.hold
             simulation.set_state(position, velocity, hold)
-        return InitialState(simulation, simulation.integrated.copy(), given.torques_of(sample))
+        return InitialState(
+            simulation, simulation.data.integrated.copy(), given.torques_of(sample))
 
     def _twin(self):
         """Return this thread's simulation, and its runner of several runs at a time."""
@@ -337,23 +338,23 @@ class _BatchRunner:
         # One for each sample that runs side by side with others.
         place, known = sample % MOST, self._own.varying
         simulation = known.pop(place, None)
-        if simulation is None or not simulation.varies(self._given.parameters) or (
-                not simulation.vary(scene)):
+        if simulation is None or not simulation.data.varies(self._given.parameters) or (
+                not simulation._vary(scene)):
             simulation = self._built(scene)
-        if simulation.varies(self._given.parameters) and not simulation.exchanges:
+        if simulation.data.varies(self._given.parameters) and not simulation.data.exchanges:
             known[place] = simulation
         return simulation
 
     def _built(self, scene):
         simulation = self._type(scene)
         # Nobody asks runs for their local error.
-        simulation.monitor.sampling = False
+        simulation.stepping.monitor.sampling = False
         return simulation
 
 
 def _present_scene(simulation):
     """Return the scene of a simulation with its effects as they are now."""
-    scene, effects, enabled = simulation.scene, simulation.effects, simulation.enabled_effects
+    scene, effects, enabled = simulation.scene, simulation.effects, simulation.data.enabled_effects
     switched_off = tuple(name for name in effects if name not in enabled)
     if switched_off == scene.switched_off and len(effects) == len(scene.effects) and all(
             scene.effects[name] is record for name, record in effects.items()):

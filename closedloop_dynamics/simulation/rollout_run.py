@@ -115,11 +115,11 @@ def is_plain(simulation):
     Not for error-controlled and stiff methods, independent coordinates, commands that arrive late,
     sensors that remember, and equations that were left out, which are watched.
     """
-    effects = simulation.effect_set
+    effects = simulation.data.effect_set
     integrator = INTEGRATORS[simulation.scene.method.integrator]
     return ((integrator.family, integrator.kind) == (EXPLICIT, FIXED)
-            and not simulation.has_redundant_constraints
-            and not simulation.system.is_independent and not any(effects.drives.values())
+            and not simulation.data.has_redundant_constraints
+            and not simulation.data.system.is_independent and not any(effects.drives.values())
             and not effects.remembers)
 
 
@@ -130,11 +130,11 @@ def runs_whole(simulation):
     Not for commands that arrive late, sensors that remember, what acts in cut joints, and
     equations that may be left out but are not, or drift apart.
     """
-    effects = simulation.effect_set
-    watched = simulation.run.watch.chooses
+    effects = simulation.data.effect_set
+    watched = simulation.stepping.run.watch.chooses
     return not (
         effects.remembers or any(effects.drives.values()) or effects.cuts is not None
-        or simulation.exchanges or watched != simulation.has_redundant_constraints
+        or simulation.data.exchanges or watched != simulation.data.has_redundant_constraints
         or watched and simulation.scene.method.stabilisation not in CLOSING)
 
 
@@ -145,7 +145,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     ``torques``, shape (rows, number of actuated joints) [N m or N], at least one row; the
     ``schedule`` is no longer than these last; ``quantities``, of ``QUANTITIES``, are kept.
     """
-    at_start = simulation.at_start
+    at_start = simulation.stepping.at_start
     done, = record_all(simulation, torques[np.newaxis], schedule, quantities)
     if done is not None:
         return done
@@ -162,16 +162,15 @@ def starts_as_given(simulation, positions, velocities):
     Of positions, shape (n, nq), and velocities, (n, nv): states, (n, ns), and whether
     ``set_state`` would take each to the last digit, bool of shape (n,).
     """
-    system, names = simulation.system, simulation.coordinates
-    states = np.tile(simulation.integrated, (len(positions), 1))
+    system, names = simulation.data.system, simulation.coordinates
+    states = np.tile(simulation.data.integrated, (len(positions), 1))
     if system.manifold is not None:
         positions = [_unit(names, position) for position in positions]
     states[:, :names.nq], states[:, names.nq:names.nq + names.nv] = positions, velocities
     fine = np.zeros(len(states), dtype=np.int64)
-    if runs_whole(simulation) and simulation.takes_closed_states:
-        tolerance = 0.5 * TOLERANCE * simulation.run.watch.extent
-        simulation.run.check_starts(tolerance, states, fine)
-        simulation.touch()
+    if runs_whole(simulation) and simulation.data.takes_closed_states:
+        tolerance = 0.5 * TOLERANCE * simulation.stepping.run.watch.extent
+        simulation.stepping.run.check_starts(tolerance, states, fine)
         fine[np.abs(velocities).max(axis=1) * simulation.step_size > LARGEST_MOTION] = 0
     return states, fine == 1
 
@@ -200,10 +199,9 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     if not (steps and len(bearable) and runs_whole(simulation)):
         return records
     tau = all_torques(simulation, torques)
-    starts = simulation.integrated[np.newaxis].copy() if starts is None else starts
+    starts = simulation.data.integrated[np.newaxis].copy() if starts is None else starts
     states, status, found = run_samples(
-        simulation.run.run_samples, starts, tau, schedule.in_steps(steps))
-    simulation.touch()
+        simulation.stepping.run.run_samples, starts, tau, schedule.in_steps(steps))
     for k in np.flatnonzero(status == DONE).tolist():
         records[bearable[k]] = RunResult(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
@@ -221,24 +219,25 @@ def _finding(simulation, found):
 def all_torques(simulation, torques):
     """Return torques of actuated joints as those of ``torque_names``, row by row."""
     tau = np.zeros((*torques.shape[:-1], len(simulation.torque_names)))
-    tau[..., simulation.actuated] = torques
+    tau[..., simulation.data.actuated] = torques
     return tau
 
 
 def buffer_for(simulation, schedule, quantities):
     """Return a buffer for all that is to be kept of a run; in space for its states."""
     points = simulation.mechanism.points if simulation.mechanism.planar else ()
+    rows = simulation.data.loop_model.rows
     return allocate_buffer(
-        simulation.system, schedule.instants, simulation.mechanism.planar and any(
+        simulation.data.system, schedule.instants, simulation.mechanism.planar and any(
             name not in STATE for name in quantities),
-        np.array([simulation.body_row(point.body) for point in points], dtype=np.int64),
+        np.array([rows[point.body] for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
 
 
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return the results of a run by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
-    if (simulation.acts_in_cuts or simulation.has_redundant_constraints
+    if (simulation.acts_in_cuts or simulation.data.has_redundant_constraints
             or not simulation.mechanism.planar):
         return _values_asked_for(simulation, buffer, tau, schedule, quantities)
     take = {
@@ -247,10 +246,10 @@ def values_of(simulation, buffer, tau, schedule, quantities):
         'acceleration': lambda: buffer.qdd,
         'effort': lambda: _efforts(simulation, buffer, tau, schedule),
         # Behind the cut joints those of couplings, which have none.
-        'constraint_forces': lambda: buffer.wrench[:, :len(simulation.cut_joints)],
+        'constraint_forces': lambda: buffer.wrench[:, :len(simulation.mechanism.cut_joints)],
         'joint_forces': lambda: joint_forces(
-            simulation.system, tau, schedule.zero_order_hold, schedule.decimation, buffer.state,
-            buffer.qdd, buffer.lam),
+            simulation.data.system, tau, schedule.zero_order_hold, schedule.decimation,
+            buffer.state, buffer.qdd, buffer.lam),
         'points': lambda: buffer.place,
         'closure': lambda: buffer.scalars[:, 0].copy(),
         'energy': lambda: buffer.scalars[:, 1] + (
@@ -269,9 +268,8 @@ def _values_asked_for(simulation, buffer, tau, schedule, quantities):
     others = {name: rows for name, rows in values.items() if name not in STATE}
     efforts = tau[schedule.rows]
     for instant in range(schedule.instants if others else 0):
-        simulation.integrated[:] = buffer.state[instant]
-        simulation.system.tau[:] = efforts[instant]
-        simulation.touch()
+        simulation.data.integrated[:] = buffer.state[instant]
+        simulation.data.system.tau[:] = efforts[instant]
         _write_instant(simulation, others, instant)
     return values
 
@@ -279,7 +277,7 @@ def _values_asked_for(simulation, buffer, tau, schedule, quantities):
 def _efforts(simulation, buffer, tau, schedule):
     """Return the joint torques at the instants: those of the step before."""
     efforts = tau[schedule.rows]
-    rows, joints = simulation.effect_set.drive_rows()
+    rows, joints = simulation.data.effect_set.drive_rows()
     efforts[:, joints] = buffer.output[:, rows, 1]
     return efforts
 
@@ -288,7 +286,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
     """Return the record of a run made step by step."""
     values = nothing(quantities, simulation.mechanism, schedule.instants)
     failure = None
-    actuated = tau[:, simulation.actuated]
+    actuated = tau[:, simulation.data.actuated]
     try:
         simulation.advance(tau[0], 0)
         _write_instant(simulation, values, 0)
@@ -307,7 +305,7 @@ def run_stepwise(simulation, tau, schedule, steps, quantities):
             if done % schedule.decimation == 0:
                 _write_instant(simulation, values, done // schedule.decimation)
         simulation.judge()
-        failure = simulation.energy_guard.finding or None
+        failure = simulation.stepping.energy_guard.finding or None
     except SimulationError as error:
         failure = str(error)
     return RunResult(values, failure)
@@ -330,7 +328,7 @@ class InitialState:
 def fits_simd(simulation, schedule):
     """Return whether runs of a simulation can share the lanes of a vector at all."""
     return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and fits(
-        simulation.system, STABILISATIONS[simulation.scene.method.stabilisation]))
+        simulation.data.system, STABILISATIONS[simulation.scene.method.stabilisation]))
 
 
 class SimdRuns:
@@ -363,34 +361,33 @@ class SimdRuns:
         if len(starts) < FEWEST or any(
                 start.simulation.scene.method != first.scene.method for start in starts[1:]):
             return None
-        if len(first.effect_set.own) and not all(name in STATE for name in self.quantities):
+        if len(first.data.effect_set.own) and not all(name in STATE for name in self.quantities):
             # Accelerations depend on states that lanes do not keep.
             return None
-        pack = self._pack_of([start.simulation.system for start in starts])
+        pack = self._pack_of([start.simulation.data.system for start in starts])
         if pack is None:
             return None
         steps = schedule.steps(first.step_size)
         *calls, _ = schedule.in_steps(steps)
-        if first.run.watch.call <= min(calls) <= OFTEN:
-            find_energies(pack, first.system)
+        if first.stepping.run.watch.call <= min(calls) <= OFTEN:
+            find_energies(pack, first.data.system)
         torques = np.array(filled([start.torques for start in starts]))
         if np.abs(torques).max(initial=0.0) > USUAL_TORQUE:
             return None
         efforts = np.zeros((torques.shape[1], len(first.torque_names), LANES))
-        efforts[:, first.actuated] = np.moveaxis(torques, 0, -1)
+        efforts[:, first.data.actuated] = np.moveaxis(torques, 0, -1)
         state = spread(filled([start.state for start in starts]))
         if room is None:
             names = first.coordinates
             room = tuple(np.empty((LANES, schedule.instants, count))
                          for count in (names.nq, names.nv))
-        watched = tuple(Lane(start.simulation.system.native, start.simulation.run.native)
-                        for start in starts)
+        watched = tuple(
+            Lane(start.simulation.data.system.native, start.simulation.stepping.run.native)
+            for start in starts)
         ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(
             tuple(pack)[:-1], watched, state, efforts.reshape(len(efforts), -1),
             *schedule.in_steps(steps), *room, ended, found)
-        for start in starts:
-            start.simulation.touch()
         if status == INTERRUPTED:
             # Another thread was.
             raise KeyboardInterrupt
@@ -427,6 +424,5 @@ def _values_of_states(simulation, states, tau, schedule, steps, quantities):
     buffer = buffer_for(simulation, schedule, quantities)
     buffer.state[:, :states.shape[1]] = states
     if simulation.mechanism.planar:
-        native.annotate(simulation.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
-        simulation.touch()
+        native.annotate(simulation.data.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
     return values_of(simulation, buffer, tau, schedule, quantities)

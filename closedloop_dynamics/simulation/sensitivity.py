@@ -157,22 +157,22 @@ class Sensitivity:
         require_differentiable(scene.method)
         self.model = model
         self._simulation = simulation = Simulation(model, None, method)
-        require_derivatives(simulation, along=True)
+        require_derivatives(simulation.data, along=True)
         self._names, self._asked = simulation.joint_names, places_of(
             simulation.joint_names, independent)
         self._inputs = [self._names.index(name) for name in simulation.actuated_joints]
-        self._arrays = parameter_arrays(simulation, tuple(parameters))
+        self._arrays = parameter_arrays(simulation.data, tuple(parameters))
         self._lock = RLock()
         self._rebind()
 
     def _rebind(self) -> None:
         """Work with the system that the simulation has now."""
         simulation = self._simulation
-        self._system = simulation.system
+        self._system = simulation.data.system
         integrator = INTEGRATORS[simulation.scene.method.integrator]
         self._tableau: Any = integrator.tableau
         self._scratch = allocate_scratch(self._system, self._tableau)
-        self._derivatives = StepDerivatives(simulation, self._arrays)
+        self._derivatives = StepDerivatives(simulation.data, self._arrays)
 
     @property
     def parameters(self) -> Tuple[str, ...]:
@@ -227,16 +227,16 @@ class Sensitivity:
                                  f'{given.torques.shape[-1]}), got {given.torques.shape}')
             schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
             if state is not None:
-                simulation.require_state(state)
+                simulation.data.require_state(state)
                 if state.is_batch:
                     raise ValueError(
                         f'state: expected a single one, got a batch of {len(state)}')
-                if not self.model.begins(state):
+                if not self.model._begins(state):
                     raise ValueError('state: expected one in which the effects begin again, as '
                                      'Model.assemble returns it, got one in which they have gone '
                                      'on')
-            simulation.begin_at(self.model.assemble() if state is None else state)
-            if simulation.system is not self._system:
+            simulation.stepping.begin_at(self.model.assemble() if state is None else state)
+            if simulation.data.system is not self._system:
                 self._rebind()
             return self._made(schedule, all_torques(simulation, given.torques))
 
@@ -246,10 +246,9 @@ class Sensitivity:
         run = SteppedRun(self._tableau, stabilisation, simulation.step_size,
                          schedule.zero_order_hold, schedule.decimation, torque)
         tape = allocate_tape(system, self._tableau, schedule.intervals)
-        tape.state[0] = simulation.integrated
+        tape.state[0] = simulation.data.integrated
         _require_done(native.record_steps(system.native, run, self._scratch, tape),
                       simulation.step_size)
-        simulation.touch()
         nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
         states = tape.state[::schedule.decimation]
         time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))

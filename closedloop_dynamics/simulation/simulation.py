@@ -4,43 +4,35 @@
 """A scene brought to life: the Python interface that users script with."""
 
 from collections.abc import Mapping
-from dataclasses import replace
-from functools import partial
-import math
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Dict, Optional, Sequence, Tuple, Type, Union
 import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .assembly import angle_notes, degree_notes, MOST_EQUATIONS
 from .data import Numbers
-from .errors import AssemblyError, ClosureError, StiffnessError
-from .guards import LARGEST_MOTION, StiffnessGuard
+from .evaluation import Evaluation
+from .health import Health
 from .model import Model
-from .monitor import Monitor, RunReport
+from .monitor import RunReport
 from .motions import moving
+from .readings import Readings
 from .rollout import Rollout, rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
 from .state import State
 from .stepping import Stepping
-from ..core import types as t
-from ..effects.delay_line import DelayLine
 from ..effects.effect import Effect
-from ..engine import native
-from ..integration.control import (
-    CONTACT_PASSED, DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
-from ..integration.system import with_equations, with_partition
-from ..mechanism.digits import suspicions
-from ..mechanism.fields import at, FieldError
+from ..effects.energy_balance import Energies
+from ..integration.evaluation import Evaluator
+from ..mechanism.mechanism import Mechanism
 
-# Gravity's acceleration, to compare forces with weights [m/s^2].
-EARTH = 9.81
+# Names of the run; the others that are passed on are those of the readings.
+_OF_RUN = ('accuracy', 'judge', 'step_size')
 
 
-class Simulation(Stepping):
+class Simulation:
     """
     A mechanism in motion: a state, and the method that advances it.
 
@@ -57,18 +49,17 @@ class Simulation(Stepping):
 
     Attributes
     ----------
-    scene : scene_records.Scene
-        With the present method.
-    mechanism : mechanism.mechanism.Mechanism
-    decomposition : mechanism.decomposition.Decomposition
+    data : readings.Readings
+        All that follows from the present state; quantities that are documented are attributes of
+        the simulation, too: ``acceleration``, ``constraint_forces``, ``energy``, ``health``, ...
+    stepping : stepping.Stepping
+        The run that advances the state.
     coordinates : mechanism.coordinates.Coordinates
         Names and places of the numbers of positions and velocities.
-    acts_in_cuts : bool
-        Whether anything acts along the coordinates of cut joints.
-    exchanges : int
-        How often the equations that the elimination works on were exchanged.
-    pace : float
-        Simulated seconds per second of the clock, by which a budget counts; 1 when not set.
+    joint_names : tuple of str
+        In the order of velocities and torques.
+    actuated_joints : tuple of str
+        In the order of torque sequences.
 
     Raises
     ------
@@ -81,10 +72,43 @@ class Simulation(Stepping):
     Notes
     -----
     A simulation serves one thread at a time; where a second one computes with it meanwhile,
-    RuntimeError is raised there. It cannot be copied: another one of the same scene takes over a
-    ``state`` by ``restore``.
+    RuntimeError is raised there.
 
     """
+
+    # Of the readings and of the run.
+    acceleration: np.ndarray
+    accuracy: float
+    acts_in_cuts: bool
+    body_poses: np.ndarray
+    closed: Callable[..., Tuple[np.ndarray, np.ndarray]]
+    closure: float
+    constraint_forces: np.ndarray
+    constraint_jacobian: np.ndarray
+    coupling_forces: np.ndarray
+    cut_acceleration: np.ndarray
+    cut_effort: np.ndarray
+    cut_joint_names: Tuple[str, ...]
+    cut_position: np.ndarray
+    cut_velocity: np.ndarray
+    effect_readings: Callable[[str], Dict[str, float]]
+    effort: np.ndarray
+    energy: float
+    evaluation: Callable[[], Evaluation]
+    evaluator: Callable[..., Evaluator]
+    force: Callable[[str], np.ndarray]
+    health: Health
+    inertia: np.ndarray
+    joint_torques: Callable[[Optional[Numbers]], np.ndarray]
+    judge: Callable[[], None]
+    measured: Callable[[], Tuple[np.ndarray, np.ndarray]]
+    motion_forces: Dict[str, float]
+    multipliers: np.ndarray
+    point: Callable[[str], np.ndarray]
+    step_size: float
+    tooth_forces: np.ndarray
+    torque_names: Tuple[str, ...]
+    windings: Callable[[], Dict[Tuple[str, str], float]]
 
     def __init__(self, model: Union[Model, Scene], state: Optional[State] = None,
                  method: Union[None, str, Mapping[str, Any], Method] = None) -> None:
@@ -92,10 +116,9 @@ class Simulation(Stepping):
             raise TypeError(f'Simulation: expected a Model or a Scene, got {model!r}; '
                             'Simulation.from_scene takes names and paths')
         scene = model if isinstance(model, Scene) else model.scene
-        super().__init__(scene if method is None else scene.with_method(method))
-        self._start = state
+        self._build(scene if method is None else scene.with_method(method), state)
         if state is not None:
-            self.require_state(state)
+            self.data.require_state(state)
             if state.is_batch:
                 raise ValueError(f'state: expected a single one, got a batch of q {state.q.shape}')
         self.reset()
@@ -104,19 +127,36 @@ class Simulation(Stepping):
         """Show the mechanism, the time and the method."""
         method = self.scene.method
         return (f'<Simulation of {self.scene.name} at t = {self.time:.9g} s: {method.integrator}, '
-                f'steps of {self.step_size:g} s, actuated: '
+                f'steps of {self.stepping.step_size:g} s, actuated: '
                 f'{", ".join(self.actuated_joints) or "nothing"}>')
 
-    def vary(self, scene: Scene) -> bool:
-        """As ``Data.vary``: become a simulation of another scene."""
-        if not super().vary(scene):
-            return False
-        if self._derivatives is not None:
-            self._derivatives.enable_for(self)
-        # By whose weight the guards measure.
-        self._set_run()
-        self.reset()
-        return True
+    def _build(self, scene: Scene, start: Optional[State]) -> None:
+        """Build data and run of a scene."""
+        self._start, self.data = start, Readings(scene)
+        data = self.data
+        self.stepping = stepping = Stepping(data)
+        self.coordinates, self.joint_names, self.actuated_joints = (
+            data.coordinates, data.joint_names, data.actuated_joints)
+        self._q, self._qd, self._effects, self._run = (
+            data._q, data._qd, data.effect_set, stepping.run)
+        # What is called again and again, without another call in between.
+        for name, owner in (('step', stepping), ('advance', stepping),
+                            ('forward_dynamics', data), ('inverse_dynamics', data)):
+            setattr(self, name, getattr(owner, name))
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        """Pickle as the scene with effects, equations and method as they are, and the state."""
+        return _unpickled, (type(self), self.data.scene, self._start, self.stepping.description())
+
+    def __copy__(self) -> 'Simulation':
+        """Return another simulation that goes on from here in the same way, to the last bit."""
+        made = _unpickled(type(self), self.data.scene, self._start, self.stepping.description())
+        made.stepping.take(self.stepping)
+        return made
+
+    def __deepcopy__(self, memo: Dict[int, Any]) -> 'Simulation':
+        """As ``copy``: copies share nothing that changes."""
+        return self.__copy__()
 
     @classmethod
     def from_scene(
@@ -155,198 +195,161 @@ class Simulation(Stepping):
         if not isinstance(scene, Scene):
             scene = load_scene(scene)
         simulation = cls(moving(scene, motion or {}), None, method)
-        for note in simulation.start_notes():
+        for note in simulation.data.start_notes():
             warnings.warn(note, RuntimeWarning, stacklevel=2)
         return simulation
 
-    def start_notes(self) -> List[str]:
+    def __getattr__(self, name: str) -> Any:
+        """Return a documented quantity of the readings, or of the run."""
+        if name not in Simulation.__annotations__:
+            raise AttributeError(f'{type(self).__name__!r} object has no attribute {name!r}')
+        return getattr(self.stepping if name in _OF_RUN else self.data, name)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, with the present method."""
+        return self.data.scene
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The mechanism, with the equations of the motions that the scene prescribes."""
+        return self.data.mechanism
+
+    @property
+    def time(self) -> float:
+        """Time since the start or the last reset [s]."""
+        return self._run.time()
+
+    @property
+    def position(self) -> np.ndarray:
+        """Joint coordinates, shape (nq,) [rad or m]: see ``Readings.position``."""
+        return self._q.copy()
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Joint rates, shape (nv,) [rad/s or m/s]: see ``Readings.velocity``."""
+        return self._qd.copy()
+
+    @property
+    def points(self) -> np.ndarray:
+        """Places of all named points, shape (number of points, 2), in space 3 [m]."""
+        return self.data.points
+
+    @property
+    def joint_forces(self) -> np.ndarray:
+        """Wrenches in the joints, as of ``Readings``, shape (nv, 3); in space (joints, 6)."""
+        return self.data.joint_forces
+
+    @property
+    def state(self) -> np.ndarray:
         """
-        Return notes of the start: its ``assembly_notes``, digits, angles beyond 2 pi, effects.
+        Whole state: joint coordinates, joint rates, the effects' own states, the method's memory.
 
-        Returns
-        -------
-        list of str
+        A run that is started from it by ``restore`` goes on in the same way to the last bit, with
+        error control from where a command changes.
+        """
+        return self._run.whole
+
+    def snapshot(self) -> State:
+        """Return the present state; torques and the memory of a method are no part of it."""
+        return self.data.snapshot()
+
+    @property
+    def energy_balance(self) -> Energies:
+        """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
+        return Energies(**self._run.balance())
+
+    def step(self, torque: Optional[Numbers] = None, duration: Optional[float] = None) -> None:
+        """
+        Advance by ``duration`` under constant torques.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+            Joint torques [N m or N]: by joint name, or for all actuated joints in their
+            order; joints that are not named get none.
+        duration : float, optional
+            [s]; one step when not given. Covered by whole steps, and one shorter step at the
+            end where it is no multiple of the step size.
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+        ValueError
+            For a torque or duration that makes no sense.
 
         """
-        weight = EARTH * sum(body.mass for body in self.mechanism.bodies)
-        effects = [note for name, record in self.scene.effects.items() for note in
-                   record.start_notes(name, partial(self.effect_readings, name), weight)]
-        held = self.second_order.notes() if self.second_order is not None else []
-        angles = angle_notes(self.mechanism, self.scene.initial.position)
-        # Some of those angles are noted where the start was assembled, too.
-        known = (*angles, *degree_notes(self.mechanism, self.scene.initial.position))
-        return ([*self.mechanism.rounded, *self._suspicions()] + angles + held
-                + self._motions.notes()
-                + [note for note in self.assembly_notes() if note not in known]
-                + effects + self.load_notes())
+        self.stepping.step(torque, duration)
 
-    def _suspicions(self) -> List[str]:
-        """Return notes on rounded digits where equations that repeat others depend on these."""
-        found, coordinates = suspicions(self.mechanism), self.mechanism.coordinates
-        if found and self._assembler.nc <= MOST_EQUATIONS:
-            freedoms = self.degrees_of_freedom()
-            if freedoms and coordinates.nv - freedoms == self._assembler.nc:
-                return []
-        return found
+    def advance(self, tau: np.ndarray, steps: int) -> None:
+        """
+        Advance by whole steps under constant joint torques; the fast path of ``step``.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (number of actuated joints,) or (number of ``torque_names``,)
+            Joint torques [N m or N], finite: of the actuated joints in their order, as for
+            ``step``, or, which is faster, of all ``torque_names``.
+        steps : int
+            Number of steps.
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+        ValueError
+            For torques of other shapes, that are not real or not finite, and for steps that are no
+            whole number >= 0.
+
+        """
+        self.stepping.advance(tau, steps)
+
+    def restore(self, state: ArrayLike, time: float) -> None:
+        """
+        Restore a state of another run of the same scene, bit for bit; torques stay.
+
+        Parameters
+        ----------
+        state : sequence
+            From ``state``; not assembled.
+        time : float
+            Of that state [s].
+
+        Raises
+        ------
+        ValueError
+            Where it is no state of this scene.
+
+        """
+        self.stepping.restore(state, time)
+
+    def forward_dynamics(
+            self, position: ArrayLike, velocity: ArrayLike,
+            torque: Optional[Numbers] = None) -> Tuple[np.ndarray, np.ndarray]:
+        """Compute accelerations and multipliers of a state: see ``Readings.forward_dynamics``."""
+        return self.data.forward_dynamics(position, velocity, torque)
+
+    def inverse_dynamics(
+            self, position: ArrayLike, velocity: ArrayLike,
+            acceleration: ArrayLike) -> Tuple[np.ndarray, np.ndarray]:
+        """Compute torques and multipliers of a motion: see ``Readings.inverse_dynamics``."""
+        return self.data.inverse_dynamics(position, velocity, acceleration)
+
+    def _vary(self, scene: Scene) -> bool:
+        """As ``Data.vary``: become a simulation of another scene."""
+        if not self.data.vary(scene):
+            return False
+        self.stepping.adopt_effects()
+        self.reset()
+        return True
 
     def reset(self) -> None:
         """Return to the initial state, time zero and no torque."""
-        native.require_free(self.system.native)
-        if self.exchanges:
-            self.exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
-                          else self._geometry.select(None))
-        self.exchanges = 0
-        self._run.set_time(0.0, 0)
-        if self._motions:
-            for name, record in self._motions.forget_commands(self.scene.effects).items():
-                self._effects.put(name, record, True)
-            # They may have been changed since.
-            initial = self.scene.initial
-            self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
-        self._q[:], self._qd[:] = self._initial
-        self._own[:] = self._effects.initial
-        self._run.rewind()
-        native.forget(self.system)
-        self._monitor.clear()
-        self._effects.restart()
-        self._delay_line = DelayLine()
-        self.system.tau[:] = 0.0
-        self._fresh = False
-        health = self.system.work.health
-        health[:] = 0.0
-        health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
-        self.system.passage[:] = 0.0
-        self._begin_loads()
-        if self.system.manifold is not None:
-            self._state[-1] = 0.0
-        self._run.begin()
+        self.stepping.reset()
         if self._start is not None:
-            self.begin_at(self._start)
-        self._stiffness.check(self._state, self.step_size)
-        self._set_budget(self.scene.method)
-
-    def begin_at(self, state: State) -> None:
-        """
-        Go to a state that was given, after a reset.
-
-        Parameters
-        ----------
-        state : State
-            A single one, of this mechanism.
-
-        Raises
-        ------
-        AssemblyError
-            Where it leaves the loops open.
-
-        """
-        if self.has_redundant_constraints and not self._geometry.is_valid(state.q):
-            self.exchange(self._geometry.choose(state.q))
-        whole = self.state
-        for part, values in zip(self._parts, (state.q, state.qd, state.own)):
-            whole[part] = values
-        self.restore(whole, state.time, 0.0)
-        self.require_closed(state.q, state.qd)
-        self._require_step_from(state.q, state.qd)
-
-    def set_step_size(self, step_size: float) -> None:
-        """
-        Change the step size while running; time and state go on.
-
-        Parameters
-        ----------
-        step_size : float
-            [s], positive.
-
-        Raises
-        ------
-        ValueError
-            Where it is no positive number; the present one stays.
-        StiffnessError
-            Where the scene is too stiff for it; the present one stays.
-
-        """
-        method = replace(self.scene.method, step_size=step_size)
-        self._stiffness.check(self._state, method.step_size)
-        self._set_method(method, self._stiffness)
-
-    def prepare_method(self, **changes: Any) -> Callable[[], None]:
-        """
-        Check and prepare another method, leaving everything as it is.
-
-        Parameters
-        ----------
-        **changes
-            By the keys that a scene has under ``method``.
-
-        Returns
-        -------
-        callable
-            Lets the method take effect, from the next step on; time and state go on, the
-            account of cost and local error restarts.
-
-        Raises
-        ------
-        ValueError
-            Where a name or value makes no sense.
-        SimulationError
-            Where the scene is too stiff for the method, or its closure equations here too
-            dependent or its loops too far open.
-
-        """
-        native.require_free(self.system.native)
-        method = replace(self.scene.method, **changes)
-        self._require_known_steps(method)
-        self._require_closable(method.stabilisation)
-        before = self.system
-        needs_all = self.has_redundant_constraints and not self._may_leave_out(method)
-        system = with_equations(before, self._geometry.model_of(None)[0]) if needs_all else before
-        system = with_partition(system, method.stabilisation == 'independent')
-        guard = StiffnessGuard(system, method, self._effects.own)
-        guard.check(self._state, method.step_size)
-        run = self._new_run(system, method, guard)
-        run.try_step(self._state.copy(), 1e-9)
-        self._fresh = False
-
-        def take_effect() -> None:
-            if self.system is not before:
-                # Equations, or the method, have been exchanged since.
-                self.prepare_method(**changes)()
-                return
-            if needs_all:
-                self._geometry.select(None)
-                self._rebind(system)
-                self.exchanges += 1
-            self.system = system
-            self._run.set_time(self.time, 0)
-            self._run.take_method(system, run)
-            self._advance_run = self._run.advance_run
-            self._monitor = Monitor(method, self._run)
-            self._set_method(method, guard)
-
-        return take_effect
-
-    def _require_closable(self, stabilisation: str) -> None:
-        """Refuse a stabilisation that cannot start from the present state."""
-        if stabilisation != 'none' and self.closure > self.system.settings.closure_limit:
-            raise ClosureError(
-                f'The loops have drifted apart by {self.closure:.3g} m or rad: more than '
-                f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
-        if stabilisation == 'independent':
-            self._fresh = False
-            self._assembler.require_independent(self._q)
-
-    def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
-        self._run.set_time(self.time, 0)
-        self.scene, self._stiffness = replace(self.scene, method=method), stiffness
-        self._set_run()
-        self._run.restart_guards()
-        self._set_guard()
-        self._set_budget(method)
-        self.system.settings.baumgarte_gain[...] = (
-            1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
-        self._run.restart(False)
-        self._jump()
+            self.stepping.begin_at(self._start)
+        self.stepping.begin()
 
     def set_state(
             self, position: Numbers, velocity: Optional[Numbers] = None,
@@ -376,55 +379,7 @@ class Simulation(Stepping):
             Where it is no state: other numbers, names, or no unit quaternion.
 
         """
-        native.require_free(self.system.native)
-        state = self._near(position, velocity, hold)
-        if self.has_redundant_constraints and not self._geometry.is_valid(state[0]):
-            self.exchange(self._geometry.choose(state[0]))
-        if self.scene.method.stabilisation == 'independent':
-            self._assembler.require_independent(state[0])
-        self._require_step_from(*state)
-        self._run.add_work()
-        self._run.find_start()
-        self._fresh = False
-        before = self.energy
-        self._q[:], self._qd[:] = state
-        self._effects.reset_states(self._own)
-        self._run.restart(True)
-        self._jump()
-        self._begin_loads()
-        self._jump_balance(self.energy - before)
-
-    def _require_step_from(self, position: np.ndarray, velocity: np.ndarray) -> None:
-        """Refuse a state from which a step cannot be made."""
-        fastest = np.abs(velocity).max(initial=0.0)
-        if not fastest * self.step_size <= LARGEST_MOTION:
-            raise AssemblyError(
-                f'The largest velocity is {fastest:.3g} rad/s or m/s, so that a joint would move '
-                f'by {fastest * self.step_size:.3g} rad or m in a step of {self.step_size:g} s; '
-                f'at most {LARGEST_MOTION:g} can be followed.')
-        trial, health = self._state.copy(), self.system.work.health.copy()
-        places, rates, own = (trial[part] for part in self._parts)
-        own[self._effects.own] = self._effects.initial[self._effects.own]
-        places[:], rates[:] = position, velocity
-        status = NOT_FINITE
-        if np.isfinite(trial).all():
-            status = self._try_step(trial, self.step_size)
-        self.system.work.health[:] = health
-        if status != DONE:
-            raise AssemblyError(
-                f'From this state not even a step of {self.step_size:g} s can be made: '
-                + ('the numbers grow beyond all bounds'
-                   if status == NOT_FINITE else 'the loops cannot be closed after it'
-                   if status == OPEN_LOOP else 'it takes too many evaluations'
-                   if status == TOO_MUCH_WORK else 'no part of it keeps the tolerance')
-                + f'. Take smaller velocities (largest now {fastest:.3g} rad/s or m/s), or a '
-                'smaller step.')
-
-    def _try_step(self, state: np.ndarray, size: float) -> int:
-        """Make a step from a copy of a state, leaving all else as it is; return its status."""
-        status = self._run.try_step(state, size)
-        self._fresh = False
-        return DONE if status in (POOR_EQUATIONS, CONTACT_PASSED) else status
+        self.stepping.set_state(position, velocity, hold)
 
     def report(self) -> RunReport:
         """
@@ -435,15 +390,7 @@ class Simulation(Stepping):
         monitor.RunReport
 
         """
-        residual = self._run.record_energy()['residual']
-        self._fresh = False
-        undecided = self._branch_finding()
-        report = self._monitor.report(
-            self.system.work.health, self.closure,
-            residual - self._run.report.first_residual, self.energy_guard,
-            (*self.load_notes(), *undecided), self._budget)
-        return report if not undecided else replace(
-            report, error_bound=math.nan, present_bound=math.nan, branch_undecided=True)
+        return self.stepping.report()
 
     def rollout(
             self, torques: Optional[ArrayLike] = None,
@@ -509,11 +456,6 @@ class Simulation(Stepping):
         """Return the listed effects, with their present parameters: records by name."""
         return dict(self._effects.records)
 
-    @property
-    def enabled_effects(self) -> Tuple[str, ...]:
-        """Names of the effects that are switched on."""
-        return tuple(name for name, enabled in self._effects.enabled.items() if enabled)
-
     def set_effect(
             self, name: str, enabled: Optional[bool] = None,
             **parameters: Any) -> None:
@@ -542,42 +484,7 @@ class Simulation(Stepping):
         stretched) is not booked as work: the energy balance goes on from the new energy.
 
         """
-        native.require_free(self.system.native)
-        self._run.find_start()
-        self._fresh = False
-        before, undo = self.energy, self._effects.trial()
-        try:
-            restarted = self._try_effect(name, enabled, parameters, undo)
-        except Exception:
-            undo()
-            self._fresh = False
-            raise
-        self._run.add_work()
-        self._fresh = False
-        self._own[restarted] = self._effects.initial[restarted]
-        if self._derivatives is not None:
-            self._derivatives.enable_for(self)
-        self._set_run()
-        self._effects.begin_at_time(self._own, self.time)
-        if self.has_redundant_constraints and not self._may_leave_out(self.scene.method):
-            self.exchange(self._geometry.select(None))
-        self._run.restart(False)
-        self._jump()
-        if len(restarted):
-            self._begin_loads()
-        self._jump_balance(self.energy - before)
-        if self._effects.records[name].depends_on_reactions:
-            for note in self.load_notes():
-                warnings.warn(note, RuntimeWarning, stacklevel=2)
-
-    @property
-    def commanded_motions(self) -> Tuple[str, ...]:
-        """
-        Names that ``command_motion`` takes: of joints, and of effects that move points.
-
-        Of prescribed motions of the shape ``commanded``, in the scene's order.
-        """
-        return tuple(self._motions.commanded)
+        self.stepping.set_effect(name, enabled, **parameters)
 
     def command_motion(self, commands: Mapping[str, Tuple[Any, ...]]) -> None:
         """
@@ -597,70 +504,13 @@ class Simulation(Stepping):
             finite, jumps of position or rate; nothing is changed.
 
         """
-        courses = self._motions.courses(commands, self.time)
-        for name, keys in courses.items():
-            record = self._effects.checked(name, None, keys)
-            fastest = max(abs(record.at(time)[1]) for time in instants(keys['times']))
-            if not fastest * self.step_size <= LARGEST_MOTION:
-                with at('effects', name):
-                    raise FieldError(
-                        f'a rate of at most {LARGEST_MOTION / self.step_size:g} rad/s or m/s',
-                        f'{fastest:.3g}', path=('rates',))
-        for name, keys in courses.items():
-            self.set_effect(name, **keys)
-
-    def check_effect(
-            self, name: str, enabled: Optional[bool] = None,
-            **parameters: Any) -> None:
-        """
-        Refuse, as ``set_effect`` would, a change that makes no sense; change nothing.
-
-        Parameters
-        ----------
-        name, enabled, **parameters
-            As for ``set_effect``.
-
-        Raises
-        ------
-        ValueError, StiffnessError
-
-        """
-        native.require_free(self.system.native)
-        undo = self._effects.trial()
-        try:
-            self._try_effect(name, enabled, parameters, undo)
-        finally:
-            undo()
-            self._fresh = False
-
-    def _try_effect(
-            self, name: str, enabled: Optional[bool],
-            parameters: Dict[str, Any], undo: Callable[[], None]) -> np.ndarray:
-        """
-        Change an effect, unless steps that can be stable now could not be with it.
-
-        ``undo`` leads back to the effects before; where the change is refused, it is to be called.
-        """
-        effects = self._effects
-        self._motions.require_continued(
-            name, effects.checked(name, enabled, parameters), enabled, self.time)
-        restarted = effects.change(name, enabled, parameters)
-        self._fresh = False
-        self._require_finite_laws()
-        if effects.records[name].STIFFENS:
-            try:
-                self._stiffness.check(self._state, self.step_size)
-            except StiffnessError:
-                undo()
-                if self._stiffness.stable(self._state, self.step_size):
-                    raise
-                # It has been too stiff before: a change may be for the better.
-                restarted = effects.change(name, enabled, parameters)
-        return restarted
+        self.stepping.command_motion(commands)
 
 
-def instants(times: Sequence[float]) -> np.ndarray:
-    """Return times and some between them [s]."""
-    all_times = np.array(times)
-    between = [all_times[:-1] + share * np.diff(all_times) for share in (0.0, 0.25, 0.5, 0.75)]
-    return np.concatenate([*between, all_times[-1:]])
+def _unpickled(made_of: Type[Simulation], scene: Scene, start: Optional[State],
+               description: Dict[str, Any]) -> Simulation:
+    """Return a simulation of a scene, as ``Stepping.description`` describes it."""
+    made = made_of.__new__(made_of)
+    made._build(scene, start)
+    made.stepping.revive(**description)
+    return made

@@ -24,19 +24,19 @@ class StepDerivatives:
     """
     The ``routines`` that derivatives of steps are made of, by ``parameters``.
 
-    They are compiled when they are first asked for, unless an earlier process has. The simulation,
-    of a scene that has derivatives, stays as it is; ``scene``: where it was traced before.
+    They are compiled when they are first asked for, unless an earlier process has. The data,
+    of a scene that has derivatives, stay as they are; ``scene``: where it was traced before.
     """
 
-    def __init__(self, simulation, parameters, scene=None):
-        self.parameters, self._system = parameters, simulation.system
+    def __init__(self, data, parameters, scene=None):
+        self.parameters, self._system = parameters, data.system
         nv, nc = len(self._system.qdd), len(self._system.lam)
-        self._scene = scene or TracedScene(simulation)
-        self._nq = len(simulation.position)
+        self._scene = scene or TracedScene(data)
+        self._nq = len(data.position)
         size = self._nq + 2 * nv + len(parameters.entries)
         qdd, lam = np.zeros(nv), np.zeros(nc)
-        rows, self._origins, _ = simulation.carried
-        self._rows, self._cuts = tuple(rows.tolist()), simulation.cut_rows
+        rows, self._origins, _ = data.loop_model.joint_places
+        self._rows, self._cuts = tuple(rows.tolist()), data.cut_rows
         seed, result = np.zeros(size), np.zeros(
             max(size, nv + nc, 2 * nc, 12 * (len(rows) + len(self._cuts))))
         table = self._scene.table({

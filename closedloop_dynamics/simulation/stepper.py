@@ -167,22 +167,23 @@ class Stepper:
         self.model, self.period = model, float(period)
         self.steps = steps or math.ceil(period / scene.method.step_size * (1.0 - ROUNDING))
         self._simulation = simulation = Simulation(model, None, scene.method)
-        require_derivatives(simulation, along=True)
+        require_derivatives(simulation.data, along=True)
         self._names, self._differentiates = simulation.joint_names, bool(jacobians)
         self._actuated = [self._names.index(name) for name in simulation.actuated_joints]
-        self._arrays = parameter_arrays(simulation, tuple(parameters))
+        self._arrays = parameter_arrays(simulation.data, tuple(parameters))
         self._asked = places_of(self._names, independent)
         self._chart: Any = None
-        self._rebind()
+        self._work_on_present_equations()
         self.count = count
         state = simulation.snapshot()
         self.q[:], self.qd[:] = state.q, state.qd
 
-    def _rebind(self) -> None:
-        """Work with the system that the simulation has now."""
+    def _work_on_present_equations(self) -> None:
+        """Work on the closure equations that the simulation works on now."""
         simulation = self._simulation
-        self._system = system = simulation.system
-        self._derivatives = derivatives = StepDerivatives(simulation, self._arrays)
+        self._system = system = simulation.data.system
+        self._equations = system.model
+        self._derivatives = derivatives = StepDerivatives(simulation.data, self._arrays)
         # Whose results give the independent coordinates.
         derivatives.need(CLOSURE)
         beside = derivatives.in_lanes((*CLOSURE, *(REVERSE if self._differentiates else ())))
@@ -192,7 +193,7 @@ class Stepper:
             tableau, STABILISATIONS[method.stabilisation], self.period / self.steps, self.steps,
             self.steps, np.zeros((1, len(system.tau))))
         tape = allocate_tape(system, tableau, self.steps)
-        tape.state[0] = simulation.integrated
+        tape.state[0] = simulation.data.integrated
         self._run = run, allocate_scratch(system, tableau), tape, derivatives.routines, beside
         self._choose(simulation.position, simulation.velocity, self._asked if self._chart is None
                      else self._chart.independent)
@@ -288,10 +289,10 @@ class Stepper:
     def _exchange(self, status: int, number: int) -> Tuple[int, int]:
         """Work on the closure equations that serve in a state, and advance all again."""
         reach, simulation = self._reach, self._simulation
-        simulation.begin_at(self.model.state(reach.q[number], reach.qd[number]))
-        if simulation.system is self._system:
+        simulation.stepping.begin_at(self.model.state(reach.q[number], reach.qd[number]))
+        if simulation.data.system.model is self._equations:
             return status, number
-        self._rebind()
+        self._work_on_present_equations()
         self._bind()
         return self._call()
 

@@ -3,8 +3,10 @@
 
 """The steps of a simulation: what makes them, watches them and ends them."""
 
+from copy import deepcopy
+from dataclasses import replace
 import math
-from typing import Any, Callable, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 import warnings
 
 import numpy as np
@@ -16,27 +18,30 @@ from .cable_guard import explain, leapt
 from .data import Numbers, vector
 from .derivative_code import DerivativeCode
 from .errors import (
-    ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError)
+    AssemblyError, ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError,
+    StiffnessError)
 from .guards import (
     CLOSING, EnergyGuard, EQUATIONS_CHECK_EVERY, LARGEST_MOTION, opened_loops, StiffnessGuard,
     USUAL_TORQUE, watch)
 from .modeling import extent
-from .monitor import Monitor
+from .monitor import Monitor, RunReport
 from .named_array import reals
 from .readings import Readings
-from .scene_records import Method, Scene
+from .scene_records import Method
+from .state import State
 from .traced_scene import refusals
 from ..core import types as t
 from ..effects.delay_line import DelayLine
-from ..effects.energy_balance import Energies
 from ..engine import native
 from ..integration.control import (
-    CONTACT_PASSED, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
+    CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
 from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
     CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, Watch)
-from ..integration.system import AccelerationDerivatives, LENIENT, OPENED, System
+from ..integration.system import (
+    AccelerationDerivatives, LENIENT, OPENED, System, with_equations, with_partition)
+from ..mechanism.fields import at, FieldError
 
 # How often equations are exchanged while the motion goes on by less than a share of a step.
 MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
@@ -50,117 +55,83 @@ SAME_TIME = 1e-9
 MOST_NAMED = 3
 
 
-class Stepping(Readings):
-    """A state that a method advances: steps, commands, the engine's pauses, guards, failures."""
+class Stepping:
+    """
+    A run: the method that advances data, its guards, and what ends it.
 
-    def __init__(self, scene: Scene) -> None:
-        # Zero until there is a run.
-        self._clock: Callable[[], float] = float
-        self.pace, self._lenient_from = 1.0, b''
+    Attributes
+    ----------
+    data : readings.Readings
+        The state that is advanced.
+    run : integration.run.Run
+        The run that the engine advances.
+    monitor : monitor.Monitor
+        Account of cost and local error.
+    energy_guard : guards.EnergyGuard
+    stiffness : guards.StiffnessGuard
+    pace : float
+        Simulated seconds per second of the clock, by which a budget counts; 1 when not set.
+
+    """
+
+    def __init__(self, data: Readings) -> None:
+        self.data, self.pace, self._lenient_from, self._methods = data, 1.0, b'', 0
+        self._state, self._q, self._effects = data.integrated, data._q, data.effect_set
         self._measured, self._delay_line = np.zeros(5), DelayLine()
         # What is known of singular positions that were passed, and of which.
         self._passage: Tuple[bytes, List[str]] = b'', []
-        super().__init__(scene)
         self._differentiate_steps()
-        method = self.scene.method
-        self._require_known_steps(method)
-        self._stiffness = StiffnessGuard(self.system, method, self._effects.own)
-        self._run = self._new_run(self.system, method, self._stiffness)
-        self._clock, self._advance_run = self._run.time, self._run.advance_run
-        self._monitor = Monitor(method, self._run)
+        self.require_known_steps(self.method)
+        self.stiffness = StiffnessGuard(data.system, self.method, self._effects.own)
+        self.run = self.new_run(data.system, self.method, self.stiffness)
+        data.clock, self._advance_run = self.run.time, self.run.advance_run
+        self.monitor = Monitor(self.method, self.run)
         self._set_guard()
-        self.exchanges = 0
+
+    @property
+    def method(self) -> Method:
+        """The method, as the scene of the data has it."""
+        return self.data.scene.method
 
     def _differentiate_steps(self) -> None:
         """Generate the Jacobian of the stiff method, where that is the scene's."""
         self._derivatives: Optional[DerivativeCode] = None
-        system, method = self.system, self.scene.method
+        system, method = self.data.system, self.method
         # The generated code has no forces over time, quaternions or Baumgarte's terms.
-        if (INTEGRATORS[method.integrator].family == ROSENBROCK and not refusals(self)
+        if (INTEGRATORS[method.integrator].family == ROSENBROCK and not refusals(self.data)
                 and system.manifold is None and not self._effects.follows_time
                 and method.stabilisation not in ('baumgarte', 'independent')):
             self._derivatives = code = DerivativeCode(
-                self, system.qdd, system.lam, len(self._own))
+                self.data, system.qdd, system.lam, len(self.data._own))
             native.use_derivatives(system, AccelerationDerivatives(
                 code.table, code.columns, code.found, code.flows))
-
-    def _rebind(self, system: System) -> None:
-        """Evaluate, and advance the run, by another system."""
-        super()._rebind(system)
-        self._run.rebind(system)
-        self._advance_run = self._run.advance_run
 
     @property
     def step_size(self) -> float:
         """Step size [s]."""
-        return self.scene.method.step_size
-
-    @property
-    def time(self) -> float:
-        """Time since the start or the last reset [s]."""
-        return self._clock()
-
-    @property
-    def state(self) -> np.ndarray:
-        """
-        Whole state: joint coordinates, joint rates, the effects' own states, the method's memory.
-
-        A run that is started from it by ``restore`` goes on in the same way to the last bit, with
-        error control from where a command changes.
-        """
-        return self._run.whole
-
-    @property
-    def energy_balance(self) -> Energies:
-        """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
-        found = Energies(**self._run.balance())
-        self._fresh = True
-        return found
-
-    @property
-    def run(self) -> Run:
-        """Return the run that the engine advances."""
-        return self._run
+        return self.method.step_size
 
     @property
     def at_start(self) -> bool:
         """Whether nothing has moved or been changed since the start or the last reset."""
-        return self.time == 0.0 and self._run.report.at_start
+        return self.data.time == 0.0 and self.run.report.at_start
 
-    def _require_known_steps(self, method: Method) -> None:
+    def require_known_steps(self, method: Method) -> None:
         """Refuse coordinates that the effects leave no room for."""
-        if self._motions and method.stabilisation == 'independent':
+        if self.data._motions and method.stabilisation == 'independent':
             raise SimulationError(
-                f'The scene prescribes motions ({", ".join(self.motion_names)}): '
+                f'The scene prescribes motions ({", ".join(self.data.motion_names)}): '
                 'stabilisation: independent knows none. Take stabilisation: projection.')
 
     def step(
             self, torque: Optional[Numbers] = None,
             duration: Optional[float] = None) -> None:
-        """
-        Advance by ``duration`` under constant torques.
-
-        Parameters
-        ----------
-        torque : mapping, sequence or None
-            Joint torques [N m or N]: by joint name, or for all actuated joints in their
-            order; joints that are not named get none.
-        duration : float, optional
-            [s]; one step when not given. Covered by whole steps, and one shorter step at the
-            end where it is no multiple of the step size.
-
-        Raises
-        ------
-        NumericalError, ClosureError
-            The state before the failing step is kept.
-        ValueError
-            For a torque or duration that makes no sense.
-
-        """
+        """As ``Simulation.step``."""
         if duration is None:
-            tau = self._spread if self._spread_torques(torque) else self.joint_torques(torque)
-            return self.advance(tau, 1)
-        tau, size = self.joint_torques(torque), self.step_size
+            data = self.data
+            return self.advance(
+                data._spread if data._spread_torques(torque) else data.joint_torques(torque), 1)
+        tau, size = self.data.joint_torques(torque), self.step_size
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
         whole = math.floor(duration / size * (1.0 + 1e-12) + SAME_TIME)
@@ -178,26 +149,7 @@ class Stepping(Readings):
         self._make(size, 0, whole + 1)
 
     def advance(self, tau: np.ndarray, steps: int) -> None:
-        """
-        Advance by whole steps under constant joint torques; the fast path of ``step``.
-
-        Parameters
-        ----------
-        tau : ndarray, shape (number of actuated joints,) or (number of ``torque_names``,)
-            Joint torques [N m or N], finite: of the actuated joints in their order, as for
-            ``step``, or, which is faster, of all ``torque_names``.
-        steps : int
-            Number of steps.
-
-        Raises
-        ------
-        NumericalError, ClosureError
-            The state before the failing step is kept.
-        ValueError
-            For torques of other shapes, that are not real or not finite, and for steps that are no
-            whole number >= 0.
-
-        """
+        """As ``Simulation.advance``."""
         if type(steps) is not int or steps < 0:
             steps = _whole(steps)
         if self._budget is not None:
@@ -206,24 +158,23 @@ class Stepping(Readings):
             self._order(self._all_torques(tau), steps)
             self._make(self.step_size, 0, steps)
             return
-        self._fresh = False
         outcome = self._advance_run(tau, steps)
         if outcome == COMMAND:
             self._command(self._all_torques(tau))
-            outcome = self._run.make_steps(self.step_size, steps, steps)
+            outcome = self.run.make_steps(self.step_size, steps, steps)
         if outcome:
             self._go_on(outcome)
 
     def _all_torques(self, tau: ArrayLike) -> np.ndarray:
         """Return joint torques in the order of ``torque_names`` as an array, or refuse them."""
-        found = reals('torque', tau)
-        if found.shape == (len(self.actuated_joints),) != self.system.tau.shape:
-            return self.joint_torques(found)
-        if found.shape != self.system.tau.shape:
+        data, found = self.data, reals('torque', tau)
+        if found.shape == (len(data.actuated_joints),) != data.system.tau.shape:
+            return data.joint_torques(found)
+        if found.shape != data.system.tau.shape:
             raise ValueError(
-                f'torque: expected shape {self.system.tau.shape}, for '
-                f'{", ".join(self.torque_names)}, or ({len(self.actuated_joints)},), for '
-                f'{", ".join(self.actuated_joints) or "none"}; got shape {found.shape}')
+                f'torque: expected shape {data.system.tau.shape}, for '
+                f'{", ".join(data.torque_names)}, or ({len(data.actuated_joints)},), for '
+                f'{", ".join(data.actuated_joints) or "none"}; got shape {found.shape}')
         if not np.isfinite(found).all():
             raise ValueError(f'torque: expected finite numbers, got {tau!r}')
         return found
@@ -231,7 +182,7 @@ class Stepping(Readings):
     @property
     def accuracy(self) -> float:
         """Accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of other methods."""
-        return self._run.steps.accuracy
+        return self.run.steps.accuracy
 
     def keep_budget(self) -> None:
         """
@@ -242,7 +193,7 @@ class Stepping(Readings):
         if self._budget is None:
             return
         before = self._measured
-        self._measured = self._monitor.measured
+        self._measured = self.monitor.measured
         simulated, spent, elapsed, *work = (self._measured - before).tolist()
         if not simulated > 0.0:
             # Nothing, or a reset.
@@ -253,26 +204,26 @@ class Stepping(Readings):
         accuracy = self._budget.choose(
             present, simulated / self.pace, checked * spent, checked * elapsed)
         if accuracy != present:
-            self._run.aim(accuracy)
+            self.run.aim(accuracy)
 
     def adopt_accuracy(self, state: ArrayLike) -> None:
         """Keep the accuracy that another run of ``integrator: auto`` kept from a ``state`` on."""
-        accuracy = self._run.accuracy_in(np.array(state))
+        accuracy = self.run.accuracy_in(np.array(state))
         if accuracy != self.accuracy:
-            self._run.aim(accuracy)
+            self.run.aim(accuracy)
 
     def _set_budget(self, method: Method) -> None:
         """Make the accuracy follow the budget of a method, if it has one."""
         self._budget = (
             Budget(method.budget, method.accuracy)
             if method.budget is not None and method.by_budget else None)
-        self._measured = self._monitor.measured
+        self._measured = self.monitor.measured
 
     def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
         """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
-        native.require_free(self.system.native)
+        native.require_free(self.data.system.native)
         if self._delay_line.pending or self._effects.delays:
-            self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
+            self._delay_line.order(self.data.time, tau, self._effects.drives, self.data.system.tau)
         else:
             self._command(tau)
         while steps > 0:
@@ -283,9 +234,9 @@ class Stepping(Readings):
                 self._make_all(min(whole, steps))
                 steps -= min(whole, steps)
             else:
-                base, count = self._run.base()
+                base, count = self.run.base()
                 self._make_in_parts(self.step_size)
-                self._run.set_time(base, count + 1)
+                self.run.set_time(base, count + 1)
                 steps -= 1
         if rest > 0.0:
             self._make_in_parts(rest)
@@ -295,28 +246,27 @@ class Stepping(Readings):
         """Apply commands that are due; return the time until the next one [s]."""
         line, close = self._delay_line, SAME_TIME * self.step_size
         if line.pending:
-            self._command(line.due(self.time, close, self.system.tau))
-        return line.wait(self.time)
+            self._command(line.due(self.data.time, close, self.data.system.tau))
+        return line.wait(self.data.time)
 
     def _make_in_parts(self, size: float) -> None:
         """Make a step of at most the usual size [s] in parts that end where commands are due."""
-        end = self.time + size
+        end = self.data.time + size
         left, least = size, SAME_TIME * size
         while left > least:
             wait = self._commanded()
             part = wait if wait < left - least else left
             self._make(part, 1)
-            left = 0.0 if part == left else end - self.time
+            left = 0.0 if part == left else end - self.data.time
         if self._effects.remembers:
             self._sample_sensors()
 
     def _command(self, tau: np.ndarray) -> None:
         """Apply joint torques from now on."""
-        if (tau == self.system.tau).all():
+        if (tau == self.data.system.tau).all():
             return
         self.require_bearable(tau)
-        self._run.command(tau)
-        self._fresh = False
+        self.run.command(tau)
 
     def _make_all(self, steps: int) -> None:
         """Make whole steps; sensors that remember see every state."""
@@ -330,40 +280,37 @@ class Stepping(Readings):
 
     def _sample_sensors(self) -> None:
         """Record the present state in sensors with a memory."""
-        self.measured()
-        self.measured_cut_joints()
+        self.data.measured()
+        self.data.measured_cut_joints()
 
     def _make(self, size: float, steps: int, call: int = 0) -> None:
         """Make steps of one size [s], up to the end of a call where its length is known."""
-        self._fresh = False
-        self._go_on(self._run.make_steps(size, steps, call))
+        self._go_on(self.run.make_steps(size, steps, call))
 
     def _go_on(self, outcome: int) -> None:
-        """Do what the outcome of a run asks for, and resume it, until all steps are made."""
-        run, reached, exchanged = self._run, -math.inf, 0
+        """Warn of, or raise, the outcome of a run; go on with other equations where they serve."""
+        reached, exchanged = -math.inf, 0
         while outcome:
-            self._fresh = False
             if outcome == FAILED:
-                report = run.report
+                report = self.run.report
                 if report.time + report.advanced > reached + LEAST_PROGRESS * report.size:
                     reached, exchanged = report.time + report.advanced, 0
                 exchanged += 1
                 self._choose_or_stop(report, exchanged)
             elif outcome == CHOICE:
                 if self.leave_out_again():
-                    run.choose_more_seldom(EQUATIONS_CHECK_EVERY)
+                    self.run.choose_more_seldom(EQUATIONS_CHECK_EVERY)
             else:
                 self._tell(outcome)
-            self._fresh = False
-            outcome = run.resume_run()
+            outcome = self.run.resume_run()
 
     def _tell(self, outcome: int) -> None:
         """Warn of, or raise, findings of the guards; the latest good state is kept."""
-        run, guard = self._run, self.energy_guard
+        run, guard = self.run, self.energy_guard
         if outcome == INACCURATE:
             warnings.warn(guard.finding, InaccuracyWarning, stacklevel=2)
         elif outcome == ENERGY_LOST:
-            problem, report = guard.problem(self), run.report
+            problem, report = guard.problem(self.data), run.report
             self.restore(
                 run.kept(), report.check_time, report.check_residual)
             raise problem
@@ -371,9 +318,9 @@ class Stepping(Readings):
             report = run.report
             place = [*self._effects.winding_places()][report.leapt]
             self.restore(run.kept(True), report.cable_time, report.cable_residual)
-            raise leapt(place, report.winding, self.time)
+            raise leapt(place, report.winding, self.data.time)
         else:
-            raise opened_loops(self)
+            raise opened_loops(self.data, run.watch)
 
     def check_energy(self) -> None:
         """
@@ -385,34 +332,127 @@ class Stepping(Readings):
             Where it is far off; the latest state that was well is kept.
 
         """
-        outcome = self._run.check_energy()
+        outcome = self.run.check_energy()
         if outcome:
             self._tell(outcome)
 
     def _set_guard(self) -> None:
         """Set the guard of the energy by the present method."""
-        stiffness = self._stiffness
+        stiffness = self.stiffness
         self.energy_guard = EnergyGuard(
-            self.scene.method, stiffness.rate, self._run, stiffness.limit)
+            self.method, stiffness.rate, self.run, stiffness.limit)
 
     def _watch(self, method: Method, stiffness: StiffnessGuard) -> Watch:
         """Return the numbers by which the engine watches a run."""
-        return watch(method, stiffness.among_laws, self._geometry.may_leave_out,
-                     len(self._windings()) > 0, extent(self.mechanism), self._mass)
+        return watch(method, stiffness.among_laws, self.data.loop_model.may_leave_out,
+                     len(self._windings()) > 0, extent(self.data.mechanism), self.data._mass)
 
     def _windings(self) -> np.ndarray:
         """Return the places of windings of cables among the data of effects."""
         return np.array([*self._effects.winding_places().values()], dtype=np.int64)
 
-    def _new_run(self, system: System, method: Method, stiffness: StiffnessGuard) -> Run:
+    def new_run(self, system: System, method: Method, stiffness: StiffnessGuard) -> Run:
         """Return a run of the present state by a method."""
         return Run(system, self._state, method, self._watch(method, stiffness),
                    self._effects.roles, self._windings())
 
-    def _set_run(self) -> None:
+    def reset(self) -> None:
+        """Return to the scene's initial state, time zero and no torque."""
+        data = self.data
+        native.require_free(data.system.native)
+        if data.exchanges:
+            data.use_equations(
+                data.loop_model.as_at_first() if data._may_leave_out(self.method)
+                else data.loop_model.select(None))
+        data.exchanges = 0
+        self.run.set_time(0.0, 0)
+        data.forget_commands()
+        data._q[:], data._qd[:] = data._initial
+        data._own[:] = self._effects.initial
+        self.run.rewind()
+        native.forget(data.system)
+        self.monitor.clear()
+        self._effects.restart()
+        self._delay_line = DelayLine()
+        data.system.tau[:] = 0.0
+        health = data.system.work.health
+        health[:] = 0.0
+        health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
+        data.system.passage[:] = 0.0
+        data._begin_loads()
+        if data.system.manifold is not None:
+            self._state[-1] = 0.0
+        self.run.begin()
+
+    def description(self) -> Dict[str, Any]:
+        """Return all beside the scene that a run goes on from; arguments of ``revive``."""
+        data, effects = self.data, self._effects
+        native.require_free(data.system.native)
+        return {
+            'records': dict(effects.records), 'enabled': dict(effects.enabled),
+            'choice': data.loop_model.choice, 'exchanges': data.exchanges,
+            'initial': data._initial, 'state': self.run.whole, 'base': self.run.base(),
+            'residual': self.run.balance()['residual'], 'tau': data.system.tau.copy(),
+            'memory': (self._delay_line, effects.sensors, effects.sensors_at_cuts),
+            'pace': self.pace, 'sampling': self.monitor.sampling}
+
+    def revive(
+            self, records: Dict[str, Any], enabled: Dict[str, bool], choice: Dict[str, Any],
+            exchanges: int, initial: Tuple[np.ndarray, np.ndarray], state: np.ndarray,
+            base: Tuple[float, int], residual: float, tau: np.ndarray, memory: Tuple[Any, ...],
+            pace: float, sampling: bool) -> None:
+        """Go on from where ``description`` was called; costs and guards begin again."""
+        data, effects = self.data, self._effects
+        for name, record in records.items():
+            if record != effects.records[name] or enabled[name] != effects.enabled[name]:
+                effects.put(name, record, enabled[name])
+        self.adopt_effects()
+        present, model = data.system.model, data.loop_model.take(choice)
+        if model is not present:
+            data.use_equations(model)
+        data.exchanges, data._initial = exchanges, initial
+        self.run.begin()
+        self.restore(state, 0.0, residual)
+        self.run.set_time(*base)
+        data.system.tau[:] = tau
+        self._delay_line, effects.sensors, effects.sensors_at_cuts = deepcopy(memory)
+        self.pace, self.monitor.sampling = pace, sampling
+        self._set_budget(self.method)
+
+    def take(self, other: 'Stepping') -> None:
+        """Take over numbers and run of a simulation that this one was revived from."""
+        data = self.data
+        native.take_numbers(data.system.native, other.data.system.native)
+        self._state[:] = other._state
+        self.run.take(other.run)
+        self._budget, self._measured = deepcopy(other._budget), other._measured
+        self._passage, self._lenient_from = other._passage, other._lenient_from
+
+    def begin_at(self, state: State) -> None:
+        """Go to a single state of this mechanism, after a reset; AssemblyError."""
+        data = self.data
+        data.choose_equations(state.q)
+        whole = self.run.whole
+        for part, values in zip(data.parts, (state.q, state.qd, state.own)):
+            whole[part] = values
+        self.restore(whole, state.time, 0.0)
+        data.require_closed(state.q, state.qd)
+        self.require_step_from(state.q, state.qd)
+
+    def begin(self) -> None:
+        """Refuse steps that cannot be stable from a start, and begin to count."""
+        self.stiffness.check(self._state, self.step_size)
+        self._set_budget(self.method)
+
+    def adopt_effects(self) -> None:
+        """Go on with the parameters of effects, and the masses, as they are now."""
+        if self._derivatives is not None:
+            self._derivatives.enable_for(self.data)
+        self._set_limits()
+
+    def _set_limits(self) -> None:
         """Let the engine's run go on with the limits of the present scene."""
-        self._run.set_watch(self.system, self._watch(self.scene.method, self._stiffness),
-                            self._windings())
+        self.run.set_watch(self._watch(self.method, self.stiffness), self._windings())
 
     def choose_equations(self, status: int) -> bool:
         """
@@ -421,26 +461,26 @@ class Stepping(Readings):
         Returns whether to go on from the present state; not where no equations are left out, so
         that the step failed for another reason, by its status of ``integration.advance``.
         """
-        if (not self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING
+        if (not self.data.has_redundant_constraints or self.method.stabilisation not in CLOSING
                 or status == CONTACT_PASSED):
             return False
-        whole: Any = self.system.whole
+        whole: Any = self.data.system.whole
         numbers = whole.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
-        model = self._geometry.reselected(self._q, BETTER, opened)
+        model = self.data.loop_model.reselected(self._q, BETTER, opened)
         if model is None:
             if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
-                    opened and not self._geometry.is_valid(self._q)):
+                    opened and not self.data.loop_model.is_valid(self._q)):
                 # Again from the same state: a part of the step was well, and the rest is not.
                 again = self._lenient_from == self._q.tobytes()
                 numbers[LENIENT] = 2.0 if again else 1.0
                 self._lenient_from = self._q.tobytes()
                 return True
-            if opened and self._geometry.contradiction(self._q):
+            if opened and self.data.loop_model.contradiction(self._q):
                 return False
             # An equation left out may be the one that closes the loop.
-            model = self._geometry.select(None)
-        self.exchange(model)
+            model = self.data.loop_model.select(None)
+        self.data.use_equations(model)
         return True
 
     def leave_out_again(self) -> bool:
@@ -453,34 +493,28 @@ class Stepping(Readings):
             Whether some are left out from now on that were not.
 
         """
-        if self.has_redundant_constraints or self.scene.method.stabilisation not in CLOSING:
+        if self.data.has_redundant_constraints or self.method.stabilisation not in CLOSING:
             return False
-        model = self._geometry.choose(self._q)
-        if not self.has_redundant_constraints:
+        model = self.data.loop_model.choose(self._q)
+        if not self.data.has_redundant_constraints:
             return False
-        self.exchange(model)
+        self.data.use_equations(model)
         return True
-
-    def exchange(self, model: t.Model) -> None:
-        """Make method and guards work on other closure equations, too."""
-        super().exchange(model)
-        self._stiffness.move(self.system)
-        self.exchanges += 1
 
     @property
     def fastest_rate(self) -> float:
         """Estimate of the fastest rate of the motion in the present state [1/s]."""
-        return self._stiffness.rate(self._state)
+        return self.stiffness.rate(self._state)
 
     def judge(self) -> None:
         """As ``check_energy``, without a warning of a small error."""
-        outcome = self._run.check_energy()
+        outcome = self.run.check_energy()
         if outcome == ENERGY_LOST:
             self._tell(outcome)
 
     def _choose_or_stop(self, report: Any, exchanged: int) -> None:
         """Choose other equations after a step that failed, or raise what has ended the run."""
-        run, status, size = self._run, report.status, report.size
+        data, status, size = self.data, report.status, report.size
         if status == INTERRUPTED:
             # Another thread was.
             raise KeyboardInterrupt
@@ -489,22 +523,21 @@ class Stepping(Readings):
             goes_on = exchanged <= MOST_EXCHANGES and self.choose_equations(status)
         finally:
             if not goes_on:
-                run.give_up()
-                self._fresh = False
+                self.run.give_up()
         if goes_on:
             return
-        beyond = self._motions.advice_on_stopping(
-            self._assembler, self._q, self.time, self.step_size)
+        beyond = data._motions.advice_on_stopping(
+            data._assembler, self._q, data.time, self.step_size)
         if beyond:
             raise MotionError(
-                f'The motion cannot go on at t = {self.time:.9g} s; the state before is kept. '
+                f'The motion cannot go on at t = {data.time:.9g} s; the state before is kept. '
                 f'{beyond}')
         # What stopped it may be a cable at its limit, or steps that cannot be stable.
-        explain(self)
-        self._stiffness.check(self._state, size)
+        explain(data)
+        self.stiffness.check(self._state, size)
         if exchanged > MOST_EXCHANGES:
             raise NumericalError(
-                f'The motion does not go on at t = {self.time:.9g} s, whichever closure equations '
+                f'The motion does not go on at t = {data.time:.9g} s, whichever closure equations '
                 f'are left out as repeating others ({MOST_EXCHANGES} choices were tried); the '
                 'last good state is kept. Make lengths and axes of the loops agree to more '
                 'digits, or start elsewhere.')
@@ -514,60 +547,62 @@ class Stepping(Readings):
 
     def _stopped(self, status: int, size: float) -> SimulationError:
         """Return the error to raise where a step [s] could not be made."""
+        data = self.data
         if status == NOT_FINITE:
             return NumericalError(
-                f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
+                f'The state left the finite numbers at t = {data.time:.9g} s; the last finite '
                 f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
-                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
+                f'(largest now {np.abs(data.system.tau).max(initial=0.0):g}).')
         # Loops that are well closed here opened because of the step, or at a change point.
-        if status == POOR_EQUATIONS or status == OPEN_LOOP and self.has_redundant_constraints and (
-                self.closure > CONTRADICTION * self.system.settings.closure_limit):
-            contradiction = self._geometry.contradiction(self._q)
+        if status == POOR_EQUATIONS or status == OPEN_LOOP and data.has_redundant_constraints and (
+                data.closure > CONTRADICTION * data.system.settings.closure_limit):
+            contradiction = data.loop_model.contradiction(self._q)
             if contradiction:
                 return ClosureError(
-                    f'The loops cannot stay closed after t = {self.time:.9g} s; the state before '
+                    f'The loops cannot stay closed after t = {data.time:.9g} s; the state before '
                     f'is kept. {contradiction}')
         if status == OPEN_LOOP:
-            error = self.system.work.health[t.CLOSURE]
-            advice = self._assembler.advice_on_opening(self._q) or (
+            error = data.system.work.health[t.CLOSURE]
+            advice = data._assembler.advice_on_opening(self._q) or (
                 f'Take a smaller step than {size:g} s: the motion in one step is too large.')
             return ClosureError(
-                f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
+                f'The loops could not be closed after the step at t = {data.time:.9g} s (error '
                 f'{error:.3g}); the state before it is kept. {advice}')
         if status == TOO_MUCH_WORK:
             return NumericalError(
-                f'The motion at t = {self.time:.9g} s takes more than {MOST_EVALUATIONS} '
+                f'The motion at t = {data.time:.9g} s takes more than {MOST_EVALUATIONS} '
                 f'evaluations for {size:g} s; the last good state is kept. '
                 + self._advice_on_work())
         if status == CONTACT_PASSED:
             return NumericalError(
                 f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
-                f't = {self.time:.9g} s, undetected between evaluations; the state before is '
+                f't = {data.time:.9g} s, undetected between evaluations; the state before is '
                 'kept. Take a smaller step, or a method with error control, such as '
                 'integrator: auto.')
         return NumericalError(
-            f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
+            f'No step at t = {data.time:.9g} s is small enough to keep the error that is '
             'allowed; the last good state is kept. The motion is not smooth there: allow '
             'more, or take a fixed step.')
 
     def _advice_on_work(self) -> str:
         """Return a remedy where a step takes too many evaluations."""
-        count = self.system.work.health[t.RANK_REVEALING_COUNT]
-        self._present.evaluate()
-        if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
+        count = self.data.system.work.health[t.RANK_REVEALING_COUNT]
+        self.data.touch()
+        self.data.evaluate()
+        if self.data.system.work.health[t.RANK_REVEALING_COUNT] == count:
             return ('Take smaller torques (largest now '
-                    f'{np.abs(self.system.tau).max(initial=0.0):g}), allow a larger error, or '
-                    'leave out the effect that is so fast.' + self._pressing())
+                    f'{np.abs(self.data.system.tau).max(initial=0.0):g}), allow a larger error, '
+                    'or leave out the effect that is so fast.' + self._pressing())
         return ('Closure equations depend on others next to this position, where an evaluation '
                 f'counts as {RANK_REVEALING_WORK}. ' + (
                     'No independent coordinates describe the motion through it: take '
                     'stabilisation: projection.'
-                    if self.scene.method.stabilisation == 'independent' else
+                    if self.method.stabilisation == 'independent' else
                     'Allow a larger error, or keep away from it by stops or another start.'))
 
     def _pressing(self) -> str:
         """Return the contacts that press, the hardest first, with depths and forces."""
-        readings = {name: self.effect_readings(name)
+        readings = {name: self.data.effect_readings(name)
                     for name, acts in self._effects.enabled.items() if acts}
         pressing = sorted(((one['normal_force'], name, one['depth'])
                            for name, one in readings.items()
@@ -578,12 +613,10 @@ class Stepping(Readings):
 
     def _branch_finding(self) -> List[str]:
         """Return a finding where a change point was passed that the lengths miss by little."""
-        present = self.system.passage.tobytes()
+        present = self.data.system.passage.tobytes()
         if self._passage[0] != present:
-            self._fresh = False
             self._passage = present, list(change_points.finding(
-                self.mechanism, self._equations, self.system.passage))
-            self._fresh = False
+                self.data.mechanism, self.data._equations, self.data.system.passage))
         return self._passage[1]
 
     def require_bearable(self, tau: np.ndarray) -> None:
@@ -596,67 +629,284 @@ class Stepping(Readings):
         largest_torque = np.abs(tau).max(initial=0.0)
         if largest_torque <= USUAL_TORQUE:
             return
-        system, before = self.system, self.system.tau.copy()
+        system, before = self.data.system, self.data.system.tau.copy()
         system.tau[:] = tau
-        self._present.evaluate()
-        system.tau[:], self._fresh = before, False
+        self.data.evaluate()
+        system.tau[:] = before
         motion = np.abs(system.qdd).max(initial=0.0) * self.step_size ** 2
-        if not (motion <= LARGEST_MOTION and np.isfinite(self._table.rates).all()):
+        if not (motion <= LARGEST_MOTION and np.isfinite(self.data._table.rates).all()):
             raise NumericalError(
                 f'torque: expected torques that a step of {self.step_size:g} s can follow, got '
                 f'up to {largest_torque:.3g} (N m or N), by which a joint would move by '
                 f'{motion:.3g} rad or m; at most {LARGEST_MOTION:g} can be followed. The state '
                 'and the torques before are kept.')
 
-    def _jump(self) -> None:
-        """Reset the guards after a discontinuity of the state."""
-        self._fresh = False
-        self._run.jump()
+    def set_state(
+            self, position: Numbers, velocity: Optional[Numbers] = None,
+            hold: Optional[Sequence[str]] = None) -> None:
+        """As ``Simulation.set_state``."""
+        data = self.data
+        native.require_free(data.system.native)
+        state = data._near(position, velocity, hold)
+        data.choose_equations(state[0])
+        if self.method.stabilisation == 'independent':
+            data._assembler.require_independent(state[0])
+        self.require_step_from(*state)
+        self.run.add_work()
+        self.run.find_start()
+        before = data.energy
+        data._q[:], data._qd[:] = state
+        self._effects.reset_states(data._own)
+        self.run.restart(True)
+        self.run.jump()
+        data._begin_loads()
+        self.run.jump_balance(data.energy - before)
 
-    def _jump_balance(self, energy: float) -> None:
-        """Leave the energy of a change from outside out of the balance."""
-        self._run.jump_balance(energy)
-        self._fresh = False
+    def require_step_from(self, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Refuse a state from which a step cannot be made."""
+        data = self.data
+        fastest = np.abs(velocity).max(initial=0.0)
+        if not fastest * self.step_size <= LARGEST_MOTION:
+            raise AssemblyError(
+                f'The largest velocity is {fastest:.3g} rad/s or m/s, so that a joint would move '
+                f'by {fastest * self.step_size:.3g} rad or m in a step of {self.step_size:g} s; '
+                f'at most {LARGEST_MOTION:g} can be followed.')
+        trial, health = self._state.copy(), data.system.work.health.copy()
+        places, rates, own = (trial[part] for part in data.parts)
+        own[self._effects.own] = self._effects.initial[self._effects.own]
+        places[:], rates[:] = position, velocity
+        status = NOT_FINITE
+        if np.isfinite(trial).all():
+            status = self.run.try_step(trial, self.step_size)
+        data.system.work.health[:] = health
+        if status not in (DONE, POOR_EQUATIONS, CONTACT_PASSED):
+            raise AssemblyError(
+                f'From this state not even a step of {self.step_size:g} s can be made: '
+                + ('the numbers grow beyond all bounds'
+                   if status == NOT_FINITE else 'the loops cannot be closed after it'
+                   if status == OPEN_LOOP else 'it takes too many evaluations'
+                   if status == TOO_MUCH_WORK else 'no part of it keeps the tolerance')
+                + f'. Take smaller velocities (largest now {fastest:.3g} rad/s or m/s), or a '
+                'smaller step.')
 
-    def restore(
-            self, state: ArrayLike, time: float,
-            residual: Optional[float] = None) -> None:
+    def set_effect(
+            self, name: str, enabled: Optional[bool] = None,
+            **parameters: Any) -> None:
+        """As ``Simulation.set_effect``."""
+        data = self.data
+        native.require_free(data.system.native)
+        self.run.find_start()
+        before, undo = data.energy, self._effects.trial()
+        try:
+            restarted = self._try_effect(name, enabled, parameters, undo)
+        except Exception:
+            undo()
+            raise
+        self.run.add_work()
+        data._own[restarted] = self._effects.initial[restarted]
+        self.adopt_effects()
+        self._effects.begin_at_time(data._own, data.time)
+        if data.has_redundant_constraints and not data._may_leave_out(self.method):
+            data.use_equations(data.loop_model.select(None))
+        self.run.restart(False)
+        self.run.jump()
+        if len(restarted):
+            data._begin_loads()
+        self.run.jump_balance(data.energy - before)
+        if self._effects.records[name].depends_on_reactions:
+            for note in data.load_notes():
+                warnings.warn(note, RuntimeWarning, stacklevel=2)
+
+    def check_effect(
+            self, name: str, enabled: Optional[bool] = None,
+            **parameters: Any) -> None:
         """
-        Restore a state of another run of the same scene, bit for bit; torques stay.
+        Refuse, as ``set_effect`` would, a change that makes no sense; change nothing.
 
         Parameters
         ----------
-        state : sequence
-            From ``state``; not assembled.
-        time : float
-            Of that state [s].
-        residual : float, optional
-            Of the energy balance in that state [J]; the present one when not given.
+        name, enabled, **parameters
+            As for ``set_effect``.
+
+        Raises
+        ------
+        ValueError, StiffnessError
+
+        """
+        native.require_free(self.data.system.native)
+        undo = self._effects.trial()
+        try:
+            self._try_effect(name, enabled, parameters, undo)
+        finally:
+            undo()
+
+    def _try_effect(
+            self, name: str, enabled: Optional[bool],
+            parameters: Dict[str, Any], undo: Callable[[], None]) -> np.ndarray:
+        """
+        Change an effect, unless steps that can be stable now could not be with it.
+
+        ``undo`` leads back to the effects before; where the change is refused, it is to be called.
+        """
+        data, effects = self.data, self._effects
+        data._motions.require_continued(
+            name, effects.checked(name, enabled, parameters), enabled, data.time)
+        restarted = effects.change(name, enabled, parameters)
+        data._require_finite_laws()
+        if effects.records[name].STIFFENS:
+            try:
+                self.stiffness.check(self._state, self.step_size)
+            except StiffnessError:
+                undo()
+                if self.stiffness.stable(self._state, self.step_size):
+                    raise
+                # It has been too stiff before: a change may be for the better.
+                restarted = effects.change(name, enabled, parameters)
+        return restarted
+
+    def command_motion(self, commands: Mapping[str, Tuple[Any, ...]]) -> None:
+        """As ``Simulation.command_motion``."""
+        courses = self.data._motions.courses(commands, self.data.time)
+        for name, keys in courses.items():
+            record = self._effects.checked(name, None, keys)
+            fastest = max(abs(record.at(time)[1]) for time in instants(keys['times']))
+            if not fastest * self.step_size <= LARGEST_MOTION:
+                with at('effects', name):
+                    raise FieldError(
+                        f'a rate of at most {LARGEST_MOTION / self.step_size:g} rad/s or m/s',
+                        f'{fastest:.3g}', path=('rates',))
+        for name, keys in courses.items():
+            self.set_effect(name, **keys)
+
+    def set_step_size(self, step_size: float) -> None:
+        """
+        Change the step size while running; time and state go on.
+
+        Parameters
+        ----------
+        step_size : float
+            [s], positive.
 
         Raises
         ------
         ValueError
-            Where it is no state of this scene.
+            Where it is no positive number; the present one stays.
+        StiffnessError
+            Where the scene is too stiff for it; the present one stays.
 
         """
-        native.require_free(self.system.native)
-        state = vector('state', state, self._run.whole_length())
+        method = replace(self.method, step_size=step_size)
+        self.stiffness.check(self._state, method.step_size)
+        self._set_method(method, self.stiffness)
+
+    def prepare_method(self, **changes: Any) -> Callable[[], None]:
+        """
+        Check and prepare another method, leaving everything as it is.
+
+        Parameters
+        ----------
+        **changes
+            By the keys that a scene has under ``method``.
+
+        Returns
+        -------
+        callable
+            Lets the method take effect, from the next step on; time and state go on, the
+            account of cost and local error restarts.
+
+        Raises
+        ------
+        ValueError
+            Where a name or value makes no sense.
+        SimulationError
+            Where the scene is too stiff for the method, or its closure equations here too
+            dependent or its loops too far open.
+
+        """
+        data = self.data
+        native.require_free(data.system.native)
+        method = replace(self.method, **changes)
+        self.require_known_steps(method)
+        self._require_closable(method.stabilisation)
+        before, independent = (data.exchanges, self._methods), (
+            method.stabilisation == 'independent')
+        needs_all = data.has_redundant_constraints and not data._may_leave_out(method)
+        system = with_equations(
+            data.system, data.loop_model.model_of(None)[0]) if needs_all else data.system
+        system = with_partition(system, independent)
+        guard = StiffnessGuard(system, method, self._effects.own)
+        guard.check(self._state, method.step_size)
+        run = self.new_run(system, method, guard)
+        run.try_step(self._state.copy(), 1e-9)
+
+        def take_effect() -> None:
+            if (data.exchanges, self._methods) != before:
+                # Equations, or the method, have been exchanged since.
+                self.prepare_method(**changes)()
+                return
+            if needs_all:
+                data.use_equations(data.loop_model.select(None))
+            data.system.use_independent(independent)
+            self._methods += 1
+            self.run.set_time(data.time, 0)
+            self.run.take_method(run)
+            self.monitor = Monitor(method, self.run)
+            self._set_method(method, StiffnessGuard(data.system, method, self._effects.own))
+
+        return take_effect
+
+    def _require_closable(self, stabilisation: str) -> None:
+        """Refuse a stabilisation that cannot start from the present state."""
+        data = self.data
+        if stabilisation != 'none' and data.closure > data.system.settings.closure_limit:
+            raise ClosureError(
+                f'The loops have drifted apart by {data.closure:.3g} m or rad: more than '
+                f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
+        if stabilisation == 'independent':
+            data._assembler.require_independent(data._q)
+
+    def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
+        data = self.data
+        self.run.set_time(data.time, 0)
+        data.scene, self.stiffness = replace(data.scene, method=method), stiffness
+        self._set_limits()
+        self.run.restart_guards()
+        self._set_guard()
+        self._set_budget(method)
+        data.system.settings.baumgarte_gain[...] = (
+            1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
+        self.run.restart(False)
+        self.run.jump()
+
+    def report(self) -> RunReport:
+        """As ``Simulation.report``."""
+        data = self.data
+        residual = self.run.record_energy()['residual']
+        undecided = self._branch_finding()
+        report = self.monitor.report(
+            data.system.work.health, data.closure,
+            residual - self.run.report.first_residual, self.energy_guard,
+            (*data.load_notes(), *undecided), self._budget)
+        return report if not undecided else replace(
+            report, error_bound=math.nan, present_bound=math.nan, branch_undecided=True)
+
+    def restore(
+            self, state: ArrayLike, time: float,
+            residual: Optional[float] = None) -> None:
+        """As ``Simulation.restore``; ``residual``: of the energy balance in that state [J]."""
+        native.require_free(self.data.system.native)
+        state = vector('state', state, self.run.whole_length())
         if residual is None:
-            residual = self.energy_balance.residual
-        self._run.find_start()
+            residual = self.run.balance()['residual']
+        self.run.find_start()
         steps = round(time / self.step_size)
         exact = steps * self.step_size == time
-        self._run.set_time(*((0.0, steps) if exact else (time, 0)))
+        self.run.set_time(*((0.0, steps) if exact else (time, 0)))
         self._effects.restart()
-        self._run.recall(state)
-        self._run.restart(False)
-        self._jump()
-        self._jump_balance(self.energy_balance.residual - residual)
-
-    @property
-    def monitor(self) -> Monitor:
-        """Return the account of cost and local error, a ``monitor.Monitor``."""
-        return self._monitor
+        self.run.recall(state)
+        self.run.restart(False)
+        self.run.jump()
+        self.run.jump_balance(self.run.balance()['residual'] - residual)
 
 
 def _whole(steps: Any) -> int:
@@ -664,3 +914,9 @@ def _whole(steps: Any) -> int:
     if isinstance(steps, np.integer) and steps >= 0:
         return int(steps)
     raise ValueError(f'steps: expected a whole number >= 0, got {steps!r}')
+
+def instants(times: Sequence[float]) -> np.ndarray:
+    """Return times and some between them [s]."""
+    all_times = np.array(times)
+    between = [all_times[:-1] + share * np.diff(all_times) for share in (0.0, 0.25, 0.5, 0.75)]
+    return np.concatenate([*between, all_times[-1:]])

@@ -12,7 +12,7 @@ from ..effects.force_law import COURSE
 from ..effects.traced_laws import act, refused
 
 
-def refusals(simulation, instant=False, along=False):
+def refusals(data, instant=False, along=False):
     """
     Return the parts of a simulation without derivatives, and the reasons.
 
@@ -20,21 +20,21 @@ def refusals(simulation, instant=False, along=False):
     ``along``: whether they are those of a motion.
     """
     found = {f'effects.{name}': reason
-             for name, reason in refused(simulation.effect_set, instant, along).items()}
-    for name in simulation.torque_names[len(simulation.joint_names):]:
+             for name, reason in refused(data.effect_set, instant, along).items()}
+    for name in data.torque_names[len(data.joint_names):]:
         found[name] = 'a joint that closes a loop, in which something acts'
-    if not simulation.system.is_unrolled:
+    if not data.system.is_unrolled:
         found['mechanism'] = (
             'too large: code is generated for mechanisms of few bodies alone')
     return found
 
 
-def require_derivatives(simulation, instant=False, along=False):
+def require_derivatives(data, instant=False, along=False):
     """Refuse a scene that has no derivatives, as ``refusals`` has it."""
-    reasons = refusals(simulation, instant, along)
+    reasons = refusals(data, instant, along)
     if reasons:
         raise SimulationError(
-            f'{simulation.scene.name} has no derivatives: ' + '; '.join(
+            f'{data.scene.name} has no derivatives: ' + '; '.join(
                 f'{what} ({why})' for what, why in reasons.items()))
 
 
@@ -47,30 +47,30 @@ class TracedScene:
     more rows; ``key``: dependences of the code beside the mechanism.
     """
 
-    def __init__(self, simulation, instant=False):
-        self._model, self._effects = simulation.system.model, simulation.system.effects
+    def __init__(self, data, instant=False):
+        self._model, self._effects = data.system.model, data.system.effects
         effects = self._effects
         self.values = np.zeros((0, VALUE_COLUMNS)) if effects is None else effects.values
-        self._simulation = None
-        if instant and simulation.effect_set.follows_time:
-            self._simulation = simulation
+        self._data = None
+        if instant and data.effect_set.follows_time:
+            self._data = data
             count = len(effects.values)
             self.values = np.zeros((count - -count // VALUE_COLUMNS, VALUE_COLUMNS))
             self.update()
-        self.key = structure(simulation), self.values.shape
+        self.key = structure(data), self.values.shape
 
     def update(self):
         """Take the numbers of the present time, where that is held."""
-        simulation = self._simulation
-        if simulation is None:
+        data = self._data
+        if data is None:
             return
         count = len(self._effects.values)
         self.values[:count] = self._effects.values
         present = self.values[count:].reshape(-1)
-        present[:] = simulation.time
-        for row, name in enumerate(simulation.effect_set.by_name):
+        present[:] = data.time
+        for row, name in enumerate(data.effect_set.by_name):
             if self._effects.enabled[row] and self._effects.role[row] == COURSE:
-                present[row] = simulation.effect_readings(name)['force']
+                present[row] = data.effect_readings(name)['force']
 
     def act(self, forces):
         """Apply the effects to a ``core.codegen.scene_routines.Forces``."""
@@ -90,9 +90,9 @@ class TracedScene:
         return table
 
 
-def structure(simulation):
+def structure(data):
     """Return what code depends on of the effects that are switched on: their laws, by rows."""
-    table = simulation.system.effects
+    table = data.system.effects
     rows = () if table is None else table.enabled_rows
     return tuple((
         row.number, row.law.name, *row.law.parts(row), *row.joints, *row.bodies,

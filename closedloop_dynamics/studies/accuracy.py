@@ -240,14 +240,14 @@ def _measure(scene, torque, interval, setting, method, reference):
     seconds = interval * setting.stride * outputs
     return Row(
         setting, method, '', wrong.position, wrong.velocity, wrong.force, motion.closure,
-        motion.energy_error, simulation.system.work.health[EVALUATIONS] / seconds,
+        motion.energy_error, simulation.data.system.work.health[EVALUATIONS] / seconds,
         cost / seconds, seconds), simulation
 
 
 def _time_once(simulation, tau, steps):
     """Return the CPU time of one run without outputs [s]."""
     simulation.reset()
-    simulation.monitor.sampling = False
+    simulation.stepping.monitor.sampling = False
     begin = time.thread_time()
     simulation.advance(tau, steps)
     return time.thread_time() - begin

@@ -247,8 +247,8 @@ def _degrees_of_freedom(mechanism, simulation, found, start):
                 f'{equations} equations)')
     forbidden = 0
     if simulation is not None:
-        freedoms = simulation.degrees_of_freedom()
-        forbidden = simulation.second_order.count if simulation.second_order else 0
+        freedoms = simulation.data.degrees_of_freedom()
+        forbidden = simulation.data.second_order.count if simulation.data.second_order else 0
     elif mechanism.planar:
         freedoms = find_degrees_of_freedom(mechanism)
     elif found.closed:

@@ -52,7 +52,7 @@ class RateControl:
         if set(rates) != set(names):
             raise ValueError(f'rate: expected one for every actuated joint ({", ".join(names)}), '
                              f'got {", ".join(rates) or "none"}')
-        if len(self._model.actuated_in_tree) < len(names):
+        if len(self._model.data.actuated_in_tree) < len(names):
             raise ValueError('rate: expected actuated joints of the tree, got one that closes a '
                              'loop: cut another joint of that loop')
         self._joints = [self._model.joint_names.index(name) for name in names]
@@ -264,14 +264,14 @@ def record(simulation, duration, rows, torque=None, rates=None):
         until = round(row * steps / min(rows, steps))
         while step < until:
             applied = torque if control is None else control.torque(simulation)
-            before = simulation.system.work.health[EVALUATIONS]
+            before = simulation.data.system.work.health[EVALUATIONS]
             if control is None:
                 simulation.step(applied, (until - step) * simulation.step_size)
                 step = until
             else:
                 simulation.step(applied)
                 step += 1
-            evaluations += simulation.system.work.health[EVALUATIONS] - before
+            evaluations += simulation.data.system.work.health[EVALUATIONS] - before
         kept.append(_row(simulation))
     columns = list(zip(*kept))
     arrays = [np.array(column) for column in columns[:6]]
@@ -336,7 +336,7 @@ def _evaluation(simulation, off, whole):
     if off:
         for name in simulation.effects:
             simulation.set_effect(name, enabled=False)
-    own = simulation.integrated
+    own = simulation.data.integrated
     states = []
     for row in np.linspace(0, len(whole.time) - 1, STATES).astype(int):
         state = own.copy()
@@ -347,7 +347,7 @@ def _evaluation(simulation, off, whole):
     def time(count):
         begin = process_time()
         for state in states:
-            native.evaluate_again(simulation.system.native, state, count)
+            native.evaluate_again(simulation.data.system.native, state, count)
         return (process_time() - begin) / (count * STATES)
 
     time(1)

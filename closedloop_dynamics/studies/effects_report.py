@@ -168,8 +168,8 @@ def changes(study):
     if np.abs(run.effort).max() > 0.0:
         panels.append((f'effort of {simulation.joint_names[driven]}\n[N m or N]',
                        lambda r: r.effort[:, driven]))
-    if simulation.cut_joints:
-        panels.append((f'force at {simulation.cut_joints[cut].name}\n[N]',
+    if simulation.mechanism.cut_joints:
+        panels.append((f'force at {simulation.mechanism.cut_joints[cut].name}\n[N]',
                        lambda r: r.force[:, cut]))
     panels.append(('kinetic and stored\nenergy [J]', lambda r: r.balance[:, :2].sum(axis=1)))
     figure = matplotlib.figure.Figure((11.0, 2.2 * len(panels) + 1.0), layout='constrained')
@@ -268,7 +268,7 @@ def work(study, contact):
                     label=key.replace('_', ' '))
     middle.set_ylabel('force on the point [N]')
     middle.set_xlabel(f'place of {effect.point} along {contact} [m]')
-    for k, cut in enumerate(simulation.cut_joints):
+    for k, cut in enumerate(simulation.mechanism.cut_joints):
         bottom.plot(angle, run.force[turn, k], color=COLORS[k % 7], label=cut.name)
     bottom.set_ylabel('force at the cut joints [N]')
     for axes in (top, bottom):

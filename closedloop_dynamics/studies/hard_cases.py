@@ -396,7 +396,7 @@ def _changed_step(method, quick):
     simulation = Simulation(scene(*ladder(2), replace(method, tolerance=1e-8)))
     start, worst = simulation.energy, 0.0
     for size in (1e-3, 4e-3, 2e-4, 7e-3, 1e-3) * (1 if quick else 4):
-        simulation.set_step_size(size)
+        simulation.stepping.set_step_size(size)
         simulation.step(duration=0.5)
         worst = max(worst, abs(simulation.energy - start) / ladder_energy(2))
     return worst

@@ -131,7 +131,7 @@ def _require_patience(simulation, steps, patience):
     if simulation.scene.method.stabilisation == 'independent' and joints > MOST_INDEPENDENT:
         raise SimulationError(f'given up: the choice of independent coordinates among {joints} '
                               'takes too long')
-    simulation.touch()
+    simulation.data.touch()
     begin = time.perf_counter()
     simulation.multipliers
     taken = time.perf_counter() - begin
@@ -278,7 +278,7 @@ def _motion(scene, torque, interval, outputs, candidate, stabilisation, aside):
     except SimulationError as error:
         nothing = np.zeros((0, 0))
         return Trajectory(nothing, nothing, nothing, math.nan, math.nan, failure=str(error))
-    simulation.system.settings.aside *= aside
+    simulation.data.system.settings.aside *= aside
     return record(simulation, simulation.joint_torques(torque), steps, outputs, PATIENCE)
 
 

@@ -149,7 +149,7 @@ class _Source:
             torques = torques.copy()
             for joint, value in varied.items():
                 torques[:, simulation.actuated_joints.index(joint)] = value
-        return InitialState(simulation, simulation.integrated.copy(), torques)
+        return InitialState(simulation, simulation.data.integrated.copy(), torques)
 
     def _at_start(self, row):
         """Return a simulation at its start, and torques by joint that are varied."""
@@ -164,7 +164,7 @@ class _Source:
         else:
             self._simulation = None
             simulation = Simulation(changed(self._job.scene, values))
-            simulation.monitor.sampling = False
+            simulation.stepping.monitor.sampling = False
             self._values = values
             self.together &= fits_simd(simulation, self._job.schedule)
             self._simulation = simulation

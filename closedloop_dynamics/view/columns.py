@@ -294,7 +294,7 @@ class SimulationRows:
         return report
 
     def _pivot(self):
-        return float(self._simulation.system.work.health[SMALLEST_PIVOT])
+        return float(self._simulation.data.system.work.health[SMALLEST_PIVOT])
 
     def _sine(self):
         """Return how far held drives are from leaving the mechanism loose; NaN where unknown."""
@@ -305,8 +305,8 @@ class SimulationRows:
         simulation = self._simulation
         jac = simulation.constraint_jacobian.copy()
         if held:
-            jac[:, simulation.actuated_in_tree] = 0.0
-            jac = np.vstack([jac, np.eye(jac.shape[1])[simulation.actuated_in_tree]])
+            jac[:, simulation.data.actuated_in_tree] = 0.0
+            jac = np.vstack([jac, np.eye(jac.shape[1])[simulation.data.actuated_in_tree]])
         if not len(jac):
             return np.nan
         # Rates of joints, less those of the freedoms there are anyway.
@@ -355,7 +355,7 @@ class SimulationRows:
 
     def _own_readings(self):
         """Return the effects' own readings, by name; nothing of those switched off."""
-        enabled = self._simulation.enabled_effects
+        enabled = self._simulation.data.enabled_effects
         return {name: self._simulation.effect_readings(name)
                 for name in self._telling if name in enabled}
 

@@ -48,7 +48,7 @@ class Driving:
         self._simulation = simulation
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
-                        for place in simulation.actuated_in_tree.tolist()}
+                        for place in simulation.data.actuated_in_tree.tolist()}
         lengths = simulation.coordinates.lengths
         self._felt_at = self._positions()
         self.drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))

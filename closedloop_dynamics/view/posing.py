@@ -50,15 +50,15 @@ def felt_mass(simulation, name):
 def _moves(simulation, name, free):
     """Return how a named point moves with each of some motions, shape (2 or 3, number)."""
     moved, q = simulation.coordinates.moved, simulation.position
-    return np.array([(simulation.place(name, moved(q, DIFFERENCE * motion))
-                      - simulation.place(name, moved(q, -DIFFERENCE * motion)))
+    return np.array([(simulation.data.place(name, moved(q, DIFFERENCE * motion))
+                      - simulation.data.place(name, moved(q, -DIFFERENCE * motion)))
                      / (2.0 * DIFFERENCE) for motion in free.T]).reshape(
                          -1, len(simulation.point(name))).T
 
 
 def _free(simulation):
     """Return motions that the loops allow, shape (nv, number of freedoms)."""
-    return simulation.loop_model.equations.move(simulation.position).free_motions().T
+    return simulation.data.loop_model.equations.move(simulation.position).free_motions().T
 
 
 def point_to(simulation, name, place):
@@ -86,7 +86,7 @@ def joint_to(simulation, name, value):
     """
     names = simulation.coordinates
     joint = names.index[name]
-    held = [joint, *(k for k in simulation.actuated_in_tree.tolist() if k != joint)]
+    held = [joint, *(k for k in simulation.data.actuated_in_tree.tolist() if k != joint)]
     wanted = names.by_freedom(simulation.position)[held]
     wanted[0] = value
 

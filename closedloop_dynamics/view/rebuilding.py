@@ -101,7 +101,7 @@ def built(scene, method):
     """Return a hand in a scene, and the simulation of that by a method."""
     hand = Hand(scene, extent(scene.mechanism))
     simulation = Simulation(replace(hand.scene, method=method))
-    simulation.prepare_exchanges()
+    simulation.data.prepare_exchanges()
     return hand, simulation
 
 
@@ -113,9 +113,10 @@ def carry_over(old, new, gravity, moving):
     """
     if new.scene.method != old.scene.method:
         # It has been changed meanwhile.
-        new.prepare_method(**{key: getattr(old.scene.method, key) for key in METHOD_KEYS})()
+        new.stepping.prepare_method(
+            **{key: getattr(old.scene.method, key) for key in METHOD_KEYS})()
     if gravity in old.effects:
-        new.set_effect(gravity, gravity in old.enabled_effects,
+        new.set_effect(gravity, gravity in old.data.enabled_effects,
                        acceleration=old.effects[gravity].acceleration)
     if moving and old.time > 0.0 and old.coordinates.names == new.coordinates.names:
         new.set_state(old.position, old.velocity)

@@ -198,7 +198,7 @@ class Runner(Shown):
             unused=list(simulation.scene.method.unused),
             effects=describe_effects(
                 {name: record for name, record in simulation.effects.items()
-                 if name != self._hand.spring}, simulation.enabled_effects.__contains__))
+                 if name != self._hand.spring}, simulation.data.enabled_effects.__contains__))
 
     # What pages ask for.
 
@@ -266,7 +266,7 @@ class Runner(Shown):
         if controller is not None:
             controller.know(name, enabled, values or {})
         with self._rebuilding.lock:
-            self.editor.effect(name, name in self.simulation.enabled_effects,
+            self.editor.effect(name, name in self.simulation.data.enabled_effects,
                                self.simulation.effects[name])
 
     def _do_method(self, page, values):
@@ -276,7 +276,7 @@ class Runner(Shown):
                              path=('method',))
 
         def change():
-            self.simulation.prepare_method(**values)()
+            self.simulation.stepping.prepare_method(**values)()
             # It was the other method's.
             self._failure = None
 
@@ -303,7 +303,7 @@ class Runner(Shown):
             self._hand.spring, anchor=tuple(place[:self._hand.dimensions]))
 
     def _release(self):
-        if self._hand.spring in self.simulation.enabled_effects:
+        if self._hand.spring in self.simulation.data.enabled_effects:
             self.simulation.set_effect(self._hand.spring, False)
 
     # Editing.

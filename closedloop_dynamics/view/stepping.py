@@ -44,7 +44,7 @@ class Stepper:
         """Go on with another simulation, under the torques of ``driving``, seen by ``rows``."""
         self._simulation, self._driving, self._rows = simulation, driving, rows
         # By which a budget compares computing time with the clock.
-        simulation.pace = self.speed
+        simulation.stepping.pace = self.speed
         # Share of a step that is made at once, and steps that were requested one by one.
         self._part, self._single = 1.0, 0.0
         self._paced = 0.0, 0.0
@@ -86,7 +86,7 @@ class Stepper:
 
     def set_speed(self, factor):
         """Follow the clock at another speed."""
-        self.speed = self._pacer.real_time_factor = self._simulation.pace = factor
+        self.speed = self._pacer.real_time_factor = self._simulation.stepping.pace = factor
         self._keep_before()
 
     @property
@@ -145,7 +145,7 @@ class Stepper:
         """Advance by a part of a step, where one takes long; return which part."""
         part, simulation = self._part, self._simulation
         if self._measured(lambda: simulation.step(
-                self._driving.torques()[simulation.actuated],
+                self._driving.torques()[simulation.data.actuated],
                 part * simulation.step_size), part) == 0.0:
             return 0.0
         self._sample_between()

@@ -153,7 +153,7 @@ def accepted_state(path):
     """Return whether what was accepted stands closed and finite, as a check of its own."""
     simulation = Simulation(load_scene(path))
     finite = np.isfinite([*simulation.position, *simulation.velocity, simulation.energy]).all()
-    largest = max((abs(value) for cut in simulation.cut_joints
+    largest = max((abs(value) for cut in simulation.mechanism.cut_joints
                    for value in (*cut.point_a, *cut.point_b)), default=0.0)
     size = max([largest, *(math.hypot(*joint.position) for joint in simulation.mechanism.joints)])
     return finite and simulation.closure <= 1e-9 * max(size, 1.0)

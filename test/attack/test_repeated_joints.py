@@ -45,7 +45,8 @@ def frames(machine, simulation, q):
     """Return the poses of the bodies as the twin has them, from named points."""
     found = {'ground': twin.Pose(np.eye(3), np.zeros(3))}
     for name in machine.names:
-        places = [simulation.place(f'{name}_{n}', q) for n in range(3 if machine.planar else 4)]
+        places = [simulation.data.place(f'{name}_{n}', q)
+                  for n in range(3 if machine.planar else 4)]
         if machine.planar:
             places = [np.append(place, 0.0) for place in places]
             places.append(places[0] + twin.Z)
@@ -105,8 +106,9 @@ def attack(rng):
     mobility = twin.mobility(machine, poses)
     if not mobility.real:
         return 'first order', machine.text
-    if simulation.degrees_of_freedom() != mobility.freedoms:
-        return 'silent', (f'{machine.text}: {simulation.degrees_of_freedom()} degrees of freedom, '
+    found = simulation.data.degrees_of_freedom()
+    if found != mobility.freedoms:
+        return 'silent', (f'{machine.text}: {found} degrees of freedom, '
                           f'{mobility.freedoms} are right')
     difference, poses, twists = apart(machine, simulation)
     if not difference <= ACCELERATION:

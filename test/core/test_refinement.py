@@ -182,7 +182,7 @@ def test_a_scene_with_a_massless_link_is_refined_by_routines(name, body):
     massless, lightest = map(Simulation, light)
     assert set(codegen.REFINED) < set(massless.system.routines)
     assert set(codegen.REFINED) < set(deepcopy(massless.system).routines)
-    assert not set(codegen.REFINED) & set(Simulation(scene).system.routines)
+    assert not set(codegen.REFINED) & set(Simulation(scene).data.system.routines)
     for _ in range(3):
         q, qd = massless.position, massless.velocity
         expected, _ = lightest.forward_dynamics(q, qd)

@@ -152,7 +152,7 @@ def test_a_closed_state_is_set_bit_for_bit():
     simulation.set_state(position, velocity)
     assert np.array_equal(simulation.position, position)
     assert np.array_equal(simulation.velocity, velocity)
-    assert simulation.assembly_notes() == []
+    assert simulation.data.assembly_notes() == []
 
 
 def test_an_unknown_part_of_the_method_is_told_with_the_known_ones():

@@ -139,7 +139,7 @@ def test_work_of_a_constant_torque_is_exact():
     first = 0.5 * 2.0 * 0.25
     second = simulation.position[0] - first
     assert simulation.energy_balance.work == pytest.approx(2.0 * first - second, rel=1e-14)
-    assert simulation.system.applied is simulation.system.tau
+    assert simulation.data.system.applied is simulation.data.system.tau
 
 
 @pytest.mark.parametrize('values', [

@@ -225,11 +225,11 @@ def test_a_cable_that_would_leap_by_a_turn_names_itself_and_its_pulley(
 
 def test_a_rope_with_a_wrong_sign_is_told_at_the_start():
     scene = load_scene('rope_hoist')
-    assert not Simulation(scene).start_notes()
+    assert not Simulation(scene).data.start_notes()
     for radii in ((0.0, -0.1, -0.1, 0.0), (0.0, 0.1, 0.1, 0.0), (0.0, -0.1, 0.1, 0.0)):
         wrong = replace(scene, effects={
             **scene.effects, 'rope': replace(scene.effects['rope'], radii=radii)})
-        note, = Simulation(wrong).start_notes()
+        note, = Simulation(wrong).data.start_notes()
         assert note.startswith('The cable rope starts 3.') and 'signs of radii' in note
     with pytest.warns(RuntimeWarning, match=r'stretched by 0.628 m, and pulls with 1.26e\+05 N'):
         Simulation.from_scene(replace(scene, effects={

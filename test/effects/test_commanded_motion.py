@@ -29,7 +29,7 @@ def sliding():
 
 
 def test_it_rests_until_it_is_told(sliding):
-    assert sliding.commanded_motions == ('slide',)
+    assert sliding.data.commanded_motions == ('slide',)
     assert sliding.position[0] == 0.3
     assert sliding.motion_forces['drive'] == 0.0
 
@@ -122,7 +122,7 @@ def test_a_point_is_commanded_by_the_name_of_its_effect():
     drive = PrescribedMotion('commanded', point='ball', direction=(3.0, 4.0))
     simulation = simulated(flyer(), {'drive': drive, 'gravity': Gravity((0.0, -9.81))},
                            [0.1, 0.0, 0.3])
-    assert simulation.commanded_motions == ('drive',)
+    assert simulation.data.commanded_motions == ('drive',)
     along = np.array([0.6, 0.8])
     start = along @ simulation.point('ball')
     simulation.command_motion({'drive': ([0.4], [start + 0.2])})

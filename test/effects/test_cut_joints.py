@@ -377,15 +377,15 @@ def test_a_screw_that_is_cut_is_a_screw():
 def test_a_scene_that_names_no_cut_joint_computes_none(tmp_path):
     machine = mechanism(tmp_path, PINS, 'far', 'crank_joint')
     sim = simulation(machine, {'gravity': Gravity((0.0, -9.81))})
-    assert len(sim.system.effects.cuts.index) == 0 and sim.torque_names == sim.joint_names
-    assert len(sim.integrated) == 2 * 3 + 2
+    assert len(sim.data.system.effects.cuts.index) == 0 and sim.torque_names == sim.joint_names
+    assert len(sim.data.integrated) == 2 * 3 + 2
     assert sim.cut_joint_names == ('far',) and len(sim.cut_position) == 1
 
 
 def test_sensors_measure_cut_joints_with_noise_of_their_own(tmp_path):
     machine = mechanism(tmp_path, PINS, 'far', 'crank_joint')
     sim = simulation(machine, {'sensor': Sensor(position_noise=0.01, velocity_bias=0.5)})
-    tree, (position, velocity) = sim.measured(), sim.measured_cut_joints()
+    tree, (position, velocity) = sim.measured(), sim.data.measured_cut_joints()
     assert 1e-5 < abs(position[0] - sim.cut_position[0]) < 0.05
     assert velocity[0] == sim.cut_velocity[0] + 0.5
     # What is asked of the one does not change the other.

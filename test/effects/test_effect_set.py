@@ -172,15 +172,15 @@ def test_the_energy_balance_survives_switching_and_new_states():
 def test_effects_that_are_absent_or_off_leave_identical_bits():
     rng, mechanism, q, qd = drawn('three_rrr')
     bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
-    assert bare.system.applied is bare.system.tau
-    assert bare.system.effects is None
+    assert bare.data.system.applied is bare.data.system.tau
+    assert bare.data.system.effects is None
     effects = all_effects(rng, mechanism, q)
     plain = {name: record for name, record in effects.items() if not isinstance(record, Rotor)}
     off, with_rotors = (simulated(mechanism, some, q, qd) for some in (plain, effects))
     for simulation in (off, with_rotors):
         for name in simulation.effects:
             simulation.set_effect(name, enabled=name == 'gravity')
-        assert simulation.enabled_effects == ('gravity',)
+        assert simulation.data.enabled_effects == ('gravity',)
     for simulation in (bare, off, with_rotors):
         simulation.step([1.0, 2.0, 3.0], 0.1)
     for name in ('position', 'velocity', 'multipliers'):
@@ -214,7 +214,7 @@ def counted(model):
 
 def rows_and_states(simulation):
     """Return how many laws an evaluation calls, and how many states they have."""
-    table = simulation.system.effects
+    table = simulation.data.system.effects
     return np.array([len(table.laws), len(table.states)]) if table is not None else np.zeros(2)
 
 
@@ -224,11 +224,11 @@ def test_an_effect_that_is_not_listed_costs_nothing(kind):
     expected = counted(build_model(case[0]))
     listed, bare = (simulated(case[0], some, *case[1:]) for some in (those, {}))
     listed.step(duration=0.002)
-    assert bare.system.effects is None
-    assert counted(bare.system.model) == expected
+    assert bare.data.system.effects is None
+    assert counted(bare.data.system.model) == expected
     # What is listed adds rows of the table; inertia and equations are the mechanism's.
     more = kind in ('rotor', 'prescribed_motion')
-    assert (counted(listed.system.model) != expected) == more
+    assert (counted(listed.data.system.model) != expected) == more
     if kind != 'prescribed_motion':
         whole, without = (rows_and_states(simulated(case[0], some, *case[1:]))
                           for some in ({**others, **those}, others))
@@ -316,7 +316,7 @@ def ask(simulation):
             if type(value) is float and value for factor in (1.5, 1e12))]
         for change in changes:
             try:
-                simulation.check_effect(name, **change)
+                simulation.stepping.check_effect(name, **change)
             except (ValueError, SimulationError) as error:
                 refused += 1
                 with pytest.raises(type(error)):
@@ -325,7 +325,7 @@ def ask(simulation):
             simulation.set_effect(name, unheard_of=1.0)
     with pytest.raises(AssemblyError):
         simulation.set_state(simulation.position, np.full_like(simulation.velocity, 1e12))
-    simulation.prepare_method(step_size=0.5 * simulation.step_size)
+    simulation.stepping.prepare_method(step_size=0.5 * simulation.step_size)
     simulation.forward_dynamics(simulation.position, simulation.velocity)
     return refused
 
@@ -362,7 +362,8 @@ def test_questions_leave_no_trace(kind, method):
         refused += ask(asked)
         for one, expected in zip(traces(asked), traces(other)):
             np.testing.assert_array_equal(one, expected)
-        assert asked.effects == other.effects and asked.enabled_effects == other.enabled_effects
+        assert asked.effects == other.effects
+        assert asked.data.enabled_effects == other.data.enabled_effects
     # All together are too stiff for explicit steps where one of them is.
     assert refused or kind != 'all' or method['integrator'] == 'auto'
 
@@ -374,8 +375,8 @@ def test_inverse_dynamics_sees_the_effects(case):
     simulation = simulated(mechanism, effects, q, qd)
     # What the drive does to a command is not the mechanism's.
     simulation.set_effect('motor', enabled=False)
-    moving = simulation.integrated
-    table = simulation.system.effects
+    moving = simulation.data.integrated
+    table = simulation.data.system.effects
     row, = np.flatnonzero(table.feels)
     state = table.first_state[row]
     torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
@@ -422,7 +423,7 @@ def test_effects_switched_off_in_the_scene_act_once_they_are_switched_on(scene):
         name: record for name, record in scene.effects.items() if name not in names}))
     for simulation in (off, bare):
         simulation.step(duration=0.05)
-    assert set(off.enabled_effects).isdisjoint(names)
+    assert set(off.data.enabled_effects).isdisjoint(names)
     np.testing.assert_array_equal(off.position, bare.position)
     np.testing.assert_array_equal(off.velocity, bare.velocity)
     # A rollout begins as the simulation is.

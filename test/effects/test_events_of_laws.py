@@ -138,6 +138,6 @@ def test_the_derivatives_are_those_of_the_side(x):
 
 def test_a_motion_through_an_event_has_no_derivatives():
     one = simulated(block(), {'it': FIELD}, [-0.1])
-    assert refused(one.effect_set) == {}
-    assert refused(one.effect_set, along=True) == {
+    assert refused(one.data.effect_set) == {}
+    assert refused(one.data.effect_set, along=True) == {
         'it': 'law: its force may jump at its event, within a step'}

@@ -378,7 +378,7 @@ def test_friction_of_many_joints_at_rest_by_loops_over_bodies_is_that_of_generat
         evaluations.append(simulation.health.evaluations)
         found.append((simulation.acceleration, *(
             simulation.effect_readings(f'dry_{joint}')['torque'] for joint in rubbing)))
-        assert simulation.system.is_unrolled == (most is None)
+        assert simulation.data.system.is_unrolled == (most is None)
     by_code, by_loops = (np.hstack(one) for one in found)
     assert len(rubbing) > 2 and np.abs(by_code).max() > 1e-3
     np.testing.assert_allclose(by_loops, by_code, rtol=0, atol=1e-9 * np.abs(by_code).max())

@@ -181,17 +181,17 @@ def in_parts(system, state):
 @pytest.mark.parametrize('name', CASES)
 def test_one_routine_does_what_the_parts_do(name):
     simulation = simulated(name)
-    system, random = simulation.system, np.random.default_rng(5)
+    system, random = simulation.data.system, np.random.default_rng(5)
     assert system.effects.code.fits[0] == 1
     q, qd, own, _ = parts_of_state(system)
     kinds = set()
     for _ in range(12):
-        state = simulation.integrated.copy()
+        state = simulation.data.integrated.copy()
         # In space the first joints are revolute ones, and quaternions behind.
         moved = state[q] if system.manifold is None else state[q][:2]
         moved += random.normal(scale=0.2, size=moved.shape)
         state[qd] += random.normal(scale=2.0, size=state[qd].shape)
-        simulation.effect_set.initialise_states(state[own], simulation.effect_set.rates(
+        simulation.data.effect_set.initialise_states(state[own], simulation.data.effect_set.rates(
             state[q], state[qd]))
         before = system.work.health.copy()
         ours, theirs = found(system, state), in_parts(system, state)
@@ -218,11 +218,11 @@ def generalised_forces(system, q, qd):
 def test_forces_do_the_power_that_energies_tell(name):
     """Whatever the mechanism's loops: along any motion of the tree."""
     simulation = simulated(name)
-    system, roles, random = simulation.system, simulation.effect_set.roles, (
+    system, roles, random = simulation.data.system, simulation.data.effect_set.roles, (
         np.random.default_rng(5))
     effects, step, kinds = system.effects, 1e-6, set()
     for _ in range(12):
-        state = simulation.integrated.copy()
+        state = simulation.data.integrated.copy()
         places, rates, own, _ = parts_of_state(system)
         q, qd = state[places], state[rates]
         # In space the first joints are revolute ones, and quaternions behind.
@@ -230,8 +230,8 @@ def test_forces_do_the_power_that_energies_tell(name):
         q[:count] += random.normal(scale=0.2, size=count)
         qd[:count] += random.normal(scale=2.0, size=count)
         qd[count:] = 0.0
-        simulation.effect_set.initialise_states(
-            effects.states, simulation.effect_set.rates(q, qd))
+        simulation.data.effect_set.initialise_states(
+            effects.states, simulation.data.effect_set.rates(q, qd))
         stored = []
         for sign in (-1.0, 1.0):
             there = q.copy()
@@ -253,8 +253,8 @@ def test_forces_do_the_power_that_energies_tell(name):
 
 def test_what_changes_is_read():
     simulation = simulated('springs')
-    system = simulation.system
-    state = simulation.integrated.copy()
+    system = simulation.data.system
+    state = simulation.data.integrated.copy()
     before = found(system, state)[0]
     simulation.set_effect('joint_spring_0', stiffness=200.0)
     assert system.effects.code.fits[0] == 1
@@ -265,17 +265,17 @@ def test_what_changes_is_read():
 
 def test_an_effect_that_is_off_does_not_act():
     simulation = simulated('springs')
-    state = simulation.integrated.copy()
+    state = simulation.data.integrated.copy()
     simulation.set_effect('joint_spring_0', stiffness=200.0, enabled=False)
-    off = found(simulation.system, state)[0]
+    off = found(simulation.data.system, state)[0]
     simulation.set_effect('joint_spring_0', stiffness=0.0, enabled=True)
-    np.testing.assert_allclose(off, found(simulation.system, state)[0], rtol=1e-9)
+    np.testing.assert_allclose(off, found(simulation.data.system, state)[0], rtol=1e-9)
 
 
 def test_a_term_that_the_code_does_not_have_acts():
     """Nothing is compiled in a run: what would be another code is evaluated in parts."""
     simulation = simulated('stop, friction, drive')
-    system, state = simulation.system, simulation.integrated.copy()
+    system, state = simulation.data.system, simulation.data.integrated.copy()
     state[parts_of_state(system)[1]] = 1e-3
     simulation.set_effect('joint_friction_2', static_ratio=1.4, stribeck_velocity=5.0)
     assert system.effects.code.fits[0] == 0
@@ -289,12 +289,12 @@ def at_rest(name, **changes):
     """Return the system of a simulation, and its state with all joints at rest."""
     simulation = simulated(name)
     simulation.set_effect('joint_friction_0', **changes)
-    state = simulation.integrated.copy()
-    q, qd, own, _ = parts_of_state(simulation.system)
+    state = simulation.data.integrated.copy()
+    q, qd, own, _ = parts_of_state(simulation.data.system)
     state[qd] = 0.0
-    simulation.effect_set.initialise_states(
-        state[own], simulation.effect_set.rates(state[q], state[qd]))
-    return simulation.system, state
+    simulation.data.effect_set.initialise_states(
+        state[own], simulation.data.effect_set.rates(state[q], state[qd]))
+    return simulation.data.system, state
 
 
 @pytest.mark.parametrize('coulomb, breaks_away', [(50.0, False), (0.01, True)])
@@ -330,5 +330,5 @@ def test_what_has_no_law_in_code_is_evaluated_in_parts():
     simulation = Simulation.from_scene('four_bar')
     scene = replace(simulation.scene, effects={'inertia': EFFECTS['tendon_inertia'](
         arms={simulation.joint_names[0]: 0.3}, inertia=0.5)})
-    system = Simulation(scene).system
+    system = Simulation(scene).data.system
     assert system.effects.code.fits[0] == 0

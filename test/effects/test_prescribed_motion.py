@@ -95,7 +95,7 @@ def test_a_crank_at_constant_speed_moves_a_four_bar_as_in_closed_form():
     simulation = Simulation.from_scene(
         with_effects('four_bar', drive=crank), integrator='rk4', step_size=0.001)
     bodies = {joint.name: joint for joint in simulation.mechanism.joints}
-    cut = simulation.cut_joints[0]
+    cut = simulation.mechanism.cut_joints[0]
     sides = (bodies['rocker_joint'].position[0], bodies['coupler_joint'].position[0],
              math.hypot(*cut.point_a), math.hypot(*cut.point_b))
     q = simulation.position
@@ -132,7 +132,7 @@ def test_drive_torques_are_those_of_inverse_dynamics(name, motions):
         for joint, text in motions.items()})
     for _ in range(3):
         simulation.step(duration=0.1)
-        assert simulation.degrees_of_freedom() == 0
+        assert simulation.data.degrees_of_freedom() == 0
         torque, _ = plain.inverse_dynamics(
             simulation.position, simulation.velocity, simulation.acceleration)
         drives = dict(zip(plain.actuated_joints, torque))

@@ -349,29 +349,30 @@ def guarded(request):
 
 
 def test_runs_that_do_not_fit_their_system_are_refused(guarded):
-    system, run, tau = guarded.system.native, guarded.run, np.zeros(len(guarded.torque_names))
-    assert native.advance_run(system, run.native, guarded.integrated, tau, 1) == DONE
+    system, run = guarded.data.system.native, guarded.stepping.run
+    tau = np.zeros(len(guarded.torque_names))
+    assert native.advance_run(system, run.native, guarded.data.integrated, tau, 1) == DONE
     other = Simulation.from_scene('three_rrr')
-    states = [one.integrated.copy() for one in (guarded, other)]
+    states = [one.data.integrated.copy() for one in (guarded, other)]
     calls = (('advance_run', tau, 1), ('make_steps', 1e-3, 1, 0), ('resume_run',),
              ('check_energy',), ('record_energy',), ('balance',),
              ('begin',), ('add_work',), ('jump_balance', 0.0))
     for name, *arguments in calls:
         with pytest.raises(ValueError, match='of this system'):
-            getattr(native, name)(other.system.native, run.native, states[1], *arguments)
+            getattr(native, name)(other.data.system.native, run.native, states[1], *arguments)
         for state in (states[1], states[0][1:].copy()):
             with pytest.raises(ValueError, match='the mechanism asks for'):
                 getattr(native, name)(system, run.native, state, *arguments)
     for name, *arguments in (('find_start',), ('restart', True), ('rewind',), ('whole_length',)):
         with pytest.raises(ValueError, match='of this system'):
-            getattr(native, name)(other.system.native, run.native, *arguments)
+            getattr(native, name)(other.data.system.native, run.native, *arguments)
     with pytest.raises(ValueError, match='of this system'):
-        native.command(other.system.native, run.native, states[1],
+        native.command(other.data.system.native, run.native, states[1],
                        np.zeros(len(other.torque_names)))
     with pytest.raises(ValueError, match='do not fit together'):
         native.command(system, run.native, states[0], np.zeros(len(tau) + 1))
     with pytest.raises(ValueError, match='PyCapsule'):
-        native.advance_run(system, other.system.native, states[0], tau, 1)
+        native.advance_run(system, other.data.system.native, states[0], tau, 1)
     states, fine = states[0][np.newaxis].copy(), np.zeros(1, dtype=np.int64)
     for wrong, short in ((states[:, 1:].copy(), fine), (states, np.zeros(2, dtype=np.int64))):
         with pytest.raises(ValueError, match='do not fit together'):
@@ -389,7 +390,7 @@ def made(run, system, name='fixed', tableau=None, watch=None, roles=None):
 @pytest.mark.parametrize('change', [
     {'step_size': 0.0}, {'step_size': -1e-3}, {'step_size': np.nan}, {'first': 0}, {'most': -1}])
 def test_limits_that_no_run_can_have_are_refused(guarded, change):
-    run, system, windings = guarded.run, guarded.system, np.zeros(0, dtype=np.int64)
+    run, system, windings = guarded.stepping.run, guarded.data.system, np.zeros(0, dtype=np.int64)
     with pytest.raises(ValueError, match='do not fit the system'):
         run.set_watch(system, run.watch._replace(**change), windings)
     with pytest.raises(ValueError, match='do not fit the system'):
@@ -399,14 +400,14 @@ def test_limits_that_no_run_can_have_are_refused(guarded, change):
 
 
 def test_methods_that_do_not_fit_are_refused(guarded):
-    run, other = guarded.run, Simulation.from_scene('three_rrr')
+    run, other = guarded.stepping.run, Simulation.from_scene('three_rrr')
     with pytest.raises(ValueError, match='another system'):
-        native.take_method(guarded.system.native, run.native, other.run.native)
+        native.take_method(guarded.data.system.native, run.native, other.stepping.run.native)
     with pytest.raises(ValueError, match='no such method'):
-        made(run, guarded.system, 'euler')
+        made(run, guarded.data.system, 'euler')
     for name in ('explicit', 'auto', 'fixed'):
         with pytest.raises(ValueError, match='tableau'):
-            made(run, guarded.system, name)
+            made(run, guarded.data.system, name)
     for name in ('write_whole', 'recall'):
         with pytest.raises(ValueError, match='do not fit together'):
             getattr(run, name)(np.zeros(len(guarded.state) + 1))

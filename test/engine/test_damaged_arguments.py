@@ -133,9 +133,9 @@ def use(simulation):
 
 def use_kernels(simulation, note):
     """Call what simulations ask for seldom, with the arrays of one."""
-    system, run = simulation.system, simulation.run.native
+    system, run = simulation.data.system, simulation.stepping.run.native
     model, work, handle, effects = system.model, system.work, system, system.effects
-    nq, nv, state = len(simulation.position), len(system.qdd), simulation.integrated.copy()
+    nq, nv, state = len(simulation.position), len(system.qdd), simulation.data.integrated.copy()
     q, qd = state[:nq].copy(), state[nq:nq + nv].copy()
 
     def call(name, *arguments):
@@ -185,7 +185,7 @@ def use_kernels(simulation, note):
                  'restart_guards'):
         call(name, run)
     call('write_kept', run, False, simulation.state)
-    call('set_watch', handle, run, simulation.run.watch, np.zeros(0, dtype=np.int64))
+    call('set_watch', handle, run, simulation.stepping.run.watch, np.zeros(0, dtype=np.int64))
     call('move', system.manifold, q, qd, 0.1)
     every = with_all_equations(model)
     nc, numbers = len(simulation.constraint_jacobian), np.arange(max(nv, 6))
@@ -227,10 +227,10 @@ def use_kernels(simulation, note):
 
 def use_driver(simulation, integrator):
     """Make steps by the methods themselves."""
-    simulation.prepare_method(integrator=integrator)()
+    simulation.stepping.prepare_method(integrator=integrator)()
     simulation.step(duration=2e-3)
     if integrator == 'auto':
-        simulation.run.aim(1e-5)
+        simulation.stepping.run.aim(1e-5)
 
 
 @pytest.fixture(scope='module')

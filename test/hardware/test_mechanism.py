@@ -104,7 +104,8 @@ def test_a_run_is_that_of_the_package(obey):
         'commands theta_1 effort theta_6 effort theta_7 effort',
         *(f'command {joint} {value}' for joint, value in efforts.items()), 'advance 0.001 100',
         f'state {" ".join(joints)}', *(f'wrench {joint}' for joint in joints),
-        *(f'wrench {cut.name}' for cut in simulation_of('three_rrr_vertical').cut_joints))
+        *(f'wrench {cut.name}'
+          for cut in simulation_of('three_rrr_vertical').mechanism.cut_joints))
     simulation.step(efforts, 0.1)
     time, (position, velocity, acceleration, effort) = state_of(answers[2])
     assert time == pytest.approx(0.1, abs=1e-12)
@@ -117,7 +118,7 @@ def test_a_run_is_that_of_the_package(obey):
     # From world axes into those of the child, or of body A; torques last.
     bodies = [body.name for body in simulation.mechanism.bodies]
     places = [(joint.name, joint.child) for joint in simulation.mechanism.joints] + [
-        (cut.name, cut.body_a) for cut in simulation.cut_joints]
+        (cut.name, cut.body_a) for cut in simulation.mechanism.cut_joints]
     assert len(answers) == 3 + len(places) > 3 + len(joints)
     for (name, body), answer in zip(places, answers[3:]):
         moment, x, y = simulation.force(name)

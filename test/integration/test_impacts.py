@@ -56,7 +56,7 @@ def test_the_default_method_finds_nine_impacts(kind, stiffness):
         # Three hundred times better than what is asked for: no corner within any step.
         assert simulation.position[0] == pytest.approx(
             height(simulation.time, stiffness), abs=3e-9)
-    steps = simulation.run.steps
+    steps = simulation.stepping.run.steps
     # Without finding them it took four to seven times as many.
     assert steps.accepted + steps.rejected < 110
     assert_balanced(simulation, 1e-8)
@@ -75,7 +75,7 @@ def test_every_method_with_error_control_finds_them(integrator, error):
 def test_steps_end_where_contact_begins_and_ends():
     simulation = simulated(BALL, {'gravity': EARTH, 'floor': FLOORS['contact'](1e4)}, [START],
                            integrator='auto', step_size=2e-5)
-    run = simulation.run
+    run = simulation.stepping.run
     ends = set()
     for _ in range(18000):
         simulation.step()
@@ -91,7 +91,7 @@ def test_a_ball_with_losses_comes_to_rest_and_stays():
     simulation = simulated(BALL, {'gravity': EARTH, 'floor': floor}, [START], integrator='auto')
     simulation.step(duration=3.0)
     assert simulation.position[0] == pytest.approx(-G / 1e5, abs=1e-6)
-    assert np.array_equal(simulation.system.effects.contacts.mode, np.zeros(1))
+    assert np.array_equal(simulation.data.system.effects.contacts.mode, np.zeros(1))
     assert_balanced(simulation, 1e-7)
 
 

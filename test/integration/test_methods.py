@@ -74,7 +74,7 @@ def test_generated_jacobian_is_that_of_difference_quotients():
         'spring': JointSpring('theta_6', stiffness=200.0, rest=1.0)})
     generated = Simulation.from_scene(scene, integrator='rodas4_fixed', step_size=5e-3)
     quotients = Simulation.from_scene(scene, integrator='rk4', step_size=5e-3)
-    quotients.prepare_method(integrator='rodas4_fixed')()
+    quotients.stepping.prepare_method(integrator='rodas4_fixed')()
     torque = dict.fromkeys(quotients.actuated_joints, 0.5)
     for enabled in (True, False, True):
         for simulation in (generated, quotients):
@@ -91,11 +91,11 @@ def test_generated_jacobian_is_of_the_side_on_which_a_step_begins():
     method = {'integrator': 'rodas4', 'tolerance': 1e-7}
     generated = Simulation.from_scene('slider_crank_end_stop', step_size=1e-2, **method)
     quotients = Simulation.from_scene('slider_crank_end_stop', step_size=1e-2, integrator='rk4')
-    quotients.prepare_method(**method)()
+    quotients.stepping.prepare_method(**method)()
     made = []
     for simulation in (generated, quotients):
         simulation.step(duration=0.5)
-        steps = simulation.run.steps
+        steps = simulation.stepping.run.steps
         made.append((steps.accepted, steps.rejected, steps.work))
     assert made[0][:2] == made[1][:2]
     # Where derivatives are generated a Jacobian takes one evaluation.
@@ -118,7 +118,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for interval in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=interval)
-        counts.append(simulation.run.steps.accepted)
+        counts.append(simulation.stepping.run.steps.accepted)
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 
@@ -162,7 +162,7 @@ def test_stabilisations_agree_and_keep_their_closure(stabilisation, integrator, 
 
 def test_a_solver_of_others_with_a_dense_formulation_moves_the_same(references):
     simulation = Simulation.from_scene('carpet_scraper')
-    dense, state = Dense(simulation.system, 'augmented'), simulation.integrated
+    dense, state = Dense(simulation.data.system, 'augmented'), simulation.data.integrated
     found = solve_ivp(
         lambda time, state: np.concatenate((state[7:], dense(state[:7].copy(), state[7:])[0])),
         (0.0, 0.3), state, method='DOP853', rtol=1e-9, atol=1e-9)
@@ -172,7 +172,7 @@ def test_a_solver_of_others_with_a_dense_formulation_moves_the_same(references):
 def test_independent_coordinates_switch_their_set_and_stay_right():
     simulation = run('three_rrr', 1.0, integrator='rk4', stabilisation='independent')
     reference = run('three_rrr', 1.0, integrator='dop853', tolerance=1e-13, step_size=0.1)
-    assert simulation.system.partition.record[2] > 1
+    assert simulation.data.system.partition.record[2] > 1
     assert np.abs(simulation.position - reference.position).max() < 1e-5
 
 

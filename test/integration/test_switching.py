@@ -127,7 +127,7 @@ def test_steps_end_where_torques_are_expected_to_change():
     for number in range(50):
         held.step([5.0 + 1e-9 * number, -3.0, 2.0], 0.01)
     free.step([5.0, -3.0, 2.0], 0.5)
-    steps = held.run.steps.accepted
+    steps = held.stepping.run.steps.accepted
     # One for each torque, but for the first interval, of which nothing was known.
     assert steps <= 60
     assert np.abs(held.position - free.position).max() < 1e-5
@@ -143,10 +143,10 @@ def test_what_is_stiff_is_stepped_stiffly_and_back():
     was_stiff = False
     for _ in range(20):
         simulation.advance(tau, 10)
-        was_stiff = was_stiff or simulation.run.steps.stiff
+        was_stiff = was_stiff or simulation.stepping.run.steps.stiff
     assert was_stiff
     # An explicit method would need a million steps a second.
-    assert simulation.run.steps.accepted < 3e4
+    assert simulation.stepping.run.steps.accepted < 3e4
     assert simulation.report().findings == ()
 
 
@@ -166,10 +166,10 @@ def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
         worst = max(worst, np.abs(auto.position - runs['exact'].position).max())
     # The companion takes no evaluations for steps that would be those of the run; at 1e-9 the run
     # divides some of them.
-    own, companion = auto.monitor.work
-    made = runs['one'].system.work.health[EVALUATIONS]
+    own, companion = auto.stepping.monitor.work
+    made = runs['one'].data.system.work.health[EVALUATIONS]
     most = {1e-3: 1.05, 1e-6: 1.05, 1e-9: 1.5}[accuracy] if rate == 1000 else 2.2
-    assert auto.system.work.health[EVALUATIONS] < most * made
+    assert auto.data.system.work.health[EVALUATIONS] < most * made
     assert own + companion < most * own
     # The error is reported all the same.
     assert worst <= accuracy and 0.3 * worst <= auto.report().error_bound <= accuracy
@@ -185,10 +185,10 @@ def test_the_run_does_not_depend_on_its_companion(rate):
             one.advance(one.joint_torques(torque), 1)
         # From the first step on no window is open.
         whole = free.state
-        whole[[len(free.integrated) + OPEN, len(free.integrated) + UNTIL]] = 0.0, np.inf
-        free.run.recall(whole)
-    assert free.monitor.work[1] < 0.1 * watched.monitor.work[0]
-    assert np.array_equal(free.integrated, watched.integrated)
+        whole[[len(free.data.integrated) + OPEN, len(free.data.integrated) + UNTIL]] = 0.0, np.inf
+        free.stepping.run.recall(whole)
+    assert free.stepping.monitor.work[1] < 0.1 * watched.stepping.monitor.work[0]
+    assert np.array_equal(free.data.integrated, watched.data.integrated)
 
 
 def test_without_new_torques_the_steps_are_those_of_dop853():
@@ -197,13 +197,13 @@ def test_without_new_torques_the_steps_are_those_of_dop853():
     for _ in range(10):
         for run in (one, auto):
             run.advance(run.joint_torques([5.0, -3.0, 2.0]), 50)
-    assert np.array_equal(one.integrated, auto.integrated)
+    assert np.array_equal(one.data.integrated, auto.data.integrated)
 
 
 @pytest.mark.parametrize('scene', ['three_rrr', 'carpet_scraper', 'stewart_platform'])
 def test_steps_between_torques_are_those_of_the_lower_order_where_these_are_accurate(scene):
     simulation = Simulation.from_scene(scene)
-    run, short, evaluations = simulation.run, 0, []
+    run, short, evaluations = simulation.stepping.run, 0, []
     for number in range(200):
         tau = np.full(len(simulation.torque_names), 0.1 + 1e-3 * (number % 3))
         before = run.steps.work
@@ -222,5 +222,5 @@ def test_a_lower_order_that_is_too_coarse_is_tried_rarely():
     short = 0
     for number in range(200):
         simulation.advance(simulation.joint_torques([5.0 + 0.01 * number, -3.0, 2.0]), 1)
-        short += simulation.run.steps.is_short
+        short += simulation.stepping.run.steps.is_short
     assert short <= 5

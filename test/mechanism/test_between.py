@@ -207,7 +207,7 @@ def test_slides_alone_close_loops_in_which_nothing_turns(tmp_path, cut, stabilis
     simulation.step(duration=0.1)
     assert simulation.acceleration == pytest.approx(
         [2.0 if name != 'slope' else 0.0 for name in simulation.joint_names])
-    assert simulation.degrees_of_freedom() == 2
+    assert simulation.data.degrees_of_freedom() == 2
 
 
 @pytest.mark.parametrize('changes, words', [

@@ -133,7 +133,7 @@ def test_loops_of_few_digits_stay_closed_on_their_way(kind, digits, seed):
         assert most_open(as_is) > 1e-11
     # Nothing is moved by more than digits are apart.
     for one, other in zip((*written.joints, *written.cut_joints),
-                          (*meant.joints, *meant.cut_joints)):
+                          (*meant.joints, *meant.mechanism.cut_joints)):
         for key in ('position', 'axis', 'orientation', 'point_a', 'point_b', 'axis_a', 'axis_b'):
             if getattr(one, key, None) is not None:
                 assert getattr(one, key) == pytest.approx(
@@ -170,7 +170,7 @@ def door(tilt=0.0, offset=0.0, **keys):
 def swung(scene):
     """Return where a door is after half a second, and the largest force in its hinges [N]."""
     simulation = Simulation(load_scene(scene))
-    assert simulation.degrees_of_freedom() == 1
+    assert simulation.data.degrees_of_freedom() == 1
     simulation.step(None, 0.5)
     return simulation.position[0], np.abs(simulation.joint_forces).max()
 
@@ -205,8 +205,8 @@ def test_a_door_is_a_pendulum():
 def test_what_is_taken_as_agreeing_is_told(digits, said):
     simulation = Simulation(load_scene(door(**digits)))
     assert set(said.split(': ')[1].split('; ')) <= set(
-        simulation.start_notes()[0].split(': ')[1].split('; '))
-    assert simulation.start_notes()[0].startswith(said.split(': ')[0])
+        simulation.data.start_notes()[0].split(': ')[1].split('; '))
+    assert simulation.data.start_notes()[0].startswith(said.split(': ')[0])
 
 
 @pytest.mark.parametrize('digits', [{'tilt': 1e-7}, {'tilt': 4e-6}, {'offset': 1e-7},
@@ -221,13 +221,13 @@ def test_what_looks_rounded_is_told_with_a_remedy(digits):
     assert 'This is how rounded digits look.' in note and f'--geometry-tolerance {wide:.0e}' in (
         note) or far == 1e-7 and '--geometry-tolerance 1e-07' in note
     try:
-        notes = Simulation(load_scene(scene)).start_notes()
+        notes = Simulation(load_scene(scene)).data.start_notes()
     except AssemblyError as error:
         notes = [str(error)]
     assert any('This is how rounded digits look.' in one for one in notes)
     wider = {**scene, 'mechanism': {**scene['mechanism'], 'tolerance': 1.01 * wide}}
     assert swung(wider)[0] == pytest.approx(swung(door())[0], rel=0.0, abs=1e-4)
-    assert Simulation(load_scene(scene, tolerance=1.01 * wide)).degrees_of_freedom() == 1
+    assert Simulation(load_scene(scene, tolerance=1.01 * wide)).data.degrees_of_freedom() == 1
 
 
 def test_what_differs_by_more_is_neither_changed_nor_suspected():
@@ -322,7 +322,7 @@ def test_everyday_rounding_is_named(tmp_path, capsys):
     assert main(['simulate', str(path), '--geometry-tolerance', '1e-5', '--duration', '0.01']) == 0
     scene = tmp_path / 'scene.yaml'
     scene.write_text('mechanism: ./bars.urdf\ntolerance: 1e-5\n')
-    assert Simulation(load_scene(scene)).degrees_of_freedom() == 1
+    assert Simulation(load_scene(scene)).data.degrees_of_freedom() == 1
 
 
 def test_the_tolerance_is_that_of_nine_digits():
@@ -346,13 +346,13 @@ def test_loops_that_close_to_the_digits_of_lengths_are_closed(tmp_path, digits, 
     meant, found = (Simulation(load_scene(bennett(tmp_path, count))) for count in (17, digits))
     for simulation in (meant, found):
         simulation.step(None, 0.3)
-        assert simulation.degrees_of_freedom() == 1
+        assert simulation.data.degrees_of_freedom() == 1
         # The energy balance is that of accuracy 1e-6.
         assert abs(simulation.energy_balance.residual) < 1e-8
     np.testing.assert_allclose(found.position, meant.position, rtol=0.0, atol=near)
     told = [note for note in found.start_notes() if 'and nowhere better: taken as closed' in note]
     assert len(told) == (digits < 12)
-    assert not any('nowhere better' in note for note in meant.start_notes())
+    assert not any('nowhere better' in note for note in meant.data.start_notes())
 
 
 def test_loops_that_are_further_open_are_refused_with_a_remedy(tmp_path):
@@ -361,7 +361,7 @@ def test_loops_that_are_further_open_are_refused_with_a_remedy(tmp_path):
                                             '--geometry-tolerance 1e-05'):
         Simulation(load_scene(scene))
     simulation = Simulation(load_scene(scene, tolerance=1e-5))
-    assert simulation.degrees_of_freedom() == 1
+    assert simulation.data.degrees_of_freedom() == 1
     simulation.step(None, 0.3)
     meant = Simulation(load_scene(bennett(tmp_path, 17)))
     meant.step(None, 0.3)

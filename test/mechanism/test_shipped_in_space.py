@@ -53,7 +53,7 @@ def test_sizes_are_those_of_the_machine(machine):
     bodies, equations, independent, freedoms = MACHINES[name]
     assert len(one.mechanism.bodies) == bodies
     assert (one.health.equations, one.health.rank) == (equations, independent)
-    assert one.degrees_of_freedom() == freedoms
+    assert one.data.degrees_of_freedom() == freedoms
 
 
 def test_accelerations_are_those_of_maximal_coordinates(machine):

@@ -70,7 +70,7 @@ def test_a_finer_method_is_told_beside_the_first(method, key, values):
         (key, pytest.approx(value)) for value in values]
     assert all(0.0 < one.cpu_time < one.whole and not one.failure for one in found)
     assert all(one.probed == pytest.approx(0.1) for one in found)
-    assert simulation.time == 0.0 and simulation.at_start
+    assert simulation.time == 0.0 and simulation.stepping.at_start
 
 
 def test_a_run_that_fails_is_no_cost():
@@ -103,7 +103,7 @@ def test_the_companion_costs_in_its_windows_alone():
     # As the engine opens them, up to the steps between.
     simulation = Simulation.from_scene('three_rrr_horizontal')
     simulation.step([0.2, -0.1, 0.1], 12.0)
-    own, companion = simulation.monitor.work
+    own, companion = simulation.stepping.monitor.work
     assert companion / own == pytest.approx(in_windows(12.0) / 12.0, rel=0.25)
 
 
@@ -127,7 +127,7 @@ def test_a_short_probe_knows_that_windows_end(monkeypatch):
     run = Simulation.from_scene('three_rrr')
     run.step([5.0, -3.0, 2.0], 20.0)
     # Of a motion that goes on as it began.
-    assert found.cpu_time == pytest.approx(1e-6 * sum(run.monitor.work), rel=0.5)
+    assert found.cpu_time == pytest.approx(1e-6 * sum(run.stepping.monitor.work), rel=0.5)
 
 
 def test_what_a_budget_allows_in_words():

@@ -42,13 +42,13 @@ def test_torques_and_forces_are_those_that_acted(tmp_path, capsys, scene, joints
     # At its ends a spline is worse.
     for _, message in found['/joint_states'][20:-20]:
         np.testing.assert_allclose(np.array(message.effort)[driven], torque, atol=1e-5)
-    for k, cut in enumerate(simulation.cut_joints):
+    for k, cut in enumerate(simulation.mechanism.cut_joints):
         messages = found[f'/constraint_forces/{cut.name}']
         met = np.array([constraint_force(message.wrench, simulation.mechanism.planar)
                         for _, message in messages])
         scale = np.abs(forces[:, k]).max()
         assert np.abs(met - forces[:, k])[20:-20].max() < 1e-5 * scale
-    assert f'{simulation.cut_joints[0].name}: force of at most' in out.out
+    assert f'{simulation.mechanism.cut_joints[0].name}: force of at most' in out.out
     acted = read_with_rosbags(tmp_path / 'motion')
     for name in simulation.joint_names:
         for (stamp, met), (other, expected) in list(zip(

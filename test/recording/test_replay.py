@@ -55,7 +55,7 @@ class Recorder:
         """Change an effect between two ticks."""
         self.simulation.set_effect(name, **values)
         off = tuple(each for each in self.simulation.effects
-                    if each not in self.simulation.enabled_effects)
+                    if each not in self.simulation.data.enabled_effects)
         scene = replace(
             self.changes[-1][0], effects=self.simulation.effects, switched_off=off)
         self.changes.append((scene, {'after': self.index}))
@@ -144,7 +144,7 @@ def test_resets_and_changed_effects_are_followed():
 def test_methods_changed_while_running_are_followed():
     recorder = Recorder(load_scene('three_rrr'))
     drive(recorder, 20)
-    recorder.simulation.prepare_method(integrator='semi_implicit_euler', step_size=5e-4)()
+    recorder.simulation.stepping.prepare_method(integrator='semi_implicit_euler', step_size=5e-4)()
     recorder.changes.append((recorder.simulation.scene, {'after': recorder.index}))
     drive(recorder, 20, seed=4)
     assert replay(recorder.recording()).largest == 0.0
@@ -274,7 +274,7 @@ def test_a_budget_is_replayed_by_the_accuracies_of_the_log(monkeypatch):
     for tick in range(60):
         torque = np.array([5.0, -3.0, 2.0 + 0.1 * (tick // 20)])
         found.append(simulation.accuracy)
-        simulation.keep_budget()
+        simulation.stepping.keep_budget()
         if simulation.accuracy != found[-1]:
             # As the node logs it.
             recorder.note(recorder.rows[-1][4], published=False)

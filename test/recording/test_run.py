@@ -163,7 +163,7 @@ def test_costs_are_columns_of_their_own():
     alone = Simulation.from_scene('stewart_platform')
     for _ in range(6):
         alone.step(None, 0.05)
-    made = alone.system.work.health[EVALUATIONS]
+    made = alone.data.system.work.health[EVALUATIONS]
     assert evaluations[1:].sum() / 20.0 == pytest.approx(made, rel=0.01)
     assert share[1:].sum() / 20.0 <= report.cpu_time
 

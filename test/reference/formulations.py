@@ -103,4 +103,4 @@ class Dense:
 def dense_dynamics(simulation, formulation):
     """Return accelerations and multipliers of a simulation in its present state."""
     simulation.acceleration
-    return Dense(simulation.system, formulation)(simulation.position, simulation.velocity)
+    return Dense(simulation.data.system, formulation)(simulation.position, simulation.velocity)

@@ -307,7 +307,7 @@ def test_the_log_tells_of_changes_of_the_accuracy(build, monkeypatch):
         (node.simulation.time, node.simulation.accuracy)))
     advance(node, 0.05, ticks=5)
     del noted[:]
-    node.simulation.run.aim(1e-4)
+    node.simulation.stepping.run.aim(1e-4)
     advance(node, 0.01)
     # With the accuracy of the steps that follow, before they are made; then the state.
     assert noted == [(pytest.approx(0.05), 1e-4), (pytest.approx(0.06), 1e-4)]

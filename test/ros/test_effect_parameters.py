@@ -31,7 +31,7 @@ def test_parameters_tell_the_scene(node):
 
 def test_an_effect_is_switched_and_changed_while_the_node_runs(node):
     assert set_values(node, carpet__enabled=False, gravity__acceleration=[0.0, -1.62]).successful
-    assert 'carpet' not in node.simulation.enabled_effects
+    assert 'carpet' not in node.simulation.data.enabled_effects
     assert node.simulation.effects['gravity'].acceleration == (0.0, -1.62)
     # A whole number will do.
     assert set_values(node, carpet__enabled=True, carpet__friction=1).successful

@@ -48,7 +48,7 @@ def test_states_of_the_group_are_the_corners_of_the_path(delta):
     corners = np.vstack([np.zeros(3), np.reshape(ways['path_places'], (-1, 3))])
     expected = [solve(delta.mechanism, delta.position, center,
                       delta.point(center.name) + corner, None) for corner in corners]
-    angles = [position[delta.coordinates.place[delta.actuated]] for position in expected]
+    angles = [position[delta.coordinates.place[delta.data.actuated]] for position in expected]
     shipped = ElementTree.parse(config_directory() / 'moveit' / 'delta_robot.srdf').getroot()
     states = {state.get('name'): [float(joint.get('value')) for joint in state]
               for state in shipped.findall('group_state')}

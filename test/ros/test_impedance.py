@@ -71,7 +71,7 @@ def test_torques_have_the_power_of_springs_and_dampers(scene, point):
     simulation.step(rng.normal(size=len(simulation.actuated_joints)), 0.1)
     q, qd = simulation.position, simulation.velocity
     torque = law.torque(0.0, q, qd) - held.torque(0.0, q, qd)
-    power = torque @ qd[simulation.actuated]
+    power = torque @ qd[simulation.data.actuated]
     # By finite differences along the motion, which closes the loops.
     places, instant = [], 1e-6
     for sign in (1.0, -1.0):

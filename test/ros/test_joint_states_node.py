@@ -64,7 +64,7 @@ def test_forces_are_those_of_the_model_under_the_measured_efforts(build):
         simulation.step([1.0, -2.0, 0.5], 0.01)
         node.on_joint_states(measured(simulation, DRIVES, effort=[0.5, 1.0, -2.0]))
     assert np.abs(simulation.constraint_forces).max() > 0.1
-    cuts = len(simulation.cut_joints)
+    cuts = len(simulation.mechanism.cut_joints)
     np.testing.assert_allclose(node.seen[-1][4][:cuts], simulation.constraint_forces, rtol=1e-8)
     np.testing.assert_allclose(
         node.seen[-1][4][cuts:], simulation.joint_forces, rtol=1e-8, atol=1e-9)

@@ -38,7 +38,7 @@ def test_no_state_is_published_that_the_energy_guard_refuses(steps):
     # Steps of 1 ms are too long for the contact of the Geneva drive.
     simulation = Simulation.from_scene('geneva_drive', integrator='rk4')
     taker = Taker(simulation)
-    command = SimpleNamespace(torque=np.zeros(len(simulation.actuated)))
+    command = SimpleNamespace(torque=np.zeros(len(simulation.data.actuated)))
     live = LiveSimulation(simulation, command, taker, taker, None, None)
     live.publish()
     with pytest.raises(SimulationError, match='energy balance'):

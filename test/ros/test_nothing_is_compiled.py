@@ -56,7 +56,7 @@ def test_no_request_compiles(scene, make_node, wanted):
     advance()
     assert node.counts['states set'] == 1
     # So far that other equations have to be kept.
-    while scene == 'bennett' and simulation.exchanges < 3:
+    while scene == 'bennett' and simulation.data.exchanges < 3:
         advance()
     assert node.on_reset(Trigger.Request(), Trigger.Response()).success
     advance()

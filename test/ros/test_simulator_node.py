@@ -309,7 +309,7 @@ def test_every_shipped_scene_runs(make_node, scene):
     node.tick()
     assert node.exit_code is None
     assert node.simulation.time == pytest.approx(0.01)
-    assert node.states.published == 1 + len(node.simulation.cut_joints)
+    assert node.states.published == 1 + len(node.simulation.mechanism.cut_joints)
 
 
 def test_steps_in_a_pause_are_in_the_summary(node, capfd):

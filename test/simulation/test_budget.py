@@ -198,7 +198,7 @@ def test_the_accuracy_in_force_is_that_of_the_steps():
         simulation, reference = runs_of(None)
         for one in (simulation, reference):
             one.step(TORQUE, 0.2)
-        simulation.run.aim(accuracy)
+        simulation.stepping.run.aim(accuracy)
         start = simulation.position - reference.position
         for one in (simulation, reference):
             one.step(TORQUE, 0.6)
@@ -234,7 +234,7 @@ def test_a_long_call_follows_its_budget_on_the_way(counted):
 
 def test_a_slower_pace_has_more_time(counted):
     simulation, _ = runs_of(1.2e-3)
-    simulation.pace = 0.1
+    simulation.stepping.pace = 0.1
     for _ in range(20):
         simulation.step(TORQUE, 0.1)
     assert simulation.accuracy < 1e-6
@@ -254,11 +254,11 @@ def test_a_budget_is_taken_and_left_while_it_runs(counted):
     simulation, _ = runs_of(None)
     assert math.isnan(simulation.report().budget)
     simulation.step(TORQUE, 0.1)
-    simulation.prepare_method(budget=1.2e-3)()
+    simulation.stepping.prepare_method(budget=1.2e-3)()
     for _ in range(10):
         simulation.step(TORQUE, 0.1)
     assert simulation.accuracy > 1e-6
-    simulation.prepare_method(budget=None)()
+    simulation.stepping.prepare_method(budget=None)()
     assert simulation.accuracy == 1e-6 and math.isnan(simulation.report().budget)
     assert math.isnan(Simulation.from_scene('four_bar', integrator='rk4').accuracy)
 
@@ -267,7 +267,7 @@ def test_cpu_time_is_measured_under_a_budget_alone():
     for budget in (None, 0.5):
         simulation, _ = runs_of(budget)
         simulation.step(TORQUE, 0.5)
-        _, spent, elapsed, *_ = simulation.monitor.measured
+        _, spent, elapsed, *_ = simulation.stepping.monitor.measured
         assert elapsed > 0.0 and (spent > 0.0) == (budget is not None)
 
 

@@ -164,7 +164,7 @@ def test_numbers_of_more_digits_change_nothing(scene, size, options, tmp_path):
 @compiled
 def test_a_run_with_orientations_is_reproduced(tmp_path):
     simulation = simulation_of('stewart_platform')
-    assert simulation.system.manifold is not None
+    assert simulation.data.system.manifold is not None
     require_same_run(tmp_path, simulation, 100)
 
 
@@ -241,8 +241,8 @@ def test_the_library_evaluates_corrects_and_reports_faults(tmp_path):
     q, qd, tau = simulation.position, simulation.velocity, np.zeros(nv)
     tau[0], qdd, lam = 0.7, np.zeros(nv), np.zeros(nc)
     assert call('model_evaluate', q, qd, tau, qdd, lam) == 0
-    simulation.system.tau[:] = tau
-    simulation.touch()
+    simulation.data.system.tau[:] = tau
+    simulation.data.touch()
     np.testing.assert_allclose(qdd, simulation.acceleration, rtol=1e-12)
     np.testing.assert_allclose(lam, simulation.multipliers, rtol=1e-12)
     # Bound to points by name.
@@ -314,7 +314,7 @@ def test_forces_in_joints_are_those_of_the_package(scene, tmp_path):
 @compiled
 def test_forces_that_are_not_unique_are_left_out(tmp_path):
     simulation = simulation_of('bricard')
-    assert simulation.has_redundant_constraints
+    assert simulation.data.has_redundant_constraints
     library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
     assert not hasattr(library, 'model_joint_forces')
     assert table(library, 'model_velocity_names') == [

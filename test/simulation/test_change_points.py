@@ -161,14 +161,14 @@ def test_by_how_much_lengths_miss_a_change_point():
     """At the flat position the coupler's end is as far from the rocker's as the coupler longer."""
     for longer in (1e-5, -1e-8, 1e-11):
         bars = Bars(longer=longer)
-        found = branches_apart(bars.mechanism(), bars.started().loop_model.equations,
+        found = branches_apart(bars.mechanism(), bars.started().data.loop_model.equations,
                                Bars().closed(0.02, 1.0))
         assert abs(found * bars.coupler - abs(longer)) < 1e-3 * abs(longer) + 1e-15
     for mechanism, position, _ in (ladder(1, 0.5 * np.pi - 0.01), ladder(3, 0.5 * np.pi - 0.01),
                                    hard_machines.pantograph(-1.9, -1.89, 1.0, 1.0)):
         simulation = Simulation(Scene('flat', None, '', mechanism, Initial(
             tuple(position), tuple(np.zeros(len(position)))), {}, Method()))
-        assert branches_apart(mechanism, simulation.loop_model.equations, position) == 0.0
+        assert branches_apart(mechanism, simulation.data.loop_model.equations, position) == 0.0
 
 
 def falling(longer=0.0):

@@ -99,7 +99,7 @@ def test_a_delta_robot_with_distances_is_one_with_rods_of_two_points():
                        joints[f'elbow_{name}'].position, length=0.8)
               for name, wrist in wrists.items()), (center,))
     one, other = Simulation(scene(rods)), Simulation(scene(light))
-    assert other.degrees_of_freedom() == 3 and len(other.multipliers) == 6
+    assert other.data.degrees_of_freedom() == 3 and len(other.multipliers) == 6
     start = other.energy
     for _ in range(3):
         one.step(torques, 0.1)
@@ -209,7 +209,7 @@ def test_gears_share_torque_by_their_ratio():
     assert one.constraint_forces.shape == (0, 6)
     values = dict(zip(columns(one), row(one, 1.0)))
     assert (values['coupling.mesh'], values['coupling.pinion']) == (mesh, pinion)
-    assert one.degrees_of_freedom() == 1 and one.closure < 1e-12
+    assert one.data.degrees_of_freedom() == 1 and one.closure < 1e-12
 
 
 def test_light_wheels_turn_with_heavy_ones():

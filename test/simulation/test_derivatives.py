@@ -145,7 +145,7 @@ def by_loops(scene, effects):
     """Return a simulation that uses no code generated for its mechanism."""
     with mock.patch.object(system, '_can_be_unrolled', lambda model: False):
         simulation = simulation_of(scene, effects, integrator='rk4')
-    assert not simulation.system.is_unrolled
+    assert not simulation.data.system.is_unrolled
     return simulation
 
 
@@ -153,18 +153,18 @@ def twin(scene, effects, command, present):
     """Return accelerations and multipliers of changes, at the time and by loops over bodies."""
     simulation = by_loops(scene, effects)
     tau = simulation.joint_torques(command)
-    state = present.integrated.copy()
+    state = present.data.integrated.copy()
     nq, nv = len(simulation.position), len(simulation.velocity)
 
     def moved(q, qd, change):
         state[:nq], state[nq:nq + nv] = q, qd + change[nv:2 * nv]
-        if simulation.system.manifold is None:
+        if simulation.data.system.manifold is None:
             state[:nq] += change[:nv]
         else:
-            native.move(simulation.system.manifold, state[:nq], change[:nv].copy(), 1.0)
-        simulation.system.tau[:] = tau + change[2 * nv:]
-        native.evaluate_state(simulation.system.native, state)
-        return np.concatenate((simulation.system.qdd, simulation.system.lam))
+            native.move(simulation.data.system.manifold, state[:nq], change[:nv].copy(), 1.0)
+        simulation.data.system.tau[:] = tau + change[2 * nv:]
+        native.evaluate_state(simulation.data.system.native, state)
+        return np.concatenate((simulation.data.system.qdd, simulation.data.system.lam))
     return moved
 
 
@@ -318,7 +318,7 @@ def test_laws_of_users_with_states_are_refused():
 @pytest.mark.slow
 def test_derivatives_with_orientations():
     simulation, _ = require_derivatives('stewart_platform', duration=0.05)
-    assert simulation.system.manifold is not None
+    assert simulation.data.system.manifold is not None
 
 
 def test_derivatives_by_torque_solve_the_dense_equations():
@@ -367,9 +367,9 @@ def with_open_loops(model, state, torque):
     """Return a simulation moved to a state that need not close the loops: readings take it."""
     simulation = Simulation(model)
     numbers_of_state = np.concatenate((state.q, state.qd, state.own))
-    simulation.integrated[:len(numbers_of_state)] = numbers_of_state
-    simulation.system.tau[:] = simulation.joint_torques(torque)
-    simulation.touch()
+    simulation.data.integrated[:len(numbers_of_state)] = numbers_of_state
+    simulation.data.system.tau[:] = simulation.joint_torques(torque)
+    simulation.data.touch()
     return simulation
 
 
@@ -387,7 +387,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
         found.wrench, [simulation.force(name) for name in found.joints], rtol=0,
         atol=1e-10 * np.abs(found.wrench).max())
     dense = by_loops(scene, effects)
-    tau, manifold = dense.joint_torques(command), dense.system.manifold
+    tau, manifold = dense.joint_torques(command), dense.data.system.manifold
 
     def wrenches(change):
         state = np.concatenate((q, qd + change[nv:2 * nv]))
@@ -395,9 +395,9 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
             state[:nv] += change[:nv]
         else:
             native.move(manifold, state[:len(q)], change[:nv].copy(), 1.0)
-        dense.integrated[:] = simulation.integrated
-        dense.integrated[:len(state)], dense.system.tau[:] = state, tau + change[2 * nv:]
-        dense.touch()
+        dense.data.integrated[:] = simulation.data.integrated
+        dense.data.integrated[:len(state)], dense.data.system.tau[:] = state, tau + change[2 * nv:]
+        dense.data.touch()
         return np.array([dense.force(name) for name in found.joints])
 
     def require(derivative, function, step):

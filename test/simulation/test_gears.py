@@ -122,7 +122,7 @@ def test_a_coupling_that_locks_is_told_with_its_rank():
     machine = four_bar([Coupling('gear', {'driven': 1.0, 'hinge': 2.0}, 3.1)])
     with pytest.warns(RuntimeWarning, match='Nothing can move: 3 of 3 equations .*: gear'):
         locked = Simulation.from_scene(scene(machine, (0.7, 1.2, -0.3), ()))
-    assert locked.degrees_of_freedom() == 0
+    assert locked.data.degrees_of_freedom() == 0
     locked.advance(locked.joint_torques([5.0]), 0)
     # Against the 1400 rad/s^2 of the crank alone.
     assert np.abs(locked.acceleration).max() < 1e-9

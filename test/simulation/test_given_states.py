@@ -47,8 +47,8 @@ def test_arrays_lists_and_evaluators_give_the_same(name):
     close((evaluate.acceleration, evaluate.multipliers), given)
     qdd = given[0]
     needed = simulation.inverse_dynamics(q.tolist(), qd.tolist(), qdd.tolist())
-    assert simulation.inverse.find(q, qd, qdd)
-    close((simulation.inverse.torque, simulation.inverse.lam), needed, 1e-9)
+    assert simulation.data.inverse.find(q, qd, qdd)
+    close((simulation.data.inverse.torque, simulation.data.inverse.lam), needed, 1e-9)
 
 
 @pytest.mark.parametrize('name', ['three_rrr', 'bricard'])
@@ -119,8 +119,8 @@ def test_evaluator_is_independent_of_its_simulation():
 @pytest.mark.parametrize('name', ['bennett', 'bricard'])
 def test_accelerations_alone_fulfil_the_equations_left_out(name):
     routines, loops = Simulation.from_scene(name), Simulation.from_scene(name)
-    assert routines.has_redundant_constraints and routines.system.table[LEFT_OUT]
-    loops.system.table[LEFT_OUT] = 0
+    assert routines.data.has_redundant_constraints and routines.data.system.table[LEFT_OUT]
+    loops.data.system.table[LEFT_OUT] = 0
     start = routines.position
     for step in (0.0, 0.02):
         q, _ = routines.closed(start + step * np.cos(np.arange(len(start))), routines.velocity)

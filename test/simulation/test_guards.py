@@ -54,7 +54,7 @@ def test_a_small_loss_is_a_warning_with_figure_and_remedy():
     with pytest.warns(InaccuracyWarning, match='Take integrator: auto'):
         simulation.step(duration=6.0)
     finding, = simulation.report().findings
-    guard = simulation.run.report
+    guard = simulation.stepping.run.report
     assert f'{guard.worst_lost:.3g} J of the {guard.worst_moved:.3g} J' in finding
     assert f't = {guard.worst_time:.6g} s' in finding
     simulation.reset()
@@ -100,9 +100,9 @@ def test_work_of_changing_torques_is_no_loss():
 
 def test_a_change_of_method_keeps_what_the_guard_knows_of_effects():
     simulation = Simulation.from_scene('carpet_scraper_dry', integrator='rk4')
-    before = simulation.fastest_rate
-    simulation.prepare_method(step_size=5e-4)()
-    assert simulation.fastest_rate == pytest.approx(before, rel=1e-6)
+    before = simulation.stepping.fastest_rate
+    simulation.stepping.prepare_method(step_size=5e-4)()
+    assert simulation.stepping.fastest_rate == pytest.approx(before, rel=1e-6)
     assert before > 100.0
 
 
@@ -188,7 +188,7 @@ def test_a_change_of_method_begins_a_new_balance():
     simulation = Simulation.from_scene('carpet_scraper', integrator='heun', step_size=4e-3)
     with pytest.warns(InaccuracyWarning):
         simulation.step(duration=6.0)
-    simulation.prepare_method(integrator='auto', step_size=1e-3)()
+    simulation.stepping.prepare_method(integrator='auto', step_size=1e-3)()
     simulation.step(duration=1.0)
     simulation.judge()
     report = simulation.report()
@@ -200,7 +200,7 @@ def test_the_error_bound_is_withdrawn_where_the_energy_balance_fails():
     simulation = Simulation.from_scene('four_bar')
     simulation.step({'crank_joint': 1.0}, 0.1)
     assert simulation.report().error_bound < 1e-5
-    simulation.run.record_loss(1.0, 2.0, 0.0, simulation.time)
+    simulation.stepping.run.record_loss(1.0, 2.0, 0.0, simulation.time)
     report = simulation.report()
     assert math.isnan(report.error_bound) and len(report.findings) == 1
 
@@ -208,8 +208,8 @@ def test_the_error_bound_is_withdrawn_where_the_energy_balance_fails():
 def test_rounding_of_weights_that_hardly_move_is_no_loss():
     simulation = Simulation.from_scene('four_bar', accuracy=1e-9)
     before = simulation.energy_balance
-    lost = 1e-14 * simulation.energy_scale
-    assert simulation.energy_scale > 1.0
-    simulation.run.record_loss(
-        lost, 1.01 * lost, 1e-13 * simulation.energy_scale, 0.0)
-    assert simulation.run.report.worst == 0.0 and before.residual == 0.0
+    lost = 1e-14 * simulation.data.energy_scale
+    assert simulation.data.energy_scale > 1.0
+    simulation.stepping.run.record_loss(
+        lost, 1.01 * lost, 1e-13 * simulation.data.energy_scale, 0.0)
+    assert simulation.stepping.run.report.worst == 0.0 and before.residual == 0.0

@@ -23,7 +23,7 @@ def built(mechanism, q, qd, **effects):
     """Return the inverse dynamics of a simulation in the earth's gravity."""
     return Simulation(Scene(
         'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(dense.EARTH), **effects}, Method())).inverse
+        {'gravity': Gravity(dense.EARTH), **effects}, Method())).data.inverse
 
 
 def at_once(inverse, q, qd, qdd):
@@ -71,8 +71,8 @@ def test_redundant_equations_take_the_least_multipliers(drives):
         replace(joint, actuated=n < drives) for n, joint in enumerate(scene.mechanism.joints)))))
     q, qd = one.position, one.velocity
     qdd, _ = one.forward_dynamics(q, qd, np.ones(drives))
-    torque, lam = at_once(one.inverse, q, qd, qdd)
-    jac, need = one.constraint_jacobian, one.tree_torque(q, qd, qdd)
+    torque, lam = at_once(one.data.inverse, q, qd, qdd)
+    jac, need = one.constraint_jacobian, one.data.tree_torque(q, qd, qdd)
     # One drive is all that moves the linkage; of two, what they do against each other is least.
     unknowns = np.concatenate((np.eye(len(q))[:, :drives], jac.T), axis=1)
     np.testing.assert_allclose(
@@ -89,7 +89,8 @@ def test_a_stretched_leg_that_hangs_at_rest_needs_no_torque():
     simulation = Simulation.from_scene('three_rrr_vertical')
     rest = Linearisation(simulation).equilibrium().position
     motion = rest, np.zeros(7), np.zeros(7)
-    for torque, _ in (simulation.inverse.solve(*motion), at_once(simulation.inverse, *motion)):
+    inverse = simulation.data.inverse
+    for torque, _ in (inverse.solve(*motion), at_once(inverse, *motion)):
         assert np.abs(torque).max() < 1e-6
 
 
@@ -111,12 +112,12 @@ def test_effects_are_in_the_states_that_the_run_is_in(form):
               joints={'x': 'theta_1'})
     one = Simulation(replace(load_scene('three_rrr'), effects={'memory': law}))
     one.step([1.0, 0.5, -0.5], 0.1)
-    memory = one.integrated[-2]
+    memory = one.data.integrated[-2]
     q, qd = one.position, one.velocity
     qdd, _ = one.forward_dynamics(q, qd, [0.2, -0.1, 0.3])
     one.advance(one.joint_torques([1.0, 0.5, -0.5]), 2)
     torque, _ = one.inverse_dynamics(form(q), form(qd), form(qdd))
-    expected = 0.2 + 3.0 * (one.integrated[-2] - memory)
+    expected = 0.2 + 3.0 * (one.data.integrated[-2] - memory)
     assert torque == pytest.approx([expected, -0.1, 0.3], abs=1e-12)
 
 

@@ -131,7 +131,7 @@ def test_forces_and_friction_do_not_depend_on_the_cut(tmp_path, name):
     found = []
     for cuts in choices:
         one = made(tmp_path, mechanism, cuts, *how, integrator='rk4', step_size=5e-4)
-        assert one.has_redundant_constraints
+        assert one.data.has_redundant_constraints
         start = sizes(one)
         one.step({}, 0.1)
         readings = one.effect_readings('dry')
@@ -170,7 +170,7 @@ def test_forces_are_least_in_all_joints_together(tmp_path):
     wrenches = {joint.name: wrench for joint, wrench in zip(
         one.mechanism.joints, one.joint_forces)}
     wrenches |= {name: -wrenches[name] for name in ('joint_5', 'joint_6')}
-    assert one.cut_joints[0].body_b == 'rod_3'
+    assert one.mechanism.cut_joints[0].body_b == 'rod_3'
     wrenches['joint_4'] = one.constraint_forces[0]
     # The wrench that may go round the loop: it does no work at any pin.
     work = [[*axis, *np.cross(place, axis)] for place, axis in PINS.values()]
@@ -196,8 +196,8 @@ def test_routines_find_the_forces_that_loops_over_bodies_do(name, joint):
         'spring': PointSpring(scene.mechanism.points[0].name, None, (0.1, 0.2, 0.3), 200.0)})
     for one in (Simulation(scene), Simulation(replace(scene, effects={}))):
         own, by_loops = one.position, Simulation(one.scene)
-        assert one.system.table[WRENCHES]
-        by_loops.system.table[list(OF_FORCES)] = 0
+        assert one.data.system.table[WRENCHES]
+        by_loops.data.system.table[list(OF_FORCES)] = 0
         for _ in range(3):
             one.set_state(one.coordinates.moved(own, rng.uniform(-0.05, 0.05, one.coordinates.nv)),
                           rng.uniform(-1.0, 1.0, one.coordinates.nv))

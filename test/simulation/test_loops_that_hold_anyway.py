@@ -75,7 +75,7 @@ def test_a_door_on_two_hinges_falls_as_on_one(method):
     one.step(duration=0.5)
     expected = angle_of_door((1, 2, 3), 0.5)
     assert expected == pytest.approx(1.02356, abs=1e-5)
-    assert one.degrees_of_freedom() == 1
+    assert one.data.degrees_of_freedom() == 1
     assert one.position[0] == pytest.approx(expected, abs=NEAR)
 
 
@@ -85,9 +85,9 @@ def test_hinges_of_any_axis_and_size_are_one(seed):
     axis, apart = rng.normal(size=3), 10.0 ** rng.uniform(-3.0, 3.0)
     one = Simulation(door(axis, apart, integrator='dop853', tolerance=1e-9))
     one.step(duration=0.2)
-    assert one.degrees_of_freedom() == 1
+    assert one.data.degrees_of_freedom() == 1
     assert one.position[0] == pytest.approx(angle_of_door(axis, 0.2), abs=NEAR)
-    assert set(one.redundancy().shared) == {'hinge_1', 'hinge_2'}
+    assert set(one.data.redundancy().shared) == {'hinge_1', 'hinge_2'}
     one.step(duration=0.1)
     # Least forces in two hinges carry the door: statics of all of it.
     assert np.isfinite(one.joint_forces).all()
@@ -106,7 +106,7 @@ def sled(angle, apart, **method):
 def test_a_sled_on_two_rails_slides_as_on_one(method):
     one = Simulation(sled(-0.5, 0.4, **METHODS[method]))
     one.step(duration=0.5)
-    assert one.degrees_of_freedom() == 1
+    assert one.data.degrees_of_freedom() == 1
     assert one.position[0] == pytest.approx(0.125 * G * math.sin(0.5), abs=NEAR)
 
 
@@ -157,7 +157,7 @@ def test_a_loop_that_a_body_carries_is_checked_and_runs(case, tmp_path, capsys):
     one = Simulation(load_scene(path))
     start = one.energy
     one.step(duration=0.3)
-    assert one.degrees_of_freedom() == freedoms
+    assert one.data.degrees_of_freedom() == freedoms
     kinetic = one.energy_balance.kinetic
     # Everything that may move does.
     assert np.abs(one.velocity).min() > 0.01
@@ -177,7 +177,7 @@ def test_a_pin_given_twice_on_an_arm_swings_as_one():
     expected = solve_ivp(
         lambda _, state: (state[1], -0.1 * G * math.cos(state[0]) / 0.11), (0.0, 0.5), (0.0, 0.0),
         rtol=1e-11, atol=1e-12).y[0, -1]
-    assert one.degrees_of_freedom() == 2
+    assert one.data.degrees_of_freedom() == 2
     np.testing.assert_allclose(one.position, [0.0, expected], atol=NEAR)
 
 
@@ -189,13 +189,13 @@ def test_what_is_fixed_stays():
                 'hinge': joint('revolute', ('ground', 'box'), [0, 0, 1], axis=[0, 0, 1])}},
         'initial': {'position': {}}}))
     one.step(duration=0.1)
-    assert one.degrees_of_freedom() == 0
+    assert one.data.degrees_of_freedom() == 0
     assert one.time == pytest.approx(0.1)
 
 
 def test_equations_are_exchanged_so_often_and_no_more(monkeypatch):
     one = Simulation(sled(-0.5, 0.4, integrator='rk4', step_size=1e-3))
-    run, tried = one.run, []
+    run, tried = one.stepping.run, []
     report = SimpleNamespace(**{**vars(run.report), 'status': POOR_EQUATIONS})
 
     def choose(status):
@@ -205,7 +205,7 @@ def test_equations_are_exchanged_so_often_and_no_more(monkeypatch):
     for name in ('make_steps', 'advance_run', 'resume_run'):
         monkeypatch.setattr(run, name, lambda *_: FAILED)
     monkeypatch.setattr(type(run), 'report', report)
-    monkeypatch.setattr(one, 'choose_equations', choose)
+    monkeypatch.setattr(one.stepping, 'choose_equations', choose)
     with pytest.raises(NumericalError, match='does not go on at t = 0 s, whichever'):
         one.step(duration=0.1)
     assert 10 < len(tried) < 100

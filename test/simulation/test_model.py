@@ -41,7 +41,7 @@ def test_an_evaluation_tells_what_a_run_tells(name):
     torque = np.linspace(0.1, 0.3, len(simulation.actuated_joints))
     simulation.step(torque, 0.02)
     model = cld.Model(simulation.scene)
-    state, acting = simulation.snapshot(), simulation.system.tau[simulation.actuated]
+    state, acting = simulation.snapshot(), simulation.data.system.tau[simulation.data.actuated]
     for now in (model.evaluate(state, acting), simulation.evaluation()):
         for quantity in READINGS:
             close(getattr(now, quantity), getattr(simulation, quantity))
@@ -333,7 +333,7 @@ def test_effects_go_on_where_they_were(name):
     for each in (run, other):
         each.step(duration=0.1)
     close(other.position, run.position)
-    close(other.integrated, run.integrated, 1e-9)
+    close(other.data.integrated, run.data.integrated, 1e-9)
 
 
 def test_a_rollout_is_its_runs_one_by_one():
@@ -359,7 +359,7 @@ def test_a_rollout_from_where_effects_have_gone_on_is_refused():
     run = cld.Simulation(model)
     run.step(duration=0.2)
     state = run.snapshot()
-    assert model.begins(model.assemble()) and not model.begins(state)
+    assert model._begins(model.assemble()) and not model.begins(state)
     with pytest.raises(ValueError, match='rollout: expected states in which the effects begin'):
         cld.rollout(model, state)
 

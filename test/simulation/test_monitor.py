@@ -26,7 +26,7 @@ FIRST_SAMPLE = 30
     {'integrator': 'rk4', 'stabilisation': 'independent'}])
 def test_motion_is_the_same_without_samples_of_the_error(method):
     watched, alone = (Simulation.from_scene('three_rrr', **method) for _ in range(2))
-    alone.monitor.sampling = False
+    alone.stepping.monitor.sampling = False
     tau = watched.joint_torques({'theta_1': 5.0})
     for steps in (1, 7, 300, 25):
         watched.advance(tau, steps)
@@ -65,12 +65,12 @@ def test_local_error_of_fixed_steps_is_that_of_a_step():
 
 def test_effects_act_on_the_copy_that_samples_are_computed_with():
     one = Simulation.from_scene('carpet_scraper_on_carpet')
-    other = deepcopy(one.system)
+    other = deepcopy(one.data.system)
     one.step(duration=0.1)
-    other.effects.states[:] = one.system.effects.states
-    for system in (one.system, other):
+    other.effects.states[:] = one.data.system.effects.states
+    for system in (one.data.system, other):
         native.evaluate(system.native, one.position, one.velocity)
-    assert np.array_equal(other.qdd, one.system.qdd)
+    assert np.array_equal(other.qdd, one.data.system.qdd)
 
 
 def test_local_error_of_error_control_is_below_the_tolerance():
@@ -140,11 +140,11 @@ def test_the_bound_next_to_a_singular_position_is_what_is_judged(monkeypatch):
     simulation = Simulation.from_scene('four_bar', integrator='auto', accuracy=1e-6)
     simulation.step(duration=0.01)
     made = SimpleNamespace(**{
-        **vars(simulation.run.steps), 'largest_bound': 1e-6, 'bound': 1e-6})
-    monkeypatch.setattr(type(simulation.run), 'steps', made)
+        **vars(simulation.stepping.run.steps), 'largest_bound': 1e-6, 'bound': 1e-6})
+    monkeypatch.setattr(type(simulation.stepping.run), 'steps', made)
     assert simulation.report().findings == () and simulation.report().error_bound == 1e-6
     # There it may be all of the distance to the reference run, ten times as much.
-    simulation.system.work.health[RANK_REVEALING_COUNT] = 1.0
+    simulation.data.system.work.health[RANK_REVEALING_COUNT] = 1.0
     report = simulation.report()
     assert report.error_bound == pytest.approx(1e-5)
     assert any('accuracy of 1e-06' in finding and 'about 1e-05, as the motion came next to a' in

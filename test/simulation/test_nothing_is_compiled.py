@@ -35,12 +35,12 @@ def of_many_joints():
 def loaded(name):
     """Return a simulation of a scene with more that may be switched on, as a node loads it."""
     scene = of_many_joints() if name == 'ladder' else load_scene(name)
-    joint = next(one.name for one in scene.mechanism.joints if one.actuated)
+    joint = next(one.name for one in scene.mechanism.joints if one.data.actuated)
     more = {'part': Payload(scene.mechanism.bodies[-1].name, 0.5), 'disc': Rotor(joint, 0.01),
             'grease': JointFriction(joint, coulomb=0.1)}
     simulation = Simulation(replace(
         scene, effects={**scene.effects, **more}, switched_off=(*scene.switched_off, *more)))
-    simulation.prepare_exchanges()
+    simulation.data.prepare_exchanges()
     return simulation
 
 
@@ -67,12 +67,12 @@ def requests(simulation):
             ('none', 'baumgarte', 'velocity_projection', 'independent', 'projection'),
             ('semi_implicit_euler', 'rk4', 'dopri5', 'rodas4', 'auto')):
         yield simulation.reset, (), {}
-        yield lambda **method: simulation.prepare_method(**method)(), (), {
+        yield lambda **method: simulation.stepping.prepare_method(**method)(), (), {
             'stabilisation': stabilisation, 'integrator': integrator}
     for _ in range(2):
         yield simulation.set_state, (start,), {}
         yield simulation.reset, (), {}
-    for read in (simulation.report, simulation.snapshot, simulation.load_notes):
+    for read in (simulation.report, simulation.snapshot, simulation.data.load_notes):
         yield read, (), {}
 
 
@@ -101,19 +101,19 @@ def test_equations_are_exchanged_without_compiling(wanted):
     scene = load_scene('bennett')
     waiting, ready = Simulation(scene), Simulation(scene)
     chosen = set()
-    ready.prepare_exchanges()
+    ready.data.prepare_exchanges()
     wanted.clear()
     for _ in range(CALLS):
         ready.step(duration=DURATION)
-        chosen.add(ready.loop_model.equations.kept.tobytes())
-    assert ready.exchanges > 20 and len(chosen) > 3
-    assert ready.system.is_unrolled
+        chosen.add(ready.data.loop_model.equations.kept.tobytes())
+    assert ready.data.exchanges > 20 and len(chosen) > 3
+    assert ready.data.system.is_unrolled
     ready.reset()
     ready.step(duration=DURATION)
     assert not wanted
     # Whoever has not prepared anything comes to the same states.
     ready.reset()
-    while waiting.exchanges < 5:
+    while waiting.data.exchanges < 5:
         waiting.step(duration=DURATION)
         ready.step(duration=DURATION)
     np.testing.assert_array_equal(waiting.state, ready.state)
@@ -124,12 +124,12 @@ def test_too_many_choices_of_equations_are_worked_on_by_loops(wanted, monkeypatc
     coded = Simulation(scene)
     monkeypatch.setattr(loop_model, 'MOST_CHOICES', 1)
     looped = Simulation(scene)
-    assert looped.system.is_unrolled
-    looped.prepare_exchanges()
+    assert looped.data.system.is_unrolled
+    looped.data.prepare_exchanges()
     wanted.clear()
-    while not looped.exchanges:
+    while not looped.data.exchanges:
         looped.step(duration=DURATION)
-    assert not looped.system.is_unrolled
+    assert not looped.data.system.is_unrolled
     looped.reset()
     looped.step(duration=DURATION)
     assert not wanted
@@ -143,11 +143,11 @@ def test_too_many_choices_of_equations_are_worked_on_by_loops(wanted, monkeypatc
 def test_an_exchange_keeps_to_the_code_of_the_scene_as_it_was_loaded(wanted):
     """Friction that comes to be larger at rest is a law apart, whatever is worked on."""
     simulation = loaded('bennett')
-    code = simulation.system.effects.code
+    code = simulation.data.system.effects.code
     simulation.set_effect('grease', True, static_ratio=1.5, stribeck_velocity=0.1)
     assert code.fits[0] == 0
     wanted.clear()
-    while not simulation.exchanges:
+    while not simulation.data.exchanges:
         simulation.step(duration=DURATION)
     assert code.fits[0] == 0
     simulation.set_effect('grease', True, static_ratio=1.0)

@@ -20,8 +20,8 @@ def opened(model, seed=0):
     q = names.moved(start.q, 0.2 * rng.normal(size=names.nv))
     state = State(0.0, q, start.qd, start.own, names)
     simulation = Simulation(model)
-    simulation.integrated[:names.nq] = q
-    simulation.touch()
+    simulation.data.integrated[:names.nq] = q
+    simulation.data.touch()
     return state, simulation.closure
 
 
@@ -47,7 +47,7 @@ def ways_in(model, state):
         'inverse': lambda: model.inverse(state, np.zeros_like(state.qd)),
         'inertia': lambda: model.inertia(state),
         'constraint_jacobian': lambda: model.constraint_jacobian(state),
-        'begins': lambda: model.begins(state),
+        'begins': lambda: model._begins(state),
         'solve': lambda: model.solve({model.joint_names[0]: 0.1}, branch=state),
         'evaluator': evaluated,
         'simulation': lambda: Simulation(model, state),
@@ -57,7 +57,7 @@ def ways_in(model, state):
         'of lists': lambda: simulation.forward_dynamics(state.q.tolist(), state.qd.tolist()),
         'inverse_dynamics': lambda: simulation.inverse_dynamics(
             state.q, state.qd, np.zeros_like(state.qd))}
-    if not simulation.has_redundant_constraints:
+    if not simulation.data.has_redundant_constraints:
         found.update({
             'linearise': lambda: model.linearise(state),
             'linear_model': lambda: Linearisation(simulation).linear_model(state.q, state.qd),
@@ -72,7 +72,7 @@ def ways_in(model, state):
 def test_open_states_are_refused_with_the_loop_and_the_gap(scene):
     model = Model.from_scene(scene)
     state, gap = opened(model)
-    loops = [cut.name for cut in model.cut_joints]
+    loops = [cut.name for cut in model.mechanism.cut_joints]
     assert gap > 1e-2
     for name, use in ways_in(model, state).items():
         with pytest.raises(AssemblyError, match=f'open by {gap:.3g} m or rad') as refused:

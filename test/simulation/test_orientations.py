@@ -271,9 +271,9 @@ def chain():
 
 
 def test_rates_of_coordinates_are_what_changes_make_of_them(chain):
-    system, names = chain.system, chain.coordinates
+    system, names = chain.data.system, chain.coordinates
     q, qd, *_, states = parts_of_state(system)
-    state, rates = chain.integrated.copy(), np.zeros(states)
+    state, rates = chain.data.integrated.copy(), np.zeros(states)
     native.derivative(system.native, state.copy(), rates)
     before, after = state.copy(), state.copy()
     native.move(system.manifold, before[q], state[qd], -1e-6)
@@ -299,7 +299,7 @@ def test_energy_and_work_of_torques_on_every_freedom_balance(chain):
         chain.step({'ball.rx': 0.3, 'ball.ry': -0.2, 'ball.rz': 0.5})
     assert_agree(balance.work, simpson(power, dx=1e-3), 1e-8)
     chain.restore(state, 0.2)
-    assert np.array_equal(chain.integrated, state[:len(chain.integrated)])
+    assert np.array_equal(chain.data.integrated, state[:len(chain.data.integrated)])
     assert_agree(chain.energy_balance.residual, balance.residual, 1e-10, smallest=1.0)
 
 

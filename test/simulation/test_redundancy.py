@@ -148,7 +148,7 @@ def test_equations_are_exchanged_where_they_no_longer_serve():
     one = Simulation(turntable('revolute', axis_a=Y))
     other = Simulation(replace(turntable('point_on_line'), initial=Initial(
         tuple(one.position), tuple(one.velocity))))
-    assert len(one.system.lam) == len(other.system.lam) == 2
+    assert len(one.data.system.lam) == len(other.data.system.lam) == 2
     start, states = one.energy, []
     for _ in range(30):
         one.step(None, 0.05)
@@ -157,19 +157,19 @@ def test_equations_are_exchanged_where_they_no_longer_serve():
         assert one.closure < 1e-9
         states.append(one.state)
     assert one.position[0] > np.pi / 2.0
-    assert one.exchanges > 0
+    assert one.data.exchanges > 0
     assert_agree(one.energy, start, 1e-8)
     # In the plane of the linkage the forces of the pin are those of the point.
     along = np.array([[np.cos(one.position[0]), np.sin(one.position[0]), 0.0], Z])
     assert_agree(along @ one.constraint_forces[0, 3:], along @ other.constraint_forces[0, 3:],
                  1e-6)
     # From there on it is quick again.
-    slow = one.system.work.health[RANK_REVEALING_COUNT]
+    slow = one.data.system.work.health[RANK_REVEALING_COUNT]
     one.step(None, 0.01)
-    assert one.system.work.health[RANK_REVEALING_COUNT] == slow
+    assert one.data.system.work.health[RANK_REVEALING_COUNT] == slow
     # The same again after a reset, to the last digit.
     one.reset()
-    assert one.exchanges == 0
+    assert one.data.exchanges == 0
     for state in states:
         one.step(None, 0.05)
         assert np.array_equal(one.state, state)
@@ -183,10 +183,10 @@ def test_components_that_are_not_unique_are_those_that_other_multipliers_change(
             scene, mechanism=with_cuts(scene.mechanism, (name,)),
             initial=Initial((0.0,) * 5, (0.0,) * 5, ('joint_1',))))
         # Those of least multipliers, which no two trees have in common.
-        numbers = Numbers(one.system.model)
+        numbers = Numbers(one.data.system.model)
         numbers.move(one.position, one.velocity)
         lam = numbers.accelerations(np.zeros(5), 0.0)[1]
-        least = numbers.recursion.cut_wrench(one.system.model, 0, lam)
+        least = numbers.recursion.cut_wrench(one.data.system.model, 0, lam)
         changed = {f'force {axis}' for axis, change in zip(
             'xyz', (one.constraint_forces[0] - least)[3:]) if abs(change) > 1e-6}
         assert changed == {part for part in told[name] if part.startswith('force')}
@@ -210,30 +210,30 @@ def test_friction_that_depends_on_a_force_that_is_not_unique_is_warned_of():
         simulation = Simulation.from_scene(loaded)
     assert 'joint_2' in simulation.report().findings[0]
     simulation.set_effect('dry', enabled=False)
-    assert simulation.report().findings == () and simulation.load_notes() == []
+    assert simulation.report().findings == () and simulation.data.load_notes() == []
     with pytest.warns(RuntimeWarning, match='dry depends'):
         simulation.set_effect('dry', enabled=True)
     plain = replace(scene, effects={
         **scene.effects, 'dry': JointFriction(joint='joint_2', coulomb=0.2)})
-    assert Simulation(plain).load_notes() == []
+    assert Simulation(plain).data.load_notes() == []
     # Of independent equations all forces are unique.
     assert Simulation(replace(load_scene('four_bar'), effects={'dry': JointFriction(
-        joint='crank_joint', friction_coefficient=0.2)})).load_notes() == []
+        joint='crank_joint', friction_coefficient=0.2)})).data.load_notes() == []
 
 
 def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
     simulation = Simulation.from_scene('bennett')
-    first = simulation.loop_model.equations.kept
+    first = simulation.data.loop_model.equations.kept
     choices, marks = cycle((np.roll(first, 1), first)), count()
     # Two choices, each better than the other.
     monkeypatch.setattr(loop_model, 'independent', lambda *_: (next(choices), 0.0))
     monkeypatch.setattr(loop_model, 'distinctness', lambda *_: 10.0 ** -next(marks))
     tries = 0
-    while simulation.choose_equations(POOR_EQUATIONS):
+    while simulation.stepping.choose_equations(POOR_EQUATIONS):
         tries += 1
         assert tries < 10
     # The other choice, the present one leniently, and all equations.
-    assert tries == 3 and not simulation.has_redundant_constraints
+    assert tries == 3 and not simulation.data.has_redundant_constraints
 
 
 def closed_here(mechanism, q):
@@ -264,10 +264,10 @@ def test_axes_that_are_parallel_but_for_the_digits_of_a_file_hinder_no_motion(di
         simulation = Simulation(Scene(
             'tilted', None, '', mechanism, Initial(tuple(q), planar.initial.velocity), {},
             Method(accuracy=1e-8)))
-        assert len(simulation.system.lam) == 2
+        assert len(simulation.data.system.lam) == 2
         simulation.step({simulation.actuated_joints[0]: 0.2}, 1.0)
-        assert simulation.exchanges == 0 and simulation.closure <= 30.0 * size + 1e-10
-        assert simulation.system.work.health[RANK_REVEALING_COUNT] == 0.0
+        assert simulation.data.exchanges == 0 and simulation.closure <= 30.0 * size + 1e-10
+        assert simulation.data.system.work.health[RANK_REVEALING_COUNT] == 0.0
         found.append(simulation.position)
     assert np.abs(found[0] - q).max() > 0.3
     assert np.abs(found[1] - found[0]).max() <= 100.0 * digits + 1e-7

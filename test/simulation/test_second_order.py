@@ -39,7 +39,7 @@ METHODS = [Method(), Method(integrator='dop853', tolerance=1e-12), Method(integr
 def test_a_taut_bar_keeps_carriages_abreast(tilt, method):
     simulation = Simulation(taut.scene(taut.gantry(tilt), np.zeros(3), method=method,
                                        gravity=(0.0, -9.81)))
-    assert simulation.degrees_of_freedom() == 1
+    assert simulation.data.degrees_of_freedom() == 1
     simulation.step({'rail_0': 1.0}, 0.5)
     # One body of 5 kg on a slope, for both carriages.
     expected = 1.0 / 5.0 - 9.81 * np.sin(tilt)
@@ -69,7 +69,7 @@ def test_taut_gantries_on_an_arm_move_as_one_carriage(count, monkeypatch):
                                              *(several - 1) * [0.0]),
             (rate[0], *several * [rate[1]], *(several - 1) * [0.0]), gravity=weight))
         one = Simulation(taut.scene(taut.carriage(**parts), start, rate, gravity=weight))
-        assert many.degrees_of_freedom() == 2
+        assert many.data.degrees_of_freedom() == 2
         for simulation in (many, one):
             simulation.step(torque, 0.2)
         assert np.abs(many.position[several + 1:]).max() < 1e-9
@@ -84,7 +84,7 @@ def test_a_start_that_leans_is_closed_upright(lean):
     simulation = Simulation(taut.scene(taut.gantry(), (0.0, 0.0, lean)))
     # Beside the position the loops are open by the square of the lean: as closed, if 1e-12.
     assert abs(simulation.position[2]) < 1e-9
-    assert simulation.degrees_of_freedom() == 1
+    assert simulation.data.degrees_of_freedom() == 1
 
 
 def test_unequal_rates_become_those_of_one_body():
@@ -92,13 +92,13 @@ def test_unequal_rates_become_those_of_one_body():
                                        (1.0, 0.0, 0.0)))
     assert np.abs(np.diff(simulation.velocity[:2])).max() < 1e-12
     assert abs(simulation.velocity[2]) < 1e-12
-    assert any('became' in note for note in simulation.start_notes())
+    assert any('became' in note for note in simulation.data.start_notes())
 
 
 def test_notes_and_check_say_what_is_forbidden():
     scene = taut.scene(taut.gantry(), np.zeros(3))
     simulation = Simulation(scene)
-    note, = (note for note in simulation.start_notes() if 'second order' in note)
+    note, = (note for note in simulation.data.start_notes() if 'second order' in note)
     assert note.startswith('high_0 forbids a motion of low_0 to second order only')
     assert 'low_0 = 0 by held_low_0' in note
     text = describe(scene, simulation)
@@ -106,7 +106,7 @@ def test_notes_and_check_say_what_is_forbidden():
             'to second order only') in text
     assert find_degrees_of_freedom(scene.mechanism) == 1
     # The force along the bar has no effect on the motion: the least is reported, and marked.
-    assert simulation.redundancy().shared
+    assert simulation.data.redundancy().shared
 
 
 def test_a_flat_arch_is_rigid():
@@ -150,7 +150,7 @@ def _held(arms, turn, ball):
 def test_a_box_between_two_arms_moves_as_with_a_hinge(arms):
     # The balls let the box turn about the line between them only, as a hinge does: the twin.
     simulation, twin = (Simulation(_held(arms, 0.4, ball)) for ball in ('spherical', REVOLUTE))
-    assert simulation.degrees_of_freedom() == twin.degrees_of_freedom() == 3
+    assert simulation.data.degrees_of_freedom() == twin.data.degrees_of_freedom() == 3
     torque = {'ls': 1.0, 'le': -2.0, 'rs': 0.5, 're': 0.2}
     for one in (simulation, twin):
         one.step(torque, 0.3)

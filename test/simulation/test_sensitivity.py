@@ -407,7 +407,7 @@ def test_what_is_not_smooth_is_refused(scene, name, reason):
 def test_numbers_that_are_no_parameters_are_refused(key, reason):
     model = cld.Model.from_scene('four_bar')
     if 'cut_joints' in key:
-        key = key.replace('coupler_rocker_joint', model.cut_joints[0].name)
+        key = key.replace('coupler_rocker_joint', model.mechanism.cut_joints[0].name)
     with pytest.raises(ValueError, match=reason):
         cld.Sensitivity(model, 'rk4', [key])
 

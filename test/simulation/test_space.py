@@ -111,14 +111,14 @@ def test_delta_robot_moves_as_known():
 def test_bricards_linkage_moves_though_an_equation_repeats_the_others():
     mechanism, _ = machine('bricard', ('rod_3', (0.0, 0.0, 1.0)))
     one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), **TIGHT))
-    assert one.degrees_of_freedom() == 1
+    assert one.data.degrees_of_freedom() == 1
     one.step(None, 1.0)
     assert_agree(one.points[0], (0.5105014612, -1.6491675994, 0.1401231146), 1e-9)
     assert_agree(one.energy, -29.43, 1e-10)
     # The equation that was left out holds, and the others were enough.
-    assert len(one.system.lam) == 4
+    assert len(one.data.system.lam) == 4
     assert one.closure < 1e-10
-    assert one.system.work.health[RANK_REVEALING_COUNT] == 0.0
+    assert one.data.system.work.health[RANK_REVEALING_COUNT] == 0.0
     # Nearly periodic.
     one.step(None, 9.0)
     assert one.closure < 1e-10
@@ -156,7 +156,7 @@ def test_a_tilted_four_bar_moves_as_the_planar_one():
     one = Simulation(Scene(
         'tilted', None, '', tilted, planar.initial,
         {'gravity': Gravity(tuple(axes @ (*gravity, 0.0)))}, method))
-    assert len(one.system.lam) == 2
+    assert len(one.data.system.lam) == 2
     for _ in range(3):
         flat.step(None, 0.2)
         one.step(None, 0.2)
@@ -194,7 +194,7 @@ def test_what_stands_in_for_the_elimination_gives_the_same(linkage):
     mechanism, torque = linkage
     one = Simulation(scene(mechanism))
     one.step(torque, 0.2)
-    expected, forces, system = one.acceleration, one.multipliers, one.system
+    expected, forces, system = one.acceleration, one.multipliers, one.data.system
     q, qd = one.position, one.velocity
     opened = np.concatenate([q + 1e-6, qd + 1e-3])
     closed = opened.copy()
@@ -358,7 +358,7 @@ def test_a_falling_delta_robot_keeps_its_energy_where_its_rods_are_parallel():
         replace(start, effects={'gravity': start.effects['gravity']}), integrator='rk4',
         step_size=1e-4)
     one.step(None, 0.32)
-    assert one.system.work.health[RANK_REVEALING_COUNT] > 0.0
+    assert one.data.system.work.health[RANK_REVEALING_COUNT] > 0.0
     assert abs(one.energy_balance.residual) < 1e-9
     hips = one.position[[0, 5, 10]]
     assert_agree(hips, [hips[0]] * 3, 1e-9)
@@ -368,7 +368,7 @@ def test_the_loops_over_bodies_move_what_is_too_large_to_be_unrolled(monkeypatch
     ones = [Simulation.from_scene('stewart_platform')]
     monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
     ones.append(Simulation.from_scene('stewart_platform'))
-    assert ones[0].system.is_unrolled and not ones[1].system.is_unrolled
+    assert ones[0].data.system.is_unrolled and not ones[1].data.system.is_unrolled
     for one in ones:
         one.step(None, 0.1)
     assert_agree(ones[1].position, ones[0].position, 1e-9)

@@ -177,7 +177,7 @@ def test_forces_of_all_equations_turn_into_the_same_motion():
     mechanism, _ = machine('bricard')
     one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), integrator='rk4'))
     one.step(None, 0.2)
-    numbers = Numbers(one.system.model)
+    numbers = Numbers(one.data.system.model)
     numbers.move(one.position, one.velocity)
     _, lam, rank = numbers.accelerations(np.zeros(5), 0.0)
     assert rank == 4
@@ -220,7 +220,7 @@ def test_generated_code_finds_the_forces_that_drive_effects_as_the_loops_do(name
     for most in (system.MOST_UNROLLED_OPERATIONS, 0):
         monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
         one = Simulation(replace(shipped, effects={**shipped.effects, **effects}))
-        assert one.system.is_unrolled == (most > 0)
+        assert one.data.system.is_unrolled == (most > 0)
         one.step(None, 0.02)
         readings.append([one.effect_readings(effect)['reaction'] for effect in effects])
     assert min(readings[0]) > 0.1

@@ -8,7 +8,8 @@ import pickle
 import sys
 import threading
 
-from closedloop_dynamics import Model, Simulation
+from closedloop_dynamics import Model, Simulation, SimulationError
+from closedloop_dynamics.engine import native
 import numpy as np
 import pytest
 
@@ -101,18 +102,88 @@ def test_a_second_thread_in_a_simulation_is_refused():
     simulation.advance(tau, 10)
 
 
-@pytest.mark.parametrize('copied', [copy.copy, copy.deepcopy, pickle.dumps])
-def test_a_simulation_is_not_copied(copied):
-    simulation = Simulation.from_scene('four_bar', integrator='rk4')
-    with pytest.raises(TypeError, match='Simulation: expected no copy, as two would work on the'):
-        copied(simulation)
-    # As the message says.
-    simulation.step(duration=0.05)
-    other = Simulation(simulation.scene)
-    other.restore(simulation.state, simulation.time)
-    here = simulation.state
-    other.step(duration=0.05)
-    np.testing.assert_array_equal(simulation.state, here)
-    simulation.step(duration=0.05)
-    np.testing.assert_array_equal(simulation.state, other.state)
-    assert copied(Model(simulation.scene))
+def twins(simulation):
+    """Return a copy of a simulation, and what its pickle becomes."""
+    return copy.copy(simulation), copy.deepcopy(simulation), pickle.loads(
+        pickle.dumps(simulation))
+
+
+@pytest.mark.parametrize('integrator', ['rk4', 'auto', 'rodas4', 'scipy_dop853'])
+@pytest.mark.parametrize('scene', ['four_bar', 'three_rrr_payload_friction', 'bennett'])
+def test_copies_go_on_as_the_simulation_does(scene, integrator):
+    try:
+        simulation = Simulation.from_scene(scene, integrator=integrator)
+    except SimulationError:
+        pytest.skip('an integrator that does not serve this scene')
+    torque = np.linspace(0.02, 0.05, len(simulation.actuated_joints))
+    simulation.step(torque, 0.03)
+    *copies, pickled = twins(simulation)
+    for one in (*copies, pickled):
+        assert one.time == simulation.time
+        np.testing.assert_array_equal(one.data.integrated, simulation.data.integrated)
+        np.testing.assert_array_equal(one.acceleration, simulation.acceleration)
+        assert one.energy_balance.residual == pytest.approx(
+            simulation.energy_balance.residual, abs=1e-15)
+    state, exact = simulation.state, integrator != 'scipy_dop853'
+    for one in (*copies, pickled):
+        one.step(torque, 0.02)
+    # Nothing is shared.
+    np.testing.assert_array_equal(simulation.state, state)
+    simulation.step(torque, 0.02)
+    for one in copies:
+        assert one.energy_balance == simulation.energy_balance or not exact
+        if exact:
+            np.testing.assert_array_equal(one.state, simulation.state)
+    # The error control of others begins again, and keeps its tolerance.
+    tolerance = 0.0 if integrator == 'rk4' else 1e-6
+    for one in (*copies, pickled):
+        np.testing.assert_allclose(
+            one.data.integrated, simulation.data.integrated, rtol=tolerance, atol=tolerance)
+        assert one.time == simulation.time
+
+
+def test_copies_have_effects_methods_and_starts_as_they_are():
+    model = Model.from_scene('three_rrr')
+    simulation = Simulation(model, model.assemble(velocity={'theta_1': 0.5}), 'rk4')
+    start = simulation.state
+    simulation.step(duration=0.02)
+    simulation.set_effect('gravity', acceleration=(0.0, -1.0))
+    simulation.stepping.prepare_method(step_size=5e-4, integrator='heun')()
+    others = twins(simulation)
+    simulation.step(duration=0.01)
+    for one in others:
+        assert one.effects == simulation.effects
+        assert one.scene.method == simulation.scene.method
+        one.step(duration=0.01)
+        np.testing.assert_array_equal(one.state, simulation.state)
+        one.reset()
+        np.testing.assert_array_equal(one.state, start)
+        assert one.effects['gravity'].acceleration == (0.0, -1.0)
+
+
+@pytest.mark.parametrize('scene', ['bennett', 'stewart_platform', 'cam_follower', 'differential'])
+def test_systems_are_pickled_as_what_they_are_built_from(scene):
+    simulation = Simulation.from_scene(scene)
+    system = simulation.data.system
+    system.tau[:] = np.linspace(0.1, 0.2, len(system.tau))
+    other = pickle.loads(pickle.dumps(system))
+    state = simulation.data.integrated
+    for each in (system, other):
+        native.evaluate_with_poses(each.native, state)
+    np.testing.assert_array_equal(other.qdd, system.qdd)
+    np.testing.assert_array_equal(other.lam, system.lam)
+    assert other.routines == system.routines
+    assert not np.may_share_memory(other.qdd, system.qdd)
+
+
+def test_what_scripts_see_is_little():
+    simulation = Simulation.from_scene('four_bar')
+    for one, most in ((simulation, 30), (Model(simulation.scene), 20)):
+        names = [name for name in dir(one) if not name.startswith('_')]
+        assert len(names) <= most, names
+    # Quantities of the present state are passed on, and nothing else.
+    np.testing.assert_array_equal(simulation.acceleration, simulation.data.acceleration)
+    for name in Simulation.__annotations__:
+        getattr(simulation, name)
+    with pytest.raises(AttributeError, match="'Simulation' object has no attribute 'system'"):
+        simulation.data.system

@@ -58,7 +58,7 @@ def test_health_flags_forces_that_are_not_unique():
 
 def test_condition_is_that_of_the_block_pivots():
     simulation = Simulation(load_scene('three_rrr'))
-    model, mechanism, q = simulation.system.model, simulation.mechanism, simulation.position
+    model, mechanism, q = simulation.data.system.model, simulation.mechanism, simulation.position
     jac = dense.closure_jacobian(mechanism, q)
     inertia = dense.generalized_inertia_matrix(mechanism, q)
     matrix = jac @ np.linalg.solve(inertia, jac.T)
@@ -155,7 +155,7 @@ def test_massless_links_agree_with_the_augmented_system(case, light):
     tau = np.random.default_rng(1).normal(size=len(q))
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
     simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
-    simulation.system.tau[:] = tau
+    simulation.data.system.tau[:] = tau
     np.testing.assert_allclose(simulation.acceleration, qdd, rtol=0, atol=1e-8 * abs(qdd).max())
     np.testing.assert_allclose(simulation.multipliers, lam, rtol=0, atol=1e-8 * abs(lam).max())
 
@@ -168,7 +168,7 @@ def test_light_links_agree_with_the_augmented_system(case, light, factor):
     tau = np.random.default_rng(1).normal(size=len(q))
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
     simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
-    simulation.system.tau[:] = tau
+    simulation.data.system.tau[:] = tau
     np.testing.assert_allclose(simulation.acceleration, qdd, rtol=0, atol=1e-8 * abs(qdd).max())
     np.testing.assert_allclose(simulation.multipliers, lam, rtol=0, atol=1e-8 * abs(lam).max())
 
@@ -182,7 +182,7 @@ def test_light_links_converge_to_massless_ones():
     for factor in (1e-3, 1e-5, 1e-7, 1e-9):
         engine = simulate(machines.with_masses(mechanism, {'leg_1': factor}), q, qd,
                           machines.gravity(0.0))
-        engine.system.tau[:] = tau
+        engine.data.system.tau[:] = tau
         errors.append(np.abs(engine.acceleration - limit).max())
     assert errors[0] > 50.0 * errors[1] > 2500.0 * errors[2]
     assert errors[3] < 1e-6
@@ -227,17 +227,17 @@ def pendulum(effect, method=STEP):
 def test_fastest_rate_of_a_spring_and_of_a_damper():
     inertia = 1.0 / 3.0
     stiff = pendulum(JointSpring('joint_0', 1e4, 0.0))
-    assert fastest_rate(stiff.system, stiff.integrated) == pytest.approx(
+    assert fastest_rate(stiff.data.system, stiff.data.integrated) == pytest.approx(
         math.sqrt(1e4 / inertia), rel=0.05)
     viscous = pendulum(JointDamping('joint_0', 100.0))
-    assert fastest_rate(viscous.system, viscous.integrated) == pytest.approx(
+    assert fastest_rate(viscous.data.system, viscous.data.integrated) == pytest.approx(
         100.0 / inertia, rel=0.05)
 
 
 def test_fastest_rate_sees_the_states_of_effects():
     lagging = pendulum(Actuator('joint_0', lag=0.001))
-    assert lagging.fastest_rate == pytest.approx(1000.0, rel=0.05)
-    assert fastest_rate(lagging.system, lagging.integrated) < 100.0
+    assert lagging.stepping.fastest_rate == pytest.approx(1000.0, rel=0.05)
+    assert fastest_rate(lagging.data.system, lagging.data.integrated) < 100.0
 
 
 def test_states_of_effects_that_are_too_fast_are_refused():
@@ -247,12 +247,12 @@ def test_states_of_effects_that_are_too_fast_are_refused():
 
 def test_a_change_that_makes_the_scene_too_stiff_is_refused_and_changes_nothing():
     simulation, other = (pendulum(JointSpring('joint_0', 100.0, 0.1)) for _ in range(2))
-    for call in (simulation.check_effect, simulation.set_effect):
+    for call in (simulation.stepping.check_effect, simulation.set_effect):
         with pytest.raises(StiffnessError, match='rodas4'):
             call('effect', stiffness=1e9)
     assert simulation.effects == other.effects
-    simulation.check_effect('effect', enabled=False)
-    assert simulation.enabled_effects == ('effect',)
+    simulation.stepping.check_effect('effect', enabled=False)
+    assert simulation.data.enabled_effects == ('effect',)
     for each in (simulation, other):
         each.step(duration=0.1)
     assert simulation.position == other.position
@@ -279,7 +279,7 @@ def test_step_size_changes_while_running():
     simulation = simulate(*machines.ladder(2, 0.4))
     energy = simulation.energy
     simulation.step(duration=0.1)
-    simulation.set_step_size(4e-3)
+    simulation.stepping.set_step_size(4e-3)
     assert (simulation.time, simulation.step_size) == (pytest.approx(0.1), 4e-3)
     simulation.step()
     assert simulation.time == pytest.approx(0.104)
@@ -292,7 +292,7 @@ def test_step_size_changes_while_running():
 def test_impossible_step_size_is_refused_and_the_old_one_stays(size):
     simulation = simulate(*machines.ladder(1, 0.4))
     with pytest.raises(ValueError):
-        simulation.set_step_size(size)
+        simulation.stepping.set_step_size(size)
     assert simulation.step_size == 1e-3
 
 
@@ -300,7 +300,7 @@ def test_step_size_too_large_for_a_spring_is_refused():
     simulation = pendulum(
         JointSpring('joint_0', 1e6, 0.0), Method(integrator='rk4', step_size=1e-4))
     with pytest.raises(StiffnessError):
-        simulation.set_step_size(1e-2)
+        simulation.stepping.set_step_size(1e-2)
     assert simulation.step_size == 1e-4
 
 

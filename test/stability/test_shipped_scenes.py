@@ -34,5 +34,5 @@ def test_every_shipped_scene_runs_for_a_minute(name, method):
         simulation.step(duration=1.0)
     assert simulation.time == pytest.approx(DURATION)
     evaluations = simulation.report().evaluations + (
-        REVEALING * simulation.system.work.health[RANK_REVEALING_COUNT])
+        REVEALING * simulation.data.system.work.health[RANK_REVEALING_COUNT])
     assert evaluations <= MOST_EVALUATIONS * DURATION

@@ -81,7 +81,7 @@ def test_the_larger_difference_of_two_proofs_is_told(monkeypatch):
 
     def spoiled(simulation, *arguments):
         motion = record(simulation, *arguments)
-        places.append(float(simulation.system.settings.aside))
+        places.append(float(simulation.data.system.settings.aside))
         # The third motion is that of independent coordinates.
         return replace(motion, position=motion.position + 1e-7 * (len(places) == 3))
 

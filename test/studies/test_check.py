@@ -58,7 +58,7 @@ def test_a_machine_that_cannot_be_assembled_has_no_degrees_of_freedom():
     straight = deepcopy(JACK)
     straight['mechanism']['cut_joints']['nut']['point_a'] = [-0.1, 0, 0]
     assert 'degrees of freedom  ' in describe(load_scene(straight))
-    assert Simulation(load_scene(straight)).degrees_of_freedom() == 1
+    assert Simulation(load_scene(straight)).data.degrees_of_freedom() == 1
 
 
 def test_idle_freedoms_are_told():

@@ -47,7 +47,7 @@ def test_arithmetic_and_motion_are_told_apart(study):
     run = effects.record(simulation, 0.2, 1)
     alone = Simulation(load_scene('slider_crank'))
     alone.step(None, 0.2)
-    made = alone.system.work.health[EVALUATIONS] / 0.2
+    made = alone.data.system.work.health[EVALUATIONS] / 0.2
     assert run.evaluations == pytest.approx(made, rel=0.02)
 
 

@@ -141,7 +141,7 @@ def test_what_a_guard_ends_is_ended(stepped, name, method):
             for row in rows:
                 simulation.step(row)
             simulation.judge()
-            reason = simulation.energy_guard.finding or None
+            reason = simulation.stepping.energy_guard.finding or None
         except SimulationError as error:
             reason = str(error)
         assert result.failures.get(sample) == reason
@@ -158,7 +158,7 @@ def test_simulations_are_kept_until_something_changes(monkeypatch):
     assert not built
     simulation.set_effect('gravity', acceleration=(0.0, -1.62))
     second = simulation.rollout(duration=0.05).position
-    simulation.set_step_size(5e-4)
+    simulation.stepping.set_step_size(5e-4)
     assert simulation.rollout(duration=0.05).position.shape[1] == 101
     assert [scene.method.step_size for scene in built] == [1e-3, 5e-4]
     assert not np.array_equal(second, first)

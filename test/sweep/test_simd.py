@@ -120,7 +120,7 @@ def test_other_steps_are_not_made_together(packs):
 
 def test_angles_beyond_the_polynomials_are_not_for_lanes():
     simulation = Simulation.from_scene('four_bar', integrator='rk4', stabilisation='none')
-    system = simulation.system
+    system = simulation.data.system
     pack = tuple(build_batch([system]))
     for turns, status in ((2e5, DONE), (3e5, SINGULAR)):
         start = np.concatenate((simulation.position, simulation.velocity))
@@ -129,7 +129,7 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         state[LANES - 1] += 2.0 * math.pi * turns
         motion = np.zeros((2, LANES, 2, 3))
         assert native.run_batch(
-            pack[:-1], (Lane(system.native, simulation.run.native),), state,
+            pack[:-1], (Lane(system.native, simulation.stepping.run.native),), state,
             np.zeros((1, 3 * LANES)), 1, 1, 1, *motion, np.zeros(1, dtype=np.int64),
             np.zeros((1, 4))) == status
 
@@ -138,12 +138,12 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
 def good():
     """Yield good arguments of ``run_batch`` by name, for 6 steps in two lanes."""
     simulation = Simulation.from_scene('four_bar', integrator='rk4')
-    system = simulation.system
+    system = simulation.data.system
     start = np.concatenate((simulation.position, simulation.velocity))
     batch = build_batch([system])
     yield {
         'batch': tuple(batch)[:-1],
-        'lanes': (Lane(system.native, simulation.run.native),) * 2,
+        'lanes': (Lane(system.native, simulation.stepping.run.native),) * 2,
         'state': lanes.spread([start] * LANES), 'torque': np.zeros((3, 3 * LANES)),
         'zero_order_hold': 2, 'decimation': 3, 'steps': 6,
         'position': np.zeros((LANES, 3, 3)), 'velocity': np.zeros((LANES, 3, 3)),
@@ -183,8 +183,8 @@ def test_every_array_within_a_batch_is_checked(good, number):
 def test_lanes_of_another_mechanism_are_refused(good):
     other = Simulation.from_scene('three_rrr', integrator='rk4')
     lane, _ = good['lanes']
-    for wrong in (Lane(other.system.native, other.run.native),
-                  Lane(lane.system, other.run.native)):
+    for wrong in (Lane(other.data.system.native, other.stepping.run.native),
+                  Lane(lane.system, other.stepping.run.native)):
         with pytest.raises((RuntimeError, ValueError), match='fit'):
             native.run_batch(*{**good, 'lanes': (lane, wrong)}.values())
 
@@ -314,11 +314,11 @@ def test_energies_of_lanes_are_those_of_each_state(build):
     simulation, states, expected = build(), [], []
     for _ in range(LANES):
         simulation.step([1.0], 0.1)
-        states.append(simulation.integrated.copy())
+        states.append(simulation.data.integrated.copy())
         balance = simulation.energy_balance
         expected.append((balance.kinetic, balance.stored))
-    batch = build_batch([simulation.system])
-    find_energies(batch, simulation.system)
+    batch = build_batch([simulation.data.system])
+    find_energies(batch, simulation.data.system)
     # Behind the rates are the states of effects.
     q, rest = np.split(lanes.spread(states), [LANES * simulation.coordinates.nq])
     assert native.call(batch.table, ENERGIES, q, rest)

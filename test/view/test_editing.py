@@ -337,7 +337,7 @@ def test_effects_are_saved_as_they_were_changed(tmp_path):
     assert saved.effects['gravity'].acceleration == (1.0, -2.0)
     for count in (1, 2):
         edited.ask('undo')
-        assert (name in edited.runner.simulation.enabled_effects) == (count == 2)
+        assert (name in edited.runner.simulation.data.enabled_effects) == (count == 2)
     edited.ask('effect', name=name, enabled=False)
     edited.ask('effect', name=name, enabled=True)
     assert edited.runner.editor.text()[0] == Editor(scene).text()[0]
@@ -386,7 +386,7 @@ def test_a_machine_moves_on_while_it_is_built_with_another_number(monkeypatch):
     assert len(built) == 2
     now = edited.runner.simulation
     assert now.mechanism == built[-1] == edited.runner.simulation.scene.mechanism
-    assert 'gravity' not in now.enabled_effects and now.time == before.time
+    assert 'gravity' not in now.data.enabled_effects and now.time == before.time
     cut, = now.mechanism.cut_joints
     assert np.hypot(*cut.point_b) == pytest.approx(0.25)
     assert now.closure < 1e-9
@@ -402,12 +402,13 @@ def test_what_is_held_and_how_fast_it_runs_stay_while_it_is_edited():
     edited.ask('set', key='length.rocker.cut_1', value=0.27)
     edited.settle()
     now = runner.simulation
-    assert now is not before and now.pace == 0.5
-    assert 'hand' in now.enabled_effects and now.effects['hand'] == before.effects['hand']
+    assert now is not before and now.stepping.pace == 0.5
+    assert 'hand' in now.data.enabled_effects and now.effects['hand'] == before.effects['hand']
     assert json.loads(runner.feed.controls)['grabbed'] == [1, 0]
     # The budget of time is that of the speed in a machine that is opened, too.
     edited.ask('open', name='slider_crank', kind='shipped')
-    assert runner.simulation.pace == 0.5 and 'hand' not in runner.simulation.enabled_effects
+    assert runner.simulation.stepping.pace == 0.5
+    assert 'hand' not in runner.simulation.data.enabled_effects
     # Where a body is removed its grab ends, which the page reports.
     edited.ask('edit', on=True)
     edited.ask('add', what='link', body_a='ground', a=[1.0, 0.0, 0.0], b=[1.0, 0.2, 0.0])

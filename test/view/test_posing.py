@@ -12,7 +12,7 @@ import pytest
 @pytest.mark.parametrize('scene', ['three_rrr_vertical', 'delta_robot', 'four_bar'])
 def test_a_joint_gets_the_value_and_the_other_drives_keep_theirs(scene):
     simulation, rng = Simulation.from_scene(scene), np.random.default_rng(1)
-    places = simulation.actuated_in_tree
+    places = simulation.data.actuated_in_tree
     for _ in range(20):
         simulation.reset()
         simulation.step({}, rng.uniform(0.01, 0.2))

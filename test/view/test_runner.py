@@ -57,7 +57,7 @@ def test_frames_show_the_state(shown):
     for name, value in zip(simulation.joint_names, simulation.position):
         assert found['joint position', name] == np.float32(value)
     forces = np.linalg.norm(simulation.constraint_forces[:, 1:], axis=1)
-    for cut, force in zip(simulation.cut_joints, forces):
+    for cut, force in zip(simulation.mechanism.cut_joints, forces):
         assert found['force where loops close', cut.name] == pytest.approx(force, rel=1e-6)
     balance = simulation.energy_balance
     assert found['energy', 'kinetic'] == np.float32(balance.kinetic) > 0.0
@@ -220,7 +220,7 @@ def test_a_budget_is_set_and_taken_away(shown):
     shown.ask('method', values={'budget': 0.25})
     assert shown.simulation.report().budget == controls(shown)['method']['budget'] == 0.25
     shown.ask('speed', factor=0.5)
-    assert shown.simulation.pace == 0.5
+    assert shown.simulation.stepping.pace == 0.5
     shown.ask('speed', factor=1.0)
     shown.ask('method', values={'budget': None})
     assert controls(shown)['method']['budget'] is None
@@ -258,10 +258,10 @@ def test_a_hand_pulls_as_a_spring_does(shown):
     assert abs(balance.residual) < 1e-6 * (balance.kinetic + balance.stored)
     # Another page has no say in it, and what holds lets go when it leaves.
     shown.ask('release', page='another')
-    assert 'hand' in simulation.enabled_effects
+    assert 'hand' in simulation.data.enabled_effects
     shown.feed.leave('page')
     shown.run(1)
-    assert 'hand' not in simulation.enabled_effects
+    assert 'hand' not in simulation.data.enabled_effects
 
 
 @pytest.mark.parametrize('name', ['four_bar', 'slider_crank'])
@@ -284,7 +284,7 @@ def test_loops_stay_closed_while_it_is_posed(shown):
     simulation = shown.simulation
     shown.ask('kinematic', on=True)
     place = simulation.joint_names.index('theta_1')
-    others = [k for k in simulation.actuated if k != place]
+    others = [k for k in simulation.data.actuated if k != place]
     held = simulation.position[others]
     for value in np.linspace(simulation.position[place], simulation.position[place] - 0.4, 8):
         shown.ask('pose', joint='theta_1', value=float(value))
@@ -477,7 +477,7 @@ def test_a_drive_follows_a_speed_where_the_inertia_it_feels_changes():
 def test_own_motion_held_and_free():
     now = [0.0]
     runner = Runner(load_scene('excavator_arm'), lambda: now[0], own_motion)
-    simulation, driven = runner.simulation, runner.simulation.actuated_in_tree
+    simulation, driven = runner.simulation, runner.simulation.data.actuated_in_tree
 
     def ask(what, frames=0, **more):
         runner.feed.accept('page', json.dumps({'do': what, **more}))
