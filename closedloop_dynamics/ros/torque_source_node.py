@@ -28,6 +28,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
+from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
@@ -326,8 +327,13 @@ class TorqueSourceNode(Node):
         """Offer the action where the package control_msgs is installed."""
         if find_spec('control_msgs') is None:
             return None
-        from closedloop_dynamics.ros.trajectory_action import TrajectoryAction
-        return TrajectoryAction(self, self.joints, self._follow)
+        try:
+            from closedloop_dynamics.ros.trajectory_action import TrajectoryAction
+            return TrajectoryAction(self, self.joints, self._follow)
+        except (ImportError, RuntimeError, UnsupportedTypeSupport) as error:
+            self.get_logger().warning('the package control_msgs is installed, but does not work: '
+                                      + ' '.join(str(error).split()))
+            return None
 
     def _load(self, joints):
         """Return the model of modes that have one."""
