@@ -16,6 +16,7 @@ from .simulation.errors import (
 from .simulation.evaluation import Evaluation as Evaluation
 from .simulation.model import Model as Model
 from .simulation.model_rollout import rollout as rollout
+from .simulation.reduced import feedforward as feedforward, Reduced as Reduced
 from .simulation.rollout import Rollout as Rollout
 from .simulation.scene import (
     load_scene as load_scene, scene_names as scene_names, SceneError as SceneError)

@@ -14,13 +14,11 @@ from .mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL,
     UNTURNED)
 from .rotations import (
-    about_z, composed, CONJUGATE, cross, in_three, quaternion_about, rotated, turned)
+    about_z, composed, cross, in_three, quaternion_about, rotated, turned)
 
 X, Y, Z = np.eye(3)
 # Numbers of a pose in space.
 POSE = 7
-# Change of coordinates by which velocities are found, by central differences [s].
-_INSTANT = 1e-6
 
 
 def steps_of(joint):
@@ -113,26 +111,87 @@ def moved_by(pose, joint, coordinates):
     return np.concatenate([origin, turn], axis=-1)
 
 
+def motion_of(mechanism, position, velocity, body, place=(0.0, 0.0, 0.0)):
+    """
+    Return how a point of a body and the body move by the joint rates.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose body it is.
+    position : array_like, shape (nq,)
+        As for ``body_poses``.
+    velocity : array_like, shape (nv,)
+        Joint rates [rad/s or m/s].
+    body : str
+        Name of the body.
+    place : array_like, shape (3,)
+        Of the point, in the body's frame [m]; in the plane the last number is zero.
+
+    Returns
+    -------
+    jacobian : ndarray, shape (6, nv)
+        Velocity of the point and angular velocity, in world axes, by the joint rates.
+    bias : ndarray, shape (6,)
+        Their accelerations where the joint rates stay as they are [m/s^2, rad/s^2].
+
+    """
+    names, carrying = mechanism.coordinates, {joint.child: joint for joint in mechanism.joints}
+    chain, link = [], body
+    while link != GROUND:
+        chain.insert(0, carrying[link])
+        link = carrying[link].parent
+    position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
+    pose, parts = _ground(mechanism, ()), []
+    # Of what has moved so far: spin and its rate, and place and acceleration of a point of it.
+    spin, spin_rate, point, acceleration = np.zeros((4, 3))
+    for joint in chain:
+        frame = _joint_frame(pose, joint)
+        coordinates = position[names.coordinates[joint.name]]
+        pose = moved_by(frame, joint, coordinates)
+        origin, turn = np.split(poses_in_space(frame), [3])
+        rate = names.rates[joint.name].start
+        for kind, axis in steps_of(joint):
+            count = 4 if kind == SPHERICAL else 1
+            value, coordinates = coordinates[:count], coordinates[count:]
+            if kind == SPHERICAL:
+                turn = composed(turn, value / np.linalg.norm(value))
+            axes = rotated(turn, np.eye(3)) if kind == SPHERICAL else rotated(
+                turn, in_three(np.asarray(axis)))[np.newaxis]
+            lead = {PRISMATIC: 1.0, HELICAL: joint.lead}.get(kind, 0.0)
+            origin = origin + lead * value[0] * axes[0]
+            arm = origin - point
+            acceleration = acceleration + cross(spin_rate, arm) + cross(spin, cross(spin, arm))
+            point, rates = origin, velocity[rate:rate + len(axes)]
+            moving, turning = lead * axes, 0.0 * axes if kind == PRISMATIC else axes
+            acceleration = acceleration + 2.0 * cross(spin, rates @ moving)
+            spin_rate = spin_rate + cross(spin, rates @ turning)
+            spin = spin + rates @ turning
+            parts.append((rate, moving, turning, origin))
+            rate += len(axes)
+            if kind in (REVOLUTE, HELICAL):
+                turn = composed(turn, quaternion_about(in_three(np.asarray(axis)), value[0]))
+    origin, turn = np.split(poses_in_space(pose), [3])
+    end = origin + rotated(turn, np.asarray(place))
+    jacobian, arm = np.zeros((6, names.nv)), end - point
+    for rate, moving, turning, origin in parts:
+        jacobian[:3, rate:rate + len(moving)] = (moving + np.cross(turning, end - origin)).T
+        jacobian[3:, rate:rate + len(moving)] = turning.T
+    return jacobian, np.concatenate([
+        acceleration + cross(spin_rate, arm) + cross(spin, cross(spin, arm)), spin_rate])
+
+
 def body_velocities(mechanism, position, rates, names):
     """
     Return how bodies move, shape (n, number of names, 6).
 
-    Velocity of the frame's origin [m/s] and angular velocity [rad/s], in world axes; to about 1e-9
-    of their size. ``position`` is as for ``body_poses``, shape (nq,), ``rates`` are n times
-    others, shape (n, nv) [rad/s or m/s].
+    Velocity of the frame's origin [m/s] and angular velocity [rad/s], in world axes. ``position``
+    is as for ``body_poses``, shape (nq,), ``rates`` are n times others, shape (n, nv) [rad/s or
+    m/s].
     """
-    moved = mechanism.coordinates.moved
-    after, before = (body_poses(mechanism, np.array(
-        [moved(position, step * rate) for rate in rates]), names)
-        for step in (_INSTANT, -_INSTANT))
-    found = np.zeros((len(rates), len(names), 6))
-    if mechanism.planar:
-        found[..., [0, 1, 5]] = (after - before) / (2.0 * _INSTANT)
-        return found
-    found[..., :3] = (after[..., :3] - before[..., :3]) / (2.0 * _INSTANT)
-    turn = composed(after[..., 3:], before[..., 3:] * CONJUGATE)
-    found[..., 3:] = turn[..., :3] * np.sign(turn[..., 3:]) / _INSTANT
-    return found
+    rates = np.asarray(rates, dtype=float)
+    return np.stack([rates @ motion_of(mechanism, position, np.zeros(
+        mechanism.coordinates.nv), name)[0].T for name in names], axis=1)
 
 
 def wrench_in_joints(mechanism, position, body, place, wrench):
@@ -143,20 +202,11 @@ def wrench_in_joints(mechanism, position, body, place, wrench):
     frame, shape (3,) [m], in the plane the last one zero; the wrench is force [N] and torque [N m]
     along the body's axes, shape (6,).
     """
-    names, carrying = mechanism.coordinates, {joint.child: joint for joint in mechanism.joints}
-    places, link = [], body
-    while link != GROUND:
-        joint = carrying[link]
-        places += range(*names.rates[joint.name].indices(names.nv))
-        link = joint.parent
-    torques, rates = np.zeros(names.nv), np.zeros((len(places), names.nv))
-    rates[range(len(places)), places] = 1.0
-    pose = poses_in_space(body_poses(mechanism, position, (body,))[0])
-    arm, force, torque = (rotated(pose[3:], np.asarray(vector)) for vector in (
-        place, wrench[:3], wrench[3:]))
-    velocities = body_velocities(mechanism, position, rates, (body,))[:, 0]
-    torques[places] = velocities @ np.concatenate([force, torque + cross(arm, force)])
-    return torques
+    turn = poses_in_space(body_poses(mechanism, position, (body,))[0])[3:]
+    jacobian, _ = motion_of(
+        mechanism, position, np.zeros(mechanism.coordinates.nv), body, place)
+    return jacobian.T @ np.concatenate(
+        [rotated(turn, np.asarray(part)) for part in (wrench[:3], wrench[3:])])
 
 
 def _ground(mechanism, shape):

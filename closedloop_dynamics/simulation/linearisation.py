@@ -283,6 +283,28 @@ class Linearisation:
         along, bent = changes_along(jac, own, rest, found.closure_rate_by_position)
         return list(own), along, bent
 
+    def tangents(self, position, velocity):
+        """
+        Return the derivatives without torques in a state, and its independent coordinates.
+
+        Parameters
+        ----------
+        position, velocity : ndarray, shape (nq,), (nv,)
+            Closing the loops.
+
+        Returns
+        -------
+        derivatives : derivatives.Derivatives
+        own : list of int
+            Places of the independent coordinates.
+        along : ndarray, shape (nv, n)
+            Changes of all coordinates with these.
+
+        """
+        found = self._differentiate(position, velocity)
+        own, along, _ = self._tangents(found, None)
+        return found, own, along
+
     def discrete_model(self, period, position=None, velocity=None, torque=None,
                        outputs=('position',)):
         """

@@ -24,6 +24,7 @@ from .geometry import Geometry
 from .key_paths import changed, resolve
 from .named_array import frozen, reals
 from .readings import Readings
+from .reduced import Reduced
 from .scene import load_scene
 from .scene_records import Scene
 from .state import State
@@ -33,7 +34,7 @@ from ..integration.evaluation import Evaluator
 from ..mechanism.fields import at, FieldError
 
 if TYPE_CHECKING:
-    from .linearisation import LinearModel
+    from .linearisation import Linearisation, LinearModel
     from .stepper import Step, Stepper
 
 # Warnings of one call, at most.
@@ -439,6 +440,46 @@ class Model:
             For a batch, a state of another mechanism, and other arguments that make no sense.
 
         """
+        def linear(one: 'Linearisation') -> 'LinearModel':
+            if period is None:
+                return one.linear_model(state.q, state.qd, torque, outputs)
+            return one.discrete_model(period, state.q, state.qd, torque, outputs)
+
+        return self._linearised(state, independent, linear)
+
+    def reduce(self, state: State, independent: Optional[Sequence[str]] = None) -> Reduced:
+        """
+        Return the mechanics of a state in independent coordinates, for controllers.
+
+        Parameters
+        ----------
+        state : State
+            A single one, closing the loops.
+        independent : sequence of str, optional
+            As for ``linearise``.
+
+        Returns
+        -------
+        reduced.Reduced
+            Inertia, bias, Jacobians of points and bodies, torques of accelerations, modes.
+
+        Raises
+        ------
+        SimulationError, SingularityError, ValueError
+            As ``linearise`` does.
+
+        """
+        def modes(torque: Any) -> List[Any]:
+            return self._linearised(
+                state, independent, lambda one: one.modes(state.q, torque))
+
+        found, own, along = self._linearised(
+            state, independent, lambda one: one.tangents(state.q, state.qd))
+        return Reduced(self, state, found, own, along, modes)
+
+    def _linearised(self, state: State, independent: Optional[Sequence[str]],
+                    asked: 'Callable[[Linearisation], Found]') -> Found:
+        """Return what is asked of a linearisation that works in a state."""
         # What it needs of SciPy takes long to load.
         from .linearisation import Linearisation
         self._work.require_state(state)
@@ -451,9 +492,7 @@ class Model:
             if model is not work.system.model:
                 linearisation = Linearisation(work, chosen)
                 self._linear[chosen] = work.system.model, linearisation
-            if period is None:
-                return linearisation.linear_model(state.q, state.qd, torque, outputs)
-            return linearisation.discrete_model(period, state.q, state.qd, torque, outputs)
+            return asked(linearisation)
 
     def step(self, state: State, torque: Optional[Numbers], period: float, *,
              method: str = 'rk4', steps: Optional[int] = None, parameters: Sequence[str] = (),
