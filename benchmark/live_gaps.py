@@ -252,7 +252,7 @@ def with_more(name, folder):
             position, len(position) * (0.0,)), {'gravity': Gravity((0.0, -9.81))}, Method())
     else:
         scene = load_scene(name)
-    joint = next(one.name for one in scene.mechanism.joints if one.data.actuated)
+    joint = next(one.name for one in scene.mechanism.joints if one.actuated)
     more = {'part': Payload(scene.mechanism.bodies[-1].name, 0.5), 'disc': Rotor(joint, 0.01),
             'grease': JointFriction(joint, coulomb=0.1)}
     path = Path(folder, f'{name}.yaml')

@@ -65,7 +65,7 @@ class Engine:
 
         def back():
             stepping.set_state(q, qd)
-            stepping.stepping.stepping.stepping.monitor.sampling = False
+            stepping.stepping.monitor.sampling = False
 
         steps.prepare = back
         return {'evaluation, compiled loop': lambda count: evaluate_again(
@@ -105,7 +105,7 @@ def _motion(one, case, steps):
     """Return a function that computes the motion of a case."""
     def execute():
         one.reset()
-        one.stepping.stepping.stepping.monitor.sampling = False
+        one.stepping.monitor.sampling = False
         try:
             one.advance(case.tau, steps)
         except SimulationError:

@@ -34,7 +34,7 @@ def friction_element(record, machine, values, load_time=0.0, **keys):
         Of ``ForceElement``: where it acts.
 
     """
-    values = (*values, float(record.rubs_along in machine.decided))
+    values = (*values, float(record.rubs_along in machine.determined))
     return ForceElement(
         dry_friction, values=(*values, *(LOAD_TIME - len(values)) * (0.0,), load_time),
         states=(State(OWN), State(OWN, 10.0), State(DISSIPATED)), **keys)
@@ -43,7 +43,7 @@ def friction_element(record, machine, values, load_time=0.0, **keys):
 @force_law(role=FRICTION, terms=lambda row: (bool(row.values[1] > 1.0),),
            engine_only='dry friction jumps where it comes to rest')
 def dry_friction(forces):
-    coulomb, ratio, slow, lever, decided = forces.values[:5]
+    coulomb, ratio, slow, lever, determined = forces.values[:5]
     rate = forces.joint.rate
     most = coulomb + lever * forces.state(1)
     rises, = forces.terms or (ratio > 1.0,)
@@ -52,7 +52,7 @@ def dry_friction(forces):
         more = most * (1.0 + (ratio - 1.0) * exponential(-(share * share)))
         most = chosen(rises, more, most)
     # Where loops and motions hold it at rest, no response decides.
-    torque = forces.rub(most, chosen(decided > 0.0, 0.0, most))
+    torque = forces.rub(most, chosen(determined > 0.0, 0.0, most))
     forces.joint.push(torque)
     forces.flow(0.0, 0.0, -(torque * rate))
     forces.read(torque)

@@ -29,13 +29,13 @@ class Machine:
 
     Attributes
     ----------
-    decided : frozenset of tuples
+    determined : frozenset of tuples
         Sums of freedoms, as pairs of names and arms, whose rates loops and prescribed motions
         decide, whatever forces act; of those that dry friction acts along.
 
     """
 
-    decided = frozenset()
+    determined = frozenset()
 
     def __init__(self, mechanism, placements, motions=None, cuts=()):
         self.mechanism, self._placements = mechanism, placements

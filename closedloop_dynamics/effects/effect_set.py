@@ -112,7 +112,7 @@ class EffectSet:
         self._linked = joint_kernels.structure(self._model)
         # What the code of the scene is of, on whatever equations it works.
         self._scene = scene_code.known_structure(system.table)
-        # By which decided directions friction was written last; None where others were, too.
+        # By which determined directions friction was written last; None where others were, too.
         self._filled_by = None
         if self._table is None:
             self._table = EffectTable.of(system.model, system.model)
@@ -153,12 +153,12 @@ class EffectSet:
         return tuple({self.records[name].rubs_along: None for name, role in zip(
             self._rows, self._table.role) if role == FRICTION})
 
-    def decide(self, directions):
+    def mark_determined(self, directions):
         """Mark sums with friction whose rates do not depend on the forces."""
-        decided = self._machine.decided = frozenset(directions)
-        if self._filled_by != decided:
+        determined = self._machine.determined = frozenset(directions)
+        if self._filled_by != determined:
             self._refill(FRICTION)
-            self._filled_by = decided
+            self._filled_by = determined
 
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""
@@ -198,16 +198,16 @@ class EffectSet:
             self._scene = scene_code.known_structure(self._system.table)
         self._linked = structure
 
-    def vary(self, mechanism, records, weigh):
+    def vary(self, mechanism, records, set_masses):
         """
         Adopt the numbers of other records of the same effects, and of other bodies.
 
-        The mechanism differs from the present one in masses alone, which ``weigh`` writes into
-        rows of ``Model.body``. Returns False where there is no room for these numbers; nothing has
-        changed then.
+        The mechanism differs from the present one in masses alone, which ``set_masses`` writes
+        into rows of ``Model.body``. Returns False where there is no room for these numbers;
+        nothing has changed then.
         """
         # As when the scene is loaded.
-        self._machine.decided = frozenset()
+        self._machine.determined = frozenset()
         elements, others = list(self.elements), [
             name for name, record in records.items() if self.records[name] is not record]
         for row, name in enumerate(self._rows):
@@ -217,7 +217,7 @@ class EffectSet:
                     return False
                 elements[row] = element
         self._machine.mechanism = mechanism
-        weigh(self._bare[0])
+        set_masses(self._bare[0])
         self.records, self.elements = dict(records), tuple(elements)
         self._update()
         changed = [row for row, name in enumerate(self._rows) if name in others]

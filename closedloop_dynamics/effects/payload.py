@@ -64,5 +64,5 @@ class Payload(Effect):
 
     def change(self, model, machine):
         """Add the mass to the model."""
-        machine.placement(self.body).weigh(
+        machine.placement(self.body).set_masses(
             model.body, self.mass, machine.vector(self.position), self.inertia)

@@ -65,7 +65,7 @@ class LiveSimulation:
         It was due ``late`` s ago, of the steady clock. Raises NumericalError instead of publishing
         a state that the energy guard refuses, or forces that are not finite.
         """
-        self.simulation.stepping.energy_guard.pass_on(self.simulation.stepping)
+        self.simulation.stepping.energy_guard.pass_on()
         simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
         forces = simulation.constraint_forces
         others = [np.array(list(each.values()))

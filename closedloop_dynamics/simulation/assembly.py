@@ -361,7 +361,7 @@ class Assembler:
                 if self._is_closed(psi, MOST_OPEN):
                     yield near
 
-    def decided(self, q, derivatives):
+    def determined(self, q, derivatives):
         """
         Return which rates the closure equations decide by themselves, at and near a position.
 
@@ -377,7 +377,7 @@ class Assembler:
             rank = self.nv - len(rows)
             free = np.abs(derivatives(near) @ rows.T).max(axis=1, initial=0.0)
             if rank >= most:
-                # Where equations are lost, rates seem free; at a dead centre they seem decided.
+                # Where equations are lost, rates seem free; at a dead centre they seem determined.
                 found = (free <= RANK_TOLERANCE) & (found | (rank > most))
                 most = rank
             if rank == min(self.nc, self.nv) and not found.any():

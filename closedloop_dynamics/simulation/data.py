@@ -147,13 +147,11 @@ class Data:
         self._allowed = np.array([
             -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
             dtype=np.int64)
-        # Where it was found last which rates are decided, and which ones are.
-        self._decided: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
+        # Where it was found last which rates are kinematically determined, and which ones are.
+        self._determined: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
         self._code = self.system.code
-        self.inverse = InverseDynamics(
-            self.mechanism, self.system, self.effect_set, self._table, self._equations, self._cuts,
-            self.actuated, self._own)
+        self.inverse = InverseDynamics(self)
         self._bind()
 
     def _choose_equations(self, scene: Scene) -> None:
@@ -193,7 +191,7 @@ class Data:
 
     def _begin_at_start(self) -> None:
         """Go to the start that was assembled."""
-        self._find_decided()
+        self._find_determined()
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self.effect_set.initial
         refine(self.system, self.integrated)
@@ -238,7 +236,7 @@ class Data:
         others = {body.name for body, present in zip(mechanism.bodies, self.mechanism.bodies)
                   if body is not present}
         if not self.effect_set.vary(mechanism, scene.effects, partial(
-                self.loop_model.weigh, bodies=mechanism.bodies, changed=others)):
+                self.loop_model.set_masses, bodies=mechanism.bodies, changed=others)):
             return False
         self.scene, self.mechanism = scene, mechanism
         self._motions.records = self.effect_set.records
@@ -252,7 +250,7 @@ class Data:
         self._begin_at_start()
         return True
 
-    def _find_decided(self) -> None:
+    def _find_determined(self) -> None:
         """Find the joints with friction that loops and motions move, or hold, by themselves."""
         directions = self.effect_set.directions_with_friction
         if not directions:
@@ -270,10 +268,10 @@ class Data:
                 (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
 
         start = self._initial[0].tobytes(), directions
-        if self._decided[0] != start:
-            self._decided = start, self._assembler.decided(self._initial[0], derivatives)
-        self.effect_set.decide(
-            found for found, decided in zip(directions, self._decided[1]) if decided)
+        if self._determined[0] != start:
+            self._determined = start, self._assembler.determined(self._initial[0], derivatives)
+        self.effect_set.mark_determined(
+            found for found, determined in zip(directions, self._determined[1]) if determined)
 
     def _bind(self) -> None:
         """Bind evaluations of the present state, and of any other."""

@@ -6,7 +6,7 @@
 import numpy as np
 
 from .loop_model import LoopModel
-from .tree_rows import weigh_bodies
+from .tree_rows import set_masses_of_bodies
 from ..core import types as t
 from ..core.codegen import space
 from ..engine import native
@@ -33,7 +33,7 @@ class Geometry(LoopModel):
         return np.array([one.row for one in placed], dtype=int), np.array(
             [one.place(place) for one, (_, place) in zip(placed, points)]).reshape(-1, self._size)
 
-    def weigh(self, constants, bodies, changed):
+    def set_masses(self, constants, bodies, changed):
         """
         Write the masses of some bodies into rows of ``Model.body``, in place.
 
@@ -45,7 +45,8 @@ class Geometry(LoopModel):
         end = t.INERTIA + 1 if self.mechanism.planar else space.INERTIA + 6
         for row in rows:
             constants[row, :end] = 0.0
-        weigh_bodies(constants, self.placements, {body.name: body for body in bodies}, rows)
+        set_masses_of_bodies(
+            constants, self.placements, {body.name: body for body in bodies}, rows)
 
     def point(self, q, body, position):
         """Return where a point in a body's frame is in the world [m], at coordinates q."""

@@ -110,55 +110,54 @@ class EnergyGuard:
     """
     What the checks of the energy balance have found, in words.
 
-    ``rate`` returns the fastest rate of the motion in a state [1/s]; ``run`` is the one that is
-    watched; ``limit``: step size times rate up to which the method is stable, infinite where it
-    always is.
+    Of the run of a ``Stepping``.
     """
 
-    def __init__(self, method, rate, run, limit=math.inf):
-        self._method, self._rate, self._run, self._limit = method, rate, run, limit
-        self._least = FIRST_CHECK_ORDER_1 if INTEGRATORS[method.integrator].order == 1 else 1
+    def __init__(self, stepping):
+        self._stepping = stepping
 
-    def pass_on(self, stepping):
+    def pass_on(self):
         """
         Check before a state is handed to others, however few steps have led to it.
 
         StiffnessError, NumericalError where the energy balance is far off; the state kept is the
         latest that was passed on.
         """
-        if self._run.report.unchecked >= self._least:
+        stepping = self._stepping
+        first_order = INTEGRATORS[stepping.method.integrator].order == 1
+        if stepping.run.report.unchecked >= (FIRST_CHECK_ORDER_1 if first_order else 1):
             stepping.check_energy()
 
     @property
     def finding(self):
         """Return the finding on the energy of the run in words; empty where there is none."""
-        report = self._run.report
+        report = self._stepping.run.report
         return energy_finding(
-            self._method, report.worst_lost, report.worst_moved, report.worst_time) if (
+            self._stepping.method, report.worst_lost, report.worst_moved, report.worst_time) if (
                 report.worst > ENERGY_WARN) else ''
 
-    def problem(self, data):
+    def problem(self):
         """Return the error to raise where the latest check has ended a run."""
-        report = self._run.report
+        stepping = self._stepping
+        method, report, guard = stepping.method, stepping.run.report, stepping.stiffness
         lost, moving, before = report.lost, report.moving, report.check_time
         # Where the balance is no number, not even the start of it may be believed.
         worst = report.worst if math.isfinite(lost) else math.inf
-        rate, size = self._rate(data.integrated), self._method.step_size
+        rate, size = stepping.fastest_rate, method.step_size
         kept = f'The state of t = {before:.9g} s is kept.'
         what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
-                f'{data.time:.9g} s, where {moving:.3g} J were exchanged')
+                f'{stepping.data.time:.9g} s, where {moving:.3g} J were exchanged')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
             what = (f'The energy balance misses {report.worst_lost:.3g} J of the '
                     f'{report.worst_moved:.3g} J exchanged until t = {report.worst_time:.6g} s, '
                     f'{worst:.0%}')
-        if rate * size > self._limit:
+        if rate * size > guard.limit:
             return StiffnessError(
                 f'{what}: the scene is stiff (fastest rate about {rate:.3g} 1/s, for which '
-                f'{self._method.integrator} is stable with steps up to {self._limit / rate:.3g} s '
+                f'{method.integrator} is stable with steps up to {guard.limit / rate:.3g} s '
                 f'only). {kept} Take integrator: auto or rodas4, or a smaller step.')
         return NumericalError(
-            f'{what}: {_setting(self._method)} does not follow this motion. {kept} '
-            f'{_cure(self._method)}')
+            f'{what}: {_setting(method)} does not follow this motion. {kept} {_cure(method)}')
 
 
 def _setting(method):

@@ -25,11 +25,10 @@ class InverseDynamics:
     and ``lam`` are its results, until it is called again.
     """
 
-    def __init__(self, mechanism, system, effects, table, equations, cuts, actuated, own):
-        self._mechanism, self._system, self._equations = mechanism, system, equations
-        self._effects, self._table, self._own = effects, table, own
-        self._cuts, nv = cuts, mechanism.coordinates.nv
-        self._actuated = actuated[actuated < nv]
+    def __init__(self, data):
+        self._data, mechanism, equations = data, data.mechanism, data._equations
+        nv, tree = mechanism.coordinates.nv, data.actuated
+        self._actuated = tree[tree < nv]
         known = mechanism.cut_coordinates
         self._driven = [known.names[place] for place in known.actuated]
         self._passive = np.setdiff1d(np.arange(nv), self._actuated)
@@ -37,8 +36,8 @@ class InverseDynamics:
         found = np.zeros(count + equations.nc)
         self.torque, self.lam = found[:count], found[count:]
         self.find = native.bind(
-            'find_torques', system.native, self._actuated.astype(np.int64), self._passive,
-            equations.nc - len(mechanism.motions), own, found)
+            'find_torques', data.system.native, self._actuated.astype(np.int64), self._passive,
+            equations.nc - len(mechanism.motions), data._own, found)
 
     def solve(self, q, qd, qdd):
         """
@@ -48,28 +47,28 @@ class InverseDynamics:
         SimulationError.
         """
         jac = self._jacobian(q, qd, qdd)
-        table = self._table
-        table.states[:] = self._own
+        system, equations, table = self._data.system, self._data._equations, self._data._table
+        table.states[:] = self._data._own
         while True:
             torque, lam = self._least_torques(self.needed(q, qd, qdd), jac)
             if table.loaded[0] == 0:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            native.load_joints(self._system.native, self._equations.model, self._equations.work,
-                               qd, qdd, lam)
-            if native.feel_loads(self._system.native, table.states, SETTLED):
+            native.load_joints(
+                system.native, equations.model, equations.work, qd, qdd, lam)
+            if native.feel_loads(system.native, table.states, SETTLED):
                 return torque, lam
 
     def _jacobian(self, q, qd, qdd):
         """Return the constraint Jacobian, or refuse accelerations that open the loops."""
-        equations = self._equations.move(q, qd)
+        equations = self._data._equations.move(q, qd)
         jac, (_, _, bias) = equations.jacobian(), equations.closures()
         first, last = (space.ACCELERATION, space.ACCELERATION + 3) if space.is_spatial(
             equations.model) else (t.AX, t.AY + 1)
         largest = np.abs(equations.work.body[:, first:last]).max()
         # The motion that is given may be another one than is prescribed.
-        loops = len(jac) - len(self._mechanism.motions)
+        loops = len(jac) - len(self._data.mechanism.motions)
         part = np.abs(jac[:loops] @ qdd + bias[:loops]).max(initial=0.0)
         # Beside its own size, what is left by rounding of the accelerations it is a difference of.
         noise = 1e-12 * largest
@@ -87,21 +86,22 @@ class InverseDynamics:
 
         I qdd + c - tau_effects [N m or N]; q, qd, qdd need not close the loops.
         """
-        need, table, system = np.zeros(len(qd)), self._table, self._system
+        need, data, table = np.zeros(len(qd)), self._data, self._data._table
+        effects, system = data.effect_set, data.system
         native.touch(system.native)
         native.outward(system.model, q, qd, system.work)
         if len(table.role):
-            self._effects.steady(q, qd)
+            effects.steady(q, qd)
             if len(table.cuts.index):
                 native.cut_accelerations(
                     table, system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
-            self._effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
+            effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
             native.apply_effects(
-                table, system.work.body, self._mechanism.coordinates.by_freedom(q), qd,
+                table, system.work.body, data.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
-            self._effects.hold_inertia(None)
-            self._effects.unsteady()
+            effects.hold_inertia(None)
+            effects.unsteady()
             native.bias_forces(system.work, table.reaction)
         native.tree_torque(system.model, system.work, qdd, need)
         return need - table.applied[:len(need)] if len(table.role) else need
@@ -109,8 +109,9 @@ class InverseDynamics:
     def _least_torques(self, need, jac):
         """Return the least torques of the actuated joints, and multipliers, that add up to it."""
         # In cut joints they act through the tree.
-        levers = self._cuts.jacobian(
-            self._system.model, self._system.work, self._driven) if self._driven else (
+        system = self._data.system
+        levers = self._data._cuts.jacobian(
+            system.model, system.work, self._driven) if self._driven else (
                 np.zeros((0, len(need))))
         unknowns = np.concatenate(
             [np.eye(len(need))[:, self._actuated], levers.T, jac.T], axis=1)
@@ -126,7 +127,7 @@ class InverseDynamics:
         left = np.abs(unknowns @ solution - need)[self._passive].max(initial=0.0)
         if left > 1e-8 * max(np.abs(need).max(), 1e-30):
             raise SimulationError(
-                f'The actuated joints ({", ".join(self._mechanism.actuated_joints)}) cannot '
+                f'The actuated joints ({", ".join(self._data.mechanism.actuated_joints)}) cannot '
                 f'produce this motion: {left:.3g} N m is missing at the others. Actuate more '
                 'joints, or give an acceleration that the loops allow.')
         return solution[:count], solution[count:]

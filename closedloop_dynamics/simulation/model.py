@@ -671,7 +671,8 @@ class _Workspace(Readings):
                 found[k] = int(counts[k]) * ['']
         for k in sorted(found):
             if plain[k] and len(notes) < MOST_NOTES:
-                found[k] = self._assembler.notes(*(one[k] for one in guesses), q[k], qd[k], hold)
+                found[k] = self._assembler.notes(
+                    guesses[0][k], guesses[1][k], q[k], qd[k], hold)
             notes += [f'state {k}: {note}' for note in found[k]]
         return State(time, q, qd, own, self.coordinates), notes
 

@@ -237,7 +237,7 @@ def buffer_for(simulation, schedule, quantities):
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return the results of a run by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
-    if (simulation.acts_in_cuts or simulation.data.has_redundant_constraints
+    if (simulation.data.acts_in_cuts or simulation.data.has_redundant_constraints
             or not simulation.mechanism.planar):
         return _values_asked_for(simulation, buffer, tau, schedule, quantities)
     take = {

@@ -79,7 +79,6 @@ class Simulation:
     # Of the readings and of the run.
     acceleration: np.ndarray
     accuracy: float
-    acts_in_cuts: bool
     body_poses: np.ndarray
     closed: Callable[..., Tuple[np.ndarray, np.ndarray]]
     closure: float

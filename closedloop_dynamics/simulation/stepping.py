@@ -20,6 +20,7 @@ from .derivative_code import DerivativeCode
 from .errors import (
     AssemblyError, ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError,
     StiffnessError)
+from .failures import failure
 from .guards import (
     CLOSING, EnergyGuard, EQUATIONS_CHECK_EVERY, LARGEST_MOTION, opened_loops, StiffnessGuard,
     USUAL_TORQUE, watch)
@@ -34,8 +35,7 @@ from ..core import types as t
 from ..effects.delay_line import DelayLine
 from ..engine import native
 from ..integration.control import (
-    CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
-    RANK_REVEALING_WORK, TOO_MUCH_WORK)
+    CONTACT_PASSED, DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
     CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, Watch)
@@ -47,12 +47,8 @@ from ..mechanism.fields import at, FieldError
 MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
-# Of the closure error at which loops count as open: from here on they may contradict one another.
-CONTRADICTION = 0.1
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
-# Contacts that a message names.
-MOST_NAMED = 3
 
 
 class Stepping:
@@ -85,8 +81,7 @@ class Stepping:
         self.stiffness = StiffnessGuard(data.system, self.method, self._effects.own)
         self.run = self.new_run(data.system, self.method, self.stiffness)
         data.clock, self._advance_run = self.run.time, self.run.advance_run
-        self.monitor = Monitor(self.method, self.run)
-        self._set_guard()
+        self.monitor, self.energy_guard = Monitor(self.method, self.run), EnergyGuard(self)
 
     @property
     def method(self) -> Method:
@@ -310,7 +305,7 @@ class Stepping:
         if outcome == INACCURATE:
             warnings.warn(guard.finding, InaccuracyWarning, stacklevel=2)
         elif outcome == ENERGY_LOST:
-            problem, report = guard.problem(self.data), run.report
+            problem, report = guard.problem(), run.report
             self.restore(
                 run.kept(), report.check_time, report.check_residual)
             raise problem
@@ -335,12 +330,6 @@ class Stepping:
         outcome = self.run.check_energy()
         if outcome:
             self._tell(outcome)
-
-    def _set_guard(self) -> None:
-        """Set the guard of the energy by the present method."""
-        stiffness = self.stiffness
-        self.energy_guard = EnergyGuard(
-            self.method, stiffness.rate, self.run, stiffness.limit)
 
     def _watch(self, method: Method, stiffness: StiffnessGuard) -> Watch:
         """Return the numbers by which the engine watches a run."""
@@ -541,75 +530,9 @@ class Stepping:
                 f'are left out as repeating others ({MOST_EXCHANGES} choices were tried); the '
                 'last good state is kept. Make lengths and axes of the loops agree to more '
                 'digits, or start elsewhere.')
-        stopped, undecided = self._stopped(status, size), self._branch_finding()
+        stopped, undecided = failure(data, status, size), self._branch_finding()
         raise type(stopped)(' '.join(
             [str(stopped), *(f'Before that, {one}' for one in undecided)]))
-
-    def _stopped(self, status: int, size: float) -> SimulationError:
-        """Return the error to raise where a step [s] could not be made."""
-        data = self.data
-        if status == NOT_FINITE:
-            return NumericalError(
-                f'The state left the finite numbers at t = {data.time:.9g} s; the last finite '
-                f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
-                f'(largest now {np.abs(data.system.tau).max(initial=0.0):g}).')
-        # Loops that are well closed here opened because of the step, or at a change point.
-        if status == POOR_EQUATIONS or status == OPEN_LOOP and data.has_redundant_constraints and (
-                data.closure > CONTRADICTION * data.system.settings.closure_limit):
-            contradiction = data.loop_model.contradiction(self._q)
-            if contradiction:
-                return ClosureError(
-                    f'The loops cannot stay closed after t = {data.time:.9g} s; the state before '
-                    f'is kept. {contradiction}')
-        if status == OPEN_LOOP:
-            error = data.system.work.health[t.CLOSURE]
-            advice = data._assembler.advice_on_opening(self._q) or (
-                f'Take a smaller step than {size:g} s: the motion in one step is too large.')
-            return ClosureError(
-                f'The loops could not be closed after the step at t = {data.time:.9g} s (error '
-                f'{error:.3g}); the state before it is kept. {advice}')
-        if status == TOO_MUCH_WORK:
-            return NumericalError(
-                f'The motion at t = {data.time:.9g} s takes more than {MOST_EVALUATIONS} '
-                f'evaluations for {size:g} s; the last good state is kept. '
-                + self._advice_on_work())
-        if status == CONTACT_PASSED:
-            return NumericalError(
-                f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
-                f't = {data.time:.9g} s, undetected between evaluations; the state before is '
-                'kept. Take a smaller step, or a method with error control, such as '
-                'integrator: auto.')
-        return NumericalError(
-            f'No step at t = {data.time:.9g} s is small enough to keep the error that is '
-            'allowed; the last good state is kept. The motion is not smooth there: allow '
-            'more, or take a fixed step.')
-
-    def _advice_on_work(self) -> str:
-        """Return a remedy where a step takes too many evaluations."""
-        count = self.data.system.work.health[t.RANK_REVEALING_COUNT]
-        self.data.touch()
-        self.data.evaluate()
-        if self.data.system.work.health[t.RANK_REVEALING_COUNT] == count:
-            return ('Take smaller torques (largest now '
-                    f'{np.abs(self.data.system.tau).max(initial=0.0):g}), allow a larger error, '
-                    'or leave out the effect that is so fast.' + self._pressing())
-        return ('Closure equations depend on others next to this position, where an evaluation '
-                f'counts as {RANK_REVEALING_WORK}. ' + (
-                    'No independent coordinates describe the motion through it: take '
-                    'stabilisation: projection.'
-                    if self.method.stabilisation == 'independent' else
-                    'Allow a larger error, or keep away from it by stops or another start.'))
-
-    def _pressing(self) -> str:
-        """Return the contacts that press, the hardest first, with depths and forces."""
-        readings = {name: self.data.effect_readings(name)
-                    for name, acts in self._effects.enabled.items() if acts}
-        pressing = sorted(((one['normal_force'], name, one['depth'])
-                           for name, one in readings.items()
-                           if one.get('normal_force', 0.0) > 0.0), reverse=True)
-        found = ', '.join(f'{name} ({depth:.3g} m deep, normal force {force:.3g} N)'
-                          for force, name, depth in pressing[:MOST_NAMED])
-        return f' In contact: {found}.' if found else ''
 
     def _branch_finding(self) -> List[str]:
         """Return a finding where a change point was passed that the lengths miss by little."""
@@ -871,7 +794,6 @@ class Stepping:
         data.scene, self.stiffness = replace(data.scene, method=method), stiffness
         self._set_limits()
         self.run.restart_guards()
-        self._set_guard()
         self._set_budget(method)
         data.system.settings.baumgarte_gain[...] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)

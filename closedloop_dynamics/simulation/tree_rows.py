@@ -47,7 +47,7 @@ class Placement(NamedTuple):
         size = len(point)
         return self.axes[:size, :size] @ point + self.origin[:size]
 
-    def weigh(self, constants, mass, center, inertia):
+    def set_masses(self, constants, mass, center, inertia):
         """
         Add a rigid mass [kg] on the body to ``Model.body``, in place.
 
@@ -55,9 +55,9 @@ class Placement(NamedTuple):
         body's axes, as ``mechanism.Body`` has it [kg m^2].
         """
         if len(center) == 2:
-            plane.weigh(constants[self.row], mass, self.place(center), inertia)
+            plane.set_masses(constants[self.row], mass, self.place(center), inertia)
             return
-        space.weigh(constants[self.row], mass, *_in_row(
+        space.set_masses(constants[self.row], mass, *_in_row(
             self.axes.tobytes(), self.origin.tobytes(), tuple(center), inertia))
 
 
@@ -99,7 +99,7 @@ class TreeRows:
         for number, names in enumerate(decomposition.subsystems):
             for name in names:
                 self.tree[self.rows[name], t.SUBSYSTEM] = number
-        weigh_bodies(self.body, self.placements, self._bodies)
+        set_masses_of_bodies(self.body, self.placements, self._bodies)
 
     def _add(self, joint, dof, coordinate):
         """Add the rows of a joint; return the placement of the body that it carries."""
@@ -161,7 +161,7 @@ class SpatialTreeRows(TreeRows):
         return np.array(max(places, key=np.linalg.norm))
 
 
-def weigh_bodies(constants, placements, bodies, rows=None):
+def set_masses_of_bodies(constants, placements, bodies, rows=None):
     """
     Write masses into rows of ``Model.body``, in place, where they are zero.
 
@@ -171,7 +171,7 @@ def weigh_bodies(constants, placements, bodies, rows=None):
     for name, placement in placements.items():
         if name != GROUND and (rows is None or placement.row in rows):
             body = bodies[name]
-            placement.weigh(constants, body.mass, body.center_of_mass, body.inertia)
+            placement.set_masses(constants, body.mass, body.center_of_mass, body.inertia)
 
 
 def frame_along(axis, hint=(0.0, 0.0, 0.0)):

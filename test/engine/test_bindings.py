@@ -392,9 +392,9 @@ def made(run, system, name='fixed', tableau=None, watch=None, roles=None):
 def test_limits_that_no_run_can_have_are_refused(guarded, change):
     run, system, windings = guarded.stepping.run, guarded.data.system, np.zeros(0, dtype=np.int64)
     with pytest.raises(ValueError, match='do not fit the system'):
-        run.set_watch(system, run.watch._replace(**change), windings)
+        run.set_watch(run.watch._replace(**change), windings)
     with pytest.raises(ValueError, match='do not fit the system'):
-        run.set_watch(system, run.watch, np.array([10 ** 6]))
+        run.set_watch(run.watch, np.array([10 ** 6]))
     with pytest.raises(ValueError, match='roles'):
         made(run, system, 'rodas4', roles=np.zeros(99, dtype=np.int64))
 

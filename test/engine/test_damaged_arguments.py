@@ -42,7 +42,7 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
 # Addresses of code, which nothing can check.
 ADDRESSES = ('table',)
 NAMELESS_ADDRESSES = {
-    ('run_batch', (0, 0)), ('system', (10,)), ('with_equations', (3,))}
+    ('run_batch', (0, 0)), ('system', (10,)), ('with_equations', (3,)), ('use_equations', (3,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
 LINKED = ('run_batch',)
 # Functions that return a system.
@@ -50,7 +50,8 @@ SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy_system')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
 # function returns that it has done nothing.
 ANY_LENGTH = {
-    ('model', 4), ('system', 3), ('system', 10), ('with_equations', 3), ('largest', 0),
+    ('model', 4), ('system', 3), ('system', 10), ('with_equations', 3), ('use_equations', 3),
+    ('largest', 0), ('points_in_state', 2), ('points_in_state', 3), ('points_in_state', 4),
     ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
@@ -150,6 +151,9 @@ def use_kernels(simulation, note):
     call('forward_dynamics', model, work, q, qd, system.tau[:nv].copy(), system.qdd, system.lam)
     call('with_equations', system, model, with_all_equations(model), np.zeros(0, dtype=np.int64))
     call('with_independent', system, True)
+    other = deepcopy(system)
+    call('use_equations', other, other.model, with_all_equations(other.model),
+         np.zeros(0, dtype=np.int64))
     call('bias_forces', work, work.force.copy())
     call('joint_wrenches', model, work, system.qdd, system.lam, work.force.copy())
     call('tree_torque', model, work, system.qdd, np.zeros(nv))
@@ -157,6 +161,7 @@ def use_kernels(simulation, note):
     call('largest', q)
     call('sum_of_sizes', q)
     call('evaluate', handle, q, qd)
+    call('evaluate_with_poses', handle, state)
     call('evaluate_again', handle, state, 2)
     call('derivative', handle, state, np.zeros_like(state))
     call('stabilise', handle, PROJECTION, state)
@@ -181,6 +186,7 @@ def use_kernels(simulation, note):
     call('write_whole', handle, run, state, simulation.state)
     call('accuracy_in', handle, run, simulation.state)
     call('take_method', handle, run, run)
+    call('take_run', run, run)
     for name in ('time', 'base', 'steps', 'run_report', 'give_up', 'clear_cost', 'jump',
                  'restart_guards'):
         call(name, run)

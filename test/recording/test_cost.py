@@ -113,13 +113,13 @@ def test_a_short_probe_knows_that_windows_end(monkeypatch):
     real = cost.time.process_time
     clock = [0.0]
 
-    def counted(self, tau, steps):
-        before = sum(self.monitor.work)
-        advance(self, tau, steps)
-        clock[0] += 1e-6 * (sum(self.monitor.work) - before)
+    def counted(tau, steps):
+        before = sum(simulation.stepping.monitor.work)
+        advance(tau, steps)
+        clock[0] += 1e-6 * (sum(simulation.stepping.monitor.work) - before)
 
-    advance = Simulation.advance
-    monkeypatch.setattr(Simulation, 'advance', counted)
+    advance = simulation.advance
+    monkeypatch.setattr(simulation, 'advance', counted)
     monkeypatch.setattr(cost.time, 'process_time', lambda: clock[0])
     found, _ = probe(simulation, 20.0, 100.0, [5.0, -3.0, 2.0], longest=1e-3)
     monkeypatch.setattr(cost.time, 'process_time', real)

@@ -95,7 +95,7 @@ def test_shipped_starts_close_with_held_joints_as_given_and_nothing_to_tell(name
     assert np.array_equal(qd[held], rates[held])
     assert np.abs(one.jacobian(q) @ qd).max(initial=0.0) <= 1e-12
     assert one.notes(position, velocity, q, one.velocities(q, velocity, hold), hold) == []
-    assert one.data.degrees_of_freedom(q) == len(hold)
+    assert one.degrees_of_freedom(q) == len(hold)
     # With the bars of each stage on top of one another the lift is a chain of seven bodies.
     most = 7 if name == 'scissor_lift' else len(hold)
     assert find_degrees_of_freedom(scene.mechanism) == most
@@ -180,7 +180,7 @@ def test_too_many_and_too_few_held_joints_are_counted_by_what_can_move():
     one = assembler(parallelogram(rockers=4))
     assert (one.nv, one.nc) == (6, 8)
     guess = np.array([1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
-    assert one.data.degrees_of_freedom(one.positions(guess)) == 1
+    assert one.degrees_of_freedom(one.positions(guess)) == 1
     assert find_degrees_of_freedom(one.mechanism) == 1
     with pytest.raises(AssemblyError, match=(
             r'crank_joint, joint_0 held: expected joints that move independently \(1 degree of '

@@ -359,7 +359,7 @@ def test_a_rollout_from_where_effects_have_gone_on_is_refused():
     run = cld.Simulation(model)
     run.step(duration=0.2)
     state = run.snapshot()
-    assert model._begins(model.assemble()) and not model.begins(state)
+    assert model._begins(model.assemble()) and not model._begins(state)
     with pytest.raises(ValueError, match='rollout: expected states in which the effects begin'):
         cld.rollout(model, state)
 

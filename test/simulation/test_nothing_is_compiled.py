@@ -35,7 +35,7 @@ def of_many_joints():
 def loaded(name):
     """Return a simulation of a scene with more that may be switched on, as a node loads it."""
     scene = of_many_joints() if name == 'ladder' else load_scene(name)
-    joint = next(one.name for one in scene.mechanism.joints if one.data.actuated)
+    joint = next(one.name for one in scene.mechanism.joints if one.actuated)
     more = {'part': Payload(scene.mechanism.bodies[-1].name, 0.5), 'disc': Rotor(joint, 0.01),
             'grease': JointFriction(joint, coulomb=0.1)}
     simulation = Simulation(replace(

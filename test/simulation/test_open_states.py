@@ -80,7 +80,7 @@ def test_open_states_are_refused_with_the_loop_and_the_gap(scene):
             pytest.fail(name)
         assert any(f'cut_joints.{loop} ' in str(refused.value) for loop in loops), name
     batch = State.stack([model.assemble(), state])
-    for use in (model.evaluate, model.inertia, model.begins,
+    for use in (model.evaluate, model.inertia, model._begins,
                 lambda states: rollout(model, states, steps=2),
                 lambda states: model.state(states.q, states.qd)):
         with pytest.raises(AssemblyError, match='state 1: state: expected one that closes'):

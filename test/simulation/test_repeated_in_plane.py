@@ -349,7 +349,7 @@ STANDING_IN = {
     'rockers': lambda one: with_rods(one, ['cut_middle']),
     'wheels': lambda one: with_rods(one, ['pin_0_2', 'pin_0_3']),
     'rods': lambda one: with_rods(one, ['pin_1_1']),
-    'ladder': lambda one: replace(one, cut_joints=one.mechanism.cut_joints[:2])}
+    'ladder': lambda one: replace(one, cut_joints=one.cut_joints[:2])}
 
 
 @pytest.mark.parametrize('name', STANDING_IN)

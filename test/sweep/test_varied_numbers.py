@@ -34,13 +34,13 @@ def values_near(scene, key, rng, count):
 def varied(monkeypatch):
     """Count how often numbers were taken in place."""
     taken = []
-    vary = Simulation.vary
+    vary = Simulation._vary
 
     def watched(self, scene):
         taken.append(vary(self, scene))
         return taken[-1]
 
-    monkeypatch.setattr(Simulation, 'vary', watched)
+    monkeypatch.setattr(Simulation, '_vary', watched)
     return taken
 
 

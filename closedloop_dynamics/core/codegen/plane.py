@@ -40,7 +40,7 @@ HELD = {kind: (CUT_TYPES[kind], *held) for kind, held in {
     COUPLED_PLACE: ((X,), ())}.items()}
 
 
-def weigh(constant, mass, center, about):
+def set_masses(constant, mass, center, about):
     """
     Add a rigid mass [kg] to a row of ``Model.body``, in place.
 

@@ -113,7 +113,7 @@ def snapped(values):
     return np.where(np.abs(values - nearest) < ROUNDING, nearest, values) + 0.0
 
 
-def weigh(constant, mass, center, about):
+def set_masses(constant, mass, center, about):
     """
     Add a rigid mass [kg] to a row of ``Model.body``, in place.
 
