@@ -140,7 +140,7 @@ class Differentiator:
 
     def __repr__(self):
         """Show the mechanism and the parameters."""
-        return (f'<Differentiator of {self._simulation.scene.name}, parameters: '
+        return (f'<Differentiator of {self._data.scene.name}, parameters: '
                 f'{", ".join(self._steps.parameters.names) or "none"}>')
 
     def __call__(self, position, velocity, torque=None):

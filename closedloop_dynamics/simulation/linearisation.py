@@ -186,7 +186,7 @@ class Linearisation:
     def __repr__(self):
         """Show the mechanism and the independent coordinates."""
         own = ', '.join(self._names[place] for place in self._asked or ())
-        return (f'<Linearisation of {self._simulation.scene.name}, independent: '
+        return (f'<Linearisation of {self._data.scene.name}, independent: '
                 f'{own or "chosen in each position"}>')
 
     def linear_model(self, position=None, velocity=None, torque=None, outputs=('position',)):
