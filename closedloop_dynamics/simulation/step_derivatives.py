@@ -10,7 +10,7 @@ import numpy as np
 from .errors import SingularityError
 from .traced_scene import TracedScene
 from ..core.codegen import function_table as calls
-from ..core.codegen.machine_code import LANES, machine_code, SCALAR
+from ..core.codegen.machine_code import LANES, machine_code, PACKED, SCALAR
 from ..core.codegen.routines import topology
 from ..core.codegen.scene_routines import POINT
 from ..core.codegen.sensitivities import (
@@ -75,7 +75,7 @@ class StepDerivatives:
                     model, scene.act, scene.values.shape, self.parameters.entries, self._rows,
                     self._cuts).in_lanes(one)
 
-            first = machine_code(key, lambda both=both: both()[0], SCALAR)
+            first = machine_code(key, lambda both=both: both()[0], PACKED)
             second = machine_code(key, lambda both=both: both()[1], LANES)
             native.call(np.array([first('shared')]), 0, count, count)
             most = max(most, int(count[0]))
