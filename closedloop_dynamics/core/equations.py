@@ -10,7 +10,7 @@ import numpy as np
 from .codegen import joint_kernels
 from .codegen.workspace import allocate
 from .manifold import manifold_of
-from .ranks import null_space
+from .ranks import null_space, RANK_TOLERANCE
 from .types import (
     CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
 from ..engine import native
@@ -31,9 +31,9 @@ class Loops(NamedTuple):
     places: np.ndarray
     rows: np.ndarray
     free: np.ndarray
-    tolerance: float
-    least: float
-    limit: float
+    tolerance: float = RANK_TOLERANCE
+    least: float = 0.0
+    limit: float = 0.0
 
 
 class Far(NamedTuple):
@@ -117,11 +117,7 @@ class Equations:
         self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
         self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
         self._largest = native.bind('largest', self.work.closure)
-        self._closed, self._rates = np.zeros(nq), np.zeros(self.nv)
-        solver = self.model, self.work, manifold_of(self.model)
-        self._close_loops = native.bind('close_loops', *solver, self._closed)
-        self._close_rates = native.bind('close_rates', *solver, self._closed, self._rates)
-        self._solver = solver
+        self._solver = self.model, self.work, manifold_of(self.model)
 
     def _present_constants(self):
         """Return the constants that may decide which code serves which body."""
@@ -156,60 +152,11 @@ class Equations:
         self._close()
         return self._largest()
 
-    def closed(self, q, loops, closed, enough):
-        """
-        Return coordinates that close loops, from some that nearly do, and what had a part in it.
-
-        ``closed``: closure error that counts as closed; ``enough``: with which no other method
-        than Newton's is tried.
-        """
-        self._connect()
-        self._closed[:], self._jacobian = q, None
-        parts = self._close_loops(loops, closed, enough)
-        return self._closed.copy(), parts
-
-    def closed_rates(self, q, qd, loops, wanted):
-        """Return the nearest rates that keep loops closed, at a position, and likewise."""
-        self._connect()
-        self._closed[:], self._rates[:], self._jacobian = q, qd, None
-        parts = self._close_rates(loops, wanted)
-        return self._rates.copy(), parts
-
-    def close_states(self, q, qd, loops, closed):
-        """
-        Close the loops of many states in place, shapes (n, nq) and (n, nv), where that is plain.
-
-        Returns ints, shape (n,): ``closing`` of ``engine/loop_solver.hpp``.
-        """
-        self._connect()
-        self._jacobian, status = None, np.zeros(len(q), dtype=np.int64)
-        native.close_states(*self._solver, q, qd, loops, closed, status)
-        return status
-
-    def first_open(self, q, qd, limit):
-        """Return the first of many states whose loops are open, or how many there are."""
+    def solve(self, function, *arguments):
+        """Call a function of ``engine/loop_solver.hpp`` with these equations, then others."""
         self._connect()
         self._jacobian = None
-        return native.first_open(self.model, self.work, q, qd, limit)
-
-    def residual(self, q, rows, far):
-        """Return the residuals of a search from far away, and their Jacobian."""
-        self._connect()
-        self._closed[:], self._jacobian = q, None
-        count = len(far.unit) + len(far.axes) + len(far.limits)
-        values, slopes = np.empty(count), np.empty((count, self.nv))
-        native.loop_residuals(
-            *self._solver, self._closed, Loops(self.places, rows, np.zeros(0, dtype=np.int64), 0.0,
-                                               0.0, 0.0), far, values, slopes)
-        return values, slopes
-
-    def nearest(self, q, rows, free, far, least, limit, goal, most):
-        """Return coordinates where a search from far away, of so many iterations, ends."""
-        self._connect()
-        self._closed[:], self._jacobian = q, None
-        native.search_loops(*self._solver, self._closed, Loops(
-            self.places, rows, free, 0.0, least, limit), far, goal, most)
-        return self._closed.copy()
+        return function(*self._solver, *arguments)
 
     def jacobian(self):
         """Return J = d psi / d q, shape (nc, nv)."""

@@ -36,10 +36,3 @@ def null_space(matrix):
         return np.eye(matrix.shape[1])
     _, singular, right = np.linalg.svd(matrix)
     return right[rank_from(singular):]
-
-
-def least_solution(matrix, right, tolerance=RANK_TOLERANCE):
-    """Return the shortest x of the least squares of a matrix without units x = right."""
-    left, singular, rows = np.linalg.svd(matrix, full_matrices=False)
-    rank = rank_from(singular, tolerance)
-    return rows[:rank].T @ (left[:, :rank].T @ right / singular[:rank])

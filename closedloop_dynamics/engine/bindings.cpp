@@ -408,7 +408,7 @@ const Entry entries[] = {
     "close_states",
     "close_states(model, work, manifold, q, qd, loops, closed, status): whether all were seen"),
   released<first_open>(
-    "first_open", "first_open(model, work, q, qd, limit): the first state with open loops"),
+    "first_open", "first_open(model, work, manifold, q, qd, limit): the first open state"),
   entry<energies, Length::ANY, Length::QD, Length::PAIR>(
     "energies", "energies(model, work, qd, out): kinetic and potential energy"),
   entry<constraint_jacobian, Length::ANY, Length::JACOBIAN>(

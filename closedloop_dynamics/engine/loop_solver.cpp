@@ -73,12 +73,13 @@ const DenseVector & LoopSolver::residuals_at(const DenseVector & q)
     }
     return residuals_;
   }
+  residuals_.setZero();
   for (Index row : loops_.rows) {
     residuals_[row] = all_[row] / far_.unit[row];
   }
   for (Index a = 0; a < model_.cut.rows; ++a) {
-    const Index number = model_.cut(a, cut::NUMBER);
-    residuals_[far_.unit.size + number] = far_.axes[number] != axis::NO_AXIS ? astray(a, far_.axes[number]) : 0.0;
+    const Index number = model_.cut(a, cut::NUMBER), axes = far_.axes[number];
+    residuals_[far_.unit.size + number] = axes == axis::NO_AXIS ? 0.0 : astray(a, axes);
   }
   for (Index k = 0; k < far_.limits.rows; ++k) {
     const double value = here_[static_cast<Index>(far_.limits(k, 0))];
@@ -105,15 +106,16 @@ const DenseMatrix & LoopSolver::slopes_at(const DenseVector & q)
     for (Index row : loops_.rows) {
       slopes_.row(row) = all_slopes_.row(row) / far_.unit[row];
     }
-    for (Index a = 0; a < model_.cut.rows; ++a) {
-      const Index number = model_.cut(a, cut::NUMBER);
+    const Indexes & cut = model_.cut;
+    for (Index a = 0; a < cut.rows; ++a) {
+      const Index number = cut(a, cut::NUMBER);
       if (far_.axes[number] == axis::NO_AXIS) {
         continue;
       }
       astray(a, far_.axes[number]);
       respond(model_, work_, kernel::CARRY, a, 0);
       double * row = slopes_.row(far_.unit.size + number).data();
-      for (Index entry = model_.cut(a, cut::PATH_A); entry < model_.cut(a, cut::PATH_END); ++entry) {
+      for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
         row[model_.tree(model_.path_body[entry], tree::DOF)] = work_.response(entry, 0);
       }
       turn_spherical(model_.tree, work_.body, row, false);
@@ -223,106 +225,66 @@ bool LoopSolver::shorten(const Square & open, DenseVector & x)
   return true;
 }
 
-namespace
-{
-/// Levers of columns, 1 of those that are rounding beside `longest`.
-DenseVector levers_of(const Square & jac, double longest)
-{
-  const DenseVector lever = jac.cwiseAbs().colwise().maxCoeff();
-  return (lever.array() > NO_LEVER * longest).select(lever, 1.0);
-}
-
-/// Whether the first `rows` pivots of the transpose are so large that the rows are independent.
-bool is_plain(const Square & packed, Index rows)
-{
-  return std::abs(packed(rows - 1, rows - 1)) > PLAIN * std::abs(packed(0, 0));
-}
-}  // namespace
-
-/// What residuals and free coordinates are counted in.
-void LoopSolver::find_units(DenseVector & rows, DenseVector & columns) const
-{
-  DenseVector all_rows(all_slopes_.rows()), all_columns(all_slopes_.cols());
-  loop_units(model_, loops_.places, view(all_slopes_), view(all_rows), view(all_columns));
-  rows.resize(loops_.rows.size);
-  columns.resize(loops_.free.size);
-  for (Index i = 0; i < rows.size(); ++i) {
-    rows[i] = all_rows[loops_.rows[i]];
-  }
-  for (Index j = 0; j < columns.size(); ++j) {
-    columns[j] = all_columns[loops_.free[j]];
-  }
-}
-
 bool LoopSolver::least_change(const DenseVector & error, DenseVector & x)
 {
   const Index rows = jac_.rows(), columns = jac_.cols();
   x = DenseVector::Zero(columns);
   if (rows == 0 || columns == 0) {
+    parts_ |= rows > 0 ? static_cast<Index>(part::DEPENDENT) : 0;
     return true;
   }
   if (!jac_.allFinite() || !error.allFinite()) {
     return false;
   }
-  if (rows <= columns) {
-    const DenseVector lever = levers_of(jac_, jac_.cwiseAbs().maxCoeff());
+  // Which equations depend on others is decided on levers alone: in the mass metric those that move
+  // a light body all look alike. What they leave open is decided by the masses.
+  DenseVector all_rows(all_slopes_.rows()), all_columns(all_slopes_.cols());
+  loop_units(model_, loops_.places, view(all_slopes_), view(all_rows), view(all_columns));
+  DenseVector unit(rows), length(columns);
+  for (Index i = 0; i < rows; ++i) {
+    unit[i] = all_rows[loops_.rows[i]];
+  }
+  for (Index j = 0; j < columns; ++j) {
+    length[j] = all_columns[loops_.free[j]];
+  }
+  Square scaled = unit.cwiseInverse().asDiagonal() * jac_ * length.asDiagonal();
+  DenseVector lever = scaled.cwiseAbs().colwise().maxCoeff();
+  lever = (lever.array() > NO_LEVER).select(lever, 1.0).eval();
+  scaled *= lever.cwiseInverse().asDiagonal();
+  length = length.cwiseQuotient(lever);
+  const DenseVector right = error.cwiseQuotient(unit);
+  if (rows <= columns && lever.minCoeff() > PLAIN) {
     PivotedQr factor;
-    factor.compute((jac_ * lever.cwiseInverse().asDiagonal()).transpose());
+    factor.compute(scaled.transpose());
     const Square & packed = factor.packed();
-    if (is_plain(packed, rows)) {
+    if (std::abs(packed(rows - 1, rows - 1)) > PLAIN * std::max(std::abs(packed(0, 0)), 1.0)) {
       x.head(rows) = packed.topRows(rows).triangularView<Eigen::Upper>().transpose().solve(
-        factor.order().transpose() * error);
+        factor.order().transpose() * right);
       factor.turn(x);
-      x = x.cwiseQuotient(lever);
+      x = x.cwiseProduct(length);
       if (columns == rows) {
+        sign_ = factor.order().determinant();
+        for (Index k = 0; k < rows; ++k) {
+          sign_ = packed(k, k) < 0.0 ? -sign_ : sign_;
+        }
         return x.allFinite();
       }
       // Inertia in the null space of the equations.
       Square open = Square::Zero(columns, columns - rows);
       open.bottomRows(columns - rows).setIdentity();
       factor.turn(open);
-      return shorten(lever.cwiseInverse().asDiagonal() * open, x) && x.allFinite();
+      return shorten(length.asDiagonal() * open, x) && x.allFinite();
     }
   }
-  // Which equations depend on others is decided on levers alone: in the mass metric those that move
-  // a light body all look alike. What they leave open is decided by the masses.
   parts_ |= part::DEPENDENT;
-  DenseVector unit, own;
-  find_units(unit, own);
-  const Square scaled = unit.cwiseInverse().asDiagonal() * jac_ * own.asDiagonal();
-  const DenseVector lever = levers_of(scaled, 1.0);
   LargeSingular found;
-  found.compute(
-    scaled * lever.cwiseInverse().asDiagonal(), Eigen::ComputeThinU | Eigen::ComputeFullV);
+  found.compute(scaled, Eigen::ComputeThinU | Eigen::ComputeFullV);
   const DenseVector & singular = found.singularValues();
   const Index rank = (singular.array() > loops_.tolerance * std::max(singular[0], 1.0)).count();
-  const DenseVector length = own.cwiseQuotient(lever);
   x = length.asDiagonal() * (found.matrixV().leftCols(rank) * (
-      found.matrixU().leftCols(rank).transpose() * error.cwiseQuotient(unit)).cwiseQuotient(
-      singular.head(rank)));
+      found.matrixU().leftCols(rank).transpose() * right).cwiseQuotient(singular.head(rank)));
   return rank == columns ||
          shorten(length.asDiagonal() * found.matrixV().rightCols(columns - rank), x);
-}
-
-bool LoopSolver::are_independent(double & sign) const
-{
-  const Index rows = jac_.rows(), columns = jac_.cols();
-  sign = 1.0;
-  if (rows == 0 || rows > columns || !jac_.allFinite()) {
-    return rows == 0;
-  }
-  DenseVector unit, own;
-  find_units(unit, own);
-  PivotedQr factor;
-  factor.compute((unit.cwiseInverse().asDiagonal() * jac_ * own.asDiagonal()).transpose());
-  const Square & packed = factor.packed();
-  if (rows == columns) {
-    sign = factor.order().determinant() * (rows % 2 == 0 ? 1.0 : -1.0);
-    for (Index k = 0; k < rows; ++k) {
-      sign *= packed(k, k) < 0.0 ? -1.0 : 1.0;
-    }
-  }
-  return std::abs(packed(rows - 1, rows - 1)) > PLAIN * std::max(std::abs(packed(0, 0)), 1.0);
 }
 
 DenseVector LoopSolver::moved(const DenseVector & q, const DenseVector & x)
@@ -438,11 +400,11 @@ Index close_loops(
 {
   LoopSolver solver(model, work, manifold, loops);
   const DenseVector start = dense(q);
+  solver.begin(start);
   if (most(solver.residuals_at(start)) <= closed) {
     return 0;
   }
   DenseVector found = start;
-  solver.take_metric_at(start);
   solver.correct(found, 0.01 * closed);
   const DenseVector & left = solver.residuals_at(found);
   if (left.allFinite() && most(left) > enough && (solver.parts() & part::NO_METRIC) == 0) {
@@ -459,7 +421,7 @@ Index close_rates(
 {
   LoopSolver solver(model, work, manifold, loops);
   const DenseVector here = dense(q);
-  solver.take_metric_at(here);
+  solver.begin(here);
   solver.slopes_at(here);
   DenseVector rates = dense(qd);
   const bool good = solver.correct_rates(rates, dense(wanted));
@@ -501,33 +463,32 @@ bool close_states(
     }
     status[k] = closing::BY_ITSELF;
     DenseVector found = dense(q[k]);
-    double before, after;
-    solver.begin();
-    solver.take_metric_at(found);
+    solver.begin(found);
     solver.slopes_at(found);
-    if (!solver.are_independent(before)) {
+    if (!solver.least_change(solver.residuals_at(found), x) || solver.is_dependent()) {
       continue;
     }
+    const double before = solver.sign();
     if (most(solver.residuals_at(found)) > closed) {
       solver.correct(found, 0.01 * closed);
     }
     const DenseMatrix & slopes = solver.slopes_at(found);
-    if (!solver.are_independent(after) || !(most(solver.residuals_at(found)) <= closed)) {
+    if (!solver.least_change(solver.residuals_at(found), x) || solver.is_dependent() ||
+      !(most(solver.residuals_at(found)) <= closed))
+    {
       continue;
     }
+    const double after = solver.sign();
     rates = dense(qd[k]);
     const double fastest = most(rates);
     if (fastest > 0.0) {
       solver.take_metric_at(found);
       if (most(slopes * rates) > closed * fastest && !(
           solver.correct_rates(rates, DenseVector::Zero(slopes.rows())) &&
-          most(slopes * rates) <= RATES_OPEN * closed * most(rates)))
+          !solver.is_dependent() && most(slopes * rates) <= RATES_OPEN * closed * most(rates)))
       {
         continue;
       }
-    }
-    if ((solver.parts() & ~part::MASSES) != 0) {
-      continue;
     }
     dense(q[k]) = found;
     dense(qd[k]) = rates;
@@ -536,7 +497,8 @@ bool close_states(
   return true;
 }
 
-Index first_open(const Model & model, const Workspace & work, Table q, Table qd, double limit)
+Index first_open(
+  const Model & model, const Workspace & work, const Manifold &, Table q, Table qd, double limit)
 {
   for (Index k = 0; k < q.rows; ++k) {
     outward(model, q[k], qd[k], work);

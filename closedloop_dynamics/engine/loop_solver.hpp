@@ -93,26 +93,30 @@ public:
   /// The x with J x = `error` that is least in the metric, J of the latest `slopes_at`; false where
   /// there is none.
   bool least_change(const DenseVector & error, DenseVector & x);
-  /// Correct rates by the least change that keeps loops closed, at the latest `slopes_at`; `wanted`:
-  /// rates of the residuals. False as above. Where some are held, free ones are zero before.
+  /// Correct rates by the least change with which residuals change at the rates `wanted`, at the
+  /// latest `slopes_at`. False as above. Where some are held, free ones are zero before.
   bool correct_rates(DenseVector & rates, const DenseVector & wanted);
-  /// Forget what had a part so far.
-  void begin() {parts_ = 0;}
+  /// Begin at coordinates, with the metric there: nothing had a part yet.
+  void begin(const DenseVector & q)
+  {
+    parts_ = 0;
+    take_metric_at(q);
+  }
   /// Where the metric is taken, from now on.
   void take_metric_at(const DenseVector & q);
-  /// Whether the equations are certainly independent in the free coordinates, at the latest
-  /// `slopes_at`; and the sign of their determinant, where these are as many.
-  bool are_independent(double & sign) const;
 
   /// Bits of `part`, of all that was found so far.
   Index parts() const {return parts_;}
+  bool is_dependent() const {return (parts_ & part::DEPENDENT) != 0;}
+  /// The sign of the determinant of independent equations, as many as free coordinates, where
+  /// `least_change` found one.
+  double sign() const {return sign_;}
 
 private:
   void move_to(const DenseVector & q);
   double astray(Index a, Index axes);
   bool find_metric();
   bool shorten(const Eigen::MatrixXd & open, DenseVector & x);
-  void find_units(DenseVector & rows, DenseVector & columns) const;
   DenseVector moved(const DenseVector & q, const DenseVector & x);
 
   const Model & model_;
@@ -121,16 +125,16 @@ private:
   Loops loops_;
   Far far_;
   DenseVector here_, still_, all_, residuals_, change_, metric_place_;
-  mutable DenseMatrix all_slopes_;
-  DenseMatrix slopes_;
+  DenseMatrix all_slopes_, slopes_;
   Eigen::MatrixXd jac_, root_;
   bool has_metric_ = false;
+  double sign_ = 1.0;
   Index parts_ = 0;
 };
 
 /// Close loops from coordinates `q`, by Newton's method, and where this leaves an error above
-/// `enough` by Levenberg and Marquardt's. Corrections end at a hundredth of `closed`; what is closed
-/// stays as it is. Bits of `part`.
+/// `enough` by Levenberg and Marquardt's. Corrections end at a hundredth of `closed`; closed loops
+/// stay as they are. Bits of `part`.
 Index close_loops(
   const Model &, const Workspace &, const Manifold &, Values q, const Loops &, double closed,
   double enough);
@@ -172,7 +176,8 @@ bool close_states(
 
 /// The first of many states, shapes (n, nq) and (n, nv), with a closure error above a limit, or
 /// with rates of it above that times the fastest rate, 1 at least; n where there is none.
-Index first_open(const Model &, const Workspace &, Table q, Table qd, double limit);
+Index first_open(
+  const Model &, const Workspace &, const Manifold &, Table q, Table qd, double limit);
 
 }  // namespace closedloop
 

@@ -516,7 +516,7 @@ inline constexpr auto precondition<loop_residuals> =
 
 template<>
 inline constexpr auto precondition<first_open> =
-  [](const Model & model, const Workspace &, Table q, Table qd) {
+  [](const Model & model, const Workspace &, const Manifold &, Table q, Table qd) {
     return expected::unless(
       q.columns == model.coordinates() && qd.columns == model.joints() && q.rows == qd.rows);
   };

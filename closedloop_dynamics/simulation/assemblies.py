@@ -8,20 +8,18 @@ from typing import List, NamedTuple, Optional
 
 import numpy as np
 
-from .assembly import Assembler, TOLERANCE
+from .assembly import Assembler
 from .errors import AssemblyError
 from .geometry import Geometry
 from .modeling import extent
 from .planar_assemblies import all_planar, NotProved
 from .state import State
 from ..core import types as t
-from ..core.ranks import least_solution, null_space
+from ..core.ranks import null_space
 from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, SPHERICAL
 
-# Random starts, where no method finds all; Newton corrections of each, and the longest.
-STARTS, CORRECTIONS, LONGEST = 400, 40, 0.5
-# Singular values up to which equations are left out of a correction.
-DEPENDENT = 1e-10
+# Random starts, where no method finds all.
+STARTS = 400
 # Assemblies whose joints, cut points and named points are nearer are the same [of the size].
 SAME = 1e-6
 # Speeds of points in a motion without effect, against the size, that are rounding.
@@ -91,8 +89,7 @@ def find_assemblies(mechanism, equations, values, start):
     rng = np.random.default_rng(0)
     for k in range(STARTS):
         change = np.pi * unit * rng.uniform(-1.0, 1.0, assembler.nv) if k else 0.0 * unit
-        position = closed_from(
-            mechanism, equations, unit, mechanism.coordinates.moved(start, change))
+        position = assembler.closed_from(mechanism.coordinates.moved(start, change))
         if position is not None:
             found.add(position)
     found = found.positions
@@ -110,21 +107,6 @@ def _driven(mechanism, equations, values):
     for number, value in enumerate(values, start=len(numbers) - count):
         model.cut_point[numbers.index(number), column:] = value, 0.0, 0.0
     return Assembler(mechanism, equations)
-
-
-def closed_from(mechanism, equations, unit, q):
-    """Return a position that closes the loops, from any; None where Newton's method ends."""
-    for _ in range(CORRECTIONS):
-        moved = equations.move(q)
-        psi = moved.closures()[0]
-        if np.abs(psi).max() <= TOLERANCE * unit.max():
-            return q
-        change = least_solution(moved.dimensionless(unit), -psi / moved.units()[0], DEPENDENT)
-        longest = np.abs(change).max()
-        if not longest < np.inf:
-            return None
-        q = mechanism.coordinates.moved(q, unit * change * (LONGEST / max(longest, LONGEST)))
-    return None
 
 
 def _proved(mechanism, assembler, values):

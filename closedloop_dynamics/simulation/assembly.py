@@ -20,6 +20,7 @@ from .errors import AssemblyError
 from .modeling import extent
 from ..core.equations import BY_ITSELF, Loops, MASSES, NO_METRIC, TURNED
 from ..core.ranks import null_space, RANK_TOLERANCE, rank_of, singular_values
+from ..engine import native
 from ..mechanism.closure import open_parts
 from ..mechanism.digits import EVERYDAY, suspicions
 
@@ -118,7 +119,7 @@ class Assembler:
         open.
         """
         free = self._free(hold)
-        q, psi = self.solve_closure(np.array(guess, dtype=float), free)
+        q, psi = self.solve_closure(guess, free)
         if not (self._is_closed(psi) or self._is_closed_to_digits(guess, psi, hold)):
             self._require_no_surplus(guess, hold)
             raise AssemblyError(self._open_loops(guess, q, psi, hold))
@@ -133,16 +134,17 @@ class Assembler:
         """
         Close the loops of many states in place, shapes (n, nq) and (n, nv), where that is plain.
 
-        As ``positions`` and ``velocities`` do, without their messages. Returns how, by state, as
-        ``Equations.close_states``; others than ``BY_ITSELF`` are singular nowhere.
+        As ``positions`` and ``velocities`` do, without their messages. Returns how, by state:
+        ``BY_ITSELF``, ``PLAIN`` or ``TURNED``, shape (n,).
         """
         free = self._free(hold)
         incomplete = len(hold) > 0 and len(free) != self.nc and (
             not self._coordinates.with_orientation)
-        if self.is_light or self.prescribed_rates.size or incomplete:
-            return np.full(len(q), BY_ITSELF)
-        return self._equations.close_states(
-            q, qd, self._loops(free), TOLERANCE * self.extent)
+        how = np.full(len(q), BY_ITSELF, dtype=np.int64)
+        if not (self.is_light or self.prescribed_rates.size or incomplete):
+            self._equations.solve(
+                native.close_states, q, qd, self._loops(free), TOLERANCE * self.extent, how)
+        return how
 
     def count_notes(self, position, velocity, q, qd, hold, how):
         """Return how many ``notes`` there are of each of many states that were closed at once."""
@@ -163,7 +165,7 @@ class Assembler:
             return False
         if len(hold) == 0:
             return True
-        _, left = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
+        _, left = self.solve_closure(guess, np.arange(self.nv))
         return not self._is_closed(left) and self._is_closed(left, enough)
 
     def solve_closure(self, q, free, enough=TOLERANCE):
@@ -173,9 +175,10 @@ class Assembler:
         ``enough``: float; closure error, in sizes, with which no other method is tried.
 
         """
-        found, parts = self._equations.closed(
-            q, self._loops(free), TOLERANCE * self.extent, enough * self.extent)
-        self._note(parts)
+        found = np.array(q, dtype=float)
+        self._note(self._equations.solve(
+            native.close_loops, found, self._loops(free), TOLERANCE * self.extent,
+            enough * self.extent))
         return found, self.closure(found)
 
     def _loops(self, free, tolerance=RANK_TOLERANCE):
@@ -237,9 +240,10 @@ class Assembler:
 
     def _nearest_rates(self, q, guess, hold, tolerance=RANK_TOLERANCE):
         """Return the rates nearest to a guess with which independent equations stay closed."""
-        found, parts = self._equations.closed_rates(
-            q, guess, self._loops(self._free(hold), tolerance), self._wanted_rates())
-        self._note(parts)
+        found = np.array(guess, dtype=float)
+        self._note(self._equations.solve(
+            native.close_rates, np.array(q, dtype=float), found,
+            self._loops(self._free(hold), tolerance), self._wanted_rates()))
         return found
 
     def _rates_apart(self, q, left, hold):
@@ -617,7 +621,7 @@ class Assembler:
 
     def _require_no_surplus(self, guess, hold):
         """Refuse held joints that follow from those held before them."""
-        q, psi = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
+        q, psi = self.solve_closure(guess, np.arange(self.nv))
         if len(hold) == 0 or not self._is_closed(psi):
             return
         jac, held, surplus = self.jacobian_of_largest_rank(q), [], []
@@ -665,9 +669,13 @@ class Assembler:
 
     def closes(self, guess):
         """Return whether the loops close next to a position, shape (nq,), with nothing held."""
-        guess = np.array(guess, dtype=float)
         _, psi = self.solve_closure(guess, np.arange(self.nv))
         return self._is_closed(psi) or self._is_closed_to_digits(guess, psi, ())
+
+    def closed_from(self, guess):
+        """Return a position that closes the loops, from any, shape (nq,); None where none is."""
+        found, psi = self.solve_closure(guess, np.arange(self.nv))
+        return found if self._is_closed(psi) else None
 
     def _advice_on_digits(self, psi):
         """Return what there is to do where loops may be open by rounded digits."""
@@ -682,7 +690,7 @@ class Assembler:
                   'points.')
         if len(hold) == 0:
             return nearer + self._advice_on_digits(psi)
-        q, psi = self.solve_closure(np.array(guess, dtype=float), np.arange(self.nv))
+        q, psi = self.solve_closure(guess, np.arange(self.nv))
         if not self._is_closed(psi):
             return f'Nor can it with none held. {nearer}{self._advice_on_digits(psi)}'
         nearest = ', '.join(

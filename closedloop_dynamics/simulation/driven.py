@@ -16,8 +16,8 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from .assemblies import closed_from, driven_names, drives_needed, moving_joints, too_few
-from .assembly import TOLERANCE
+from .assemblies import driven_names, drives_needed, moving_joints, too_few
+from .assembly import Assembler, TOLERANCE
 from .errors import SimulationError
 from .named_array import reals
 from .geometry import Geometry
@@ -274,7 +274,7 @@ class DrivenKinematics:
         """Return a position with driven values from any other, None where none is found."""
         column = self._model.cut_point.shape[1] - t.MOTION_COLUMNS
         self._model.cut_point[self._drives, column] = values
-        return closed_from(self._mechanism, self._equations, self._unit, position)
+        return Assembler(self._mechanism, self._equations).closed_from(position)
 
     def _jacobian(self):
         """Return J of all equations, without units, and of the loops and drives alone."""

@@ -19,7 +19,8 @@ import numpy as np
 
 from .assembly import Assembler
 from .modeling import build_model
-from ..core.equations import ALL_AXES, Equations, Far, NO_AXIS, ONE_AXIS, THREAD
+from ..core.equations import ALL_AXES, Equations, Far, Loops, NO_AXIS, ONE_AXIS, THREAD
+from ..engine import native
 from ..mechanism.kinematics import body_poses, body_velocities, pose_of, world_points
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE, UNIVERSAL)
@@ -151,7 +152,12 @@ class ClosureProblem:
         what the cosines of angles between axes lack of 1; how far coordinates are beyond limits.
         Those of other closures are zero.
         """
-        return self.equations.residual(q, *self._search)
+        rows, far = self._search
+        values = np.empty(len(far.unit) + len(far.axes) + len(far.limits))
+        slopes = np.empty((len(values), self.nv))
+        self.equations.solve(native.loop_residuals, np.array(q, dtype=float), Loops(
+            self.equations.places, rows, self.free(())), far, values, slopes)
+        return values, slopes
 
     def nearest(self, q, free, target=None, most=MOST_ITERATIONS):
         """
@@ -159,10 +165,12 @@ class ClosureProblem:
 
         ``free``: places of the rates that may change; ``target``: residuals that are wanted.
         """
-        rows, far = self._search
-        return self.equations.nearest(
-            q, rows, free, far if target is None else far._replace(target=target),
-            LEAST_INERTIA, LARGEST_STEP, 1e-3 * CLOSED, most)
+        (rows, far), found = self._search, np.array(q, dtype=float)
+        self.equations.solve(
+            native.search_loops, found, Loops(
+                self.equations.places, rows, free, least=LEAST_INERTIA, limit=LARGEST_STEP),
+            far if target is None else far._replace(target=target), 1e-3 * CLOSED, most)
+        return found
 
     def closure_errors(self, q):
         """Return how far each joint that closes a loop is open [m, sines of angles], by name."""

@@ -186,6 +186,8 @@ class Model:
             position, hold = initial.position, hold or initial.hold
             velocity = initial.velocity if velocity is None else velocity
         samples, (positions, velocities) = _batch({'position': position, 'velocity': velocity})
+        if samples == 0:
+            raise ValueError('states: expected at least one, got none')
         with self._lock:
             if samples is None:
                 states = self._work.assembled(positions(0), velocities(0), hold, time)
@@ -708,8 +710,9 @@ class _Workspace(Readings):
 
     def are_closed(self, states: State) -> bool:
         """Return whether all of many states certainly close the loops."""
-        return not self._motions and len(states) == self._equations.first_open(
-            states.q.copy(), states.qd.copy(), float(self.system.settings.closure_limit))
+        return not self._motions and len(states) == self._equations.solve(
+            native.first_open, states.q.copy(), states.qd.copy(),
+            float(self.system.settings.closure_limit))
 
     def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:
         """Move to a state, with closure equations that serve there."""

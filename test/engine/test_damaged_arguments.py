@@ -202,7 +202,7 @@ def use_kernels(simulation, note):
     call('close_rates', *solver, q, qd, loops, np.zeros(min(nc, 2)))
     states = q[np.newaxis].copy(), qd[np.newaxis].copy()
     call('close_states', *solver, *states, loops, 1e-9, np.zeros(1, dtype=np.int64))
-    call('first_open', *solver[:2], *states, 1e-9)
+    call('first_open', *solver, *states, 1e-9)
     far = Far(np.ones(nc), np.ones(nv), np.zeros(len(every.cut), dtype=np.int64),
               np.array([[0.0, 0.0, -1.0, 1.0]]), np.zeros(nc + len(every.cut) + 1))
     call('search_loops', *solver, q, loops, far, 1e-9, 3)
