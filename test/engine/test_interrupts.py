@@ -30,6 +30,7 @@ import json, os, signal, sys, threading, time
 # A shell starts what runs in the background with this signal ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 import numpy as np
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.simulation import Simulation
 
 scene, method, action = json.loads(sys.argv[1])
@@ -67,6 +68,9 @@ threading.Thread(target=interrupt, daemon=True).start()
 try:
     if action == 'step':
         simulation.step(duration=1e6)
+    elif action == 'assemble':
+        model = Model(simulation.scene)
+        model.assemble(np.tile(model.assemble().q + 1e-3, (1_000_000, 1)))
     else:
         simulation.rollout(np.zeros((action['samples'], 1, na)), steps=action['steps'],
                            every=action['steps'], threads=action['threads'])
@@ -106,6 +110,10 @@ def interrupted(scene, method, action):
 def test_an_interrupt_ends_a_long_step(scene, integrator):
     said = interrupted(scene, {'integrator': integrator, 'step_size': 1e-4}, 'step')
     assert said['took'] < HEARD and said['error'] < 1e-6 and said['time'] >= 0.01
+
+
+def test_an_interrupt_ends_a_long_assembly_of_many_states():
+    assert interrupted('three_rrr', {}, 'assemble')['took'] < HEARD
 
 
 @pytest.mark.parametrize('integrator, samples, threads', [
