@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 
 ONE = Path(__file__).resolve().parent / 'simulate.launch.py'
 NEEDED = ('moveit_ros_move_group', 'controller_manager', 'joint_trajectory_controller',
-          'topic_based_ros2_control')
+          'joint_state_topic_hardware_interface')
 CONTROLLER = 'joint_trajectory_controller'
 
 

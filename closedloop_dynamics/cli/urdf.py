@@ -24,7 +24,9 @@ def _run(arguments):
         if not arguments.hardware.is_file():
             raise UsageError('--hardware: expected the C of the scene, compiled as a library, got '
                              f'no file {arguments.hardware}')
-        hardware = arguments.hardware.resolve(), subject.method.step_size
+        hardware = arguments.hardware.resolve(), subject.method.step_size, arguments.sensors
+    elif arguments.sensors:
+        raise UsageError('--sensors: expected --hardware, which has them, got none')
     try:
         text = urdf(mechanism, loops=arguments.loops,
                     limits=stops_of(getattr(subject, 'effects', {})), hardware=hardware)
@@ -72,5 +74,7 @@ examples:
                'joints, the start of a scene as its state, all others passive', ('.srdf',)),
         Argument('--hardware', metavar='MODEL', type=Path,
                  help='have ros2_control simulate the scene, by closedloop_hardware: MODEL is '
-                      'the C of `closedloop export`, compiled as a library')),
+                      'the C of `closedloop export`, compiled as a library'),
+        Argument('--sensors', action='store_true',
+                 help='with --hardware: the force in each cut joint is a sensor')),
     run=_run)

@@ -39,9 +39,12 @@ LAYER = 0.027
 # URDF wants limits of a prismatic joint, a mechanism has none: these are beyond reach.
 REACH, NO_LIMIT = 100.0, 1e9
 # Of ros2_control: hardware that is reached by topics.
-HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
+HARDWARE_PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
 # Hardware that is the mechanism itself, and the bandwidth of its servos times the step size.
 MECHANISM_PLUGIN, PROMPTNESS = 'closedloop_hardware/MechanismSystem', 0.1
+# State interfaces of a sensor of the force in a joint.
+WRENCH = ('force.x', 'force.y', 'force.z', 'torque.x', 'torque.y', 'torque.z')
+PLANAR_WRENCH = ('force.x', 'force.y', 'torque.z')
 ALONG_X, ALONG_Y, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 # Appended to the name of a helical joint: the link between its two joints, and the sliding joint.
 SCREW, SLIDE = '_screw', '_slide'
@@ -67,9 +70,10 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states', l
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of freedoms [rad or m]; of those that are not named there is
         none.
-    hardware : tuple of 2, optional
-        Library of the exported C and step size [s], where ``closedloop_hardware`` is what the
-        ``ros2_control`` element names, in the place of a simulator that is reached by topics.
+    hardware : tuple of 3, optional
+        Library of the exported C, step size [s], and whether forces of cut joints are sensors,
+        where ``closedloop_hardware`` is what the ``ros2_control`` element names, in the place of
+        a simulator that is reached by topics.
 
     Returns
     -------
@@ -264,7 +268,7 @@ def _add_hardware(robot, mechanism, command_topic, state_topic):
             ElementTree.SubElement(joint, 'state_interface', name=key)
 
 
-def _add_mechanism(robot, mechanism, model, step_size):
+def _add_mechanism(robot, mechanism, model, step_size, sensors):
     """Add the ros2_control element of exported C as hardware: all single joints."""
     control = _add_control(robot, mechanism, MECHANISM_PLUGIN, {
         'model': str(model), 'step_size': numbers(step_size),
@@ -277,6 +281,11 @@ def _add_mechanism(robot, mechanism, model, step_size):
             ElementTree.SubElement(joint, 'command_interface', name=key)
         for key in ('position', 'velocity', 'acceleration', 'effort'):
             ElementTree.SubElement(joint, 'state_interface', name=key)
+    for cut in mechanism.cut_joints if sensors else ():
+        sensor = ElementTree.SubElement(control, 'sensor', name=cut.name)
+        ElementTree.SubElement(sensor, 'param', name='joint').text = cut.name
+        for key in PLANAR_WRENCH if mechanism.planar else WRENCH:
+            ElementTree.SubElement(sensor, 'state_interface', name=key)
 
 
 def _add_control(robot, mechanism, plugin, parameters):

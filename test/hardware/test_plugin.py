@@ -52,6 +52,17 @@ def test_the_description_names_all_joints_and_commands_of_driven_ones(capsys, li
             'position', 'velocity', 'acceleration', 'effort']
 
 
+def test_cut_joints_are_sensors_where_that_is_asked_for(capsys, library):
+    assert not described(capsys, 'three_rrr', '--hardware', library).findall('sensor')
+    for scene, count in (('three_rrr', 3), ('delta_robot', 6)):
+        sensors = described(capsys, scene, '--hardware', library, '--sensors').findall('sensor')
+        cuts = load_scene(scene).mechanism.cut_joints
+        assert [one.findtext('param') for one in sensors] == [cut.name for cut in cuts]
+        assert all(len(one.findall('state_interface')) == count for one in sensors)
+    assert main(['urdf', 'three_rrr', '--sensors']) == 2
+    assert '--sensors: expected --hardware' in capsys.readouterr().err
+
+
 def test_joints_of_several_freedoms_are_those_of_the_description(capsys, library):
     assert main(['urdf', 'stewart_platform', '--hardware', library]) == 0
     robot = ElementTree.fromstring(capsys.readouterr().out)

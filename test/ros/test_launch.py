@@ -15,6 +15,7 @@ import re
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
+from xml.etree import ElementTree
 
 from ament_index_python.packages import PackageNotFoundError
 from closedloop_dynamics.control.settings import FEEDBACK_MODES
@@ -24,6 +25,7 @@ from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 import pytest
+import yaml
 
 FOLDER = Path(__file__).resolve().parents[2] / 'launch'
 STAND_INS = {
@@ -272,7 +274,7 @@ def test_pick_and_place_follows_its_path_or_moveit(example):
     with pytest.raises(RuntimeError, match="moveit:=true needs the package 'moveit_ros_move_gr"):
         example.started('delta_pick_and_place', moveit='true')
     example.installed |= {'moveit_ros_move_group', 'controller_manager',
-                          'joint_trajectory_controller', 'topic_based_ros2_control'}
+                          'joint_trajectory_controller', 'joint_state_topic_hardware_interface'}
     simulator, manager, spawner, group = example.started('delta_pick_and_place', moveit='true')
     values = simulator.parameters[-1]
     assert values['scene'] == 'delta_robot' and values['publish_tf'] is True
@@ -281,6 +283,34 @@ def test_pick_and_place_follows_its_path_or_moveit(example):
     assert spawner.arguments[0] == 'joint_trajectory_controller'
     assert Path(group.parameters[0]).is_file()
     assert '<passive_joint' in group.parameters[1]['robot_description_semantic']
+
+
+def test_mechanism_is_hardware_of_ros2_control(example, tmp_path):
+    program = tmp_path / 'lib' / 'closedloop_dynamics' / 'closedloop'
+    program.parent.mkdir(parents=True)
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m closedloop_dynamics.cli "$@"\n')
+    program.chmod(0o755)
+    with pytest.raises(RuntimeError, match="needs the package 'closedloop_hardware'"):
+        example.started('ros2_control', folder=str(tmp_path))
+    example.installed |= {'closedloop_hardware', 'controller_manager', 'joint_state_broadcaster',
+                          'joint_trajectory_controller', 'robot_state_publisher'}
+    state, manager, spawner = example.started(
+        'ros2_control', folder=str(tmp_path), real_time_factor='2.0', sensors='true')
+    robot = ElementTree.fromstring(state.parameters[0]['robot_description'])
+    given = {one.get('name'): one.text for one in robot.findall('ros2_control/hardware/param')}
+    assert Path(given['model']).is_file() and given['real_time_factor'] == '2.0'
+    # The clock goes on by the period of the controller manager.
+    controllers = yaml.safe_load(Path(manager.parameters[0]).read_text())
+    values = controllers['controller_manager']['ros__parameters']
+    assert float(given['period']) * values['update_rate'] == 1.0
+    assert state.parameters[1] == manager.parameters[1] == {'use_sim_time': True}
+    assert [each.get('name') for each in robot.findall('ros2_control/sensor')] == [
+        'cut_1', 'cut_2']
+    assert spawner.arguments[:2] == ['joint_state_broadcaster', 'joint_trajectory_controller']
+    followed = controllers['joint_trajectory_controller']['ros__parameters']
+    assert followed['joints'] == ['theta_1', 'theta_6', 'theta_7']
+    with pytest.raises(RuntimeError, match='nowhere'):
+        example.started('ros2_control', folder=str(tmp_path), scene='nowhere')
 
 
 def test_ankle_is_completed_beside_what_stands_for_the_robot(example):
