@@ -10,12 +10,15 @@ off, by the times at which DDS sent them, the share of a core that the simulator
 many messages were lost on the way, by the numbers that the publisher gives them. With
 ``--record`` the package's recorder listens, too. Before and after, a bare loop that does nothing
 but sleep until the next period shows how evenly this machine wakes a process up at all, and
-``stolen`` is what the host of a virtual machine took from it meanwhile.
+``stolen`` is what the host of a virtual machine took from it meanwhile. At the end, how long it
+takes from a command to the state that shows it. ``--program`` measures the C++ node of
+``closedloop_hardware`` in the place of the simulator.
 """
 
 import argparse
 import os
 from pathlib import Path
+import subprocess
 import sys
 import tempfile
 import time
@@ -23,10 +26,13 @@ import time
 from machine import description, ROOT
 import numpy as np
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
 
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.ros.programs import Program  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 
 from test.ros.taker import Taker  # noqa: E402,I100
 
@@ -97,15 +103,56 @@ def floor(rate):
     return f'{"bare sleeping loop":20}{rate:8.0f}{"":10}{formatted(moments, rate)}'
 
 
-def measure(scene, rate, duration, record, parameters):
-    """Return the line of one rate."""
+def exported(scene, directory):
+    """Return the parameters by which the node of closedloop_hardware simulates a scene."""
+    model = Path(directory) / f'{scene}.c'
+    for command in ([sys.executable, '-m', 'closedloop_dynamics.cli', 'export', scene, '--output',
+                     model], ['cc', '-std=c99', '-O3', '-ffp-contract=fast', '-march=native',
+                              '-fPIC', '-shared', '-o', model.with_suffix('.so'), model, '-lm']):
+        subprocess.run([str(part) for part in command], check=True, stdout=subprocess.DEVNULL)
+    cuts = ','.join(cut.name for cut in load_scene(scene).mechanism.cut_joints)
+    return f'model:={model.with_suffix(".so")}', f'forces:=[{cuts}]'
+
+
+def latencies(node, name, count=300):
+    """Return the times from sending an effort of a joint to the state that shows it [ms]."""
+    found, wanted = [], [0.0, 0.0]
+
+    def look(message):
+        if wanted[1] and message.effort[message.name.index(name)] == wanted[0]:
+            found.append(1e3 * (time.perf_counter() - wanted[1]))
+            wanted[1] = 0.0
+
+    node.create_subscription(JointState, 'joint_states', look, 1000)
+    commands = node.create_publisher(JointState, 'joint_command', 10)
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    while len(found) < count:
+        if not wanted[1]:
+            # At any time within a period.
+            time.sleep(np.random.default_rng(len(found)).uniform(0.0, 0.01))
+            wanted[:] = 1e-6 * (1 + len(found)), time.perf_counter()
+            commands.publish(JointState(name=[name], effort=wanted[:1]))
+        executor.spin_once(timeout_sec=0.5)
+    executor.shutdown()
+    return found
+
+
+def measure(scene, rate, duration, record, parameters, program=None):
+    """Return the lines of one rate."""
     subscriber = Subscriber(scene)
     taken, processes = subscriber.taken, []
     with tempfile.TemporaryDirectory() as directory:
         if record:
             processes.append(start('recorder', f'output:={directory}/bag'))
-        processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}',
-                               *parameters))
+        if program is None:
+            processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}',
+                                   *parameters))
+        else:
+            processes.append(subprocess.Popen([
+                program, '--ros-args', '--log-level', 'warn', *(
+                    part for each in (f'publish_rate:={rate}', *exported(scene, directory))
+                    for part in ('-p', each))]))
         simulator = processes[-1]
         try:
             subscriber.take_until(lambda: len(taken.sent) > 3 * rate)
@@ -117,6 +164,7 @@ def measure(scene, rate, duration, record, parameters):
             share = (cpu_time(simulator) - before) / elapsed
             own = (time.process_time() - own) / elapsed
             taken_away = (stolen() - taken_away) / elapsed
+            answers = latencies(subscriber.node, load_scene(scene).mechanism.actuated_joints[0])
         finally:
             for process in reversed(processes):
                 process.terminate()
@@ -124,7 +172,9 @@ def measure(scene, rate, duration, record, parameters):
     subscriber.close()
     return (f'{scene:20}{rate:8.0f}{len(taken.sent) / elapsed:10.1f}'
             f'{formatted(taken.sent, rate)}{100.0 * share:8.1f}{100.0 * own:12.1f}'
-            f'{100.0 * taken_away:8.1f}{taken.received.total():11}{taken.lost.total():7}')
+            f'{100.0 * taken_away:8.1f}{taken.received.total():11}{taken.lost.total():7}'
+            '\nfrom a command to its state [ms]: '
+            '{:.2f} median, {:.2f} 99 %'.format(*np.percentile(answers, (50, 99))))
 
 
 def main(argv=None):
@@ -138,6 +188,7 @@ def main(argv=None):
                         help='with that parameter of the simulator')
     parser.add_argument('--priority', type=int, default=0,
                         help='parameter scheduling_priority of the simulator')
+    parser.add_argument('--program', help='measure this node of closedloop_hardware instead')
     arguments = parser.parse_args(argv)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     print(f'{description()}\nperiods: |period - nominal| [ms]; CPU, stolen: share of a core [%]')
@@ -147,8 +198,8 @@ def main(argv=None):
                   f'scheduling_priority:={arguments.priority}']
     for rate in arguments.rates:
         print(floor(rate), flush=True)
-        print(measure(arguments.scene, rate, arguments.duration, arguments.record, parameters),
-              flush=True)
+        print(measure(arguments.scene, rate, arguments.duration, arguments.record, parameters,
+                      arguments.program), flush=True)
         print(floor(rate), flush=True)
     return 0
 

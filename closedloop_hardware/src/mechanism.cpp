@@ -138,20 +138,34 @@ Mechanism::Mechanism(const std::string & model_file, double step_size, double ba
   reset();
 }
 
-std::size_t Mechanism::joint(const std::string & name) const
+/// Return the name of a joint; empty where it is a part of an orientation.
+std::string Mechanism::name_of(std::size_t joint) const
+{
+  return place_[joint] < 0 ? "" :
+         model_.positions[place_[joint]].substr(std::string("position.").size());
+}
+
+std::vector<std::string> Mechanism::joint_names() const
 {
   std::vector<std::string> known;
   for (std::size_t n = 0; n < place_.size(); ++n) {
     if (place_[n] >= 0) {
-      known.push_back(model_.positions[place_[n]].substr(std::string("position.").size()));
-      if (known.back() == name) {
-        return n;
-      }
+      known.push_back(name_of(n));
+    }
+  }
+  return known;
+}
+
+std::size_t Mechanism::joint(const std::string & name) const
+{
+  for (std::size_t n = 0; n < place_.size(); ++n) {
+    if (!name.empty() && name_of(n) == name) {
+      return n;
     }
   }
   throw error(
           "joint: expected one of those of one degree of freedom in ", model_.file, " (",
-          listed(known), "), got '", name, "'");
+          listed(joint_names()), "), got '", name, "'");
 }
 
 std::size_t Mechanism::wrench_place(const std::string & joint) const
@@ -253,13 +267,21 @@ void Mechanism::start_at(const std::map<std::string, double> & positions)
 
 void Mechanism::reset()
 {
+  std::fill(commands_.begin(), commands_.end(), Command::NONE);
+  restart();
+}
+
+void Mechanism::restart()
+{
   state_ = start_;
   time_ = 0.0;
   fault_ = "";
-  for (auto * const each : {&target_, &tau_, &qdd_}) {
+  for (auto * const each : {&tau_, &qdd_}) {
     std::fill(each->begin(), each->end(), 0.0);
   }
-  std::fill(commands_.begin(), commands_.end(), Command::NONE);
+  for (std::size_t k = 0; k < target_.size(); ++k) {
+    target_[k] = commands_[k] == Command::POSITION ? position(k) : 0.0;
+  }
   measure();
 }
 

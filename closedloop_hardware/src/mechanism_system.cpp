@@ -96,7 +96,7 @@ void MechanismSystem::set_up()
 {
   const std::string place = "hardware";
   const Parameters & parameters = info_.hardware_parameters;
-  require_known(place, parameters, {"model", "step_size", "bandwidth", "period"});
+  require_known(place, parameters, {"model", "step_size", "bandwidth", "period", "real_time_factor"});
   const bool follows = std::any_of(
     info_.joints.begin(), info_.joints.end(), [](const ComponentInfo & joint) {
       const auto & commands = joint.command_interfaces;
@@ -118,15 +118,25 @@ void MechanismSystem::set_up()
       throw expected("period", "a time above 0 [s]", parameters.at("period"));
     }
   }
-  if (!info_.gpios.empty()) {
-    throw expected("gpio", "none", info_.gpios.front().name);
+  double pace = 0.0;
+  if (parameters.count("real_time_factor") > 0) {
+    pace = number("real_time_factor", parameters.at("real_time_factor"));
+    if (!(pace > 0.0)) {
+      throw expected("real_time_factor", "more than 0", parameters.at("real_time_factor"));
+    }
+    if (!period_) {
+      throw expected("period", "a time [s], by which /clock goes on with real_time_factor", "none");
+    }
+  }
+  if (const auto node = get_node()) {
+    control_ = std::make_unique<SimulationControl>(*node, period_.value_or(0.0), pace);
   }
   std::for_each(info_.joints.begin(), info_.joints.end(), [this](const auto & one) {
     add_joint(one);
   });
-  std::for_each(info_.sensors.begin(), info_.sensors.end(), [this](const auto & one) {
-    add_sensor(one);
-  });
+  for (const auto * const those : {&info_.sensors, &info_.gpios}) {
+    std::for_each(those->begin(), those->end(), [this](const auto & one) {add_sensor(one);});
+  }
   std::map<std::string, double> start;
   for (const ComponentInfo & joint : info_.joints) {
     for (const InterfaceInfo & state : joint.state_interfaces) {
@@ -175,7 +185,10 @@ void MechanismSystem::add_joint(const ComponentInfo & joint)
 
 void MechanismSystem::add_sensor(const ComponentInfo & sensor)
 {
-  const std::string place = "sensor " + sensor.name;
+  const std::string place = sensor.type + " " + sensor.name;
+  if (!sensor.command_interfaces.empty()) {
+    throw expected(place, "no command interface", sensor.command_interfaces.front().name);
+  }
   require_known(place, sensor.parameters, {"joint"});
   const std::size_t number = mechanism_->wrench_place(text(place, sensor.parameters, "joint"));
   for (const InterfaceInfo & state : sensor.state_interfaces) {
@@ -199,7 +212,7 @@ CallbackReturn MechanismSystem::on_configure(const rclcpp_lifecycle::State &)
   }
   active_ = running_ = false;
   mechanism_->reset();
-  publish();
+  publish(true);
   return CallbackReturn::SUCCESS;
 }
 
@@ -277,13 +290,18 @@ return_type MechanismSystem::perform_command_mode_switch(
 
 return_type MechanismSystem::read(const rclcpp::Time &, const rclcpp::Duration & period)
 {
-  if (active_ && running_ && !mechanism_->advance(period_.value_or(period.seconds()))) {
+  if (control_ && control_->take_reset()) {
+    mechanism_->restart();
+  }
+  const bool ready = active_ && running_;
+  const bool passes = control_ ? control_->pass(ready) : ready;
+  if (passes && !mechanism_->advance(period_.value_or(period.seconds()))) {
     RCLCPP_ERROR(
       get_logger(), "after %g s of simulated time: %s", mechanism_->time(), mechanism_->fault());
     return return_type::ERROR;
   }
   running_ = active_;
-  publish();
+  publish(false);
   return return_type::OK;
 }
 
@@ -293,8 +311,9 @@ return_type MechanismSystem::write(const rclcpp::Time &, const rclcpp::Duration 
     if (mechanism_->commands()[one.joint] != one.kind) {
       continue;
     }
-    double value = 0.0;
-    std::ignore = get_command(one.handle, value, true);
+    // Where a controller is writing it at this instant, the command of before.
+    double value = mechanism_->commanded(one.joint);
+    std::ignore = get_command(one.handle, value, false);
     if (!std::isfinite(value)) {
       RCLCPP_ERROR(
         get_logger(), "%s: expected a finite command, got %g", one.name.c_str(), value);
@@ -305,7 +324,8 @@ return_type MechanismSystem::write(const rclcpp::Time &, const rclcpp::Duration 
   return return_type::OK;
 }
 
-void MechanismSystem::publish()
+/// Show the present state; in a cycle without waiting: a value that is being read stays for one.
+void MechanismSystem::publish(bool wait)
 {
   for (const Measured & one : measured_) {
     const double value =
@@ -314,7 +334,7 @@ void MechanismSystem::publish()
       one.quantity == Quantity::ACCELERATION ? mechanism_->acceleration(one.joint) :
       one.quantity == Quantity::EFFORT ? mechanism_->effort(one.joint) :
       mechanism_->wrench(one.joint)[one.component];
-    std::ignore = set_state(one.handle, value, true);
+    std::ignore = set_state(one.handle, value, wait);
   }
 }
 

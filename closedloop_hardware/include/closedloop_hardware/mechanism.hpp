@@ -58,6 +58,9 @@ public:
   /// positions and velocities; 0 where there are none. Throws std::invalid_argument.
   Mechanism(const std::string & model_file, double step_size, double bandwidth);
 
+  /// Names of the joints of one degree of freedom.
+  std::vector<std::string> joint_names() const;
+
   /// Return the number of a joint, or the place of a joint's wrench; throw std::invalid_argument
   /// for a name that the model does not have.
   std::size_t joint(const std::string & name) const;
@@ -72,8 +75,10 @@ public:
   /// such position.
   void start_at(const std::map<std::string, double> & positions);
 
-  /// Return to the start: time 0, no command.
+  /// Return to the start: time 0, no command; or the commands as they are, joints held there.
+  /// Neither allocates.
   void reset();
+  void restart();
 
   /// Tell whether the servos of these commands, one a joint, can act one by one here: no more than
   /// the mechanism has degrees of freedom, and independent ones.
@@ -117,6 +122,7 @@ private:
   double time_ = 0.0;
   const char * fault_ = "";
 
+  std::string name_of(std::size_t joint) const;
   bool factor_mobility(const std::vector<Command> & commands);
   bool find_efforts();
   bool solve_servos();

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "closedloop_hardware/mechanism.hpp"
+#include "closedloop_hardware/simulation_control.hpp"
 #include "hardware_interface/system_interface.hpp"
 
 namespace closedloop_hardware
@@ -56,6 +57,7 @@ private:
   };
 
   std::unique_ptr<Mechanism> mechanism_;
+  std::unique_ptr<SimulationControl> control_;  // Null without an executor for its services
   std::vector<Measured> measured_;
   std::vector<Commanded> commanded_;
   std::optional<double> period_;  // Where each cycle lasts the same [s]
@@ -67,7 +69,7 @@ private:
   void add_sensor(const hardware_interface::ComponentInfo & sensor);
   std::vector<Command> switched(
     const std::vector<std::string> & start, const std::vector<std::string> & stop) const;
-  void publish();
+  void publish(bool wait);
 };
 
 }  // namespace closedloop_hardware
