@@ -21,6 +21,9 @@ constexpr double STAYS = 2.0;
 // Kinetic energy that the projection may discard after a step, of the most that there was: more is
 // no error of the step, but equations that hinder the motion.
 constexpr double DISCARDED = 1e-6;
+// Changes of rates below this share of them, or of 1, are rounding: at rest there is no energy that
+// they could be measured by.
+constexpr double ROUNDING = 1e-13;
 // Sufficient pivot; ratio to the reference pivot below which equations are poor; and growth of that
 // reference per step.
 constexpr double GOOD_PIVOT = 0.02, SMALLER = 0.25, GROWTH = 1.1;
@@ -44,8 +47,9 @@ bool equations_suffice(const System & system, Stabilisation stabilisation, Value
   const Settings & settings = *system.settings;
   const Values & numbers = all.numbers;
   // The projection has left in `qdd` its change of the rates.
-  const double discarded = stabilisation == Stabilisation::PROJECTION ?
-    kinetic_energy(all, q, system.qdd) : 0.0;
+  const bool corrected = stabilisation == Stabilisation::PROJECTION &&
+    largest(system.qdd) > ROUNDING * rate_scale(qd);
+  const double discarded = corrected ? kinetic_energy(all, q, system.qdd) : 0.0;
   numbers[KINETIC] = std::max(numbers[KINETIC], kinetic_energy(all, q, qd));
   update(all.model, all.own, Responses::NONE);
   const double error = largest(all.own.closure), opening = settings.opening;

@@ -4,7 +4,7 @@
 """Discrete steps of states, with their Jacobians, on the manifold of states that close loops."""
 
 import math
-from typing import Any, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,8 @@ from ..integration.stepped_run import (
 
 # Steps of a period at most this share longer than the method's step size are rounding.
 ROUNDING = 1e-9
+# Periods whose runs are kept.
+MOST_PERIODS = 64
 # What users call the engine's arrays.
 _ARRAYS = {'q': 'q', 'qd': 'qd', 'tau': 'torque', 'next_q': 'next_q', 'next_qd': 'next_qd',
            'A': 'by_state', 'B': 'by_torque', 'by_parameter': 'by_parameter', 'basis': 'basis'}
@@ -159,13 +161,11 @@ class Stepper:
         if not isinstance(model, Model):
             raise TypeError(f'Stepper: expected a Model, as Model.from_scene returns it, got '
                             f'{model!r}')
-        if not (isinstance(period, (int, float)) and math.isfinite(period) and period > 0.0):
-            raise ValueError(f'period: expected a finite number > 0 [s], got {period!r}')
         _require_whole('steps', steps)
         scene = model.scene.with_method(method)
         require_differentiable(scene.method)
-        self.model, self.period = model, float(period)
-        self.steps = steps or math.ceil(period / scene.method.step_size * (1.0 - ROUNDING))
+        self.model, self._given_steps = model, steps
+        self._period, self.steps = self._divided(period, scene.method.step_size)
         self._simulation = simulation = Simulation(model, None, scene.method)
         require_derivatives(simulation.data, along=True)
         self._names, self._differentiates = simulation.joint_names, bool(jacobians)
@@ -181,12 +181,20 @@ class Stepper:
     def _work_on_present_equations(self) -> None:
         """Work on the closure equations that the simulation works on now."""
         simulation = self._simulation
-        self._system = system = simulation.data.system
-        self._equations = system.model
+        self._system = simulation.data.system
+        self._equations = self._system.model
         self._derivatives = derivatives = StepDerivatives(simulation.data, self._arrays)
         # Whose results give the independent coordinates.
         derivatives.need(CLOSURE)
-        beside = derivatives.in_lanes((*CLOSURE, *(REVERSE if self._differentiates else ())))
+        self._beside = derivatives.in_lanes(
+            (*CLOSURE, *(REVERSE if self._differentiates else ())))
+        self._set_run()
+        self._choose(simulation.position, simulation.velocity, self._asked if self._chart is None
+                     else self._chart.independent)
+
+    def _set_run(self) -> None:
+        """Set up the run of a period."""
+        simulation, system = self._simulation, self._system
         method = simulation.scene.method
         tableau: Any = INTEGRATORS[method.integrator].tableau
         run = SteppedRun(
@@ -194,9 +202,9 @@ class Stepper:
             self.steps, np.zeros((1, len(system.tau))))
         tape = allocate_tape(system, tableau, self.steps)
         tape.state[0] = simulation.data.integrated
-        self._run = run, allocate_scratch(system, tableau), tape, derivatives.routines, beside
-        self._choose(simulation.position, simulation.velocity, self._asked if self._chart is None
-                     else self._chart.independent)
+        self._run = (run, allocate_scratch(system, tableau), tape, self._derivatives.routines,
+                     self._beside)
+        self._calls: Dict[float, Any] = {}
 
     def _choose(self, q: np.ndarray, qd: np.ndarray, own: Optional[Sequence[int]]) -> None:
         """Take independent coordinates, by their places; those that move most where not given."""
@@ -206,6 +214,46 @@ class Stepper:
         rest = dependent_on(jac, own, self._names)
         self._chart = allocate_chart(self._system, own, rest, self._arrays.matrix)
         self._basis = np.zeros((2 * len(qd), 2 * len(own) + len(self.parameters)))
+        self._displacement = np.zeros(len(qd))
+
+    @property
+    def simulation(self) -> Simulation:
+        """What it works with; who writes arrays of its ``data`` calls their ``touch`` then."""
+        return self._simulation
+
+    @property
+    def parameter_arrays(self) -> Any:
+        """The derivatives of its arrays by the parameters, a ``parameters.ParameterArrays``."""
+        return self._arrays
+
+    @property
+    def period(self) -> float:
+        """Of the next calls [s]; the last few that were set are kept ready."""
+        return self._period
+
+    @period.setter
+    def period(self, period: float) -> None:
+        if period == self._period:
+            return
+        divided = self._divided(period, self._simulation.scene.method.step_size)
+        if len(self._calls) >= MOST_PERIODS:
+            self._calls.clear()
+        self._calls[self._period] = self._run, self.steps, self._call
+        self._period, self.steps = divided
+        if period in self._calls:
+            self._run, self.steps, self._call = self._calls[period]
+            return
+        calls = self._calls
+        self._set_run()
+        self._bind()
+        self._calls = calls
+
+    def _divided(self, period: float, step_size: float) -> Tuple[float, int]:
+        """Return a period, and how many steps it has."""
+        if not (isinstance(period, (int, float)) and math.isfinite(period) and period > 0.0):
+            raise ValueError(f'period: expected a finite number > 0 [s], got {period!r}')
+        return float(period), self._given_steps or math.ceil(
+            period / step_size * (1.0 - ROUNDING))
 
     @property
     def count(self) -> Optional[int]:
@@ -225,6 +273,7 @@ class Stepper:
 
     def _bind(self) -> None:
         """Bind the engine's function to the present arrays."""
+        self._calls = {}
         self._call = native.bind(
             'step_states', self._system.native, *self._run, self._chart, self._reach)
 
@@ -336,7 +385,7 @@ class Stepper:
 
         """
         places, reach, nv = places_of(self._names, independent), self._reach, len(self._names)
-        bases = [self._basis_at(*state).copy() for state in zip(reach.q, reach.qd)]
+        bases = [self.basis_at(*state).copy() for state in zip(reach.q, reach.qd)]
         self._choose(reach.q[0], reach.qd[0], places)
         self._bind()
         own = self._chart.independent
@@ -344,7 +393,7 @@ class Stepper:
         found = np.array([basis[rows, :len(rows)] for basis in bases])
         return found if self._count else found[0]
 
-    def _basis_at(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def basis_at(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the changes of all with the independent ones; overwritten by the next call."""
         if native.fill_basis(self._system.native, self._run[-1], self._chart, q, qd,
                              self._basis) != DONE:
@@ -365,7 +414,7 @@ class Stepper:
         found = []
         reach, n = self._reach, 2 * len(self._chart.independent)
         for number, state in enumerate(zip(reach.next_q, reach.next_qd)):
-            basis = self._basis_at(*state)
+            basis = self.basis_at(*state)
             whole = basis[:, :n] @ np.hstack((
                 reach.by_state[number], reach.by_torque[number], reach.by_parameter[number]))
             if self.parameters:
@@ -408,17 +457,23 @@ class Stepper:
         for name, values, size in zip(('q', 'qd'), start, (self._reach.q, self._reach.qd)):
             if values.shape != size.shape[1:]:
                 raise ValueError(f'{name}: expected shape {size.shape[1:]}, got {values.shape}')
-        rows = np.atleast_2d(wanted)
-        places, rates = (np.zeros((len(rows), len(values))) for values in start)
+        places, rates = self.moved(*start, np.atleast_2d(wanted))
+        return (places, rates) if wanted.ndim == 2 else (places[0], rates[0])
+
+    def moved(self, q: np.ndarray, qd: np.ndarray,
+              changes: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
+        """As ``plus``, of arrays of floats of shapes (nq,), (nv,), (m, 2 n), unchecked."""
+        count = len(changes)
+        places, rates = np.empty((count, len(q))), np.empty((count, len(qd)))
         status, number = native.move_along(
-            self._system.native, self._run[-1], self._chart, *start, self._basis, rows,
-            np.zeros(len(self._names)), places, rates)
+            self._system.native, self._run[-1], self._chart, q, qd, self._basis, changes,
+            self._displacement, places, rates)
         if status == OPEN_LOOP:
             raise ClosureError(f'changes, row {number}: the loops cannot be closed that far from '
                                'the state: give smaller ones')
         if status != DONE:
             raise SingularityError(f'{_ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
-        return (places, rates) if wanted.ndim == 2 else (places[0], rates[0])
+        return places, rates
 
     def minus(self, q: ArrayLike, qd: ArrayLike, from_q: ArrayLike,
               from_qd: ArrayLike) -> np.ndarray:

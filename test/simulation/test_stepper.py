@@ -3,7 +3,10 @@
 
 """Discrete steps with Jacobians: the same as of trajectories, differences, and refusals."""
 
+from dataclasses import replace
+
 import closedloop_dynamics as cld
+from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.simulation.stepper import Stepper
 import numpy as np
 import pytest
@@ -194,3 +197,50 @@ def test_steps_are_no_longer_than_the_method_says():
     assert Stepper(model, 0.0101).steps == 11
     assert Stepper(model, 0.01, method={'integrator': 'heun', 'step_size': 0.004}).steps == 3
     assert Stepper(model, 0.01, steps=2, jacobians=False).A.shape == (0, 2, 2)
+
+
+def test_redundant_mechanism_rests_in_equilibrium():
+    model = cld.Model.from_scene('bennett')
+    start = model.assemble()
+    torque = model.inverse(start, np.zeros(len(start.qd))).torque
+    stepper = Stepper(model, PERIOD)
+    stepper.q[:], stepper.qd[:], stepper.tau[:] = start.q, 0.0, torque
+    stepper()
+    assert np.allclose(stepper.next_q, start.q, atol=1e-12)
+
+
+def test_periods_may_change():
+    case = Case('four_bar')
+    stepper = case.stepper
+    halves = [0.3 * PERIOD, 0.7 * PERIOD]
+    q, qd, jacobian = case.q, case.qd, np.eye(case.size)
+    for period in 2 * halves:
+        stepper.period = period
+        assert stepper.period == period
+        q, qd = case.after(q, qd, case.tau)
+        jacobian = stepper.A @ jacobian
+    stepper.period = 2.0 * PERIOD
+    whole = case.after(case.q, case.qd, case.tau)
+    # Both are of fourth order, with steps of 2 ms.
+    assert np.allclose(q, whole[0], atol=1e-8) and np.allclose(qd, whole[1], atol=1e-6)
+    assert np.allclose(jacobian, stepper.A, atol=1e-5)
+
+
+def test_conditions_of_laws_are_shared_by_all_rows():
+    """A force asks whether its axes are the body's, which all rows of the Jacobians share."""
+    scene = cld.load_scene('four_bar')
+    point = scene.mechanism.points[0].name
+    model = cld.Model(replace(scene, effects={**scene.effects, 'push': ExternalForce(
+        point, (3.0, -2.0), 0.5, 'body')}))
+    stepper = Stepper(model, PERIOD, steps=STEPS)
+    state = model.assemble()
+    found = []
+    for change in (-1e-4, 1e-4):
+        stepper.q[:], stepper.qd[:] = stepper.plus(state.q, state.qd, [change, 0.0])
+        stepper.tau[:] = 0.0
+        stepper()
+        found.append(stepper.minus(stepper.next_q, stepper.next_qd, state.q, state.qd))
+    stepper.q[:], stepper.qd[:] = state.q, state.qd
+    stepper()
+    # Differences of second order.
+    assert np.allclose((found[1] - found[0]) / 2e-4, stepper.A[:, 0], atol=1e-5)

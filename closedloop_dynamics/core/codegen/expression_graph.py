@@ -18,6 +18,8 @@ import operator
 # they are, a flag and two numbers; a TAKE is a further result of such a call.
 (LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
  BOTH, SQUARE_ROOT, EXPONENTIAL, LOGARITHM, ARCTANGENT, POWER, CALL, TAKE) = range(19)
+# Those whose result is no number.
+CONDITIONS = LESS, GREATER_EQUAL, BOTH
 # Whole exponents up to this one are multiplications.
 LARGEST_PRODUCT = 16
 # Inputs beside those of a function table: coordinates and rates.
@@ -296,7 +298,11 @@ def divided(graph, values, source, shared):
             known[place] = after.put(LOAD, Q, operands[1])
         elif place not in moves:
             known[place] = after.put(LOAD, shared, len(results))
-            results.append(Symbol(graph, place))
+            result = Symbol(graph, place)
+            if kind in CONDITIONS:
+                # Results are numbers: 1 where it holds.
+                result, known[place] = chosen(result, 1.0, 0.0), known[place] >= 0.5
+            results.append(result)
         else:
             known[place] = after.put(kind, *(
                 known[one].place if isinstance(one, int) else one for one in operands))

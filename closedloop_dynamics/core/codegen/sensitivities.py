@@ -84,7 +84,7 @@ class SensitivityTrace(DerivativeTrace):
         found, shared = divided(
             self.graph, [value for _, _, value in self.outputs], SEED, SHARED)
         self.outputs = [(SHARED, n, value) for n, value in enumerate(shared)]
-        graph = next(one.graph for one in found if hasattr(one, 'graph'))
+        graph = next((one.graph for one in found if hasattr(one, 'graph')), ExpressionGraph())
         count = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(shared)))])
         return [self.named('before'), count], [
             Routine('beside', graph, [(QD, n, value) for n, value in enumerate(found)])]
@@ -99,8 +99,12 @@ class SensitivityTrace(DerivativeTrace):
             results = self._wrenches()
         else:
             results = self._of_solution(what, way)
+        return self.returned(NAMES[which], results)
+
+    def returned(self, name, results):
+        """Return a routine that stores results in their order."""
         self.outputs = [(RESULT, place, value) for place, value in enumerate(results)]
-        return self.named(NAMES[which])
+        return self.named(name)
 
     def _of_solution(self, what, way):
         """Return the results of a routine of the solved accelerations and multipliers."""
