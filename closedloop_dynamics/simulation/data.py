@@ -455,6 +455,26 @@ class Data:
         """Whether equations that repeat others are left out, and watched."""
         return self.loop_model.has_redundant_constraints
 
+    def measure_cut_joints(self, q: np.ndarray, qd: np.ndarray) -> Tuple[np.ndarray, ...]:
+        """
+        Return coordinates and rates of all cut joints, and their derivatives by the tree's.
+
+        Parameters
+        ----------
+        q, qd : ndarray, shape (nq,), (nv,)
+            [rad or m], and per s.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (n,)
+            Of ``Mechanism.cut_coordinates``; see ``CutJoints.measure``.
+        jacobian : ndarray, shape (n, nv)
+
+        """
+        moved = self._equations.move(q, qd)
+        return (*self._cuts.measure(moved.work.body),
+                self._cuts.jacobian(moved.model, moved.work, self._cuts.names))
+
     @property
     def takes_closed_states(self) -> bool:
         """Whether any state with closed loops may be a start."""
