@@ -167,8 +167,9 @@ class MessageBag:
 
     def state(self, topic, stamp, names, position, velocity, effort):
         """Write a JointState."""
+        values = (np.array(each, dtype=float) for each in (position, velocity, effort))
         self._put(topic, STATE, stamp, header=self._header(stamp), name=list(names),
-                  position=position, velocity=velocity, effort=effort)
+                  **dict(zip(('position', 'velocity', 'effort'), values)))
 
     def wrench(self, topic, stamp, wrench):
         """Write a WrenchStamped, moments first, shape (3,), in space (6,), axes of the world."""
