@@ -261,6 +261,31 @@ def over_drive(curves, label, title, common=()):
     return figure
 
 
+def bands(curves, label, title):
+    """
+    Draw estimates with two standard deviations on both sides, a panel a quantity.
+
+    ``curves``, by the quantity with its unit and by name: abscissa, values and standard
+    deviations, shape (n,) each; ``label``: the abscissa, with its unit.
+    """
+    figure, rows = _panels(len(curves), title)
+    for axes, (quantity, values) in zip(rows[:, 0], curves.items()):
+        for k, (name, (x, y, deviation)) in enumerate(values.items()):
+            axes.plot(x, y, label=name, **_style(k))
+            axes.fill_between(x, y - 2.0 * deviation, y + 2.0 * deviation, alpha=0.2,
+                              color=COLORS[k % len(COLORS)], linewidth=0.0)
+        # What is hardly known at first would hide all that comes later.
+        known = np.concatenate([y[len(y) // 20:] for _, y, _ in values.values()])
+        wide = np.concatenate([2.0 * each[len(each) // 20:] for *_, each in values.values()])
+        low, high = np.nanmin(known - wide), np.nanmax(known + wide)
+        room = 0.05 * (high - low) or 1e-3 * max(1.0, abs(high))
+        axes.set_ylim(low - room, high + room)
+        axes.set_ylabel(quantity)
+        _legend_beside(axes)
+    rows[-1, 0].set_xlabel(label)
+    return figure
+
+
 def timing_chart(lines, label, title):
     """Draw each line, a pair of abscissa and values, between its least and its largest value."""
     figure, panels = _panels(len(lines), title)

@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""``closedloop estimate``: states, joint forces and loads from a record of sensors."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+
+from .command import (
+    Argument, Command, complain, OVERWRITE, picture_option, require_free, SET, UsageError,
+    with_numbers)
+from ..estimation.beginning import Beginning
+from ..estimation.errors import EstimationError
+from ..estimation.estimator import Estimator
+from ..estimation.record_file import begun, read_events, record_of, without_latency
+from ..estimation.report import columns, DEVIATION, EstimateBag, sensors_table, unknowns_table
+from ..estimation.setup_file import read_setup, SetupError
+from ..estimation.smoothing import smooth
+from ..recording.reading import BagReadError
+from ..recording.recording import RecordingError
+from ..simulation.model import Model
+from ..simulation.scene import load_scene
+from ..visual.progress import announced, progress_bar
+from ..visual.tables import write_csv
+
+
+def _run(arguments):
+    if arguments.output is not None:
+        if arguments.output.suffix != '.csv' and arguments.output.exists():
+            raise UsageError(f'--output: {arguments.output} exists; name another bag')
+        require_free(arguments, arguments.output)
+    scene = with_numbers(load_scene(arguments.scene), arguments)
+    try:
+        with announced('Reading and compiling ...'):
+            setup = read_setup(arguments.sensors, scene)
+            events = read_events(
+                arguments.recording, setup, scene.mechanism, arguments.namespace)
+            setup = without_latency(setup)
+            model = Model(scene)
+            start, events = begun(events, Beginning(setup, model))
+            record = record_of(events, setup, scene.mechanism, start.time)
+        found = (_filtered if arguments.filter else _smoothed)(setup, model, record, start)
+        return _report(arguments, scene, setup, events, record, *found)
+    except EstimationError as error:
+        return complain(arguments, error)
+    except (SetupError, RecordingError, BagReadError, ValueError) as error:
+        raise UsageError(str(error)) from None
+
+
+def _smoothed(setup, model, record, start):
+    """Return estimates at all times from the whole record, consistency and alarms."""
+    with progress_bar(1.0, 'of the record', 'smoothing') as bar:
+        found = smooth(model, setup.sensors, record, setup.unknowns, setup.noise, start,
+                       method=setup.method, progress=lambda done: bar.update(done - bar.n))
+    return map(found.estimate, range(len(record.times))), found.consistency, found.alarms
+
+
+def _filtered(setup, model, record, start):
+    """Return the same from what was measured up to each time, as the node estimates."""
+    estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method)
+    estimates = []
+    with progress_bar(len(record.times), 'instants', 'filtering') as bar:
+        for k, time in enumerate(record.times):
+            readings = record.rows(k)
+            if readings:
+                estimator.measure_all(time, readings)
+            estimator.advance(time)
+            # From now on.
+            estimator.command(time, record.torques[k])
+            estimates.append(estimator.estimate())
+            bar.update()
+    return estimates, estimator.consistency, estimator.alarms
+
+
+def _report(arguments, scene, setup, events, record, estimates, consistency, alarms):
+    """Write the files, print the tables; return the exit code."""
+    rows, names, estimate = [], [], None
+    to_bag = arguments.output is not None and arguments.output.suffix != '.csv'
+    with EstimateBag(arguments.output, scene.mechanism, setup.unknowns) if to_bag else (
+            nullcontext()) as bag, progress_bar(len(record.times), 'instants', scene.name) as bar:
+        for time, estimate in zip(record.times, estimates):
+            names, *numbers = columns(estimate, scene.mechanism)
+            rows.append(numbers)
+            if to_bag:
+                bag.write(events.begin + round(1e9 * time), estimate)
+            bar.update()
+    if arguments.output is not None and not to_bag:
+        write_csv(arguments.output, ['time', *names, *(name + DEVIATION for name in names)], [
+            [float(value) for value in (time, *np.ravel(numbers))]
+            for time, numbers in zip(record.times, rows)])
+    first, last = record.times[[0, -1]]
+    print(f'{arguments.recording}: {len(record.times)} instants of {scene.name}, '
+          f'{last - first:.6g} s')
+    untold = []
+    if setup.unknowns:
+        table, untold = unknowns_table(estimate, setup.unknowns)
+        print(table)
+    print(sensors_table(consistency))
+    for alarm in alarms:
+        print(f'at {alarm.time:.4g} s: {alarm.message}')
+    if arguments.picture is not None:
+        _draw(arguments, scene, record.times, names, np.array(rows), len(estimate.unknowns.names))
+        print(f'picture in {arguments.picture}')
+    if arguments.output is not None:
+        print(f'estimates in {arguments.output}')
+    if len(untold) == len(estimate.unknowns.names) > 0:
+        return complain(arguments, 'nothing of what is unknown can be estimated from this record '
+                        f'({", ".join(untold)}): does the machine move in it?')
+    wrong = [name for name, one in consistency.sensors.items() if not one.consistent]
+    if alarms or wrong:
+        return complain(arguments, 'the record does not fit the model and its noise: ' + (
+            '; '.join(alarm.message for alarm in alarms) or f'mean NIS of {", ".join(wrong)}'))
+    print('the record is consistent with the model')
+    return 0
+
+
+def _draw(arguments, scene, times, names, rows, unknowns):
+    # Only here, as it takes long to load.
+    from ..visual.pictures import bands
+    curves = {name: [name] for name in names[len(names) - unknowns:]}
+    driven = scene.mechanism.actuated_joints
+    cuts = tuple(f'force.{cut.name}.' for cut in scene.mechanism.cut_joints)
+    curves['rates of the drives [rad/s, m/s]'] = [
+        name for name in names if name.removeprefix('velocity.') in driven]
+    curves['forces in cut joints [N, N m]'] = [name for name in names if name.startswith(cuts)]
+    bands({title: {name: (times, *rows[:, :, names.index(name)].T) for name in some}
+           for title, some in curves.items() if some},
+          'time [s]', f'{scene.name}: estimates, with two standard deviations').savefig(
+        arguments.picture)
+
+
+COMMAND = Command(
+    name='estimate',
+    summary='states, joint forces and loads from a record of sensors',
+    description="""\
+Read what sensors measured, from a bag or a CSV file, and estimate the motion of the whole
+mechanism, the forces in its joints and what is unknown (loads, friction, lengths, errors of
+sensors), each with a standard deviation. All of the record tells of each instant (a
+smoother); with --filter what was measured up to then, as closedloop_estimator does live.
+Exit code 1: the record does not fit the model and its noise, or tells nothing of what is
+unknown; 2: something cannot be read, or does not fit the mechanism.
+""",
+    epilog="""\
+examples:
+  closedloop estimate my_bag --scene three_rrr --sensors sensors.yaml --picture estimates.png
+  closedloop estimate run.csv --scene four_bar --sensors sensors.yaml --output estimates.csv
+""",
+    arguments=(
+        Argument('recording', metavar='BAG_OR_CSV',
+                 help='a bag, or a CSV file with a column for each number'),
+        Argument('--scene', metavar='SCENE', required=True,
+                 help='the mechanism as far as it is known: a shipped scene by its name, or a '
+                      'YAML file'),
+        Argument('--sensors', metavar='FILE', type=Path, required=True,
+                 help='YAML file of sensors, unknowns and noise (doc/estimation.md)'),
+        SET,
+        Argument('--filter', action='store_true',
+                 help='estimate each instant from what was measured up to then'),
+        Argument('--namespace', metavar='NAME', help='of the topics in the bag'),
+        picture_option('unknowns, rates and forces with their bands'),
+        Argument('--output', metavar='BAG_OR_CSV', type=Path,
+                 help='a new bag with the topics of closedloop_estimator, or a file *.csv with '
+                      'all numbers and their standard deviations'),
+        OVERWRITE),
+    run=_run)
