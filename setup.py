@@ -118,6 +118,7 @@ setup(
     entry_points={
         'console_scripts': [
             'closedloop = closedloop_dynamics.cli:program',
+            'closedloop_estimator = closedloop_dynamics.ros.process:estimator',
             'closedloop_joint_states = closedloop_dynamics.ros.process:joint_states',
             'closedloop_recorder = closedloop_dynamics.ros.process:recorder',
             'closedloop_simulator = closedloop_dynamics.ros.process:simulator',

@@ -352,6 +352,11 @@ def joint_states():
     _run_main('joint_states_node')
 
 
+def estimator():
+    """Run ``closedloop_estimator``; end the process with its exit code."""
+    _run_main('estimator_node')
+
+
 def _run_main(module):
     """Watch for signals, then load a node's module and run its ``main``."""
     watch_signals()

@@ -20,6 +20,7 @@ FUNCTIONS = {
     'closedloop_torque_source': 'torque_source',
     'closedloop_recorder': 'recorder',
     'closedloop_joint_states': 'joint_states',
+    'closedloop_estimator': 'estimator',
 }
 # Said by a node when it works.
 READY = {
@@ -27,6 +28,7 @@ READY = {
     'closedloop_torque_source': 'driving',
     'closedloop_recorder': 'recording',
     'closedloop_joint_states': 'completing',
+    'closedloop_estimator': 'estimating',
 }
 # The first start may compile everything [s].
 PATIENCE = 240.0

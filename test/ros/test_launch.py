@@ -313,6 +313,27 @@ def test_mechanism_is_hardware_of_ros2_control(example, tmp_path):
         example.started('ros2_control', folder=str(tmp_path), scene='nowhere')
 
 
+def test_a_machine_has_its_twin_beside_it(example):
+    """The estimator knows another scene than the machine, and takes the machine's topics."""
+    simulator, source, estimator, viewer = example.started('estimation')
+    assert executables([simulator, source, estimator, viewer]) == [
+        'closedloop_simulator', 'closedloop_torque_source', 'closedloop_estimator',
+        'closedloop_viewer']
+    values, = estimator.parameters
+    assert values['scene'] == 'three_rrr' and Path(values['sensors']).is_file()
+    assert Path(simulator.parameters[-1]['scene']).is_file()
+    assert simulator.parameters[-1]['scene'] == source.parameters[-1]['scene']
+    assert ('joint_states', '/joint_states') in estimator.remappings
+    assert viewer.parameters[0]['estimator'] == f'/{estimator.namespace}/closedloop_estimator'
+    with pytest.raises(PackageNotFoundError):
+        example.started('estimation', rviz='true')
+    example.installed.add('rviz2')
+    *_, rviz = example.started('estimation', rviz='true', view='false', mode='lockstep')
+    text = Path(rviz.arguments[-1]).read_text()
+    for topic in ('visualization_marker_array', 'twin/visualization_marker_array'):
+        assert f'Value: {topic}\n' in text
+
+
 def test_ankle_is_completed_beside_what_stands_for_the_robot(example):
     completion, simulator, source = example.started('humanoid_ankle')
     assert completion.executable == 'closedloop_joint_states'
