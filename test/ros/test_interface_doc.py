@@ -6,6 +6,7 @@
 from pathlib import Path
 import re
 
+from closedloop_dynamics.ros.estimator_node import ESTIMATOR_PARAMETERS
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
 from closedloop_dynamics.ros.joint_states_node import JOINT_STATES_PARAMETERS
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS
@@ -35,7 +36,7 @@ def row(parameter):
     row(parameter) for parameter in (
         *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS,
         *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS, *VIEWER_PARAMETERS,
-        *JOINT_STATES_PARAMETERS)])
+        *JOINT_STATES_PARAMETERS, *ESTIMATOR_PARAMETERS)])
 def test_parameter_is_described_as_it_is(row):
     assert row in DOCUMENT.read_text().splitlines()
 
