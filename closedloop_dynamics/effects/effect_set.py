@@ -315,7 +315,7 @@ class EffectSet:
         def undo():
             vars(self).update(attributes)
             native.touch(self._system.native)
-            native.restore(numbers)
+            numbers.restore()
             table.elements[:] = elements
 
         return undo

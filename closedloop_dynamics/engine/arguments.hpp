@@ -220,27 +220,79 @@ inline void read(PyObject * from, Manifold & to, Place place)
   to = from == &_Py_NoneStruct ? Manifold() : *read_handle<Manifold>(from, place);
 }
 
-/// The name of the capsules that hold objects of a class.
-template<class Object>
-inline constexpr const char * capsule_name = nullptr;
-template<>
-inline constexpr const char * capsule_name<Run> = "closedloop_dynamics.engine.Run";
-template<>
-inline constexpr const char * capsule_name<Snapshot> = "closedloop_dynamics.engine.Snapshot";
-
-template<class Object>
-void * pointer_in(PyObject * from)
+/// A run with what it works on; `owner` keeps the state.
+struct RunObject
 {
-  void * found = PyCapsule_GetPointer(from, capsule_name<Object>);
-  if (found == nullptr) {
+  std::shared_ptr<System> system;
+  Values state;
+  std::shared_ptr<void> owner;
+  Run run;
+
+  /// The run, if it still is one of the system.
+  Run & fitting()
+  {
+    if (!run.fits(*system)) {
+      throw std::invalid_argument("expected a run of this system");
+    }
+    return run;
+  }
+};
+
+/// Type in Python of objects that have methods, made with the module; nullptr: they are handles.
+template<class Type>
+inline PyObject * type_of = nullptr;
+template<class Type>
+inline constexpr bool has_methods =
+  std::is_same_v<Type, RunObject> || std::is_same_v<Type, Snapshot>;
+
+template<class Type>
+struct Holding
+{
+  PyObject head;
+  std::unique_ptr<Type> object;
+};
+
+template<class Type>
+Type & object_in(PyObject * from, Place place)
+{
+  if (reinterpret_cast<PyObject *>(from->ob_type) != type_of<Type>) {
+    PyErr_Format(
+      PyExc_TypeError, "%s, argument %zd: expected an object of another type of the engine",
+      place.function, place.argument);
     throw PythonError();
   }
-  return found;
+  return *reinterpret_cast<Holding<Type> *>(from)->object;
 }
 
-inline void read(PyObject * from, const Run * & to, Place)
+template<class Type>
+void free_object(PyObject * object)
 {
-  to = static_cast<Run *>(pointer_in<Run>(from));
+  PyTypeObject * type = object->ob_type;
+  reinterpret_cast<Holding<Type> *>(object)->object.~unique_ptr();
+  PyObject_Free(object);
+  Py_DecRef(reinterpret_cast<PyObject *>(type));
+}
+
+/// Make the type of objects that have these methods.
+template<class Type>
+PyObject * make_type(const char * name, PyMethodDef * methods)
+{
+  PyType_Slot slots[] = {
+    {Py_tp_methods, methods}, {Py_tp_dealloc, reinterpret_cast<void *>(free_object<Type>)},
+    {0, nullptr}};
+  PyType_Spec spec = {
+    name, sizeof(Holding<Type>), 0, Py_TPFLAGS_DISALLOW_INSTANTIATION, slots};
+  return type_of<Type> = PyType_FromSpec(&spec);
+}
+
+inline void read(PyObject * from, const Run * & to, Place place)
+{
+  to = &object_in<RunObject>(from, place).run;
+}
+
+inline void read(PyObject * from, std::shared_ptr<System> & to, Place place)
+{
+  to = read_handle<System>(from, place);
 }
 
 template<class Type>
@@ -268,7 +320,7 @@ void read_record(PyObject * from, Record & to, Place place)
     });
 }
 
-/// A record of arrays, with what keeps these.
+/// An array, or a record of arrays, with what keeps these.
 template<class Record>
 struct Kept
 {
@@ -279,7 +331,7 @@ struct Kept
 template<class Record>
 void read(PyObject * from, Kept<Record> & to, Place place)
 {
-  read_record(from, to.record, place);
+  read(from, to.record, place);
   Py_IncRef(from);
   to.owner = std::shared_ptr<void>(
     from, [](void * object) {
@@ -317,19 +369,23 @@ struct Holder<Type, std::enable_if_t<(handle_name<Type> != nullptr)>>
 };
 
 template<class Type>
-struct Holder<Type, std::enable_if_t<(capsule_name<Type> != nullptr)>>
+struct Holder<Type, std::enable_if_t<(has_methods<Type>)>>
 {
   Type * value = nullptr;
-  void take(PyObject * from, Place) {value = static_cast<Type *>(pointer_in<Type>(from));}
+  void take(PyObject * from, Place place) {value = &object_in<Type>(from, place);}
   Type & get() {return *value;}
 };
 
-/// Refuse to compute with what another thread computes with, or mark it as computed with.
+/// The system that an argument computes with; nullptr: none.
 template<class Argument>
-void check_free(const Argument &, const char *) {}
-inline void check_free(const Holder<System> & system, const char * function)
+System * system_in(const Argument &) {return nullptr;}
+inline System * system_in(const Holder<System> & system) {return system.value.get();}
+inline System * system_in(const Holder<RunObject> & run) {return run.value->system.get();}
+
+/// Refuse to compute with what another thread computes with, or mark it as computed with.
+inline void check_free(const System * system, const char * function)
 {
-  const std::thread::id worker = *system.value->worker;
+  const std::thread::id worker = system != nullptr ? *system->worker : std::thread::id();
   if (worker != std::thread::id() && worker != std::this_thread::get_id()) {
     PyErr_Format(
       PyExc_RuntimeError, "%s: another thread computes with this simulation or model: give each "
@@ -337,20 +393,23 @@ inline void check_free(const Holder<System> & system, const char * function)
     throw PythonError();
   }
 }
-template<class Argument>
-void mark(const Argument &, bool) {}
-inline void mark(const Holder<System> & system, bool works)
+inline void mark(const System * system, bool works)
 {
-  *system.value->worker = works ? std::this_thread::get_id() : std::thread::id();
+  if (system != nullptr) {
+    *system->worker = works ? std::this_thread::get_id() : std::thread::id();
+  }
 }
 
 /// Whether a function keeps track of what is evaluated by itself, or leaves it as it is; all others
 /// leave something else in the memory of a system.
 template<auto Function>
 inline constexpr bool keeps_evaluation = false;
-template<class Argument>
-void outdate(const Argument &) {}
-inline void outdate(const Holder<System> & system) {system.value->latest->forget();}
+inline void outdate(const System * system)
+{
+  if (system != nullptr) {
+    system->latest->forget();
+  }
+}
 
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
@@ -375,18 +434,14 @@ PyObject * to_python(const std::pair<First, Second> & value)
 {
   return to_tuple(value.first, value.second);
 }
-/// Hand over an object.
-template<class Object>
-PyObject * to_python(std::unique_ptr<Object> && object)
+/// Hand over an object that has methods.
+template<class Type>
+PyObject * to_python(std::unique_ptr<Type> && object)
 {
-  PyObject * made = PyCapsule_New(
-    object.get(), capsule_name<Object>, [](PyObject * capsule) {
-      delete static_cast<Object *>(PyCapsule_GetPointer(capsule, capsule_name<Object>));
-    });
-  if (made != nullptr) {
-    object.release();
-  }
-  return made;
+  Owned made(PyType_GenericAlloc(reinterpret_cast<PyTypeObject *>(type_of<Type>), 0));
+  new (&reinterpret_cast<Holding<Type> *>(made.get())->object)
+    std::unique_ptr<Type>(std::move(object));
+  return made.release();
 }
 
 inline void set_items(PyObject *) {}
@@ -659,9 +714,9 @@ private:
   Result release_and_call()
   {
     // Under the interpreter lock, so that no other thread comes in between.
-    std::apply([&](auto & ... holder) {(check_free(holder, name), ...);}, arguments);
+    std::apply([&](auto & ... holder) {(check_free(system_in(holder), name), ...);}, arguments);
     if constexpr (!keeps_evaluation<Function>) {
-      std::apply([](auto & ... holder) {(outdate(holder), ...);}, arguments);
+      std::apply([](auto & ... holder) {(outdate(system_in(holder)), ...);}, arguments);
     }
     if constexpr (Releases) {
       const Working working(arguments);
@@ -685,37 +740,45 @@ public:
 private:
     void set(bool works)
     {
-      std::apply([&](auto & ... holder) {(mark(holder, works), ...);}, arguments_);
+      std::apply([&](auto & ... holder) {(mark(system_in(holder), works), ...);}, arguments_);
     }
     decltype(arguments) & arguments_;
   };
 };
 
-/// A method of a run as a function of the run and the other arguments.
+/// Methods of a run for Python: as they are, on its system, or on its system in its state.
 template<auto Method>
 struct Of;
-
-/// One that works on a system, as a function of the system, the run and the others; refuses a run that
-/// is not of that system.
 template<auto Method>
 struct On;
+template<auto Method>
+struct In;
 
 template<class Result, class ... Parameters, Result (Run::* Method)(Parameters...)>
 struct Of<Method>
 {
-  static Result call(Run & run, Parameters... parameters) {return (run.*Method)(parameters ...);}
+  static Result call(RunObject & of, Parameters... parameters)
+  {
+    return (of.run.*Method)(parameters ...);
+  }
 };
-
 template<
   class Result, class ... Parameters, Result (Run::* Method)(const System &, Parameters...)>
 struct On<Method>
 {
-  static Result call(const System & system, Run & run, Parameters... parameters)
+  static Result call(RunObject & of, Parameters... parameters)
   {
-    if (!run.fits(system)) {
-      throw std::invalid_argument("expected a run of this system");
-    }
-    return (run.*Method)(system, parameters ...);
+    return (of.fitting().*Method)(*of.system, parameters ...);
+  }
+};
+template<
+  class Result, class ... Parameters,
+  Result (Run::* Method)(const System &, Values, Parameters...)>
+struct In<Method>
+{
+  static Result call(RunObject & of, Parameters... parameters)
+  {
+    return (of.fitting().*Method)(*of.system, of.state, parameters ...);
   }
 };
 
@@ -726,7 +789,21 @@ struct Entry
   const char * doc;
   PyObject * (*call)(PyObject *, PyObject * const *, Py_ssize_t);
   std::unique_ptr<Bound> (*bind)(PyObject * const *, Py_ssize_t, const char * name);
+  /// The type that it is a method of; nullptr: it is a function.
+  PyObject ** owner;
 };
+
+template<class First, class ... Rest>
+constexpr PyObject ** owner_of(std::tuple<First, Rest...> *)
+{
+  return has_methods<First> ? &type_of<First> : nullptr;
+}
+constexpr PyObject ** owner_of(std::tuple<> *) {return nullptr;}
+template<class Result, class ... Parameters>
+constexpr PyObject ** owner_of(Result (*)(Parameters...))
+{
+  return owner_of(static_cast<std::tuple<std::decay_t<Parameters>...> *>(nullptr));
+}
 
 /// The name under which a function is called, for messages.
 template<auto Function>
@@ -738,11 +815,13 @@ Entry make_entry(const char * name, const char * doc)
   name_of<Function> = name;
   return {
     name, doc,
-    [](PyObject *, PyObject * const * from, Py_ssize_t count) {
+    [](PyObject * self, PyObject * const * from, Py_ssize_t count) {
       return guarded(
         [&] {
           Kernel<Function, Releases, lengths...> kernel;
           kernel.name = name_of<Function>;
+          kernel.bound = owner_of(Function) != nullptr ? 1 : 0;
+          kernel.take(&self, 0, kernel.bound);
           return kernel.run(from, count);
         });
     },
@@ -752,7 +831,7 @@ Entry make_entry(const char * name, const char * doc)
       kernel->take(from, 0, count);
       kernel->bound = count;
       return kernel;
-    }};
+    }, owner_of(Function)};
 }
 
 /// A function of Python; `lengths`: of the arguments behind the first one, a system or a model.

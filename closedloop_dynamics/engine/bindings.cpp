@@ -80,12 +80,35 @@ std::pair<double, double> nearest_to_path(
   return {found.distance, found.along};
 }
 
-std::unique_ptr<Run> run(
-  const System & system, std::string_view method, const MethodOptions & options,
-  const Watch & watch, Indices roles, Indices windings)
+std::unique_ptr<RunObject> run(
+  const std::shared_ptr<System> & system, const Kept<Values> & state, std::string_view method,
+  const MethodOptions & options, const Watch & watch, Indices roles, Indices windings)
 {
-  return std::make_unique<Run>(
-    system, make_stepper(system, method, options), watch, roles, windings);
+  if (state.record.size != system->ns()) {
+    throw std::invalid_argument("run: expected a state of this system");
+  }
+  return std::unique_ptr<RunObject>(
+    new RunObject{
+      system, state.record, state.owner,
+      Run(*system, make_stepper(*system, method, options), watch, roles, windings)});
+}
+
+void take_method(RunObject & of, const RunObject & other)
+{
+  of.fitting().take_method(*of.system, other.run);
+}
+
+void make_samples(
+  RunObject & of, Table start, Cube<double> torque, Index zero_order_hold, Index decimation,
+  Index steps, Cube<double> states, Indices status, Table found)
+{
+  run_samples(
+    *of.system, of.fitting(), start, torque, zero_order_hold, decimation, steps, states, status, found);
+}
+
+void check_samples(RunObject & of, double tolerance, Table states, Indices fine)
+{
+  check_starts(*of.system, of.fitting(), tolerance, states, fine);
 }
 
 /// Whether this thread is to stop, or a signal such as Ctrl-C has come; Python's error is set then in
@@ -131,41 +154,47 @@ inline constexpr auto precondition<close> =
   };
 
 template<>
-inline constexpr auto precondition<&On<&Run::write_whole>::call> =
-  [](const System & system, Run & run, Values, Values out) {
-    return expected::unless(out.size == run.whole_length(system));
+inline constexpr auto precondition<&In<&Run::write_whole>::call> =
+  [](RunObject & of, Values whole) {
+    return expected::unless(whole.size == of.run.whole_length(*of.system));
   };
 
 template<>
-inline constexpr auto precondition<&On<&Run::recall>::call> =
-  precondition<&On<&Run::write_whole>::call>;
+inline constexpr auto precondition<&In<&Run::recall>::call> =
+  precondition<&In<&Run::write_whole>::call>;
 
 template<>
 inline constexpr auto precondition<&On<&Run::accuracy_in>::call> =
-  [](const System & system, Run & run, Values whole) {
-    return expected::unless(whole.size == run.whole_length(system));
-  };
+  precondition<&In<&Run::write_whole>::call>;
 
 template<>
 inline constexpr auto precondition<&On<&Run::try_step>::call> =
-  [](const System &, Run &, Values, double size) {
-    return expected::unless(std::isfinite(size) && size > 0.0, expected::sizes);
+  [](RunObject & of, Values state, double size) {
+    return expected::first_of(
+      expected::unless(state.size == of.state.size),
+      expected::unless(std::isfinite(size) && size > 0.0, expected::sizes));
   };
 
 template<>
-inline constexpr auto precondition<&On<&Run::make>::call> =
-  [](const System &, Run &, Values, double size) {
+inline constexpr auto precondition<&In<&Run::make>::call> =
+  [](RunObject &, double size) {
     return expected::unless(std::isfinite(size) && size > 0.0, expected::sizes);
   };
 
 template<>
 inline constexpr auto precondition<&Of<&Run::choose_more_seldom>::call> =
-  [](Run &, Index most) {return expected::unless(most > 0, expected::sizes);};
+  [](RunObject &, Index most) {return expected::unless(most > 0, expected::sizes);};
 
 template<>
-inline constexpr auto precondition<&On<&Run::command>::call> =
-  [](const System & system, Run &, Values, Vector<const double> torque) {
-    return expected::unless(torque.size == system.tau.size);
+inline constexpr auto precondition<&In<&Run::command>::call> =
+  [](RunObject & of, Vector<const double> torque) {
+    return expected::unless(torque.size == of.system->tau.size);
+  };
+
+template<>
+inline constexpr auto precondition<make_samples> =
+  [](RunObject & of, Table start) {
+    return expected::unless(start.columns == of.state.size);
   };
 
 template<>
@@ -287,7 +316,12 @@ void use_independent(Data & data, bool used) {data.use_independent(used);}
 
 ViewsOf views(Data & data) {return {&data};}
 
-void take_run(Run & run, const Run & other) {run = other;}
+void take_run(RunObject & of, const RunObject & other)
+{
+  if (&of != &other) {
+    of.run = other.run;
+  }
+}
 
 Data copy_system(const Data & from) {return from.copy();}
 
@@ -344,7 +378,7 @@ inline constexpr bool keeps_evaluation<workspace_of> = true;
 template<>
 inline constexpr bool keeps_evaluation<&On<&Run::whole_length>::call> = true;
 template<>
-inline constexpr bool keeps_evaluation<&On<&Run::write_whole>::call> = true;
+inline constexpr bool keeps_evaluation<&In<&Run::write_whole>::call> = true;
 
 namespace
 {
@@ -371,13 +405,13 @@ const Entry entries[] = {
   entry<effects_of>("effects_of", "effects_of(system): a handle of its own effects"),
   entry<take_snapshot>(
     "snapshot", "snapshot(system): of all numbers that computations write, of effects, too"),
-  entry<restore_snapshot>("restore", "restore(snapshot): put them back"),
+  entry<restore_snapshot>("restore", "restore(): put them back"),
   entry<use_equations>(
     "use_equations", "use_equations(system, model, all, code): from now on, of its state and effects"),
   entry<use_independent>(
     "use_independent", "use_independent(system, used): coordinates, none chosen yet, or none"),
   entry<views>("views", "views(system): of its arrays, by name"),
-  entry<take_run>("take_run", "take_run(run, other): become a copy of another one"),
+  entry<take_run>("take_run", "take_run(other): become a copy of another one"),
   entry<copy_system>("copy_system", "copy_system(system): with memory of its own"),
   entry<take_numbers>("take_numbers", "take_numbers(system, other): those that it is a copy of"),
   entry<use_derivatives>("use_derivatives", "use_derivatives(system, derivatives): for stiff steps"),
@@ -388,8 +422,7 @@ const Entry entries[] = {
     "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
   entry<inward, Length::QD>(
     "inward", "inward(model, tau, work, massless): articulated-body inertias and bias forces"),
-  entry<update>(
-    "update", "update(model, work, responses): closure errors, their rates and biases"),
+  entry<update>("update", "update(model, work, responses): closure errors, their rates and biases"),
   entry<largest>("largest", "largest(values): largest absolute value"),
   entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
   entry<factorize_constraints>(
@@ -483,66 +516,53 @@ const Entry entries[] = {
     "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
   entry<heed>("heed", "heed(flag): from now on in this thread; returns the flag heeded before"),
   entry<run>(
-    "run", "run(system, method, options, watch, roles, windings): a run that is checked"),
-  entry<&On<&Run::set_watch>::call>("set_watch", "set_watch(system, run, watch, windings)"),
-  entry<&On<&Run::take_method>::call>(
-    "take_method", "take_method(system, run, other): and the limits of that run"),
+    "run", "run(system, state, method, options, watch, roles, windings): a run that is checked"),
+  entry<&On<&Run::set_watch>::call>("set_watch", "set_watch(watch, windings)"),
+  entry<take_method>("take_method", "take_method(other): and the limits of that run"),
   entry<&On<&Run::restart>::call>(
-    "restart", "restart(system, run, moved): torques, effects or the state have changed"),
-  entry<&On<&Run::rewind>::call>("rewind", "rewind(system, run): the method, as a new one"),
-  entry<&Of<&Run::aim>::call>("aim", "aim(run, accuracy): keep another one"),
-  entry<&Of<&Run::steps>::call>("steps", "steps(run): what the method knows of them by name"),
-  released<&On<&Run::try_step>::call, Length::ANY, Length::STATE>(
-    "try_step", "try_step(system, run, state, size): its status; all else stays as it is"),
-  entry<&On<&Run::whole_length>::call>("whole_length", "whole_length(system, run): of a state"),
-  entry<&On<&Run::write_whole>::call, Length::ANY, Length::STATE>(
-    "write_whole", "write_whole(system, run, state, out): with the memory of the method"),
-  entry<&On<&Run::recall>::call, Length::ANY, Length::STATE>(
-    "recall", "recall(system, run, state, whole)"),
-  entry<&On<&Run::accuracy_in>::call>(
-    "accuracy_in", "accuracy_in(system, run, whole): of the default method"),
-  entry<&On<&Run::begin>::call, Length::ANY, Length::STATE>(
-    "begin", "begin(system, run, state): begin there"),
-  entry<&Of<&Run::time>::call>("time", "time(run): of its state [s]"),
-  entry<&Of<&Run::base>::call>("base", "base(run): a time [s], and the steps since then"),
-  entry<&Of<&Run::set_time>::call>("set_time", "set_time(run, base, steps): so many after that"),
-  entry<&Of<&Run::report>::call>("run_report", "run_report(run): what is known of it by name"),
-  entry<&Of<&Run::clear_cost>::call>("clear_cost", "clear_cost(run): count from here on"),
-  entry<&Of<&Run::sample>::call>("sample", "sample(run, wanted): errors of fixed steps"),
-  released<&On<&Run::advance>::call, Length::ANY, Length::STATE>(
-    "advance_run", "advance_run(system, run, state, tau, steps): its outcome, 0 where all are made"),
-  released<&On<&Run::make>::call, Length::ANY, Length::STATE>(
-    "make_steps", "make_steps(system, run, state, size, steps, call): as of advance_run"),
-  released<&On<&Run::resume>::call, Length::ANY, Length::STATE>(
-    "resume_run", "resume_run(system, run, state): as of advance_run"),
-  entry<&Of<&Run::give_up>::call>("give_up", "give_up(run): end at the state of a failed step"),
+    "restart", "restart(moved): torques, effects or the state have changed"),
+  entry<&On<&Run::rewind>::call>("rewind", "rewind(): the method, as a new one"),
+  entry<&Of<&Run::aim>::call>("aim", "aim(accuracy): keep another one"),
+  entry<&Of<&Run::steps>::call>("steps", "steps(): what the method knows of them by name"),
+  released<&On<&Run::try_step>::call>(
+    "try_step", "try_step(state, size): its status; all else stays as it is"),
+  entry<&On<&Run::whole_length>::call>("whole_length", "whole_length(): of a state"),
+  entry<&In<&Run::write_whole>::call>(
+    "write_whole", "write_whole(out): with the memory of the method"),
+  entry<&In<&Run::recall>::call>("recall", "recall(whole)"),
+  entry<&On<&Run::accuracy_in>::call>("accuracy_in", "accuracy_in(whole): of the default method"),
+  entry<&In<&Run::begin>::call>("begin", "begin(): begin there"),
+  entry<&Of<&Run::time>::call>("time", "time(): of its state [s]"),
+  entry<&Of<&Run::base>::call>("base", "base(): a time [s], and the steps since then"),
+  entry<&Of<&Run::set_time>::call>("set_time", "set_time(base, steps): so many after that"),
+  entry<&Of<&Run::report>::call>("run_report", "run_report(): what is known of it by name"),
+  entry<&Of<&Run::clear_cost>::call>("clear_cost", "clear_cost(): count from here on"),
+  entry<&Of<&Run::sample>::call>("sample", "sample(wanted): errors of fixed steps"),
+  released<&In<&Run::advance>::call>(
+    "advance_run", "advance_run(tau, steps): its outcome, 0 where all are made"),
+  released<&In<&Run::make>::call>("make_steps", "make_steps(size, steps, call): as of advance_run"),
+  released<&In<&Run::resume>::call>("resume_run", "resume_run(): as of advance_run"),
+  entry<&Of<&Run::give_up>::call>("give_up", "give_up(): end at the state of a failed step"),
   entry<&Of<&Run::choose_more_seldom>::call>(
-    "choose_more_seldom", "choose_more_seldom(run, most): equations"),
-  entry<&On<&Run::command>::call, Length::ANY, Length::STATE>(
-    "command", "command(system, run, state, tau): apply torques"),
-  entry<&On<&Run::add_work>::call, Length::ANY, Length::STATE>(
-    "add_work", "add_work(system, run, state): of the torques held up to there"),
-  entry<&On<&Run::find_start>::call>("find_start", "find_start(system, run): the energy there"),
-  entry<&On<&Run::balance>::call, Length::ANY, Length::STATE>(
-    "balance", "balance(system, run, state): of energy"),
-  entry<&On<&Run::record_energy>::call, Length::ANY, Length::STATE>(
-    "record_energy", "record_energy(system, run, state): the balance, compared without a finding"),
-  entry<&Of<&Run::record_loss>::call>(
-    "record_loss", "record_loss(run, lost, energy, rounding, time)"),
-  entry<&On<&Run::check_energy>::call, Length::ANY, Length::STATE>(
-    "check_energy", "check_energy(system, run, state): as of advance_run"),
-  entry<&Of<&Run::jump>::call>("jump", "jump(run): the state or an effect has been changed"),
-  entry<&On<&Run::jump_balance>::call, Length::ANY, Length::STATE>(
-    "jump_balance", "jump_balance(system, run, state, energy): changed from outside"),
-  entry<&Of<&Run::restart_guards>::call>("restart_guards", "restart_guards(run)"),
+    "choose_more_seldom", "choose_more_seldom(most): equations"),
+  entry<&In<&Run::command>::call>("command", "command(tau): apply torques"),
+  entry<&In<&Run::add_work>::call>("add_work", "add_work(): of the torques held up to there"),
+  entry<&On<&Run::find_start>::call>("find_start", "find_start(): the energy there"),
+  entry<&In<&Run::balance>::call>("balance", "balance(): of energy"),
+  entry<&In<&Run::record_energy>::call>(
+    "record_energy", "record_energy(): the balance, compared without a finding"),
+  entry<&Of<&Run::record_loss>::call>("record_loss", "record_loss(lost, energy, rounding, time)"),
+  entry<&In<&Run::check_energy>::call>("check_energy", "check_energy(): as of advance_run"),
+  entry<&Of<&Run::jump>::call>("jump", "jump(): the state or an effect has been changed"),
+  entry<&In<&Run::jump_balance>::call>(
+    "jump_balance", "jump_balance(energy): changed from outside"),
+  entry<&Of<&Run::restart_guards>::call>("restart_guards", "restart_guards()"),
   entry<&Of<&Run::write_kept>::call>(
-    "write_kept", "write_kept(run, of_cables, out): the latest state that was good"),
-  released<run_samples, Length::ANY, Length::ROWS_OF_STATE>(
+    "write_kept", "write_kept(of_cables, out): the latest state that was good"),
+  released<make_samples>(
     "run_samples",
-    "run_samples(system, run, start, torque, zero_order_hold, decimation, steps, states, status, "
-    "found)"),
-  released<check_starts>(
-    "check_starts", "check_starts(system, run, tolerance, states, fine)"),
+    "run_samples(start, torque, zero_order_hold, decimation, steps, states, status, found)"),
+  released<check_samples>("check_starts", "check_starts(tolerance, states, fine)"),
   released<record_steps>(
     "record_steps", "record_steps(system, run, scratch, tape): status, steps completed"),
   released<change_of_steps>(
@@ -554,8 +574,7 @@ const Entry entries[] = {
   released<step_states>(
     "step_states",
     "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states done"),
-  entry<fill_basis>(
-    "fill_basis", "fill_basis(system, routines, chart, q, qd, basis): status"),
+  entry<fill_basis>("fill_basis", "fill_basis(system, routines, chart, q, qd, basis): status"),
   released<move_along>(
     "move_along",
     "move_along(system, routines, chart, from_q, from_qd, basis, changes, displacement, q, qd): "
@@ -654,20 +673,43 @@ PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
     });
 }
 
-PyMethodDef methods[1 + std::size(entries)] = {
-  {"bind", as_method(bind), METH_FASTCALL,
-    "bind(name, *arguments): a function of the arguments left; these are read once and kept"},
-};
+/// The table of the methods of a type, or of the functions of the module, for Python.
+std::vector<PyMethodDef> methods_of(PyObject ** owner)
+{
+  std::vector<PyMethodDef> found;
+  for (const Entry & each : entries) {
+    if (each.owner == owner) {
+      found.push_back({each.name, as_method(each.call), METH_FASTCALL, each.doc});
+    }
+  }
+  found.push_back(
+    owner != nullptr ? PyMethodDef{} : PyMethodDef{
+      "bind", as_method(bind), METH_FASTCALL,
+      "bind(name, *arguments): a function of the arguments left; these are read once and kept"});
+  return found;
+}
+
+/// Add the type of objects that have methods.
+template<class Type>
+bool add_type(PyObject * module, const char * name, const char * full)
+{
+  static std::vector<PyMethodDef> methods = methods_of(&type_of<Type>);
+  return (type_of<Type> != nullptr || make_type<Type>(full, methods.data()) != nullptr) &&
+         PyModule_AddObjectRef(module, name, type_of<Type>) == 0;
+}
 
 int fill_module(PyObject * module)
 {
   if (memory_type == nullptr && (memory_type = make_memory_type()) == nullptr) {
     return -1;
   }
-  for (std::size_t n = 0; n < std::size(entries); ++n) {
-    methods[1 + n] = {
-      entries[n].name, as_method(entries[n].call), METH_FASTCALL, entries[n].doc};
+  if (!add_type<RunObject>(module, "Run", "closedloop_dynamics.engine.native.Run") ||
+    !add_type<Snapshot>(module, "Snapshot", "closedloop_dynamics.engine.native.Snapshot") ||
+    !add_type<SharedStop>(module, "StopFlag", "closedloop_dynamics.engine.native.StopFlag"))
+  {
+    return -1;
   }
+  static std::vector<PyMethodDef> methods = methods_of(nullptr);
   for (PyMethodDef & method : methods) {
     PyObject * function = PyCMethod_New(&method, nullptr, nullptr, nullptr);
     if (function == nullptr || PyModule_AddObjectRef(module, method.ml_name, function) < 0) {

@@ -110,6 +110,7 @@ static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72
 #define Py_mod_exec 2
 #define Py_bf_getbuffer 1
 #define Py_tp_dealloc 52
+#define Py_tp_methods 64
 #define Py_TPFLAGS_DISALLOW_INSTANTIATION (1UL << 7)
 
 inline constexpr int c_contiguous = 0x0038;  ///< PyBUF_C_CONTIGUOUS

@@ -23,9 +23,6 @@ struct StopFlag
 
 using SharedStop = std::shared_ptr<StopFlag>;
 
-template<>
-inline constexpr const char * capsule_name<SharedStop> = "closedloop_dynamics.engine.StopFlag";
-
 /// The flag that this thread heeds; empty: none.
 inline SharedStop & heeded_stop()
 {
@@ -63,10 +60,9 @@ inline SharedStop stop_flag(Index stops)
 /// Make this thread heed a flag, or none, from now on; returns what it heeded before.
 inline SharedStop heed(const SharedStop & flag) {return std::exchange(heeded_stop(), flag);}
 
-inline void read(PyObject * from, SharedStop & to, Place)
+inline void read(PyObject * from, SharedStop & to, Place place)
 {
-  to = from == &_Py_NoneStruct ? nullptr :
-    *static_cast<SharedStop *>(pointer_in<SharedStop>(from));
+  to = from == &_Py_NoneStruct ? nullptr : object_in<SharedStop>(from, place);
 }
 
 inline PyObject * to_python(const SharedStop & flag)

@@ -47,24 +47,11 @@ class Watch(NamedTuple):
     timed: bool
 
 
-# Functions of the engine by their first arguments.
-_OF_STATE = (
-    'advance_run', 'make_steps', 'resume_run', 'command', 'add_work', 'begin', 'balance',
-    'record_energy', 'check_energy', 'jump_balance', 'write_whole', 'recall')
-_OF_SYSTEM = (
-    'find_start', 'run_samples', 'check_starts', 'restart', 'rewind', 'whole_length',
-    'accuracy_in', 'try_step')
-_OF_RUN = (
-    'time', 'base', 'set_time', 'clear_cost', 'sample', 'give_up', 'choose_more_seldom',
-    'record_loss', 'jump', 'restart_guards', 'aim')
-
-
 class Run(SimpleNamespace):
     """
     A run of the engine by a scene's method, on a state of a system.
 
-    Its functions are those of the engine, with what they begin with bound: system, run and state,
-    system and run, or the run alone.
+    It has the methods of the engine's run, too (``engine/run.hpp``), on its system and state.
 
     Attributes
     ----------
@@ -79,38 +66,36 @@ class Run(SimpleNamespace):
         options = MethodOptions(
             integrator.tableau, DOPRI5, STABILISATIONS[method.stabilisation],
             method.accuracy if method.integrator == AUTO else method.tolerance)
-        self.watch, self._system = watch, system
+        self.watch = watch
         self.native = native.run(
-            system.native, integrator.stepper, options, watch, roles, windings)
-        for names, arguments in (
-                (_OF_RUN, (self.native,)), (_OF_SYSTEM, (system.native, self.native)),
-                (_OF_STATE, (system.native, self.native, state))):
-            for name in names:
-                setattr(self, name, native.bind(name, *arguments))
+            system.native, state, integrator.stepper, options, watch, roles, windings)
+        for name in dir(native.Run):
+            if not name.startswith('_') and not hasattr(Run, name):
+                setattr(self, name, getattr(self.native, name))
 
     def set_watch(self, watch, windings):
         """Go on with other limits."""
-        native.set_watch(self._system.native, self.native, watch, windings)
+        self.native.set_watch(watch, windings)
         self.watch = watch
 
     def take_method(self, other):
         """Go on by the method and with the limits of another run."""
-        native.take_method(self._system.native, self.native, other.native)
+        self.native.take_method(other.native)
         self.watch = other.watch
 
     def take(self, other):
         """Become a copy of another run, by the same method."""
-        native.take_run(self.native, other.native)
+        self.native.take_run(other.native)
 
     @property
     def report(self):
         """Return what is known of the run: the numbers of ``RunReport``, by name."""
-        return SimpleNamespace(**native.run_report(self.native))
+        return SimpleNamespace(**self.native.run_report())
 
     @property
     def steps(self):
         """Return what the method knows of its steps: the numbers of ``StepReport``, by name."""
-        return SimpleNamespace(**native.steps(self.native))
+        return SimpleNamespace(**self.native.steps())
 
     @property
     def whole(self):
@@ -122,5 +107,5 @@ class Run(SimpleNamespace):
     def kept(self, of_cables=False):
         """Return the latest whole state that was good at a check, of energy or of cables."""
         found = np.empty(self.whole_length())
-        native.write_kept(self.native, of_cables, found)
+        self.native.write_kept(of_cables, found)
         return found

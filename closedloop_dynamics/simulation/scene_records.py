@@ -52,7 +52,7 @@ class Initial:
                 raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
 
 
-def _integrator(value):
+def _integrator(value: Any) -> str:
     """Return the name of an integrator; of a former one, say what replaces it."""
     if isinstance(value, str) and value in FORMER_INTEGRATORS:
         raise FieldError(

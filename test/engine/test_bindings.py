@@ -13,7 +13,7 @@ import weakref
 from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.run import DONE, Run
+from closedloop_dynamics.integration.run import DONE
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.integration.tableau import RK4
 from closedloop_dynamics.simulation.guards import watch
@@ -27,7 +27,7 @@ from ..reference import cases
 
 PARAMETERS = {
     name: re.match(rf'{name}\(([^)]*)\)', function.__doc__)[1].split(', ')
-    for name, function in inspect.getmembers(native, callable)
+    for name, function in inspect.getmembers(native, inspect.isbuiltin)
     if name != 'bind' and not name.startswith('_')}
 
 
@@ -50,9 +50,6 @@ def parts(system):
     one, state = system
     nv = len(one.qdd)
     q, qd = state[:nv].copy(), state[nv:].copy()
-    method = Method(integrator='rk4')
-    run = Run(one, state, method, watch(method, False, False, False, 1.0, 1.0),
-              *2 * [np.zeros(0, dtype=np.int64)])
     return {
         'outward': (one.model, q, qd, one.work),
         'inward': (one.model, one.tau, one.work, False),
@@ -61,12 +58,11 @@ def parts(system):
         'evaluate': (one.native, q, qd),
         'derivative': (one.native, state.copy(), np.zeros(2 * nv)),
         'stabilise': (one.native, PROJECTION, state.copy()),
-        'make_steps': (one.native, run.native, state.copy(), 1e-3, 3, 3),
         'evaluate_state': (one.native, state.copy())}
 
 
 FUNCTIONS = ('outward', 'inward', 'largest', 'forward_dynamics', 'evaluate', 'derivative',
-             'stabilise', 'make_steps', 'evaluate_state')
+             'stabilise', 'evaluate_state')
 
 
 def unwritable(array):
@@ -165,7 +161,7 @@ def test_wrong_arrays_of_a_description_are_refused(system, wrong):
             continue
         options = RK4._replace(**{field: changed}), None, PROJECTION, 1e-6
         with pytest.raises((TypeError, ValueError, BufferError)):
-            native.run(one.native, 'fixed', options, limits, none, none)
+            native.run(one.native, system[1], 'fixed', options, limits, none, none)
     for field, array in description(system[0]).items():
         changed = WRONG_ARRAYS[wrong](array)
         if not kept(array, changed) and wrong != 'read-only':
@@ -180,7 +176,7 @@ def test_records_of_another_length_are_refused(system):
         with pytest.raises(TypeError, match=r'outward, argument 1: expected a handle of .*Model'):
             native.outward(wrong, q, qd, work)
     with pytest.raises(TypeError, match='tuple of 6 fields'):
-        native.run(one.native, 'fixed', ((), None, 0, 1e-6), None, q, q)
+        native.run(one.native, system[1], 'fixed', ((), None, 0, 1e-6), None, q, q)
 
 
 @pytest.mark.parametrize('wrong', [None, 1, 'system', (), np.zeros(3), object()],
@@ -349,41 +345,45 @@ def guarded(request):
 
 
 def test_runs_that_do_not_fit_their_system_are_refused(guarded):
-    system, run = guarded.data.system.native, guarded.stepping.run
-    tau = np.zeros(len(guarded.torque_names))
-    assert native.advance_run(system, run.native, guarded.data.integrated, tau, 1) == DONE
-    other = Simulation.from_scene('three_rrr')
-    states = [one.data.integrated.copy() for one in (guarded, other)]
-    calls = (('advance_run', tau, 1), ('make_steps', 1e-3, 1, 0), ('resume_run',),
-             ('check_energy',), ('record_energy',), ('balance',),
-             ('begin',), ('add_work',), ('jump_balance', 0.0))
-    for name, *arguments in calls:
+    system, run = guarded.data.system, guarded.stepping.run
+    tau, other = np.zeros(len(guarded.torque_names)), Simulation.from_scene('three_rrr')
+    assert run.advance_run(tau, 1) == DONE
+    run.take(other.stepping.run)
+    for name in ('find_start', 'rewind', 'whole_length', 'resume_run', 'balance'):
         with pytest.raises(ValueError, match='of this system'):
-            getattr(native, name)(other.data.system.native, run.native, states[1], *arguments)
-        for state in (states[1], states[0][1:].copy()):
-            with pytest.raises(ValueError, match='the mechanism asks for'):
-                getattr(native, name)(system, run.native, state, *arguments)
-    for name, *arguments in (('find_start',), ('restart', True), ('rewind',), ('whole_length',)):
-        with pytest.raises(ValueError, match='of this system'):
-            getattr(native, name)(other.data.system.native, run.native, *arguments)
-    with pytest.raises(ValueError, match='of this system'):
-        native.command(other.data.system.native, run.native, states[1],
-                       np.zeros(len(other.torque_names)))
+            getattr(run, name)()
+    run = Simulation.from_scene('slider_crank_end_stop').stepping.run
+    for state in (other.data.integrated, guarded.data.integrated[1:].copy()):
+        with pytest.raises(ValueError, match='a state of this system'):
+            made(run, system, 'rodas4', state=state)
     with pytest.raises(ValueError, match='do not fit together'):
-        native.command(system, run.native, states[0], np.zeros(len(tau) + 1))
-    with pytest.raises(ValueError, match='PyCapsule'):
-        native.advance_run(system, other.data.system.native, states[0], tau, 1)
-    states, fine = states[0][np.newaxis].copy(), np.zeros(1, dtype=np.int64)
+        run.command(np.zeros(len(tau) + 1))
+    with pytest.raises(TypeError, match='of another type'):
+        run.native.take_method(system.native)
+    with pytest.raises(TypeError, match='1 arguments, got 0'):
+        run.command()
+    with pytest.raises(TypeError, match='instance'):
+        native.Run()
+    states, fine = guarded.data.integrated[np.newaxis].copy(), np.zeros(1, dtype=np.int64)
     for wrong, short in ((states[:, 1:].copy(), fine), (states, np.zeros(2, dtype=np.int64))):
         with pytest.raises(ValueError, match='do not fit together'):
-            native.check_starts(system, run.native, 1e-12, wrong, short)
+            run.check_starts(1e-12, wrong, short)
 
 
-def made(run, system, name='fixed', tableau=None, watch=None, roles=None):
+def test_a_run_keeps_its_system_and_state(guarded):
+    run, tau = guarded.stepping.run.native, np.zeros(len(guarded.torque_names))
+    state = weakref.ref(guarded.data.integrated)
+    guarded.__dict__.clear()
+    gc.collect()
+    assert state() is not None and run.advance_run(tau, 3) == DONE
+
+
+def made(run, system, name='fixed', tableau=None, watch=None, roles=None, state=None):
     """Return a run of other arguments, through the bindings alone."""
     none = np.zeros(0, dtype=np.int64)
+    state = np.zeros(number_of_states(system)) if state is None else state
     return native.run(
-        system.native, name, (tableau, tableau, 0, 1e-6), watch or run.watch,
+        system.native, state, name, (tableau, tableau, 0, 1e-6), watch or run.watch,
         none if roles is None else roles, none)
 
 
@@ -402,7 +402,7 @@ def test_limits_that_no_run_can_have_are_refused(guarded, change):
 def test_methods_that_do_not_fit_are_refused(guarded):
     run, other = guarded.stepping.run, Simulation.from_scene('three_rrr')
     with pytest.raises(ValueError, match='another system'):
-        native.take_method(guarded.data.system.native, run.native, other.stepping.run.native)
+        run.native.take_method(other.stepping.run.native)
     with pytest.raises(ValueError, match='no such method'):
         made(run, guarded.data.system, 'euler')
     for name in ('explicit', 'auto', 'fixed'):
@@ -414,4 +414,4 @@ def test_methods_that_do_not_fit_are_refused(guarded):
     with pytest.raises(ValueError, match='do not fit together'):
         run.accuracy_in(np.zeros(3))
     with pytest.raises(ValueError, match='room'):
-        native.write_kept(run.native, False, np.zeros(1))
+        run.native.write_kept(False, np.zeros(1))

@@ -57,9 +57,10 @@ ENUMS = {
     'closing': (equations, {}),
 }
 # The engine's alone.
-INNER = {'contact', 'contact.Node', 'contact.Trial', 'contact.Search', 'present', 'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
+INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
-         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked'}
+         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked', 'contact',
+         'contact.Node', 'contact.Trial', 'contact.Search', 'present'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
@@ -86,7 +87,9 @@ RECORDS = {
     'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
     'Batch': batch.Batch, 'Loops': equations.Loops, 'Far': equations.Far,
     'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
-    'StepRoutines': stepped_run.StepRoutines, 'RunInputs': stepped_run.RunInputs}
+    'StepRoutines': stepped_run.StepRoutines, 'LaneRoutines': stepped_run.LaneRoutines,
+    'Chart': stepped_run.Chart, 'StateSteps': stepped_run.StateSteps,
+    'RunInputs': stepped_run.RunInputs}
 
 
 def text(path):

@@ -56,12 +56,26 @@ ANY_LENGTH = {
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
-    ('find_joint_forces', 4), ('advance_run', 3),
+    ('find_joint_forces', 4), ('advance_run', 1),
     ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('cut_direction', 0),
     ('cut_direction', 3), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
-    ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 2),
-    ('run_samples', 3), ('close_loops', 4)}
+    ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 1),
+    ('run_samples', 2), ('close_loops', 4)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
+
+
+# Types of the engine whose objects have methods.
+TYPES = native.Run, native.Snapshot
+
+
+def place_of(name):
+    """Return the module, or the type, that has a function of the engine."""
+    return next(place for place in (native, *TYPES) if hasattr(place, name))
+
+
+def function(name):
+    """Return a function of the engine; of a method, one that takes the object first."""
+    return getattr(place_of(name), name)
 
 
 class Recorder:
@@ -141,7 +155,7 @@ def use_kernels(simulation, note):
 
     def call(name, *arguments):
         note(name, *arguments)
-        return getattr(native, name)(*copied(arguments))
+        return function(name)(*copied(arguments))
 
     call('outward', model, q, qd, work)
     call('update', model, work, 2)
@@ -166,32 +180,28 @@ def use_kernels(simulation, note):
     call('derivative', handle, state, np.zeros_like(state))
     call('stabilise', handle, PROJECTION, state)
     call('equations_suffice', handle, PROJECTION, state)
-    for name in ('begin', 'add_work', 'balance', 'check_energy', 'record_energy', 'resume_run'):
-        call(name, handle, run, state)
-    call('find_start', handle, run)
-    call('advance_run', handle, run, state, system.tau.copy(), 2)
-    call('make_steps', handle, run, state, 1e-3, 2, 2)
-    call('command', handle, run, state, system.tau.copy())
-    call('jump_balance', handle, run, state, 0.1)
+    call('advance_run', run, system.tau.copy(), 2)
+    call('make_steps', run, 1e-3, 2, 2)
+    call('command', run, system.tau.copy())
+    call('jump_balance', run, 0.1)
     call('set_time', run, 0.5, 3)
     call('record_loss', run, 1.0, 2.0, 0.0, 0.1)
     call('choose_more_seldom', run, 100)
     call('sample', run, True)
-    call('restart', handle, run, True)
-    call('rewind', handle, run)
-    call('take_numbers', deepcopy(system), handle)
-    call('try_step', handle, run, state, 1e-4)
-    call('whole_length', handle, run)
-    call('recall', handle, run, state, simulation.state)
-    call('write_whole', handle, run, state, simulation.state)
-    call('accuracy_in', handle, run, simulation.state)
-    call('take_method', handle, run, run)
+    call('restart', run, True)
     call('take_run', run, run)
-    for name in ('time', 'base', 'steps', 'run_report', 'give_up', 'clear_cost', 'jump',
-                 'restart_guards'):
+    call('take_numbers', deepcopy(system), handle)
+    call('try_step', run, state, 1e-4)
+    call('recall', run, simulation.state)
+    call('write_whole', run, simulation.state)
+    call('accuracy_in', run, simulation.state)
+    call('take_method', run, run)
+    for name in ('begin', 'add_work', 'balance', 'check_energy', 'record_energy', 'resume_run',
+                 'find_start', 'rewind', 'whole_length', 'time', 'base', 'steps', 'run_report',
+                 'give_up', 'clear_cost', 'jump', 'restart_guards'):
         call(name, run)
     call('write_kept', run, False, simulation.state)
-    call('set_watch', handle, run, simulation.stepping.run.watch, np.zeros(0, dtype=np.int64))
+    call('set_watch', run, simulation.stepping.run.watch, np.zeros(0, dtype=np.int64))
     call('move', system.manifold, q, qd, 0.1)
     every = with_all_equations(model)
     nc, numbers = len(simulation.constraint_jacobian), np.arange(max(nv, 6))
@@ -214,7 +224,7 @@ def use_kernels(simulation, note):
     if system.whole is not None:
         call('find_all_multipliers', handle, q, qd, np.zeros_like(system.whole.lam))
     elif effects is None or not len(effects.cuts.index):
-        call('check_starts', handle, run, 1e-9, state[np.newaxis].copy(),
+        call('check_starts', run, 1e-9, state[np.newaxis].copy(),
              np.zeros(1, dtype=np.int64))
     if effects is None:
         return
@@ -243,8 +253,9 @@ def use_driver(simulation, integrator):
 def calls(tmp_path_factory):
     """Yield the arguments of the engine's functions in some simulations, by name."""
     recorder = Recorder()
-    names = [name for name in dir(native)
-             if callable(getattr(native, name)) and not name.startswith('_')]
+    names = [name for place in (native, *TYPES) for name in dir(place)
+             if callable(getattr(place, name)) and not name.startswith('_')
+             and getattr(place, name) not in (*TYPES, native.StopFlag)]
     # What they build to differentiate by parameters is kept by nobody.
     sensitivities = [
         Sensitivity(Model.from_scene(scene), {'integrator': integrator, 'step_size': 1e-3},
@@ -253,8 +264,8 @@ def calls(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         simulations = []
         for name in names:
-            real = getattr(native, name)
-            patch.setattr(native, name, recorder.bind(real) if name == 'bind' else
+            real, place = function(name), place_of(name)
+            patch.setattr(place, name, recorder.bind(real) if name == 'bind' else
                           recorder.function(name, real))
         for simulation in made(tmp_path_factory.mktemp('machine')):
             use(simulation)
@@ -369,7 +380,7 @@ def attack(draw, name, arguments):
     fault, linked = damaged(draw, names, value), name in LINKED
     before = copied(arguments)
     try:
-        found = getattr(native, name)(
+        found = function(name)(
             *changed(arguments, path, fault, (lambda same: same) if linked else copied))
         if name in SYSTEMS:
             assert len([length for length in range(100)
@@ -404,7 +415,7 @@ def test_every_array_that_is_too_short_is_refused(calls):
                     continue
                 for fault in shorter(value):
                     try:
-                        getattr(native, name)(*changed(arguments, (place,), fault, copied))
+                        function(name)(*changed(arguments, (place,), fault, copied))
                         accepted.add((name, place, value.shape, fault.shape))
                     except REFUSALS:
                         pass
