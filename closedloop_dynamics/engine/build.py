@@ -15,6 +15,7 @@ import hashlib
 from importlib.util import find_spec
 import os
 from pathlib import Path
+import re
 import shlex
 import shutil
 import subprocess
@@ -24,9 +25,15 @@ import tempfile
 FOLDER = Path(__file__).resolve().parent
 # Folder of the compiled files in a checkout.
 OBJECTS = FOLDER.parents[1] / 'build' / 'engine'
-MODULE = 'native.abi3.so'
 # Compiled first, as they take longest: templates of dense decompositions.
 SLOW = ('null_space', 'large_singular', 'least_squares', 'bindings', 'driven')
+# By tags of wheels, what ziglang calls the machine: the oldest systems that it links for.
+TARGETS = {
+    'manylinux_2_17_x86_64': 'x86_64-linux-gnu.2.17',
+    'manylinux_2_17_aarch64': 'aarch64-linux-gnu.2.17',
+    'macosx_11_0_arm64': 'aarch64-macos.11.0',
+    'win_amd64': 'x86_64-windows-gnu',
+}
 # The version of the wheel ziglang, a C++ compiler for machines without one.
 ZIG = '0.17.1'
 # No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
@@ -40,6 +47,17 @@ SANITIZERS = ('-UNDEBUG', '-g1', '-fno-omit-frame-pointer', '-fsanitize=address,
 
 class BuildError(Exception):
     """Something that compiling needs is missing, or the compiler found errors."""
+
+
+def is_for(system, target):
+    """Return whether to compile for ``macos`` or ``windows``, here or for another machine."""
+    return f'-{system}' in target if target else sys.platform == {
+        'macos': 'darwin', 'windows': 'win32'}[system]
+
+
+def module(target=None):
+    """Return the name of the file that Python loads."""
+    return 'native.pyd' if is_for('windows', target) else 'native.abi3.so'
 
 
 def sources():
@@ -62,6 +80,9 @@ def fresh(output):
 
 def compiler():
     """Return the command of the C++ compiler, of ``CXX`` or the machine; empty if none."""
+    if is_for('windows', None):
+        # Compilers there have commands of their own.
+        return []
     if os.environ.get('CXX'):
         return shlex.split(os.environ['CXX'])
     return next(([name] for name in ('g++', 'clang++', 'c++') if shutil.which(name)), [])
@@ -82,6 +103,22 @@ def zig(*target):
     program = shutil.which('zig', path=Path(found.origin).parent)
     # By itself it would compile for this very processor.
     return [program, 'c++', '-mcpu=baseline', *target]
+
+
+def python_library(folder):
+    """
+    Return the library that tells the linker of Windows what python3.dll has.
+
+    As much as ``python_api.hpp`` declares: no Python for Windows is needed.
+    """
+    api = (FOLDER / 'python_api.hpp').read_text()
+    data = re.findall(r'^extern PyObject \*?(\w+);', api, re.MULTILINE)
+    functions = re.findall(r'^\w[\w ]* \*?(Py\w+)\(', api, re.MULTILINE)
+    listed, library = folder / 'python3.def', folder / 'python3.lib'
+    listed.write_text('\n'.join(
+        ['LIBRARY python3.dll', 'EXPORTS', *(f'{name} DATA' for name in data), *functions, '']))
+    run([zig()[0], 'dlltool', '-m', 'i386:x86-64', '-d', listed, '-l', library])
+    return library
 
 
 def eigen():
@@ -168,8 +205,11 @@ def build(output, folder, sanitize=False, target=None):
 
     """
     output, folder = output.absolute(), folder.absolute()
+    target = target or (TARGETS['win_amd64'] if is_for('windows', None) else None)
     program = zig('-target', target) if target else compiler() or zig()
     flags = [*FLAGS, *(SANITIZERS if sanitize else ())]
+    if is_for('windows', target):
+        flags.append('-D_USE_MATH_DEFINES')
     told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
     command = [*program, *flags, '-isystem', str(eigen())]
     folder.mkdir(parents=True, exist_ok=True)
@@ -180,11 +220,13 @@ def build(output, folder, sanitize=False, target=None):
             sorted(sources(), key=lambda source: source.stem not in SLOW)))
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=output.parent) as near:
-        # The functions of Python are found in the program that loads the module.
-        run([*program, *flags, '-shared', *(
-            ['-undefined', 'dynamic_lookup'] if sys.platform == 'darwin' else []),
-            *([] if sanitize else ['-Wl,-S']), *compiled, '-o', Path(near, MODULE)])
-        os.replace(Path(near, MODULE), output)
+        # The functions of Python are found in the program that loads the module; Windows wants to
+        # be told in which library.
+        run([*program, *flags, '-shared', *compiled,
+             *(['-undefined', 'dynamic_lookup'] if is_for('macos', target) else []),
+             *([python_library(folder)] if is_for('windows', target) else []),
+             *([] if sanitize else ['-Wl,-S']), '-o', Path(near, output.name)])
+        os.replace(Path(near, output.name), output)
 
 
 def main():
@@ -202,7 +244,8 @@ def main():
     options = parser.parse_args()
     kind = '-'.join(filter(None, (OBJECTS.name, options.target, 'sanitize' * options.sanitize)))
     folder = OBJECTS.with_name(kind)
-    output = options.output or (FOLDER if folder == OBJECTS else folder) / MODULE
+    output = options.output or (
+        FOLDER if folder == OBJECTS else folder) / module(options.target)
     if options.requirements:
         print(*requirements())
     elif not fresh(output):

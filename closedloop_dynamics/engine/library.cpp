@@ -69,7 +69,7 @@ double furthest(
 
 Index library_function(Index which)
 {
-  const Function * found = which == library::PIECE ? piece :
+  Function * found = which == library::PIECE ? piece :
     which == library::NEAREST ? nearest : which == library::FURTHEST ? furthest : nullptr;
   return reinterpret_cast<Index>(found);
 }

@@ -35,13 +35,13 @@ def compile_tiny(tiny):
     """Compile it; return the names of the objects that were made."""
     objects = tiny.parent / 'objects'
     before = {path.name: path.stat().st_mtime_ns for path in objects.glob('*.o')}
-    build.build(tiny.parent / build.MODULE, objects)
+    build.build(tiny.parent / build.module(), objects)
     return {path.name for path in objects.glob('*.o')
             if before.get(path.name) != path.stat().st_mtime_ns}
 
 
 def test_only_what_changed_is_compiled_again(tiny):
-    output = tiny.parent / build.MODULE
+    output = tiny.parent / build.module()
     assert not build.fresh(output)
     assert compile_tiny(tiny) == {'twice.o', 'build_info.o'}
     assert build.fresh(output)
@@ -69,7 +69,7 @@ def test_copied_objects_serve_the_same_sources_and_no_others(tiny, monkeypatch):
 
 def test_an_error_in_the_sources_is_shown_and_leaves_what_was_compiled(tiny):
     compile_tiny(tiny)
-    output = tiny.parent / build.MODULE
+    output = tiny.parent / build.module()
     before = output.read_bytes()
     (tiny / 'twice.cpp').write_text('int twice() { return unknown; }\n')
     for _ in range(2):
@@ -122,7 +122,7 @@ def test_an_engine_that_is_missing_or_old_is_refused_with_the_command_to_compile
     said = imported(tmp_path).splitlines()[-1]
     assert said.startswith('ImportError: The sources of the engine changed')
     assert 'scripts/build' in said
-    (copy / build.MODULE).unlink()
+    (copy / build.module()).unlink()
     said = imported(tmp_path).splitlines()[-1]
     assert said.startswith('ImportError: The compiled engine of closedloop_dynamics is missing')
     assert 'scripts/build' in said
@@ -162,6 +162,6 @@ def test_declarations_of_the_interface_of_python_are_its_own(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(not build.find_spec('ziglang'), reason='the wheel ziglang is not installed')
 def test_engine_is_compiled_for_another_machine(tmp_path):
-    build.build(tmp_path / build.MODULE, tmp_path / 'objects', target='aarch64-linux-gnu')
+    build.build(tmp_path / build.module(), tmp_path / 'objects', target='aarch64-linux-gnu')
     # The field e_machine of ELF.
-    assert (tmp_path / build.MODULE).read_bytes()[18:20] == bytes([183, 0])
+    assert (tmp_path / build.module()).read_bytes()[18:20] == bytes([183, 0])

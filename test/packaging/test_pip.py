@@ -94,7 +94,7 @@ def test_files_of_the_package_are_in_the_wheel_without_what_they_are_compiled_fr
             if path.is_file() and '__pycache__' not in path.parts
             and path.suffix not in ('.cpp', '.hpp', '.so')}
     there = {name for name in ZipFile(wheel).namelist() if name.startswith(f'{PACKAGE}/')}
-    assert there - here == {f'{PACKAGE}/engine/{build.MODULE}'}
+    assert there - here == {f'{PACKAGE}/engine/{build.module()}'}
     assert here <= there
     assert any(name.endswith('page.html') for name in here)
 
