@@ -177,7 +177,7 @@ def coverage(scene, runs, seed):
     begin = told = time.perf_counter()
     for run in range(runs):
         for right, simulation in simulations.items():
-            simulation.begin_at(case.drawn())
+            simulation.stepping.begin_at(case.drawn())
             load = np.zeros(len(case.driven))
             if unknowns:
                 load[0] = 0.1 * case.size * case.rng.standard_normal()

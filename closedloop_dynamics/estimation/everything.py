@@ -20,7 +20,7 @@ class Everything:
     def __init__(self, plant: Plant) -> None:
         self._plant, self._code, self._of = plant, None, None
         mechanism, simulation = plant.scene.mechanism, plant.simulation
-        placements = simulation.placements
+        placements = simulation.loop_model.placements
         self._size = 2 if mechanism.planar else 3
         self._points = [point for point in mechanism.points if point.body in placements]
         self._places: List[Any] = []
@@ -35,8 +35,8 @@ class Everything:
 
     def code(self) -> MotionCode:
         """Return the generated code for the present system."""
-        if self._of is not self._plant.simulation.system:
-            self._of = self._plant.simulation.system
+        if self._of is not self._plant.simulation.system.model:
+            self._of = self._plant.simulation.system.model
             self._code = MotionCode(
                 self._plant.simulation, self._plant.arrays, self._places, bool(self._joints))
         assert self._code is not None
@@ -51,7 +51,7 @@ class Everything:
             numbers = one.values[:count]
             plant.put(numbers)
             state = plant.model.state(one.q, one.qd, time=one.time)
-            plant.simulation.begin_at(state)
+            plant.begin_at(state)
             forward, _ = plant.simulation.forward_dynamics(
                 one.q, one.qd, plant.torque(one.command, numbers))
             plant.simulation.system.tau[:] = 0.0

@@ -140,7 +140,7 @@ class Measuring:
 
     def _add(self, body: str, position: Sequence[float]) -> int:
         """Return the number of a point of a body among those that code finds."""
-        placement = self.plant.simulation.placements[body]
+        placement = self.plant.simulation.loop_model.placements[body]
         place = np.zeros(3)
         place[:len(position)] = position
         self._points.append((placement.row, placement.place(place)))
@@ -148,13 +148,13 @@ class Measuring:
 
     def _axes_of(self, body: str) -> np.ndarray:
         """Return the axes of a body in the frame of its row, columns."""
-        return np.asarray(self.plant.simulation.placements[body].axes)
+        return np.asarray(self.plant.simulation.loop_model.placements[body].axes)
 
     def code(self) -> MotionCode:
         """Return the generated code, compiled now or before."""
         data = self.plant.kinematic
-        if self._code is None or self._code_of is not data.system:
-            self._code_of = data.system
+        if self._code is None or self._code_of is not data.system.model:
+            self._code_of = data.system.model
             self._code = MotionCode(
                 data, self.plant.stepper.parameter_arrays, self._points, self._forces)
         return self._code

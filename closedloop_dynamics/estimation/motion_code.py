@@ -55,7 +55,7 @@ class MotionCode:
                  points: Sequence[Tuple[int, np.ndarray]], forces: bool) -> None:
         system, scene = simulation.system, TracedScene(simulation)
         nv, nc = len(system.qdd), len(system.lam)
-        rows, origins, _ = simulation.carried
+        rows, origins, _ = simulation.loop_model.joint_places
         rows, cuts = (tuple(rows.tolist()), simulation.cut_rows) if forces else ((), ())
         bodies = tuple(int(row) for row, _ in points)
         self._points, self._nv = len(bodies), nv

@@ -98,7 +98,6 @@ class Plant:
         self._nv = len(self.simulation.joint_names)
         self._chosen: Tuple[str, ...] = ()
         self._growth = 0.0
-        self._system: Any = None
         self._adopt()
         self._require_straight()
 
@@ -106,12 +105,13 @@ class Plant:
         """Set up what makes the steps, and what moves states along the manifold."""
         self.stepper = Stepper(self.model, self.scene.method.step_size, method=method,
                                parameters=self.keys)
-        self.simulation = self.kinematic = self.stepper.data
+        self.simulation = self.kinematic = self.stepper.simulation.data
         self.arrays = self.stepper.parameter_arrays
 
     def _adopt(self) -> None:
         """Take the arrays of the system that the stepper works with now."""
         system = self._system = self.simulation.system
+        self._equations = system.model
         arrays = _arrays(system)
         entries, self._written = self.arrays.entries, []
         for source, array in arrays.items():
@@ -126,7 +126,7 @@ class Plant:
         """Have other values of the unknown numbers, as many as there are names."""
         if not self.keys:
             return
-        if self.simulation.system is not self._system:
+        if self.simulation.system.model is not self._equations:
             self._adopt()
         values = self._values(numbers)
         if (values == self._now).all():
@@ -331,8 +331,9 @@ class PointsPlant(Plant):
             raise FieldError('lengths that are known, with sigma points', f'{lengths[0]} unknown')
         bare = replace(self.scene, effects={}, switched_off=())
         self.stepper = Stepper(Model(bare), self.scene.method.step_size, jacobians=False)
-        self.kinematic = self.stepper.data
-        self.simulation = Simulation(self.model, None, self.scene.with_method(method).method)
+        self.kinematic = self.stepper.simulation.data
+        self._run = Simulation(self.model, None, self.scene.with_method(method).method)
+        self.simulation = self._run.data
         self.arrays = parameter_arrays(self.simulation, self.keys)
         # Of friction, which way joints slide.
         self._rubbing = np.zeros(len(self.own), dtype=bool)
@@ -340,7 +341,7 @@ class PointsPlant(Plant):
         for row in [] if table is None else table.rows:
             if row.law.role == FRICTION:
                 self._rubbing[row.state] = True
-        if self.simulation.command_delay:
+        if self.simulation.effect_set.delays:
             raise FieldError('drives that act at once', 'one with a delay', '', ('effects',))
 
     def basis(self, q: np.ndarray, qd: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -351,13 +352,18 @@ class PointsPlant(Plant):
     def _present_basis(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         return self.stepper.basis_at(q, qd)
 
+    def begin_at(self, state: State) -> None:
+        """Have a state evaluated."""
+        self._run.stepping.begin_at(state)
+
     def after(self, time: float, q: np.ndarray, qd: np.ndarray, numbers: np.ndarray,
               command: np.ndarray, duration: float, own: np.ndarray) -> Tuple[np.ndarray, ...]:
         """Return q, qd and the effects' own states later; friction begins as the rates are."""
         self.put(numbers)
         begun = self.model.state(q, qd, time=time)
-        simulation = self.simulation
-        simulation.begin_at(replace(begun, own=np.where(self._rubbing, begun.own, own)))
+        simulation = self._run
+        simulation.stepping.begin_at(replace(
+            begun, own=np.where(self._rubbing, begun.own, own)))
         simulation.step(self.torque(command, numbers), duration)
         return simulation.position, simulation.velocity, simulation.snapshot().own
 
