@@ -172,10 +172,10 @@ class EstimatorNode(Node):
         """Create publishers, with messages as large as they will be."""
         simulation, mechanism = self._simulation, self._simulation.mechanism
         names, cuts = self._new.estimate().joint_forces.names, {
-            cut.name for cut in simulation.cut_joints}
+            cut.name for cut in simulation.mechanism.cut_joints}
         wrenches = [f'{"constraint" if name in cuts else "joint"}_forces/{name}' for name in names]
-        self._shown_forces = [names.index(cut.name) for cut in simulation.cut_joints] if (
-            names) else None
+        self._shown_forces = [
+            names.index(cut.name) for cut in mechanism.cut_joints] if names else None
         self.states = StatePublisher(
             self, simulation.coordinates, wrenches, ['world'] * len(wrenches),
             mechanism.cut_coordinates, prefix='estimated_')
@@ -238,6 +238,7 @@ class EstimatorNode(Node):
         """Forget the run; the next measurements begin another one."""
         simulation = self._simulation
         self.estimator, self._origin, self._newest, self._gated = None, None, None, 0
+        self._begun = None
         self._beginning = Beginning(self._setup, self._model)
         self._streams.begin(zip(simulation.joint_names, simulation.coordinates.by_freedom(
             np.array(simulation.scene.initial.position))))
@@ -302,8 +303,10 @@ class EstimatorNode(Node):
         before = dict(self._torque)
         self._torque.update({name: value for name, value in torques.items() if name in before})
         if self.estimator is not None and self._torque != before:
-            self._guarded(lambda: self.estimator.command(
-                max(time, self.estimator.time - 0.2), self._torque))
+            if self._begun is not None:
+                time, self._begun = self._begun, None
+            time = max(time, self.estimator.time - Timeline.BEHIND)
+            self._guarded(lambda: self.estimator.command(time, self._torque))
 
     def _take(self, time, readings):
         """Take readings, or begin a run with them."""
@@ -319,6 +322,8 @@ class EstimatorNode(Node):
             if start is not None:
                 self.estimator = self._build(start)
                 self.estimator.command(start.time, self._torque)
+                # A machine that is held begins to move with the first torques, not without any.
+                self._begun = None if any(self._torque.values()) else start.time
                 self.counts[RESTARTS] += 1
         if self._guarded(take):
             self.counts[USED] += 1
@@ -387,16 +392,15 @@ class EstimatorNode(Node):
         simulation, coordinates = self._simulation, self._simulation.coordinates
         stamp = self._origin + round(found.time * NANOSECONDS)
         nq, nv = coordinates.nq, coordinates.nv
-        simulation.integrated[:nq] = found.state.q
-        simulation.integrated[nq:nq + nv] = found.state.qd
-        simulation.touch()
+        simulation.data.integrated[:nq] = found.state.q
+        simulation.data.integrated[nq:nq + nv] = found.state.qd
         effort = np.zeros(nv)
         for name, value in self._torque.items():
             effort[coordinates.index[name]] = value
         forces = found.joint_forces.value
         if self._shown_forces is not None:
             self._pale.constraint_forces = forces[self._shown_forces]
-        cuts = (*simulation.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
+        cuts = (*simulation.data.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
             simulation.cut_joint_names) else ()
         publisher, template = self._deviations
         single = coordinates.single
