@@ -12,8 +12,8 @@ from scipy.interpolate import make_interp_spline, UnivariateSpline
 
 from .contents import Topic
 from .message_numbers import NANOSECONDS, stamp_of
-from .reading import Bag
 from .recording import RecordingError
+from .rosbag2 import open_bag
 from .run import moving_joints
 from .writer import BagFiles
 from ..simulation.completion import Completion, CompletionError
@@ -54,7 +54,7 @@ def measured_positions(path, topic, joints):
 
     """
     stamps, rows, unordered = [], [], 0
-    bag = Bag(path)
+    bag = open_bag(path)
     for _, _, message in bag.messages(topic.__eq__):
         missing = [name for name in joints if name not in message.name]
         if missing or len(message.position) != len(message.name):

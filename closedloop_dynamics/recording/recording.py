@@ -13,7 +13,7 @@ import numpy as np
 from .errors import RecordingError
 from .message_numbers import (
     constraint_force, NANOSECONDS, pose_numbers, stamp_of, twist_numbers, wrench_numbers)
-from .reading import Bag
+from .rosbag2 import open_bag
 from .rows import read_rows
 from ..mechanism.mechanism import MechanismError
 from ..simulation.scene import SceneError
@@ -87,7 +87,7 @@ def since_the_last_reset(motion):
 
 
 def _read_bag(path, scene, namespace):
-    bag = Bag(path)
+    bag = open_bag(path)
     messages = {}
     for topic, _, message in bag.messages(_of_interest):
         messages.setdefault(topic, []).append(message)
