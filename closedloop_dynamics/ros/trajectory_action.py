@@ -30,7 +30,8 @@ class TrajectoryAction:
     """
 
     def __init__(self, node, joints, follow):
-        self._node, self._joints, self._follow = node, list(joints), follow
+        self._joints, self._follow = list(joints), follow
+        self._logger, self._clock = node.get_logger(), node.get_clock()
         self._points = self._goal = self._outcome = self._begin = None
         self._limits, self._due, self._braking = {}, 0.0, False
         self._server = ActionServer(
@@ -45,7 +46,7 @@ class TrajectoryAction:
             points_of(request.trajectory, self._joints)
             self._limits_of(request)
         except TrajectoryError as error:
-            self._node.get_logger().warning(f'follow_joint_trajectory refused: {error}')
+            self._logger.warning(f'follow_joint_trajectory refused: {error}')
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
@@ -147,7 +148,7 @@ class TrajectoryAction:
 
     def _feedback(self, desired, actual):
         feedback = FollowJointTrajectory.Feedback(joint_names=self._joints)
-        feedback.header.stamp = self._node.get_clock().now().to_msg()
+        feedback.header.stamp = self._clock.now().to_msg()
         for key, values in (('desired', desired), ('actual', actual), ('error', desired - actual)):
             setattr(feedback, key, JointTrajectoryPoint(
                 positions=values[0].tolist(), velocities=values[1].tolist()))

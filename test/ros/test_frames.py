@@ -35,7 +35,7 @@ def broadcast(make_node, monkeypatch):
         node.live.publish()
         moving, = sent['/tf']
         # Once, however many states there are.
-        node._frames.on_state(node.states.stamp)
+        node.live.on_published[0](node.states.stamp)
         assert len(sent['/tf']) == 2 and len(sent['/tf_static']) <= 1
         found = {frame.child_frame_id: frame for frame in moving.transforms}
         assert not still & set(found)
