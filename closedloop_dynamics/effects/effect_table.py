@@ -63,7 +63,7 @@ class EffectTable(Handle):
 
         """
         return cls(native.effects(
-            model, whole, _told(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
+            model, whole, told(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
             list(elements))
 
     @property
@@ -112,12 +112,12 @@ class EffectTable(Handle):
 
     def put(self, number, element, enabled):
         """Have an effect say something else, or be switched, while a simulation may run."""
-        told, = _told([element], self.is_spatial, enabled)
-        native.put_effect(self, number, told)
+        one, = told([element], self.is_spatial, enabled)
+        native.put_effect(self, number, one)
         self.elements[number] = element
 
 
-def _told(elements, spatial, enabled=True):
+def told(elements, spatial, enabled=True):
     """Return elements as the engine is told; code of laws is compiled where it is missing."""
     routines = law_code.routines_of([Row(element) for element in elements], spatial)
     return tuple(EffectElement(

@@ -12,6 +12,7 @@
 #include <memory>
 #include <new>
 #include <stdexcept>
+#include <string>
 #include <string_view>
 #include <thread>
 #include <tuple>
@@ -501,25 +502,17 @@ private:
 class Bound
 {
 public:
-  Bound() = default;
-  Bound(const Bound &) = delete;
-  Bound & operator=(const Bound &) = delete;
-  virtual ~Bound()
-  {
-    for (PyObject * each : owners) {
-      Py_DecRef(each);
-    }
-  }
+  virtual ~Bound() = default;
   /// Call it with the arguments that are left.
   virtual PyObject * run(PyObject * const * from, Py_ssize_t count) = 0;
   void keep(PyObject * object)
   {
-    owners.push_back(object);
     Py_IncRef(object);
+    owners.emplace_back(object);
   }
 
 private:
-  std::vector<PyObject *> owners;
+  std::vector<Owned> owners;
 };
 
 /// Required shape of an argument, by the system or model, which is the first one: not checked; nq;
@@ -810,11 +803,13 @@ template<auto Function>
 inline const char * name_of = "";
 
 template<auto Function, bool Releases, Length ... lengths>
-Entry make_entry(const char * name, const char * doc)
+Entry make_entry(const char * doc)
 {
-  name_of<Function> = name;
+  // The text begins with it, and its arguments follow.
+  static const std::string name(doc, std::strcspn(doc, "("));
+  name_of<Function> = name.c_str();
   return {
-    name, doc,
+    name.c_str(), doc,
     [](PyObject * self, PyObject * const * from, Py_ssize_t count) {
       return guarded(
         [&] {
@@ -836,16 +831,16 @@ Entry make_entry(const char * name, const char * doc)
 
 /// A function of Python; `lengths`: of the arguments behind the first one, a system or a model.
 template<auto Function, Length ... lengths>
-Entry entry(const char * name, const char * doc)
+Entry entry(const char * doc)
 {
-  return make_entry<Function, false, lengths...>(name, doc);
+  return make_entry<Function, false, lengths...>(doc);
 }
 
 /// The same for a long computation: other threads run, and Ctrl-C interrupts it.
 template<auto Function, Length ... lengths>
-Entry released(const char * name, const char * doc)
+Entry released(const char * doc)
 {
-  return make_entry<Function, true, lengths...>(name, doc);
+  return make_entry<Function, true, lengths...>(doc);
 }
 
 }  // namespace closedloop

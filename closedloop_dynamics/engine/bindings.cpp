@@ -384,243 +384,196 @@ namespace
 {
 const Entry entries[] = {
   entry<make_model>(
-    "model",
-    "model(tree, body, gravity, cut, cut_point, path_body): a handle; what else follows from them"),
-  entry<model_with_equations>(
-    "model_with_equations", "model_with_equations(model, cut): of the same memory otherwise"),
-  entry<make_manifold>("manifold", "manifold(model): where quaternions are among the coordinates"),
-  entry<make_workspace>("workspace", "workspace(model): memory of its evaluations"),
+    "model(tree, body, gravity, cut, cut_point, path_body): a handle; what else follows from "
+    "them"),
+  entry<model_with_equations>("model_with_equations(model, cut): of the same memory otherwise"),
+  entry<make_manifold>("manifold(model): where quaternions are among the coordinates"),
+  entry<make_workspace>("workspace(model): memory of its evaluations"),
   entry<make_system>(
-    "system",
-    "system(model, all, effects, row, body, point, baumgarte, size, opening, independent, code): a handle; effects, and what code reads of them, are kept"),
-  entry<with_equations>(
-    "with_equations", "with_equations(system, model, all, code): of the same state and effects"),
-  entry<with_independent>(
-    "with_independent", "with_independent(system, used): of the same memory otherwise"),
+    "system(model, all, effects, row, body, point, baumgarte, size, opening, independent, code):"
+    " a handle; effects, and what code reads of them, are kept"),
+  entry<with_equations>("with_equations(system, model, all, code): of the same state and effects"),
+  entry<with_independent>("with_independent(system, used): of the same memory otherwise"),
   entry<make_effects>(
-    "effects",
     "effects(model, all, elements, cut_index, cut_values): a handle of what effects say"),
-  entry<put_effect>(
-    "put_effect", "put_effect(effects, row, element): what the effect of a row says now"),
-  entry<effects_of>("effects_of", "effects_of(system): a handle of its own effects"),
+  entry<put_effect>("put_effect(effects, row, element): what the effect of a row says now"),
+  entry<effects_of>("effects_of(system): a handle of its own effects"),
   entry<take_snapshot>(
-    "snapshot", "snapshot(system): of all numbers that computations write, of effects, too"),
-  entry<restore_snapshot>("restore", "restore(): put them back"),
+    "snapshot(system): of all numbers that computations write, of effects, too"),
+  entry<restore_snapshot>("restore(): put them back"),
   entry<use_equations>(
-    "use_equations", "use_equations(system, model, all, code): from now on, of its state and effects"),
-  entry<use_independent>(
-    "use_independent", "use_independent(system, used): coordinates, none chosen yet, or none"),
-  entry<views>("views", "views(system): of its arrays, by name"),
-  entry<take_run>("take_run", "take_run(other): become a copy of another one"),
-  entry<copy_system>("copy_system", "copy_system(system): with memory of its own"),
-  entry<take_numbers>("take_numbers", "take_numbers(system, other): those that it is a copy of"),
-  entry<use_derivatives>("use_derivatives", "use_derivatives(system, derivatives): for stiff steps"),
-  entry<forget>("forget", "forget(system): the motion so far"),
-  entry<model_of>("model_of", "model_of(system): a handle of its own model"),
-  entry<workspace_of>("workspace_of", "workspace_of(system): a handle of its own workspace"),
+    "use_equations(system, model, all, code): from now on, of its state and effects"),
+  entry<use_independent>("use_independent(system, used): coordinates, none chosen yet, or none"),
+  entry<views>("views(system): of its arrays, by name"),
+  entry<take_run>("take_run(other): become a copy of another one"),
+  entry<copy_system>("copy_system(system): with memory of its own"),
+  entry<take_numbers>("take_numbers(system, other): those that it is a copy of"),
+  entry<use_derivatives>("use_derivatives(system, derivatives): for stiff steps"),
+  entry<forget>("forget(system): the motion so far"),
+  entry<model_of>("model_of(system): a handle of its own model"),
+  entry<workspace_of>("workspace_of(system): a handle of its own workspace"),
   entry<outward, Length::Q, Length::QD>(
-    "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
+    "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
   entry<inward, Length::QD>(
-    "inward", "inward(model, tau, work, massless): articulated-body inertias and bias forces"),
-  entry<update>("update", "update(model, work, responses): closure errors, their rates and biases"),
-  entry<largest>("largest", "largest(values): largest absolute value"),
-  entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
+    "inward(model, tau, work, massless): articulated-body inertias and bias forces"),
+  entry<update>("update(model, work, responses): closure errors, their rates and biases"),
+  entry<largest>("largest(values): largest absolute value"),
+  entry<assemble>("assemble(model, work): entries of the constraint matrix"),
   entry<factorize_constraints>(
-    "factorize", "factorize(model, work): factors of the constraint matrix; smallest pivot"),
+    "factorize(model, work): factors of the constraint matrix; smallest pivot"),
   entry<close_loops, Length::ANY, Length::ANY, Length::Q>(
-    "close_loops",
     "close_loops(model, work, manifold, q, loops, closed, enough): what had a part in it"),
   entry<close_rates, Length::ANY, Length::ANY, Length::Q, Length::QD>(
-    "close_rates", "close_rates(model, work, manifold, q, qd, loops, wanted): likewise"),
+    "close_rates(model, work, manifold, q, qd, loops, wanted): likewise"),
   entry<search_loops, Length::ANY, Length::ANY, Length::Q>(
-    "search_loops", "search_loops(model, work, manifold, q, loops, far, goal, most): likewise"),
+    "search_loops(model, work, manifold, q, loops, far, goal, most): likewise"),
   entry<loop_residuals, Length::ANY, Length::ANY, Length::Q>(
-    "loop_residuals",
     "loop_residuals(model, work, manifold, q, loops, far, residuals, slopes): of such a search"),
   released<close>(
-    "close_states",
     "close_states(model, work, manifold, q, qd, loops, closed, status): whether all were seen"),
-  released<first_open>(
-    "first_open", "first_open(model, work, manifold, q, qd, limit): the first open state"),
+  released<first_open>("first_open(model, work, manifold, q, qd, limit): the first open state"),
   entry<energies, Length::ANY, Length::QD, Length::PAIR>(
-    "energies", "energies(model, work, qd, out): kinetic and potential energy"),
+    "energies(model, work, qd, out): kinetic and potential energy"),
   entry<constraint_jacobian, Length::ANY, Length::JACOBIAN>(
-    "constraint_jacobian", "constraint_jacobian(model, work, jac)"),
+    "constraint_jacobian(model, work, jac)"),
   entry<loop_units, Length::ANY, Length::JACOBIAN, Length::MULTIPLIERS, Length::QD>(
-    "loop_units", "loop_units(model, places, jac, rows, columns): what each is counted in"),
+    "loop_units(model, places, jac, rows, columns): what each is counted in"),
   entry<generalized_inertia_matrix, Length::ANY, Length::INERTIA>(
-    "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
-  entry<cut_wrenches>("cut_wrenches", "cut_wrenches(model, body, lam, share, out)"),
-  entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
+    "generalized_inertia_matrix(model, work, gim)"),
+  entry<cut_wrenches>("cut_wrenches(model, body, lam, share, out)"),
+  entry<bias_forces>("bias_forces(work, out)"),
   entry<joint_wrenches, Length::ANY, Length::QD, Length::MULTIPLIERS, Length::WRENCHES>(
-    "joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
-  entry<tree_torque, Length::ANY, Length::QD, Length::QD>(
-    "tree_torque", "tree_torque(model, work, qdd, out)"),
+    "joint_wrenches(model, work, qdd, lam, wrench)"),
+  entry<tree_torque, Length::ANY, Length::QD, Length::QD>("tree_torque(model, work, qdd, out)"),
   entry<to_user_order, Length::MULTIPLIERS, Length::MULTIPLIERS>(
-    "to_user_order", "to_user_order(model, ordered, out)"),
-  entry<forward_dynamics, Length::ANY, Length::Q, Length::QD,
-    Length::QD, Length::QD, Length::MULTIPLIERS>(
-    "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
-  entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
+    "to_user_order(model, ordered, out)"),
+  entry<forward_dynamics, Length::ANY, Length::Q,
+    Length::QD, Length::QD, Length::QD, Length::MULTIPLIERS>(
+    "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
+  entry<fill_quaternions>("fill_quaternions(matrices, out)"),
   entry<rates_of_coordinates>(
-    "rates_of_coordinates",
     "rates_of_coordinates(manifold, state, nv, out, lanes): of quaternions from spins"),
-  entry<move_coordinates>("move", "move(manifold, q, change, share)"),
-  entry<evaluate, Length::Q, Length::QD>(
-    "evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
-  entry<evaluate_with_poses, Length::STATE>(
-    "evaluate_with_poses", "evaluate_with_poses(system, state)"),
+  entry<move_coordinates>("move(manifold, q, change, share)"),
+  entry<evaluate, Length::Q, Length::QD>("evaluate(system, q, qd): accelerations and multipliers"),
+  entry<evaluate_with_poses, Length::STATE>("evaluate_with_poses(system, state)"),
   entry<evaluate_present, Length::STATE>(
-    "evaluate_present", "evaluate_present(system, state): unless that was done last"),
+    "evaluate_present(system, state): unless that was done last"),
   entry<is_regular, Length::Q, Length::QD>(
-    "is_regular", "is_regular(system, q, qd): whether elimination will do"),
-  entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
-  released<evaluate_again, Length::STATE>("evaluate_again", "evaluate_again(system, state, count)"),
-  entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
+    "is_regular(system, q, qd): whether elimination will do"),
+  entry<evaluate_state, Length::STATE>("evaluate_state(system, state)"),
+  released<evaluate_again, Length::STATE>("evaluate_again(system, state, count)"),
+  entry<derivative, Length::STATE, Length::STATE>("derivative(system, state, out)"),
   released<fastest_rate, Length::STATE, Length::STATE>(
-    "fastest_rate", "fastest_rate(system, state, start): of the motion in a state"),
-  entry<stabilise, Length::ANY, Length::STATE>(
-    "stabilise", "stabilise(system, stabilisation, state)"),
+    "fastest_rate(system, state, start): of the motion in a state"),
+  entry<stabilise, Length::ANY, Length::STATE>("stabilise(system, stabilisation, state)"),
   entry<equations_suffice, Length::ANY, Length::STATE>(
-    "equations_suffice", "equations_suffice(system, stabilisation, state): after a step"),
-  entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
-  entry<expression_value>("expression_value", "expression_value(data, at, time)"),
+    "equations_suffice(system, stabilisation, state): after a step"),
+  entry<apply_effects>("apply_effects(effects, body, q, qd, tau)"),
+  entry<expression_value>("expression_value(data, at, time)"),
   entry<keep_law>(
-    "keep_law", "keep_law(address, joints, bodies, states, numbers, listed, spatial): what a row "
-    "must have for a routine"),
-  entry<library_function>(
-    "library_function", "library_function(which): address of a function for generated code"),
+    "keep_law(address, joints, bodies, states, numbers, listed, spatial): what a row must have "
+    "for a routine"),
+  entry<library_function>("library_function(which): address of a function for generated code"),
   entry<curve_distance>(
-    "curve_distance",
     "curve_distance(pieces, closed, memory, x, y): normal to the free side, and the distance"),
   entry<nearest_to_path>(
-    "nearest_to_path",
     "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),
-  entry<feel_loads>(
-    "feel_loads", "feel_loads(system, states, share): whether loads are those felt before"),
-  entry<begin_loads, Length::STATE>("begin_loads", "begin_loads(system, state)"),
-  entry<load_joints>("load_joints", "load_joints(system, model, work, qd, qdd, lam)"),
+  entry<feel_loads>("feel_loads(system, states, share): whether loads are those felt before"),
+  entry<begin_loads, Length::STATE>("begin_loads(system, state)"),
+  entry<load_joints>("load_joints(system, model, work, qd, qdd, lam)"),
   entry<measure_cut_coordinates>(
-    "measure_cut_coordinates",
     "measure_cut_coordinates(effects, body, position, velocity): the last places of these"),
-  entry<accelerations>(
-    "cut_accelerations", "cut_accelerations(effects, model, work, qdd, whole, out)"),
-  entry<cut_direction>(
-    "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
-  entry<minimise_in_box>("minimise_in_box", "minimise_in_box(effects, count, out)"),
-  entry<touch>("touch", "touch(system): constants or effects were changed"),
-  entry<require_free>(
-    "require_free", "require_free(system): refuses what another thread computes with"),
-  entry<stop_flag>("stop_flag", "stop_flag(stops): a request to stop, set or not"),
+  entry<accelerations>("cut_accelerations(effects, model, work, qdd, whole, out)"),
+  entry<cut_direction>("cut_direction(body, row, planar, values, k, first): axis in the world"),
+  entry<minimise_in_box>("minimise_in_box(effects, count, out)"),
+  entry<touch>("touch(system): constants or effects were changed"),
+  entry<require_free>("require_free(system): refuses what another thread computes with"),
+  entry<stop_flag>("stop_flag(stops): a request to stop, set or not"),
   entry<set_stop>(
-    "set_stop", "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
-  entry<heed>("heed", "heed(flag): from now on in this thread; returns the flag heeded before"),
-  entry<run>(
-    "run", "run(system, state, method, options, watch, roles, windings): a run that is checked"),
-  entry<&On<&Run::set_watch>::call>("set_watch", "set_watch(watch, windings)"),
-  entry<take_method>("take_method", "take_method(other): and the limits of that run"),
-  entry<&On<&Run::restart>::call>(
-    "restart", "restart(moved): torques, effects or the state have changed"),
-  entry<&On<&Run::rewind>::call>("rewind", "rewind(): the method, as a new one"),
-  entry<&Of<&Run::aim>::call>("aim", "aim(accuracy): keep another one"),
-  entry<&Of<&Run::steps>::call>("steps", "steps(): what the method knows of them by name"),
+    "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
+  entry<heed>("heed(flag): from now on in this thread; returns the flag heeded before"),
+  entry<run>("run(system, state, method, options, watch, roles, windings): a run that is checked"),
+  entry<&On<&Run::set_watch>::call>("set_watch(watch, windings)"),
+  entry<take_method>("take_method(other): and the limits of that run"),
+  entry<&On<&Run::restart>::call>("restart(moved): torques, effects or the state have changed"),
+  entry<&On<&Run::rewind>::call>("rewind(): the method, as a new one"),
+  entry<&Of<&Run::aim>::call>("aim(accuracy): keep another one"),
+  entry<&Of<&Run::steps>::call>("steps(): what the method knows of them by name"),
   released<&On<&Run::try_step>::call>(
-    "try_step", "try_step(state, size): its status; all else stays as it is"),
-  entry<&On<&Run::whole_length>::call>("whole_length", "whole_length(): of a state"),
-  entry<&In<&Run::write_whole>::call>(
-    "write_whole", "write_whole(out): with the memory of the method"),
-  entry<&In<&Run::recall>::call>("recall", "recall(whole)"),
-  entry<&On<&Run::accuracy_in>::call>("accuracy_in", "accuracy_in(whole): of the default method"),
-  entry<&In<&Run::begin>::call>("begin", "begin(): begin there"),
-  entry<&Of<&Run::time>::call>("time", "time(): of its state [s]"),
-  entry<&Of<&Run::base>::call>("base", "base(): a time [s], and the steps since then"),
-  entry<&Of<&Run::set_time>::call>("set_time", "set_time(base, steps): so many after that"),
-  entry<&Of<&Run::report>::call>("run_report", "run_report(): what is known of it by name"),
-  entry<&Of<&Run::clear_cost>::call>("clear_cost", "clear_cost(): count from here on"),
-  entry<&Of<&Run::sample>::call>("sample", "sample(wanted): errors of fixed steps"),
-  released<&In<&Run::advance>::call>(
-    "advance_run", "advance_run(tau, steps): its outcome, 0 where all are made"),
-  released<&In<&Run::make>::call>("make_steps", "make_steps(size, steps, call): as of advance_run"),
-  released<&In<&Run::resume>::call>("resume_run", "resume_run(): as of advance_run"),
-  entry<&Of<&Run::give_up>::call>("give_up", "give_up(): end at the state of a failed step"),
-  entry<&Of<&Run::choose_more_seldom>::call>(
-    "choose_more_seldom", "choose_more_seldom(most): equations"),
-  entry<&In<&Run::command>::call>("command", "command(tau): apply torques"),
-  entry<&In<&Run::add_work>::call>("add_work", "add_work(): of the torques held up to there"),
-  entry<&On<&Run::find_start>::call>("find_start", "find_start(): the energy there"),
-  entry<&In<&Run::balance>::call>("balance", "balance(): of energy"),
+    "try_step(state, size): its status; all else stays as it is"),
+  entry<&On<&Run::whole_length>::call>("whole_length(): of a state"),
+  entry<&In<&Run::write_whole>::call>("write_whole(out): with the memory of the method"),
+  entry<&In<&Run::recall>::call>("recall(whole)"),
+  entry<&On<&Run::accuracy_in>::call>("accuracy_in(whole): of the default method"),
+  entry<&In<&Run::begin>::call>("begin(): begin there"),
+  entry<&Of<&Run::time>::call>("time(): of its state [s]"),
+  entry<&Of<&Run::base>::call>("base(): a time [s], and the steps since then"),
+  entry<&Of<&Run::set_time>::call>("set_time(base, steps): so many after that"),
+  entry<&Of<&Run::report>::call>("run_report(): what is known of it by name"),
+  entry<&Of<&Run::clear_cost>::call>("clear_cost(): count from here on"),
+  entry<&Of<&Run::sample>::call>("sample(wanted): errors of fixed steps"),
+  released<&In<&Run::advance>::call>("advance_run(tau, steps): its outcome, 0 where all are made"),
+  released<&In<&Run::make>::call>("make_steps(size, steps, call): as of advance_run"),
+  released<&In<&Run::resume>::call>("resume_run(): as of advance_run"),
+  entry<&Of<&Run::give_up>::call>("give_up(): end at the state of a failed step"),
+  entry<&Of<&Run::choose_more_seldom>::call>("choose_more_seldom(most): equations"),
+  entry<&In<&Run::command>::call>("command(tau): apply torques"),
+  entry<&In<&Run::add_work>::call>("add_work(): of the torques held up to there"),
+  entry<&On<&Run::find_start>::call>("find_start(): the energy there"),
+  entry<&In<&Run::balance>::call>("balance(): of energy"),
   entry<&In<&Run::record_energy>::call>(
-    "record_energy", "record_energy(): the balance, compared without a finding"),
-  entry<&Of<&Run::record_loss>::call>("record_loss", "record_loss(lost, energy, rounding, time)"),
-  entry<&In<&Run::check_energy>::call>("check_energy", "check_energy(): as of advance_run"),
-  entry<&Of<&Run::jump>::call>("jump", "jump(): the state or an effect has been changed"),
-  entry<&In<&Run::jump_balance>::call>(
-    "jump_balance", "jump_balance(energy): changed from outside"),
-  entry<&Of<&Run::restart_guards>::call>("restart_guards", "restart_guards()"),
-  entry<&Of<&Run::write_kept>::call>(
-    "write_kept", "write_kept(of_cables, out): the latest state that was good"),
+    "record_energy(): the balance, compared without a finding"),
+  entry<&Of<&Run::record_loss>::call>("record_loss(lost, energy, rounding, time)"),
+  entry<&In<&Run::check_energy>::call>("check_energy(): as of advance_run"),
+  entry<&Of<&Run::jump>::call>("jump(): the state or an effect has been changed"),
+  entry<&In<&Run::jump_balance>::call>("jump_balance(energy): changed from outside"),
+  entry<&Of<&Run::restart_guards>::call>("restart_guards()"),
+  entry<&Of<&Run::write_kept>::call>("write_kept(of_cables, out): the latest state that was good"),
   released<make_samples>(
-    "run_samples",
     "run_samples(start, torque, zero_order_hold, decimation, steps, states, status, found)"),
-  released<check_samples>("check_starts", "check_starts(tolerance, states, fine)"),
-  released<record_steps>(
-    "record_steps", "record_steps(system, run, scratch, tape): status, steps completed"),
+  released<check_samples>("check_starts(tolerance, states, fine)"),
+  released<record_steps>("record_steps(system, run, scratch, tape): status, steps completed"),
   released<change_of_steps>(
-    "change_of_steps",
     "change_of_steps(system, run, scratch, tape, routines, change, out): status, step"),
   released<gradient_of_steps>(
-    "gradient_of_steps",
     "gradient_of_steps(system, run, scratch, tape, routines, weight, gradient): status, step"),
   released<step_states>(
-    "step_states",
-    "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states done"),
-  entry<fill_basis>("fill_basis", "fill_basis(system, routines, chart, q, qd, basis): status"),
+    "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states "
+    "done"),
+  entry<fill_basis>("fill_basis(system, routines, chart, q, qd, basis): status"),
   released<move_along>(
-    "move_along",
     "move_along(system, routines, chart, from_q, from_qd, basis, changes, displacement, q, qd): "
     "status, states"),
-  released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
+  released<annotate>("annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
-    "fill_joint_forces",
     "fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, "
     "out)"),
-  entry<evaluate_given>(
-    "evaluate_given", "evaluate_given(system, request, q, qd, torque): whether it was done"),
-  entry<evaluate_request>(
-    "evaluate_request", "evaluate_request(system, whole, request): whether it was done"),
-  entry<spread_torques>(
-    "spread_torques", "spread_torques(actuated, tau, given): whether it was done"),
-  entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),
-  entry<call>(
-    "call", "call(table, which, q, qd): a generated routine; whether its results are good"),
+  entry<evaluate_given>("evaluate_given(system, request, q, qd, torque): whether it was done"),
+  entry<evaluate_request>("evaluate_request(system, whole, request): whether it was done"),
+  entry<spread_torques>("spread_torques(actuated, tau, given): whether it was done"),
+  entry<sum_of_sizes>("sum_of_sizes(values)"),
+  entry<call>("call(table, which, q, qd): a generated routine; whether its results are good"),
   entry<call_for_columns>(
-    "call_for_columns",
     "call_for_columns(table, q, qd, columns, results): whether the results are good"),
   entry<find_torques>(
-    "find_torques",
     "find_torques(system, actuated, passive, loops, own, out, q, qd, qdd): whether it was done"),
   entry<find_all_multipliers, Length::Q, Length::QD>(
-    "find_all_multipliers",
     "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),
   entry<find_multipliers, Length::STATE>(
-    "find_multipliers", "find_multipliers(system, state, lam): of all equations in a state"),
-  entry<place_points>("place_points", "place_points(body, row, point, out)"),
-  entry<points_in_state, Length::STATE>(
-    "points_in_state", "points_in_state(system, state, row, point, out)"),
+    "find_multipliers(system, state, lam): of all equations in a state"),
+  entry<place_points>("place_points(body, row, point, out)"),
+  entry<points_in_state, Length::STATE>("points_in_state(system, state, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
-    "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
+    "find_joint_forces(system, state, lam, row, point, scratch, out)"),
   released<follow>(
-    "follow_drives",
     "follow_drives(model, work, manifold, drives, kept, unit, anchors, open, begin, values, q, "
     "position, velocity, acceleration): poses reached, share of the way to the next one"),
   released<reach_poses>(
-    "reach_poses",
     "reach_poses(model, work, manifold, drives, kept, unit, anchors, open, grid, seeds, values, "
     "actuated, reached, position, rates): how many nodes of a grid are reached"),
   released<run_batch>(
-    "run_batch",
-    "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, "
-    "position, velocity, status, found)"),
+    "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, position, "
+    "velocity, status, found)"),
 };
 
 constexpr char bound_name[] = "closedloop_dynamics.engine.bound";
