@@ -14,6 +14,8 @@ from setuptools.command.build_ext import build_ext
 package_name = 'closedloop_dynamics'
 engine = run_path(os.path.join(package_name, 'engine', 'build.py'))
 share = os.path.join('share', package_name)
+# A placeholder, as the maintainer's address is: CONTRIBUTING.md says what a release needs.
+home = f'https://example.org/{package_name}'
 
 
 def shared(pattern):
@@ -28,15 +30,67 @@ def shared(pattern):
 class BuildEngine(build_ext):
     """Compiles the engine with its own commands, not with those of Python."""
 
+    @property
+    def target(self):
+        """Return the machine that the option --plat-name of a wheel names; None: this one."""
+        wheel = self.distribution.get_command_obj('bdist_wheel', create=False)
+        return engine['TARGETS'][wheel.plat_name] if wheel and wheel.plat_name_supplied else None
+
+    def get_ext_filename(self, fullname):
+        """Return the path of the file below that of the package."""
+        return os.path.join(*fullname.split('.')[:-1], engine['module'](self.target))
+
     def build_extension(self, extension):
         """Compile into the file that setuptools expects."""
         print('Compiling the engine: this takes about a minute', flush=True)
         # What serves a checkout is kept there, for the next change of a source.
         objects = engine['OBJECTS'] if self.editable_mode else Path(self.build_temp)
         try:
-            engine['build'](Path(self.get_ext_fullpath(extension.name)), objects)
+            engine['build'](
+                Path(self.get_ext_fullpath(extension.name)), objects, target=self.target)
         except engine['BuildError'] as error:
             raise SystemExit(f'Error: {error}') from None
+
+
+extras = {
+    # Recordings of ROS: bags.
+    'bags': ['mcap>=1.6', 'rosbags>=0.11'],
+    # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.
+    'bench': ['cmeel-eigen==3.4.1', 'exudyn==1.13.6', 'mujoco==4.0.0', 'pin==4.1.0'],
+    # To complete words of the command line in a shell.
+    'completion': ['argcomplete>=3.2'],
+    # Linear models as those of python-control.
+    'control': ['control>=0.10'],
+    # To write DXF files.
+    'drawing': ['ezdxf>=1.3'],
+    # Environments for reinforcement learning.
+    'gymnasium': ['gymnasium>=1.1'],
+    # Forward dynamics as a function of JAX.
+    'jax': ['jax>=0.4.34'],
+    # To read MJCF and xacro files; to show the meshes of models.
+    'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
+    # Pictures and animations.
+    'plot': ['matplotlib>=3.6', 'pillow>=10.2'],
+    # Documents and load spectra of closedloop report.
+    'report': ['fpdf2>=2.7', 'rainflow>=3.1'],
+    # For Pythons without a ROS installation: Jazzy from PyPI.
+    'ros': [
+        'ros-jazzy-rclpy[fastrtps]',
+        'ros-jazzy-common-interfaces',
+    ],
+    # What closedloop sweep writes to, and a cluster to run it on; each on its own is enough.
+    'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'zarr>=3.0.8'],
+    # colcon test looks for pytest here; without it, it finds no tests and passes.
+    'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout',
+             'ruff==0.17.6'],
+    # The page of closedloop view.
+    'view': ['websockets>=14.0'],
+}
+extras['report'] += extras['plot']
+extras['ros'] += extras['bags'] + extras['view']
+# What people use side by side; the others are for a library or a program of their own each.
+extras['all'] = [one for name in ('plot', 'bags', 'view', 'models', 'report', 'drawing', 'sweep')
+                 for one in extras[name]]
 
 
 setup(
@@ -61,54 +115,42 @@ setup(
         *shared('launch/*'),
     ],
     python_requires='>=3.11',
+    # More than these is an extra: closedloop_dynamics/mechanism/extras.py says what asks for it.
     install_requires=[
         'llvmlite>=0.43',
-        'matplotlib>=3.6',
-        'mcap>=1.6',
         'numpy>=1.26',
-        'pillow>=10.2',
         'PyYAML>=6.0',
-        'rosbags>=0.11',
         'scipy>=1.11',
-        'setuptools',
         'tqdm>=4.60',
-        'websockets>=14.0',
     ],
-    extras_require={
-        # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.
-        'bench': ['cmeel-eigen==3.4.1', 'exudyn==1.13.6', 'mujoco==4.0.0', 'pin==4.1.0'],
-        # To complete words of the command line in a shell.
-        'completion': ['argcomplete>=3.2'],
-        # To write DXF files.
-        'drawing': ['ezdxf>=1.3'],
-        # Environments for reinforcement learning.
-        'gymnasium': ['gymnasium>=1.1'],
-        # Forward dynamics as a function of JAX.
-        'jax': ['jax>=0.4.34'],
-        # To read MJCF and xacro files; to show the meshes of models.
-        'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
-        # Documents and load spectra of closedloop report.
-        'report': ['fpdf2>=2.7', 'rainflow>=3.1'],
-        # For Pythons without a ROS installation: Jazzy from PyPI.
-        'ros': [
-            'ros-jazzy-rclpy[fastrtps]',
-            'ros-jazzy-common-interfaces',
-        ],
-        # What closedloop sweep writes to, and a cluster to run it on; each on its own is enough.
-        'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'zarr>=3.0.8'],
-        # colcon test looks for pytest here; without it, it finds no tests and passes.
-        'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout',
-                 'ruff==0.17.6'],
-    },
+    extras_require=extras,
     zip_safe=False,
     long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     classifiers=[
+        'Development Status :: 5 - Production/Stable',
+        'Intended Audience :: Education',
         'Intended Audience :: Science/Research',
+        'Operating System :: MacOS',
+        'Operating System :: Microsoft :: Windows',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: C++',
         'Programming Language :: Python :: 3',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Programming Language :: Python :: 3.13',
+        'Programming Language :: Python :: 3.14',
         'Topic :: Scientific/Engineering :: Physics',
+        'Typing :: Typed',
     ],
     keywords=['ROS', 'multibody dynamics', 'closed loops', 'linkage', 'parallel robot'],
+    url=home,
+    project_urls={
+        'Changelog': f'{home}/blob/main/CHANGELOG.rst',
+        'Documentation': f'{home}/doc',
+        'Issues': f'{home}/issues',
+        'Source': home,
+    },
     author='The closedloop_dynamics authors',
     maintainer='The closedloop_dynamics authors',
     maintainer_email='closedloop_dynamics@example.org',

@@ -9,7 +9,7 @@ from all_machines import OURS, RATES, read, TARGETS
 from matplotlib.figure import Figure
 from sentences import paragraph, spread
 
-from closedloop_dynamics.visual.pictures import COLORS, DOTS_PER_INCH  # noqa: I100
+from closedloop_dynamics.visual.appearance import COLORS, DOTS_PER_INCH  # noqa: I100
 from closedloop_dynamics.visual.tables import markdown_table, seconds
 
 MOTIONS = {0: 'free', 100: 'torques held at 100 Hz', 1000: 'torques held at 1 kHz'}

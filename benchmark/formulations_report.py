@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 import numpy as np
 
-from closedloop_dynamics.visual.pictures import DOTS_PER_INCH  # noqa: I100
+from closedloop_dynamics.visual.appearance import DOTS_PER_INCH  # noqa: I100
 from closedloop_dynamics.visual.tables import (
     markdown_table, seconds, short, text_table, write_csv)
 

@@ -3,15 +3,16 @@
 
 """``closedloop animate``: a run as a moving picture."""
 
-
 from .command import (
     Argument, Command, Output, positive, recording_arguments, recording_of, UsageError)
 from ..recording.recording import since_the_last_reset
-from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
 from ..visual.progress import announced, progress_to
 
 
 def _run(arguments):
+    # Only here, as it takes libraries of an extra.
+    from ..visual.animation import (
+        Animation, AnimationError, frame_times, require_writable, write)
     try:
         require_writable(arguments.output)
     except AnimationError as error:

@@ -13,6 +13,7 @@ from typing import Callable
 
 from ..effects.user_code import run_code
 from ..formats.registry import is_model
+from ..mechanism.extras import require
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
@@ -63,6 +64,8 @@ class Output(Argument):
         path = getattr(arguments, name.removeprefix('--').replace('-', '_'))
         if path is not None:
             require_free(arguments, path, name, self.endings)
+            if self.endings == PICTURES:
+                require('matplotlib')
 
 
 class Group:
@@ -263,12 +266,14 @@ def free_paths(arguments, *names):
     Return the paths of files in the directory ``--output``; none where it is not given.
 
     UsageError where one of them exists and ``--overwrite`` is not given, or they cannot be
-    written.
+    written; MissingLibraryError where one is a picture, and matplotlib is not installed.
     """
     if arguments.output is None:
         return []
     paths = [arguments.output / name for name in names]
     for path in paths:
+        if path.suffix in PICTURES:
+            require('matplotlib')
         if path.exists() and not arguments.overwrite:
             raise UsageError(f'--output: {path} exists; name another directory, or add '
                              '--overwrite')

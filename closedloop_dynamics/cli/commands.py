@@ -11,6 +11,7 @@ import warnings
 from .command import complain, HelpfulParser, UsageError
 from .. import __version__
 from ..core.codegen import announced_by
+from ..mechanism.extras import MissingLibraryError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
@@ -98,7 +99,7 @@ def _run(arguments):
         code = arguments.run(arguments)
         sys.stdout.flush()
         return code
-    except (SceneError, MechanismError, UsageError) as error:
+    except (SceneError, MechanismError, MissingLibraryError, UsageError) as error:
         return complain(arguments, error, USAGE)
     except BrokenPipeError:
         # The reader of the output has enough; the rest is dropped when Python ends.

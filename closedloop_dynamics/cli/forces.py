@@ -12,9 +12,8 @@ import numpy as np
 from .command import (
     Argument, Command, complain, measured_options, OVERWRITE, require_free, SET, UsageError,
     with_numbers)
+from ..recording.errors import BagReadError, RecordingError
 from ..recording.forces import ForceBag, forces_along, measured_positions
-from ..recording.reading import BagReadError
-from ..recording.recording import RecordingError
 from ..recording.run import headings, row
 from ..simulation.errors import SimulationError
 from ..simulation.scene import load_scene

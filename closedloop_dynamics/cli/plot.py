@@ -7,24 +7,26 @@ from .command import (
     Command, directory_options, DRAWING, free_paths, recording_arguments, recording_of,
     write_drawing)
 from ..recording.recording import since_the_last_reset
-from ..visual import pictures
 from ..visual.progress import announced
 
-DRAWERS = {
-    'joint_motion': ('joint motion', pictures.joint_motion),
-    'constraint_forces': ('constraint forces in world axes', pictures.constraint_forces),
-    'positions': ('positions and forces', pictures.positions),
+TITLES = {
+    'joint_motion': 'joint motion',
+    'constraint_forces': 'constraint forces in world axes',
+    'positions': 'positions and forces',
 }
 
 
 def _run(arguments):
-    files = dict(zip(DRAWERS, free_paths(arguments, *(f'{name}.png' for name in DRAWERS))))
+    files = dict(zip(TITLES, free_paths(arguments, *(f'{name}.png' for name in TITLES))))
+    # Only here, as it takes libraries of an extra.
+    from ..visual import pictures
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.recording)
     motion = since_the_last_reset(recording.motion)
     arguments.output.mkdir(parents=True, exist_ok=True)
     with announced('Drawing ...'):
-        for name, (title, draw) in DRAWERS.items():
+        for name, title in TITLES.items():
+            draw = getattr(pictures, name)
             draw(motion, f'{recording.scene.name}: {title}').savefig(files[name])
             print(files[name])
         if arguments.drawing is not None:
@@ -48,6 +50,6 @@ examples:
 """,
     arguments=(
         *recording_arguments(),
-        *directory_options(', '.join(f'{name}.png' for name in DRAWERS), ''),
+        *directory_options(', '.join(f'{name}.png' for name in TITLES), ''),
         DRAWING),
     run=_run)

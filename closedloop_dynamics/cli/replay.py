@@ -8,7 +8,6 @@ import math
 from .command import (
     Argument, Command, complain, picture_option, positive, recording_arguments, recording_of)
 from ..recording.replay import PERTURBATION, replay, table
-from ..visual import pictures
 from ..visual.progress import announced, progress_to
 
 
@@ -19,6 +18,7 @@ def _run(arguments):
         result = replay(recording, show)
     _print_summary(arguments, recording, result)
     if arguments.picture:
+        from ..visual import pictures
         title = f'{recording.scene.name}: recorded minus re-simulated'
         pictures.deviations(result, title).savefig(arguments.picture)
         print(f'picture in {arguments.picture}')

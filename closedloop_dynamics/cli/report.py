@@ -9,12 +9,14 @@ import time
 from .command import (
     Argument, Command, mapping, Output, reading_options, SCENE, scene_to_change, SET, UsageError)
 from .kinematics import drive_options, driven_run, ending, value_of
+from ..mechanism.extras import require
 from ..recording.design import TOLERANCES
 from ..recording.design_report import write_report
 from ..visual.progress import announced, progress_to
 
 
 def _run(arguments):
+    require('matplotlib')
     scene = scene_to_change(arguments)
     begin = time.process_time()
     with announced('Following the branch ...'):

@@ -17,6 +17,7 @@ from .command import (
     READING_OPTIONS, recording_arguments, recording_of, UsageError, whole, with_motion,
     with_numbers)
 from ..control.errors import StartError
+from ..mechanism.extras import require
 from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
@@ -60,6 +61,7 @@ def _run(arguments):
                 raise UsageError(f'--{option}: expected a recording, got {arguments.what}')
     if arguments.save is not None:
         return _save(arguments)
+    require('websockets')
     if _is_recording(arguments.what):
         for option in DRIVING:
             if getattr(arguments, option):

@@ -25,7 +25,8 @@ from .model import (
     Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, ReadOptions, Relation,
     Rope, Spring)
 from .pose import IDENTITY, Pose, unturned
-from .xml_file import Element, missing, read_bytes, read_xml
+from .xml_file import Element, read_bytes, read_xml
+from ..mechanism.extras import remedy
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import about, of_quaternion, quaternion_of
@@ -69,8 +70,8 @@ def read_mjcf(path, options=ReadOptions()):
     try:
         import mujoco
     except (ImportError, OSError) as error:
-        raise MechanismError(f'{path}: an MJCF file needs MuJoCo'
-                             f'{missing("mujoco", error)}') from None
+        raise MechanismError(f'{path}: an MJCF file needs '
+                             f'{remedy("mujoco", error)}') from None
     model = Model(root.get('model') or path.stem, path)
     _name_bodies(root)
     start = _key_frame(root)

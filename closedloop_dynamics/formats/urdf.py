@@ -22,8 +22,9 @@ from .programs import add_parameters, add_programs
 from .sdf import add_parts
 from .sdf_parts import FALSE, TRUE
 from .visuals import color_in, places_of_packages, SEARCHED, visuals
-from .xml_file import missing, read_xml
+from .xml_file import read_xml
 from .xml_omissions import leave_out
+from ..mechanism.extras import remedy
 from ..mechanism.fields import among
 from ..mechanism.inertia import inertia_matrix
 from ..mechanism.mechanism import (
@@ -110,8 +111,8 @@ def _expanded(path, options):
         from xacro import substitution_args
     except (ImportError, OSError) as error:
         raise MechanismError(
-            f'{path}: a xacro file needs xacro'
-            f'{missing("xacro", error, ", or in ROS install ros-jazzy-xacro")}') from None
+            f'{path}: a xacro file needs {remedy("xacro", error)}, or, with ROS, its package '
+            'xacro') from None
     try:
         with _packages_beside(path, substitution_args):
             return xacro.process_file(

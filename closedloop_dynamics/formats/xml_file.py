@@ -173,14 +173,6 @@ def read_bytes(path):
                              f'{reason}') from None
 
 
-def missing(package, error, otherwise=''):
-    """Return what there is to do about a package that could not be imported, and why."""
-    if isinstance(error, ModuleNotFoundError) and error.name == package:
-        return f': pip install {package}{otherwise}'
-    return (f', which is installed, but cannot be used: {" ".join(str(error).split())} '
-            f'(mend the installation: pip install --force-reinstall {package})')
-
-
 class _Parser:
     """Elements from expat's events."""
 

@@ -7,7 +7,6 @@ import math
 from typing import Dict, List, NamedTuple, Tuple
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 from .design import drive_values, Extreme, TURN
 from .transmission import transmission_angle
@@ -143,6 +142,7 @@ def _share(run, place):
 
 def _extreme(run, of, values, k):
     """Return the least value of a quantity, sampled at the poses, near a pose."""
+    from scipy.optimize import minimize_scalar
     low, high = max(k - 1, 0), min(k + 1, len(values) - 1)
     found = minimize_scalar(lambda place: of(*run.solve(_share(run, place))[:2]),
                             bounds=(low, high), method='bounded', options={'xatol': FLAT})
@@ -155,6 +155,7 @@ def _extreme(run, of, values, k):
 
 def _zeros(run, of, values):
     """Return the values of the drive at which a quantity, sampled at the poses, is zero."""
+    from scipy.optimize import brentq
     signs = np.where(np.abs(values) > NOTHING * np.abs(values).max(), np.sign(values), 0.0)
     found = []
     # The end of a turn is its beginning.

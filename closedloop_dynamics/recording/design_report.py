@@ -11,12 +11,12 @@ import math
 import re
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from . import design
 from .cycle import advantages, load_spectrum, opened, transmission_extremes
 from .kinematics import by_name, curves, drive_axis, forces, torques
 from .transmission import transmission_angle
+from ..mechanism.extras import remedy
 from ..mechanism.fields import among
 from ..mechanism.four_bar import four_bar
 from ..visual.trajectory import from_rows
@@ -79,7 +79,7 @@ def write_report(path, scene, run, table, tolerances=None, changes=None, spent=N
 
     """
     if path.suffix == '.pdf' and find_spec('fpdf') is None:
-        raise ValueError('output: a PDF needs fpdf2: pip install fpdf2, or write a page of HTML')
+        raise ValueError(f'output: a PDF needs {remedy("fpdf")}; a page of HTML does not')
     sections = _sections(scene, run, table, _tolerated(scene, tolerances or {}), spent)
     title = scene.name
     if changes:
@@ -209,6 +209,7 @@ def _per(run, output):
 
 
 def _loads(run, column, values, at):
+    from scipy.integrate import trapezoid
     exerted, power = torques(run, column), 0.0
     rows = [('', 'largest', 'at', 'rms', 'largest power [W]', 'at')]
     for what, torque in exerted.items():
@@ -253,7 +254,7 @@ def _loads(run, column, values, at):
 def _spectrum(force):
     """Return the largest ranges of a force with their numbers of cycles."""
     if find_spec('rainflow') is None:
-        return 'needs rainflow: pip install rainflow'
+        return f'needs {remedy("rainflow")}'
     return ', '.join(f'{size:.4g} x {count:g}' for size, _, count in load_spectrum(force)[:RANGES]
                      if size > 1e-9 * force.max())
 
@@ -295,6 +296,7 @@ def _tolerances(tolerances, scene, run):
 
 
 def _rms(values, times):
+    from scipy.integrate import trapezoid
     return math.sqrt(trapezoid(values ** 2, times) / (times[-1] - times[0]))
 
 

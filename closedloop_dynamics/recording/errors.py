@@ -6,3 +6,7 @@
 
 class RecordingError(ValueError):
     """A recording without the data needed; the message gives a remedy."""
+
+
+class BagReadError(OSError):
+    """A bag that cannot be read; the message says why."""

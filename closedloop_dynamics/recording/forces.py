@@ -6,16 +6,13 @@
 import warnings
 
 import numpy as np
-from rosbags.typesys import get_typestore
-from rosbags.typesys import Stores
-from scipy.interpolate import make_interp_spline, UnivariateSpline
 
 from .contents import Topic
+from .errors import RecordingError
 from .message_numbers import NANOSECONDS, stamp_of
-from .recording import RecordingError
 from .rosbag2 import open_bag
 from .run import moving_joints
-from .writer import BagFiles
+from ..mechanism.extras import of_an_extra
 from ..simulation.completion import Completion, CompletionError
 
 # Of the polynomials between measurements, so that accelerations have continuous slopes.
@@ -88,6 +85,7 @@ def smooth(times, positions, deviation):
     splines are as smooth as a standard ``deviation`` of positions allows [rad or m]; 0: they go
     through all of them.
     """
+    from scipy.interpolate import make_interp_spline, UnivariateSpline
     found = np.empty((3, *positions.shape))
     for k, column in enumerate(positions.T):
         spline = make_interp_spline(times, column, DEGREE) if deviation == 0.0 else (
@@ -156,6 +154,9 @@ class MessageBag:
     """
 
     def __init__(self, path):
+        from .writer import BagFiles
+        with of_an_extra():
+            from rosbags.typesys import get_typestore, Stores
         self._files, self._store = BagFiles(path, 'mcap'), get_typestore(Stores.ROS2_JAZZY)
         self._channels = {}
 

@@ -20,24 +20,23 @@ from tempfile import TemporaryDirectory
 from urllib.parse import quote
 import warnings
 
-from mcap import records
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-import zstandard
-
 from .contents import load, METADATA_FILE, ROOT, Serialised, Topic
+from .errors import BagReadError
 from .writer import checksum
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    from mcap import records
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import MCAP0_MAGIC
+    from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+    import zstandard
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 # Damages of a bag that are reported one by one.
 MOST_TOLD = 5
 # What compressed messages begin with; others begin with a zero.
 ZSTD = b'\x28\xb5\x2f\xfd'
-
-
-class BagReadError(OSError):
-    """A bag that cannot be read; the message says why."""
 
 
 class Bag:

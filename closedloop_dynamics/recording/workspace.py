@@ -14,7 +14,6 @@ import time
 from typing import Dict, Mapping, Optional, Tuple
 
 import numpy as np
-from scipy.io import netcdf_file
 
 from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND
@@ -203,6 +202,7 @@ class _State:
 
     def write(self, file, identity, scene, request, found=None):
         """Write a NetCDF file, whole or not at all."""
+        from scipy.io import netcdf_file
         partial = file.with_name(f'.{file.name}.part')
         with netcdf_file(partial, 'w', version=2) as out:
             out.title = f'workspace of {request.point} of {scene.name}'
@@ -240,6 +240,7 @@ class _State:
 
     @classmethod
     def read(cls, file, identity):
+        from scipy.io import netcdf_file
         try:
             with netcdf_file(file, 'r', mmap=False) as found:
                 if getattr(found, 'format', None) != FORMAT or found.identity.decode() != identity:
@@ -605,6 +606,7 @@ def _curves(platform, state, jacobian):
 
 def read(file):
     """Return the arrays of a map's file by name; WorkspaceFileError where it is no map."""
+    from scipy.io import netcdf_file
     try:
         with netcdf_file(file, 'r', mmap=False) as found:
             return {name: np.array(each.data) for name, each in found.variables.items()}

@@ -17,10 +17,12 @@ from pathlib import Path
 import sqlite3
 import zlib
 
-from mcap.writer import CompressionType, Writer
-import zstandard
-
 from .contents import dump, METADATA_FILE, ROOT
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    from mcap.writer import CompressionType, Writer
+    import zstandard
 
 FORMAT_VERSION = 9
 # Of ROS, newest first.

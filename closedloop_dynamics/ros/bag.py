@@ -13,14 +13,17 @@ from threading import Event
 from threading import Thread
 import time
 
+from closedloop_dynamics.mechanism.extras import of_an_extra
 from closedloop_dynamics.recording.contents import Topic
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS
 from closedloop_dynamics.recording.writer import BagFiles, distribution
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import get_types_from_msg
-from rosbags.typesys import get_typestore
-from rosbags.typesys import Stores
-from rosbags.typesys import TypesysError
+
+with of_an_extra():
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import get_types_from_msg
+    from rosbags.typesys import get_typestore
+    from rosbags.typesys import Stores
+    from rosbags.typesys import TypesysError
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
 FLUSH_PERIOD = 0.1

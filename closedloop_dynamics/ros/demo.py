@@ -20,8 +20,7 @@ import sys
 import time
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.recording.errors import RecordingError
-from closedloop_dynamics.recording.reading import BagReadError
+from closedloop_dynamics.recording.errors import BagReadError, RecordingError
 from closedloop_dynamics.ros.demo_drive import (
     aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
 from closedloop_dynamics.ros.demo_report import (

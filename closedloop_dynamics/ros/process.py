@@ -38,6 +38,7 @@ import time
 import warnings
 
 from closedloop_dynamics.control.errors import StartError
+from closedloop_dynamics.mechanism.extras import MissingLibraryError
 from closedloop_dynamics.simulation.signals import SignalWatch
 
 # Which executor: anything else than 'events' means the single-threaded one.
@@ -366,4 +367,9 @@ def _run_main(module):
               'ros-jazzy-common-interfaces',
               file=sys.stderr, flush=True)
         os._exit(2)
-    leave(import_module(f'closedloop_dynamics.ros.{module}').main())
+    try:
+        main = import_module(f'closedloop_dynamics.ros.{module}').main
+    except MissingLibraryError as error:
+        print(f'cannot start: {error}', file=sys.stderr, flush=True)
+        os._exit(2)
+    leave(main())

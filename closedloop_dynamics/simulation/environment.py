@@ -7,18 +7,21 @@ from collections.abc import Mapping
 import math
 from typing import NamedTuple
 
-from gymnasium import Env
-from gymnasium.error import ResetNeeded
-from gymnasium.spaces import Box
-from gymnasium.utils.seeding import np_random
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 import numpy as np
 
 from .driven import BranchEndError
 from .rollout_run import checked_quantities, STATE
 from .simulation import Simulation
 from .state import State
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    from gymnasium import Env
+    from gymnasium.error import ResetNeeded
+    from gymnasium.spaces import Box
+    from gymnasium.utils.seeding import np_random
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
 
 # Positions that are drawn for one reset, at most.
 MOST_DRAWS = 100

@@ -21,7 +21,6 @@ from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
-from scipy.linalg import qr
 
 from .c_source import c_source
 from .errors import SimulationError
@@ -208,6 +207,7 @@ class _Unit:
 
     def _choice(self, balls):
         """Return independent freedoms, or why there are none."""
+        from scipy.linalg import qr
         jac = self.simulation.constraint_jacobian
         nc, nv = len(self.simulation.data.system.lam), jac.shape[1]
         if nc == nv:

@@ -5,12 +5,15 @@
 
 from threading import Lock
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .derivatives import Differentiator
 from .simulation import Simulation
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    import jax
+    import jax.numpy as jnp
 
 
 def jax_dynamics(model):

@@ -9,8 +9,6 @@ import math
 from typing import Optional, Tuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
-from scipy.linalg import eigh
 
 from .derivatives import Differentiator
 from .errors import AssemblyError, SimulationError
@@ -18,6 +16,7 @@ from .independent import changes_along, choose_independent, dependent_on, places
 from .named_array import reals
 from .readings import readings_of
 from ..engine import native
+from ..mechanism.extras import of_an_extra
 
 QUANTITIES = ('position', 'velocity', 'acceleration')
 # Newton's method for equilibria: steps at most, the longest step [rad, m], and the acceleration
@@ -84,15 +83,12 @@ class LinearModel:
 
         Raises
         ------
-        ImportError
+        MissingLibraryError
             Where that is not installed.
 
         """
-        try:
+        with of_an_extra():
             control = import_module('control')
-        except ImportError:
-            raise ImportError('python-control is not installed: install the package '
-                              'control') from None
         states, inputs, outputs = ([name.replace('.', ':') for name in names] for names in (
             self.states, self.inputs, self.outputs))
         return control.ss(
@@ -330,6 +326,7 @@ class Linearisation:
         ValueError
 
         """
+        from scipy.integrate import solve_ivp
         if not (math.isfinite(period) and period > 0.0):
             raise ValueError(f'period: expected a finite number > 0 [s], got {period!r}')
         if self._data.effect_set.follows_time:
@@ -533,6 +530,7 @@ def _eigenvalues(model, rate):
 
 def _second_order(stiffness, response):
     """Return eigenvalues and shapes of s'' = stiffness s, of each pair of opposite ones one."""
+    from scipy.linalg import eigh
     inertia = np.linalg.inv(0.5 * (response + response.T))
     symmetric = inertia @ stiffness
     if np.abs(symmetric - symmetric.T).max() <= SYMMETRIC * np.abs(symmetric).max():
@@ -545,6 +543,7 @@ def _second_order(stiffness, response):
 
 def _downhill(stiffness, response, wanting):
     """Return a step of Newton's method, against the stiffness where that drives away."""
+    from scipy.linalg import eigh
     inertia = np.linalg.inv(0.5 * (response + response.T))
     symmetric = inertia @ stiffness
     squares, shapes = eigh(0.5 * (symmetric + symmetric.T), inertia)

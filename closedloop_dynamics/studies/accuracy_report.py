@@ -5,11 +5,9 @@
 
 import math
 
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
 from .accuracy import DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
-from ..visual.pictures import COLORS, DOTS_PER_INCH
+from ..mechanism.extras import of_an_extra
+from ..visual.appearance import COLORS, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('integrator', 'stabilisation', 'step or tol.', 'positions', 'velocities', 'forces',
@@ -73,6 +71,8 @@ def _csv_row(row):
 
 def work_precision(study, title):
     """Draw a study: integrators and stabilisations side by side."""
+    with of_an_extra():
+        from matplotlib.figure import Figure
     figure = Figure(figsize=(12.0, 6.2), dpi=DOTS_PER_INCH, layout='constrained')
     figure.suptitle(title, fontsize=12)
     groups = [group for group in _groups(study) if group[1]]
@@ -104,6 +104,8 @@ def _groups(study):
 
 
 def _panel(axes, heading, lines, study):
+    with of_an_extra():
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
     axes.set_title(heading, fontsize=10)
     axes.set_xscale('log')
     axes.set_yscale('log')

@@ -3,12 +3,12 @@
 
 """The findings on a scene's effects as a table, a CSV file and pictures."""
 
-import matplotlib.figure
 import numpy as np
 
 from .effects import changes_of_position
+from ..mechanism.extras import of_an_extra
 from ..mechanism.rotations import direction
-from ..visual.pictures import COLORS, DASHES, DOTS_PER_INCH
+from ..visual.appearance import COLORS, DASHES, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('effect', 'arithmetic alone', 'arithmetic without', 'motion without', 'time without',
@@ -156,6 +156,8 @@ def contacts(scene):
 
 def changes(study):
     """Draw the scene as it is, and without each type of effect."""
+    with of_an_extra():
+        import matplotlib.figure
     run, simulation = study.run, study.simulation
     joint = int(np.argmax(sum(
         np.abs(_moved(study, finding.run)).max(axis=0) for finding in _made(study)) + np.zeros(
@@ -242,6 +244,8 @@ def _moved(study, run):
 
 def work(study, contact):
     """Draw force, path and work of a machine that works on a contact."""
+    with of_an_extra():
+        import matplotlib.figure
     run, simulation = study.run, study.simulation
     effect = simulation.scene.effects[contact]
     joint = simulation.joint_names.index((simulation.actuated_joints or ['-'])[0])

@@ -18,7 +18,6 @@ import math
 from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from .identification import DEPENDENT, IdentificationError, Identifier, measured_joints
 from ..simulation.data import Data
@@ -141,6 +140,7 @@ def excite(scene, keys, period, amplitude=0.3, harmonics=3, evaluations=150, joi
 
 def _best(scene, keys, motion, time, size, evaluations, seed):
     """Return the best motion of those tried."""
+    from scipy.optimize import minimize
     reasons, rank = [], 0
 
     def sizes(numbers):

@@ -26,9 +26,6 @@ import math
 from typing import Dict, NamedTuple, Optional, Tuple
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
-from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from .inertial_parameters import (
     BodyParameters, numbers_of, pseudo_inertia, unit_rows)
@@ -110,6 +107,7 @@ class Estimate(NamedTuple):
     @property
     def interval(self):
         """Return the ends of the interval that holds the true value in 95 % of all cases."""
+        from scipy.special import stdtrit
         # Student's distribution, as the standard deviation is an estimate, too.
         size = stdtrit(self.freedom, 0.5 + 0.5 * CONFIDENCE) * self.deviation
         return self.value - size, self.value + size
@@ -430,6 +428,7 @@ class Identifier:
 
     def _nonlinear_fit(self, start, torque, deviations):
         """Return the nonlinear numbers of least squares, the linear ones being those of each."""
+        from scipy.optimize import least_squares
         scales = self._scales
 
         def project(along):
@@ -724,6 +723,7 @@ class _Linear:
         self.deviations = np.sqrt(np.sum(self.residuals ** 2, axis=0) / self._freedom)
 
     def _solve(self, scaled, places, lengths, flat, wanted):
+        from scipy.linalg import qr, solve_triangular
         orthogonal, upper, order = qr(scaled, mode='economic', pivoting=True)
         diagonal = np.abs(np.diag(upper))
         rank = int(np.sum(diagonal > DEPENDENT * diagonal[0]))
@@ -781,6 +781,7 @@ def _least(matrix, vector):
 
 def _choose(basis, driven):
     """Return independent coordinates, driven ones before others."""
+    from scipy.linalg import qr
     weight = np.ones(len(basis))
     weight[driven] = 10.0
     _, _, order = qr((weight[:, np.newaxis] * basis).T, mode='economic', pivoting=True)

@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy.optimize import least_squares, minimize
 
 from .objectives import Bound, Expression, read_all, Requirement, TOLERANCE
 from .quantities import Driven, Infeasible, Quantities, Variable, with_values
@@ -447,6 +446,7 @@ class _Search:
                          dict(self._refused))
 
     def _by_least_squares(self, z):
+        from scipy.optimize import least_squares
         count = len(self._aim.squared_parts(self._quantities(z)).value)
 
         def parts(at):
@@ -484,6 +484,7 @@ class _Search:
 
     def _one_programme(self, z):
         """Minimise by SLSQP, the largest value over a motion as a bound of all."""
+        from scipy.optimize import minimize
         count, quantities = len(z), self._quantities(z)
         start = float(self._aim.value(quantities).value)
         size = abs(start) or 1.0

@@ -11,7 +11,6 @@ With no derivatives (k = 0) the same operations return the values alone.
 import operator
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..mechanism.expressions import FUNCTIONS, ON_NUMBERS
 from ..mechanism.fields import FieldError
@@ -251,6 +250,7 @@ def misses(path, wanted):
     Between the poses the curve is a cubic spline through them; places have the shape (m, 2), in
     space (m, 3). In the plane, distances have signs, by which side of the curve a place is on.
     """
+    from scipy.interpolate import CubicSpline
     places = _path(path, 'distance')
     count, size = places.value.shape
     if wanted.shape[1] != size:

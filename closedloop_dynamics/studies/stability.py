@@ -5,12 +5,10 @@
 
 import math
 
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
-
 from .hard_cases import ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE
+from ..mechanism.extras import of_an_extra
 from ..simulation.scene_records import Method
-from ..visual.pictures import DOTS_PER_INCH
+from ..visual.appearance import DOTS_PER_INCH
 from ..visual.tables import markdown_table, text_table, write_csv
 
 METHODS = {
@@ -89,6 +87,9 @@ OUTCOME_COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4',
 
 def stability_atlas(atlas, cases=CASES, methods=METHODS):
     """Draw the atlas."""
+    with of_an_extra():
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
     figure = Figure(figsize=(0.82 * len(methods) + 2.6, 0.26 * len(cases) + 2.2),
                     dpi=DOTS_PER_INCH, layout='constrained')
     axes = figure.subplots()
@@ -126,6 +127,8 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
 
 def _cell(axes, column, row, outcome):
     """Draw one cell: a coloured box with the figure in it."""
+    with of_an_extra():
+        from matplotlib.patches import Rectangle
     axes.add_patch(Rectangle((column - 0.48, row - 0.45), 0.96, 0.9, linewidth=0,
                              facecolor=OUTCOME_COLORS[outcome.status]))
     text = {REFUSED: 'refused', SKIPPED: '-'}.get(outcome.status, f'{outcome.figure:.1e}')

@@ -18,7 +18,6 @@ from math import inf
 from typing import List, NamedTuple, Optional, Tuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ..effects.gravity import Gravity
 from ..mechanism.mechanism import (
@@ -336,6 +335,7 @@ def _slides(places, turned, size, starts):
 
 def _solutions(start, errors, starts, count):
     """Return the solutions of many starts: exact ones where so many positions allow these."""
+    from scipy.optimize import least_squares
     rng, found = np.random.default_rng(0), []
     for _ in range(starts):
         result = least_squares(errors, start(rng), method='trf', xtol=1e-14, ftol=1e-14,

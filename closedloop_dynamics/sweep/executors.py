@@ -24,6 +24,7 @@ import time
 
 import numpy as np
 
+from ..mechanism.extras import remedy
 from ..simulation.errors import SimulationError
 
 # Period of polling the number of workers of a cluster [s].
@@ -240,9 +241,8 @@ class Cluster(ExternalExecutor):
         try:
             distributed = importlib.import_module('distributed')
         except ImportError as error:
-            raise EngineError('The scheduler of a cluster is reached by the Python package '
-                              f'distributed, which cannot be used here ({error}). Install it: pip '
-                              'install distributed') from None
+            raise EngineError('The scheduler of a cluster needs '
+                              f'{remedy("distributed", error)}') from None
         try:
             self._client = distributed.Client(
                 address, set_as_default=False, timeout=SCHEDULER_PATIENCE)

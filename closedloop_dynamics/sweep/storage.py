@@ -22,6 +22,7 @@ import numpy as np
 from .batch import SAMPLE_DONE, SAMPLE_FAILED
 from .plan import Plan
 from .. import __version__
+from ..mechanism.extras import remedy
 from ..mechanism.fields import among, FieldError, shown
 
 SAMPLE, TIME, JOINT, CUT, COMPONENT = 'sample', 'time', 'joint', 'cut_joint', 'component'
@@ -321,9 +322,7 @@ def checked_path(path):
     try:
         import_module(library)
     except ImportError as error:
-        raise StorageError(f'{path.suffix} files are written by the Python package {library}, '
-                           f'which cannot be used here ({error}). Install it: pip install '
-                           f'{library}') from None
+        raise StorageError(f'{path.suffix} files need {remedy(library, error)}') from None
     return path
 
 

@@ -5,6 +5,8 @@
 
 import numpy as np
 
+from ..mechanism.extras import remedy
+
 # Triangles of a mesh, and of all meshes of a machine, at most; cells along its longest side that
 # the points of one with more are put into.
 MOST_TRIANGLES, MOST_OF_ALL, CELLS = 6000, 24_000, 128
@@ -33,8 +35,8 @@ def read_mesh(path, most=MOST_TRIANGLES):
         raise MeshError(f'{path}: {error.strerror}') from None
     try:
         import trimesh
-    except ImportError:
-        raise MeshError(f'{path}: meshes are read by trimesh: pip install trimesh') from None
+    except ImportError as error:
+        raise MeshError(f'{path}: meshes need {remedy("trimesh", error)}') from None
     try:
         mesh = trimesh.load_mesh(path, skip_materials=True)
         points = np.array(mesh.vertices, dtype=float)

@@ -17,10 +17,13 @@ import secrets
 import threading
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import serve
-from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Response
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    from websockets.asyncio.server import serve
+    from websockets.datastructures import Headers
+    from websockets.exceptions import ConnectionClosed
+    from websockets.http11 import Response
 
 # Frames on the way to a page that it has not shown yet.
 WINDOW = 3

@@ -8,18 +8,21 @@ import math
 import shutil
 import subprocess
 
-from matplotlib.artist import Artist
-from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch
 import numpy as np
 
+from .appearance import COLORS
 from .drawing import all_places, ARROW, MechanismArtist
 from .gif import Gif
-from .pictures import COLORS
 from .trajectory import magnitudes, Trajectory
 from .views import perspective, PLANE
+from ..mechanism.extras import of_an_extra
 from ..mechanism.kinematics import body_poses, named_point
+
+with of_an_extra():
+    from matplotlib.artist import Artist
+    from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import FancyArrowPatch
 
 FRAME_DOTS_PER_INCH = 100
 # More would take long, and fill a disk.

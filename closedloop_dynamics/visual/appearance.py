@@ -18,6 +18,10 @@ from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PRISMATIC, REVOL
 SUBSYSTEM_COLORS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7')
 CUT_COLOR, FORCE_COLOR, PATH_COLOR = '#D55E00', '#B2182B', '#6A3D9A'
 CONTACT_COLOR = '#8C6D31'
+# Lines of plots: the palette with its yellow darkened; with the dashes, 21 can be distinguished.
+COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
+DASHES = ('-', '--', ':')
+DOTS_PER_INCH = 120
 # Three points count as on a line where they span less of the outline's own area than this.
 FLAT = 1e-9
 

@@ -10,10 +10,6 @@ A mechanism in space is drawn as it is seen in a view: lines and outlines of pro
 from dataclasses import dataclass
 from typing import Optional
 
-from matplotlib.colors import to_rgb
-from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon
-import matplotlib.patheffects
 import numpy as np
 
 from .appearance import (
@@ -23,9 +19,16 @@ from .trajectory import force_of
 from .transmissions import outlines, transmissions
 from .views import PLANE
 from .wheels import on_wheel
+from ..mechanism.extras import of_an_extra
 from ..mechanism.kinematics import named_point, pose_of, world_points
 from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
 from ..mechanism.rotations import direction
+
+with of_an_extra():
+    from matplotlib.colors import to_rgb
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Polygon
+    import matplotlib.patheffects
 
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22

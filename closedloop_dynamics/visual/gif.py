@@ -10,8 +10,12 @@ Pillow's own writer of several frames keeps all of them in memory until the last
 import io
 
 import numpy as np
-from PIL import Image
-from PIL.GifImagePlugin import getdata
+
+from ..mechanism.extras import of_an_extra
+
+with of_an_extra():
+    from PIL import Image
+    from PIL.GifImagePlugin import getdata
 
 # Colours of the palette; the last number marks unchanged pixels.
 UNCHANGED = COLORS = 127

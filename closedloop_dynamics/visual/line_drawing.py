@@ -17,6 +17,7 @@ import numpy as np
 
 from .appearance import body_colors, marked_points, outline, PATH_COLOR, rgb
 from .views import FRONT, PLANE
+from ..mechanism.extras import remedy
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 
 MILLIMETRES = 1e3
@@ -111,9 +112,9 @@ def write(drawing, path):
 def _ezdxf(path):
     try:
         return import_module('ezdxf')
-    except ImportError:
-        raise DrawingError(f'{path}: DXF files need ezdxf: pip install ezdxf, or the extra '
-                           '`drawing` of this package; SVG files need nothing') from None
+    except ImportError as error:
+        raise DrawingError(f'{path}: DXF files need {remedy("ezdxf", error)}; SVG files need '
+                           'nothing') from None
 
 
 def _write_dxf(drawing, path):

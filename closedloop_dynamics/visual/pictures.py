@@ -3,22 +3,22 @@
 
 """Pictures of a motion: joints, constraint forces, the mechanism in several positions."""
 
-import matplotlib.figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
+from .appearance import COLORS, DASHES, DOTS_PER_INCH
 from .drawing import all_places, MechanismArtist
 from .trajectory import magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
+from ..mechanism.extras import of_an_extra
 from ..mechanism.kinematics import body_poses
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
 from ..mechanism.rotations import direction
 
-# Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be distinguished.
-COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
-DASHES = ('-', '--', ':')
-DOTS_PER_INCH = 120
+with of_an_extra():
+    import matplotlib.figure
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import SymmetricalLogLocator
+
 WANTED = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 3))}
 TURN = 2.0 * np.pi
 # Poses looked at when positions to draw are chosen.

@@ -3,15 +3,18 @@
 
 """Pictures of a workspace: maps of the plane, slices of space."""
 
-import matplotlib.colors
-import matplotlib.figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 import numpy as np
 
+from .appearance import DOTS_PER_INCH
 from .drawing import MechanismArtist
+from ..mechanism.extras import of_an_extra
 
-DOTS_PER_INCH = 120
+with of_an_extra():
+    import matplotlib.colors
+    import matplotlib.figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
 # Slices of space in one picture.
 SLICES = 6
 # Colours of nodes without a value by status, of curves by kind, and of the edge of what all
