@@ -19,7 +19,11 @@ import sys
 import time
 import uuid
 
-import llvmlite
+try:
+    from llvmlite import __version__ as LLVM
+except ModuleNotFoundError:
+    # A C compiler makes code then.
+    LLVM = None
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Where code is generated: of mechanisms, and of the laws in scenes.
@@ -56,7 +60,7 @@ def directory():
 
 def sources_digest():
     """Return a digest of everything that generated code depends on beside the mechanism."""
-    digest = hashlib.sha256(repr((sys.byteorder, llvmlite.__version__)).encode())
+    digest = hashlib.sha256(repr((sys.byteorder, LLVM)).encode())
     for path in sorted(path for folder in SOURCES for path in (PACKAGE / folder).rglob('*.py')):
         digest.update(str(path.relative_to(PACKAGE)).encode())
         digest.update(path.read_bytes())

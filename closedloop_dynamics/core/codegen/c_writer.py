@@ -137,11 +137,13 @@ def statements(routine, places):
     ``places``: by input or output, the array in C: a pointer to doubles. The last statement
     returns 1 where the branches that were taken are right, else 0.
     """
-    return _Statements(routine, places).lines
+    return Statements(routine, places).lines
 
 
-class _Statements:
+class Statements:
     """Statements of one routine, in vectors where operations are the same on other inputs."""
+
+    PACKED = True
 
     def __init__(self, routine, places):
         self.lines, self._places = [], places
@@ -149,7 +151,8 @@ class _Statements:
         # Numbers that have a name, operands of vectors, and how many numbers these have.
         self._named, self._vectors, self._widths = set(), {}, {}
         waves = _waves(self._operations, use)
-        self._packing = packing_of(routine, [angle for wave in waves for angle in wave])
+        self._packing = packing_of(
+            routine, [angle for wave in waves for angle in wave]) if self.PACKED else None
         for number, angles in enumerate(waves):
             self._turn(number, angles, use)
         for members in ([place] for place in sorted(use)) if self._packing is None else (
@@ -160,9 +163,18 @@ class _Statements:
                 self._compute_in_lanes(members)
         for source, place, value in routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
-            self.lines.append(f'{places[source]}[{place}] = {self._name(known)};')
+            self.lines.append(f'{self._element(source, place)} {self._sign(source)} '
+                              f'{self._name(known)};')
         guard = routine.graph.guard
         self.lines.append(f'return {1 if guard is None else self._name(guard.place)};')
+
+    def _element(self, source, place):
+        """Return a number of an input or output."""
+        return f'{self._places[source]}[{place}]'
+
+    def _sign(self, _):
+        """Return how a number is stored in an output."""
+        return '='
 
     def _name(self, operand):
         """Return an operand; one in a vector gets a name of its own."""
@@ -201,8 +213,7 @@ class _Statements:
         if place in self._named or kind in (SINE, COSINE):
             return
         if kind == LOAD:
-            source, at = operands
-            right = f'{self._places[source]}[{at}]'
+            right = self._element(*operands)
         elif kind in _INFIX:
             right = f' {_INFIX[kind]} '.join(map(self._name, operands))
         elif kind == CHOOSE:
@@ -211,8 +222,12 @@ class _Statements:
         elif kind == NEGATE:
             right = f'-{self._name(operands[0])}'
         else:
-            right = f'{_FUNCTIONS[kind]}({", ".join(map(self._name, operands))})'
+            right = self._call(place, kind, *operands)
         self._define(place, right, 'int' if kind in _CONDITIONS else 'double')
+
+    def _call(self, _, kind, *operands):
+        """Return the result of a function."""
+        return f'{_FUNCTIONS[kind]}({", ".join(map(self._name, operands))})'
 
     def _compute_in_lanes(self, members):
         """Compute a bundle."""

@@ -4,7 +4,8 @@
 """
 Machine code of routines, by LLVM, or as an earlier process left it on disk.
 
-LLVM is loaded when it is needed, not with the package: that takes longer than the rest.
+LLVM is loaded when it is needed, not with the package: that takes longer than the rest. Where it
+is not installed the C compiler of the system serves (``c_code``).
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,7 @@ import functools
 import hashlib
 from importlib import import_module
 
+from . import c_code
 from .. import cache
 
 # How routines are written: module and class.
@@ -23,8 +25,8 @@ SCALAR, ROW, KERNEL, LANES, PACKED = (
 OPTIMISATION = 1
 # What takes less to compile is not announced [s].
 LONG = 4.0
-# Machine code in use, by its digest: it must stay where it is as long as the process lives, and is
-# there once, however many ask for it.
+# Functions to machine code in use, by its digest: it must stay where it is as long as the process
+# lives, and is there once, however many ask for it.
 engines = {}
 _announce = []
 
@@ -48,25 +50,32 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     ``ROW``, ``KERNEL``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code
     is, at most as many as there are routines; ``seconds``: approximate limit of the compile time.
     """
-    from llvmlite import binding
-    digest = hashlib.sha256(repr((key, form, *_host())).encode()).hexdigest()[:32]
+    host, compiled, loaded = (c_code.host, c_code.compiled, c_code.loaded) if (
+        cache.LLVM is None) else (_host, _compiled, _loaded)
+    digest = hashlib.sha256(repr((key, form, *host())).encode()).hexdigest()[:32]
     if digest in engines:
-        return engines[digest].get_function_address
-    # An engine needs a module to start from; the code itself is added as objects.
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), _machine(binding))
+        return engines[digest]
     names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
     objects = [cache.read(name) for name in names]
     if None in objects:
         for announce in _announce if seconds >= LONG else ():
             announce(f'generating code for this mechanism, which may take {seconds:.0f} s; '
                      'it is kept for the next start')
-        objects = _compiled(routines(), form, parts)
+        objects = compiled(routines(), form, parts)
         for name, code in zip(names, objects):
             cache.write(name, code)
+    return engines.setdefault(digest, loaded(objects))
+
+
+def _loaded(objects):
+    """Load objects for good; return a function from a routine's name to its address."""
+    from llvmlite import binding
+    # An engine needs a module to start from; the code itself is added as objects.
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), _machine(binding))
     for code in objects:
         engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    return engines.setdefault(digest, engine).get_function_address
+    return engine.get_function_address
 
 
 @functools.cache
