@@ -2,6 +2,7 @@
 # The environment of scripts/demo, scripts/test and scripts/docs, in one place. Sourced by them, not run.
 #
 #   use_environment runtime|test|docs    makes it if need be, and switches this shell to it
+#   use_tools wheels                     makes one of tools alone, whose Python is in $venv/bin
 #
 # With ROS 2 sourced (Jazzy, Kilted, Lyrical or Rolling) it is a virtual environment on top of that ROS's
 # Python, with only what is missing there. Otherwise everything comes from the Python package index, ROS 2
@@ -182,6 +183,24 @@ bring_compiler() {
   if [[ -n $wheel ]]; then
     say "No C++ compiler is on the PATH: installing $wheel (100 MB; its first use takes a minute)"
     pip_install "$wheel"
+  fi
+}
+
+# Make the environment of a script that does not run the package: what is in requirements/NAME.txt alone.
+use_tools() {
+  local requirements=$root/requirements constraints=$root/requirements/constraints.txt log=$root/.venv/$1.log key
+  unset PYTHONHOME PIP_TARGET PIP_PREFIX PYTHONPATH
+  export PYTHONNOUSERSITE=1 PIP_USER=0 ZIG_GLOBAL_CACHE_DIR=${ZIG_GLOBAL_CACHE_DIR:-$root/.cache/zig}
+  name=$1 venv=$root/.venv/$1
+  find_any_python
+  base_python=$("$base_python" -c 'import os, sys; print(os.path.realpath(sys._base_executable))')
+  key=$(digest "$requirements"/{"$1",constraints,constraints-common}.txt)
+  if [[ $(cat -- "$venv/.key" 2>/dev/null) != "$key" ]]; then
+    rm -rf -- "$venv"
+    "$base_python" -m venv "$venv"
+    say "Installing what is in requirements/$1.txt into .venv/$1"
+    pip_install --requirement "$requirements/$1.txt"
+    printf '%s\n' "$key" > "$venv/.key"
   fi
 }
 

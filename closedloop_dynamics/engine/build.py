@@ -210,6 +210,9 @@ def build(output, folder, sanitize=False, target=None):
     flags = [*FLAGS, *(SANITIZERS if sanitize else ())]
     if is_for('windows', target):
         flags.append('-D_USE_MATH_DEFINES')
+    if is_for('macos', target):
+        # Eigen's is the C++ type long there, another one than that of 64 bits.
+        flags.append('-DEIGEN_DEFAULT_DENSE_INDEX_TYPE=long long')
     told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
     command = [*program, *flags, '-isystem', str(eigen())]
     folder.mkdir(parents=True, exist_ok=True)
