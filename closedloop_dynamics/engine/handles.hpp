@@ -230,7 +230,11 @@ private:
     }
   }
   template<class Number>
-  static const char * format() {return std::is_same_v<Number, double> ? "d" : "l";}
+  static const char * format()
+  {
+    // Windows has 32 bits in a long.
+    return std::is_same_v<Number, double> ? "d" : sizeof(long) == sizeof(Index) ? "l" : "q";
+  }
 
   PyObject * dictionary_;
   std::string prefix_;
