@@ -11,15 +11,8 @@ import numpy as np
 from .command import (
     Argument, Command, complain, OVERWRITE, picture_option, require_free, SET, UsageError,
     with_numbers)
-from ..estimation.beginning import Beginning
 from ..estimation.errors import EstimationError
-from ..estimation.estimator import Estimator
-from ..estimation.record_file import begun, read_events, record_of, without_latency
-from ..estimation.report import columns, DEVIATION, EstimateBag, sensors_table, unknowns_table
-from ..estimation.setup_file import read_setup, SetupError
-from ..estimation.smoothing import smooth
-from ..recording.reading import BagReadError
-from ..recording.recording import RecordingError
+from ..recording.errors import BagReadError, RecordingError
 from ..simulation.model import Model
 from ..simulation.scene import load_scene
 from ..visual.progress import announced, progress_bar
@@ -27,6 +20,10 @@ from ..visual.tables import write_csv
 
 
 def _run(arguments):
+    # Only here, as in the functions below: SciPy takes long to load.
+    from ..estimation.beginning import Beginning
+    from ..estimation.record_file import begun, read_events, record_of, without_latency
+    from ..estimation.setup_file import read_setup, SetupError
     if arguments.output is not None:
         if arguments.output.suffix != '.csv' and arguments.output.exists():
             raise UsageError(f'--output: {arguments.output} exists; name another bag')
@@ -51,6 +48,7 @@ def _run(arguments):
 
 def _smoothed(setup, model, record, start):
     """Return estimates at all times from the whole record, consistency and alarms."""
+    from ..estimation.smoothing import smooth
     with progress_bar(1.0, 'of the record', 'smoothing') as bar:
         found = smooth(model, setup.sensors, record, setup.unknowns, setup.noise, start,
                        method=setup.method, progress=lambda done: bar.update(done - bar.n))
@@ -59,6 +57,7 @@ def _smoothed(setup, model, record, start):
 
 def _filtered(setup, model, record, start):
     """Return the same from what was measured up to each time, as the node estimates."""
+    from ..estimation.estimator import Estimator
     estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method)
     estimates = []
     with progress_bar(len(record.times), 'instants', 'filtering') as bar:
@@ -76,6 +75,7 @@ def _filtered(setup, model, record, start):
 
 def _report(arguments, scene, setup, events, record, estimates, consistency, alarms):
     """Write the files, print the tables; return the exit code."""
+    from ..estimation.report import columns, DEVIATION, EstimateBag, sensors_table, unknowns_table
     rows, names, estimate = [], [], None
     to_bag = arguments.output is not None and arguments.output.suffix != '.csv'
     with EstimateBag(arguments.output, scene.mechanism, setup.unknowns) if to_bag else (

@@ -16,7 +16,7 @@ from .streams import columns, STATES, StreamError, Streams
 from ..mechanism.fields import among
 from ..recording.errors import RecordingError
 from ..recording.message_numbers import stamp_of
-from ..recording.reading import Bag
+from ..recording.rosbag2 import open_bag
 from ..recording.rows import read_table
 
 COMMANDS = 'torque_command'
@@ -145,7 +145,7 @@ def _of_bag(path, setup, mechanism, streams, namespace):
     prefix = f'/{(namespace or "").strip("/")}/'.replace('//', '/')
     topics = {prefix + topic if not topic.startswith('/') else topic: topic
               for topic in (*streams.topics, COMMANDS)}
-    bag = Bag(path)
+    bag = open_bag(path)
     measurements, commands, newest, seen, refused, reason = [], [], None, set(), 0, ''
     for full, _, message in bag.messages(lambda topic: seen.add(topic) or topic in topics):
         topic = topics[full]

@@ -133,7 +133,7 @@ def test_loops_of_few_digits_stay_closed_on_their_way(kind, digits, seed):
         assert most_open(as_is) > 1e-11
     # Nothing is moved by more than digits are apart.
     for one, other in zip((*written.joints, *written.cut_joints),
-                          (*meant.joints, *meant.mechanism.cut_joints)):
+                          (*meant.joints, *meant.cut_joints)):
         for key in ('position', 'axis', 'orientation', 'point_a', 'point_b', 'axis_a', 'axis_b'):
             if getattr(one, key, None) is not None:
                 assert getattr(one, key) == pytest.approx(
@@ -350,7 +350,7 @@ def test_loops_that_close_to_the_digits_of_lengths_are_closed(tmp_path, digits, 
         # The energy balance is that of accuracy 1e-6.
         assert abs(simulation.energy_balance.residual) < 1e-8
     np.testing.assert_allclose(found.position, meant.position, rtol=0.0, atol=near)
-    told = [note for note in found.start_notes() if 'and nowhere better: taken as closed' in note]
+    told = [note for note in found.data.start_notes() if 'and nowhere better: taken as closed' in note]
     assert len(told) == (digits < 12)
     assert not any('nowhere better' in note for note in meant.data.start_notes())
 

@@ -16,7 +16,7 @@ PARTS = (PACKAGE, 'CHANGELOG.rst', 'LICENSE', 'MANIFEST.in', 'README.md', 'confi
          'package.xml', 'pyproject.toml', 'resource', 'setup.cfg', 'setup.py', 'test')
 PROGRAMS = {
     'closedloop', 'closedloop_joint_states', 'closedloop_recorder', 'closedloop_simulator',
-    'closedloop_torque_source', 'closedloop_viewer'}
+    'closedloop_estimator', 'closedloop_torque_source', 'closedloop_viewer'}
 # Relative to share/PACKAGE of wherever the package is installed.
 SHARED = {
     'package.xml',
