@@ -110,7 +110,7 @@ def headings(simulation, all_forces=False, costs=False):
     That is found where the simulation is. Of a wrench its components are marked, in world axes;
     of couplings and prescribed motions all that belongs to them.
     """
-    redundancy = simulation.data.redundancy()
+    redundancy = readings_of(simulation).redundancy()
     parts = dict(zip(wrench_names(simulation.mechanism), wrench_parts(simulation.mechanism)))
     least = {f'force.{name}.{parts[component]}'
              for name, components in redundancy.components.items() for component in components}

@@ -119,13 +119,13 @@ class Data:
         self.cut_joint_names: Tuple[str, ...] = mechanism.cut_coordinates.names
         self.motion_names = tuple(motion.name for motion in mechanism.motions)
         placements = self.loop_model.placements
-        model, self._equations = self.loop_model.model, self.loop_model.equations
+        model, self.equations = self.loop_model.model, self.loop_model.equations
         machine = Machine(
-            self.mechanism, placements, self._motions.rows, self.acted)
+            self.mechanism, placements, self.motions.rows, self.acted)
         self.effect_set = EffectSet(scene.effects, model, machine, coordinate_arrays(
             self.mechanism, model, placements, self.acted, True)
             if self.acted else None, scene.switched_off)
-        self._cuts = CutJoints(self.mechanism, model, placements, self.acted)
+        self.cuts = CutJoints(self.mechanism, model, placements, self.acted)
         for name, angle in scene.initial.turned.items():
             self.effect_set.begin_angle(name, angle)
         method = scene.method
@@ -134,11 +134,11 @@ class Data:
             model, baumgarte, extent(self.mechanism), method.stabilisation == 'independent',
             self.effect_set.elements, cuts=self.effect_set.cuts,
             joints=self.loop_model.joint_points, opening=self.loop_model.opening)
-        self._table = self.effect_set.bind(self.system)
-        self._motions.records = self.effect_set.records
+        self.table = self.effect_set.bind(self.system)
+        self.motions.records = self.effect_set.records
         *parts, states = parts_of_state(self.system)
         self.parts, self.integrated = tuple(parts), np.zeros(states)
-        self._q, self._qd, self._own = (self.integrated[part] for part in parts)
+        self.q, self.qd, self.own = (self.integrated[part] for part in parts)
         self._places = {name: place for place, name in enumerate(self.torque_names)}
         self.actuated = np.array(
             [self._places[name] for name in self.actuated_joints], dtype=int)
@@ -157,13 +157,13 @@ class Data:
     def _choose_equations(self, scene: Scene) -> None:
         """Leave out equations that repeat others, and hold what they forbid to second order."""
         position, hold = np.array(scene.initial.position), scene.initial.hold
-        leaves_out, chosen = self._may_leave_out(scene.method), self.loop_model
+        leaves_out, chosen = self.may_leave_out(scene.method), self.loop_model
         self.second_order: Optional[SecondOrder] = None
         if not leaves_out and chosen.plainly_independent(position):
             return
         if not leaves_out:
             chosen = Geometry(self.mechanism, self.decomposition)
-            self._motions.look_up(chosen.model)
+            self.motions.look_up(chosen.model)
         chosen.leave_out_repeated(position, hold)
         if chosen.unexplained is not None:
             self.second_order = find_second_order(self.mechanism, chosen.unexplained)
@@ -176,24 +176,24 @@ class Data:
                 self.loop_model.leave_out_repeated(position, hold)
         if not leaves_out:
             self.loop_model.leave_out_unchanging(position)
-        self._motions.look_up(self.loop_model.model)
+        self.motions.look_up(self.loop_model.model)
 
     def _assemble_start(self) -> None:
         """Go to the scene's start, which its masses and forces have a part in."""
         initial = self.scene.initial
-        self._assembler = Assembler(self.mechanism, self._equations)
-        self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
-        self._by_masses = self._assembler.by_masses
-        self._motions.require_independent(self._assembler, self._initial[0])
+        self.assembler = Assembler(self.mechanism, self.equations)
+        self.initial = self._assembled(initial.position, initial.velocity, initial.hold)
+        self._by_masses = self.assembler.by_masses
+        self.motions.require_independent(self.assembler, self.initial[0])
         if self.scene.method.stabilisation == 'independent':
-            self._assembler.require_independent(self._initial[0])
+            self.assembler.require_independent(self.initial[0])
         self._begin_at_start()
 
     def _begin_at_start(self) -> None:
         """Go to the start that was assembled."""
         self._find_determined()
-        self._q[:], self._qd[:] = self._initial
-        self._own[:] = self.effect_set.initial
+        self.q[:], self.qd[:] = self.initial
+        self.own[:] = self.effect_set.initial
         refine(self.system, self.integrated)
 
     def varies(self, paths: Iterable[Tuple[str, ...]]) -> bool:
@@ -208,7 +208,7 @@ class Data:
         """
         # Frames in space lie along centres of mass; lengths decide which equations are worked on.
         masses = ('mass', 'inertia', *(('center_of_mass',) if self.mechanism.planar else ()))
-        return not (self.loop_model.by_masses or self._motions or self.second_order) and all(
+        return not (self.loop_model.by_masses or self.motions or self.second_order) and all(
             path[0] == 'effects' or (
                 path[:2] == ('mechanism', 'bodies') and path[3] in masses) for path in paths)
 
@@ -239,12 +239,12 @@ class Data:
                 self.loop_model.set_masses, bodies=mechanism.bodies, changed=others)):
             return False
         self.scene, self.mechanism = scene, mechanism
-        self._motions.records = self.effect_set.records
+        self.motions.records = self.effect_set.records
         self.system.tau[:] = 0.0
         if others:
-            was_light = self._assembler.is_light
-            self._assembler.rebind(mechanism)
-            if self._by_masses or self._assembler.is_light != was_light:
+            was_light = self.assembler.is_light
+            self.assembler.rebind(mechanism)
+            if self._by_masses or self.assembler.is_light != was_light:
                 self._assemble_start()
                 return True
         self._begin_at_start()
@@ -263,13 +263,13 @@ class Data:
                          for found in directions])
 
         def derivatives(position: np.ndarray) -> np.ndarray:
-            moved = self._equations.move(position)
+            moved = self.equations.move(position)
             return arms @ np.concatenate(
-                (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
+                (units, self.cuts.jacobian(moved.model, moved.work, in_cuts)))
 
-        start = self._initial[0].tobytes(), directions
+        start = self.initial[0].tobytes(), directions
         if self._determined[0] != start:
-            self._determined = start, self._assembler.determined(self._initial[0], derivatives)
+            self._determined = start, self.assembler.determined(self.initial[0], derivatives)
         self.effect_set.mark_determined(
             found for found, determined in zip(directions, self._determined[1]) if determined)
 
@@ -280,16 +280,16 @@ class Data:
         self.evaluate: Callable[[], None] = native.bind(
             'evaluate_present', system.native, self.integrated)
         self._elsewhere = np.zeros_like(self.integrated)
-        asked = request(system, self._own, self._allowed)
+        asked = request(system, self.own, self._allowed)
         self._evaluate_given = native.bind('evaluate_given', system.native, asked)
         # Of all equations, in the present state and in that one.
         self._lam, self._lam_given = np.zeros(number_of_equations(system)), asked.lam
         self.find_multipliers: Callable[[], None] = native.bind(
             'find_multipliers', system.native, self.integrated, self._lam)
-        self._spread = np.zeros(len(system.tau))
-        self._spread_torques = native.bind('spread_torques', self._allowed, self._spread)
+        self.spread = np.zeros(len(system.tau))
+        self.spread_torques = native.bind('spread_torques', self._allowed, self.spread)
 
-    def _may_leave_out(self, method: Method) -> bool:
+    def may_leave_out(self, method: Method) -> bool:
         """
         Return whether equations that repeat others may be left out.
 
@@ -299,9 +299,9 @@ class Data:
 
     def _prescribe(self, scene: Scene) -> None:
         """Find the equations of prescribed motions, and start their courses."""
-        self._motions = DrivingConstraints(
+        self.motions = DrivingConstraints(
             scene, self.mechanism, self.loop_model.model, self.place, self._cut_place)
-        self._motions.set_time(0.0)
+        self.motions.set_time(0.0)
 
     def _cut_place(self, name: str, position: np.ndarray) -> float:
         """Return the coordinate of a freedom of a cut joint in a position of the joints."""
@@ -324,7 +324,7 @@ class Data:
         nq is nv, the number of joint rates, and one more for each spherical and each free joint:
         orientations are unit quaternions x, y, z, w. ``coordinates.columns`` names them.
         """
-        return self._q.copy()
+        return self.q.copy()
 
     @property
     def velocity(self) -> np.ndarray:
@@ -333,11 +333,11 @@ class Data:
 
         Of an orientation the angular velocity relative to the parent, about the child's axes.
         """
-        return self._qd.copy()
+        return self.qd.copy()
 
     def snapshot(self) -> State:
         """Return the present state; torques and the memory of a method are no part of it."""
-        return State(self.time, self._q, self._qd, self._own, self.coordinates)
+        return State(self.time, self.q, self.qd, self.own, self.coordinates)
 
     def require_state(self, state: State) -> None:
         """
@@ -356,8 +356,8 @@ class Data:
                 f'state: expected one of {self.mechanism.name}, with the joints '
                 f'{", ".join(self.joint_names)}, got one with '
                 f'{", ".join(state.coordinates.names)}')
-        if state.own.shape[-1] != len(self._own):
-            raise ValueError(f'state: expected {len(self._own)} own states of effects, got own of '
+        if state.own.shape[-1] != len(self.own):
+            raise ValueError(f'state: expected {len(self.own)} own states of effects, got own of '
                              f'shape {state.own.shape}')
 
     def require_closed(self, q: np.ndarray, qd: np.ndarray, motions: bool = True) -> None:
@@ -379,7 +379,7 @@ class Data:
             With the loops and by how much they are open.
 
         """
-        opened = self._assembler.opened(q, qd, self.system.settings.closure_limit, motions)
+        opened = self.assembler.opened(q, qd, self.system.settings.closure_limit, motions)
         if opened:
             raise AssemblyError(
                 f'state: expected one that closes the loops, got one that leaves {opened}; '
@@ -413,7 +413,7 @@ class Data:
         q[:] = self._taken(position)
         qd[:] = vector('velocity', velocity, len(qd))
         if not native.stabilise(self.system.native, PROJECTION, state):
-            opened = self._assembler.opened(q, qd, self.system.settings.closure_limit)
+            opened = self.assembler.opened(q, qd, self.system.settings.closure_limit)
             raise AssemblyError(
                 'state: expected one that nearly closes the loops, got one from which corrections '
                 f'leave {opened}; give one nearer to a closed one, as Model.assemble returns them')
@@ -471,15 +471,15 @@ class Data:
         jacobian : ndarray, shape (n, nv)
 
         """
-        moved = self._equations.move(q, qd)
-        return (*self._cuts.measure(moved.work.body),
-                self._cuts.jacobian(moved.model, moved.work, self._cuts.names))
+        moved = self.equations.move(q, qd)
+        return (*self.cuts.measure(moved.work.body),
+                self.cuts.jacobian(moved.model, moved.work, self.cuts.names))
 
     @property
     def takes_closed_states(self) -> bool:
         """Whether any state with closed loops may be a start."""
-        return not (self._motions or self.has_redundant_constraints or self.system.is_independent
-                    or self._assembler.is_light or self._table.loaded[0])
+        return not (self.motions or self.has_redundant_constraints or self.system.is_independent
+                    or self.assembler.is_light or self.table.loaded[0])
 
     @property
     def enabled_effects(self) -> Tuple[str, ...]:
@@ -493,7 +493,7 @@ class Data:
 
         Of prescribed motions of the shape ``commanded``, in the scene's order.
         """
-        return tuple(self._motions.commanded)
+        return tuple(self.motions.commanded)
 
     @property
     def actuated_in_tree(self) -> np.ndarray:
@@ -506,11 +506,11 @@ class Data:
         nv = self.coordinates.nv
         q = self._taken(position)
         qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
-        self._motions.begin(self._assembler, self.time, q, qd)
+        self.motions.begin(self.assembler, self.time, q, qd)
         try:
             self._assembly = self._closed(q, qd, hold)
         except AssemblyError:
-            if not (self._motions and hold):
+            if not (self.motions and hold):
                 raise
             # What is held may leave the motions no room.
             self._assembly = self._closed(q, qd, ())
@@ -518,17 +518,17 @@ class Data:
 
     def _closed(self, q: np.ndarray, qd: np.ndarray, hold: Sequence[str]) -> Tuple[Any, ...]:
         """Return a guess, the state that closes the loops near it, and the joints held."""
-        closed = self._assembler.positions(q, hold)
-        return q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
+        closed = self.assembler.positions(q, hold)
+        return q, qd, closed, self.assembler.velocities(closed, qd, hold), hold
 
-    def _near(
+    def near(
             self, position: Numbers, velocity: Optional[Numbers],
             hold: Optional[Sequence[str]]) -> Tuple[np.ndarray, np.ndarray]:
         """Return an assembly near a state, with the joints not named held."""
         with np.errstate(all='ignore'):
             return self._assembled(
-                self._by_joint('position', position, self._q),
-                self._by_joint('velocity', velocity, self._qd), hold or ())
+                self._by_joint('position', position, self.q),
+                self._by_joint('velocity', velocity, self.qd), hold or ())
 
     def _taken(self, position: ArrayLike) -> np.ndarray:
         """Return joint coordinates as an array, quaternions of norm 1."""
@@ -545,18 +545,18 @@ class Data:
         with at(what):
             return self.coordinates.filled(what, values, present)
 
-    def _begin_loads(self) -> None:
+    def begin_loads(self) -> None:
         """Initialise effects with the present rates and reactions of their joints."""
         if self.effect_set.cuts is not None:
             self.evaluate()
-            self.effect_set.restart_angles(self._own)
-        self.effect_set.initialise_states(self._own, self.effect_set.rates(self._q, self._qd))
-        self.effect_set.begin_at_time(self._own, self.time)
-        if self._table.loaded[0] > 0:
+            self.effect_set.restart_angles(self.own)
+        self.effect_set.initialise_states(self.own, self.effect_set.rates(self.q, self.qd))
+        self.effect_set.begin_at_time(self.own, self.time)
+        if self.table.loaded[0] > 0:
             native.begin_loads(self.system.native, self.integrated)
-        self._require_finite_laws()
+        self.require_finite_laws()
 
-    def _require_finite_laws(self) -> None:
+    def require_finite_laws(self) -> None:
         """Refuse laws of users that have no finite value in the present state."""
         if self.effect_set.traced:
             self.evaluate()
@@ -567,9 +567,9 @@ class Data:
         # By loops over bodies where they are too many to have code: whether it is there must not
         # decide, as results differ in their last digits.
         self.system.use_equations(
-            model, self._code if self.loop_model.has_code(model, self._initial[0]) else LOOPS)
-        self._equations = self.loop_model.equations
-        self._motions.look_up(model)
+            model, self._code if self.loop_model.has_code(model, self.initial[0]) else LOOPS)
+        self.equations = self.loop_model.equations
+        self.motions.look_up(model)
         self.effect_set.use_equations(model)
         self.exchanges += 1
 
@@ -580,12 +580,12 @@ class Data:
 
     def forget_commands(self) -> None:
         """Let motions be those of the scene again, which a start follows."""
-        if self._motions:
-            for name, record in self._motions.forget_commands(self.scene.effects).items():
+        if self.motions:
+            for name, record in self.motions.forget_commands(self.scene.effects).items():
                 self.effect_set.put(name, record, True)
             # They may have been changed since.
             initial = self.scene.initial
-            self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
+            self.initial = self._assembled(initial.position, initial.velocity, initial.hold)
 
     def prepare_exchanges(self) -> None:
         """
@@ -594,7 +594,7 @@ class Data:
         What runs live calls this before: else a run waits for code where the mechanism moves so
         far that equations which were left out are taken instead of others. Results are the same.
         """
-        for kept in self.loop_model.choices(self._initial[0]) if self._code.routines else ():
+        for kept in self.loop_model.choices(self.initial[0]) if self._code.routines else ():
             with_equations(self.system, self.loop_model.model_of(kept)[0], self._code)
 
     def joint_torques(self, torque: Optional[Numbers]) -> np.ndarray:
@@ -611,8 +611,8 @@ class Data:
         ValueError
 
         """
-        if self._spread_torques(torque):
-            return self._spread.copy()
+        if self.spread_torques(torque):
+            return self.spread.copy()
         tau = np.zeros(len(self._places))
         named: Any = torque
         if hasattr(named, 'items'):
@@ -671,9 +671,9 @@ class Data:
         self.require_closed(q, qd)
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau
-        self._table.states[:] = self._own
-        self.effect_set.initialise_states(self._table.states, self.effect_set.rates(q, qd))
-        own[:] = self._table.states
+        self.table.states[:] = self.own
+        self.effect_set.initialise_states(self.table.states, self.effect_set.rates(q, qd))
+        own[:] = self.table.states
         native.evaluate_with_poses(system.native, self._elsewhere)
         lam = system.lam
         if self.has_redundant_constraints:
@@ -712,8 +712,8 @@ class Data:
         model = (self.loop_model.model_of(None)[0] if self.has_redundant_constraints
                  else self.system.model)
         made = Evaluator(
-            self.system, model, self._own, self._allowed, quantities or QUANTITIES, self._refuse)
-        made.q[:], made.qd[:] = self._q, self._qd
+            self.system, model, self.own, self._allowed, quantities or QUANTITIES, self._refuse)
+        made.q[:], made.qd[:] = self.q, self.qd
         return made
 
     def _refuse(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> None:
@@ -792,7 +792,7 @@ class Data:
             depends on forces in joints is that of the forces felt in the present state.
 
         """
-        self._table.states[:] = self._own
+        self.table.states[:] = self.own
         return self.inverse.needed(position, velocity, acceleration)
 
 

@@ -27,14 +27,14 @@ def failure(data, status, size):
     # Loops that are well closed here opened because of the step, or at a change point.
     if status == POOR_EQUATIONS or status == OPEN_LOOP and data.has_redundant_constraints and (
             data.closure > CONTRADICTION * data.system.settings.closure_limit):
-        contradiction = data.loop_model.contradiction(data._q)
+        contradiction = data.loop_model.contradiction(data.q)
         if contradiction:
             return ClosureError(
                 f'The loops cannot stay closed after t = {data.time:.9g} s; the state before '
                 f'is kept. {contradiction}')
     if status == OPEN_LOOP:
         error = data.system.work.health[t.CLOSURE]
-        advice = data._assembler.advice_on_opening(data._q) or (
+        advice = data.assembler.advice_on_opening(data.q) or (
             f'Take a smaller step than {size:g} s: the motion in one step is too large.')
         return ClosureError(
             f'The loops could not be closed after the step at t = {data.time:.9g} s (error '

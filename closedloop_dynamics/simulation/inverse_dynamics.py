@@ -26,7 +26,7 @@ class InverseDynamics:
     """
 
     def __init__(self, data):
-        self._data, mechanism, equations = data, data.mechanism, data._equations
+        self._data, mechanism, equations = data, data.mechanism, data.equations
         nv, tree = mechanism.coordinates.nv, data.actuated
         self._actuated = tree[tree < nv]
         known = mechanism.cut_coordinates
@@ -37,7 +37,7 @@ class InverseDynamics:
         self.torque, self.lam = found[:count], found[count:]
         self.find = native.bind(
             'find_torques', data.system.native, self._actuated.astype(np.int64), self._passive,
-            equations.nc - len(mechanism.motions), data._own, found)
+            equations.nc - len(mechanism.motions), data.own, found)
 
     def solve(self, q, qd, qdd):
         """
@@ -47,8 +47,8 @@ class InverseDynamics:
         SimulationError.
         """
         jac = self._jacobian(q, qd, qdd)
-        system, equations, table = self._data.system, self._data._equations, self._data._table
-        table.states[:] = self._data._own
+        system, equations, table = self._data.system, self._data.equations, self._data.table
+        table.states[:] = self._data.own
         while True:
             torque, lam = self._least_torques(self.needed(q, qd, qdd), jac)
             if table.loaded[0] == 0:
@@ -62,7 +62,7 @@ class InverseDynamics:
 
     def _jacobian(self, q, qd, qdd):
         """Return the constraint Jacobian, or refuse accelerations that open the loops."""
-        equations = self._data._equations.move(q, qd)
+        equations = self._data.equations.move(q, qd)
         jac, (_, _, bias) = equations.jacobian(), equations.closures()
         first, last = (space.ACCELERATION, space.ACCELERATION + 3) if space.is_spatial(
             equations.model) else (t.AX, t.AY + 1)
@@ -86,7 +86,7 @@ class InverseDynamics:
 
         I qdd + c - tau_effects [N m or N]; q, qd, qdd need not close the loops.
         """
-        need, data, table = np.zeros(len(qd)), self._data, self._data._table
+        need, data, table = np.zeros(len(qd)), self._data, self._data.table
         effects, system = data.effect_set, data.system
         native.touch(system.native)
         native.outward(system.model, q, qd, system.work)
@@ -110,7 +110,7 @@ class InverseDynamics:
         """Return the least torques of the actuated joints, and multipliers, that add up to it."""
         # In cut joints they act through the tree.
         system = self._data.system
-        levers = self._data._cuts.jacobian(
+        levers = self._data.cuts.jacobian(
             system.model, system.work, self._driven) if self._driven else (
                 np.zeros((0, len(need))))
         unknowns = np.concatenate(

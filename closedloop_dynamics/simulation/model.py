@@ -525,7 +525,7 @@ class Model:
 
         """
         self._work.require_state(state)
-        if not self._begins(state):
+        if not begins(self, state):
             raise ValueError('state: expected one in which the effects begin again, as '
                              'Model.assemble returns it, got one in which they have gone on')
         chosen = None if independent is None else tuple(independent)
@@ -579,12 +579,6 @@ class Model:
             self._work.at(self._work.start())
             return self._work.evaluator(*quantities)
 
-    def _begins(self, state: State) -> bool:
-        """Return whether the effects restart in a state, or in all of a batch."""
-        self._work.require_state(state)
-        with self._lock:
-            return all(_of_all(self._work.begins, state))
-
     def __reduce__(self) -> Tuple[Any, ...]:
         """Copy and pickle as the scene, of which the model is rebuilt."""
         return Model, (self.scene,)
@@ -611,27 +605,27 @@ class _Workspace(Readings):
 
     def start(self) -> State:
         """Return the scene's start, assembled."""
-        return self.begun(0.0, *self._initial)
+        return self.begun(0.0, *self.initial)
 
     @property
     def own_states(self) -> int:
         """How many states the effects have."""
-        return len(self._own)
+        return len(self.own)
 
     def begun(self, time: float, q: np.ndarray, qd: np.ndarray) -> State:
         """Return a state in which the effects begin again, as it is."""
         self._put(time, q, qd, self.effect_set.initial)
         self.system.tau[:] = 0.0
-        self._begin_loads()
+        self.begin_loads()
         return self.snapshot()
 
     def assembled(self, position: Numbers, velocity: Optional[Numbers], hold: Sequence[str],
                   time: float) -> State:
         """Return a state near another one; joints not named are as at the start."""
-        q, _ = self._initial
+        q, _ = self.initial
         self._put(vector('time', [time], 1)[0], q, np.zeros(self.coordinates.nv),
                   self.effect_set.initial)
-        return self.begun(time, *self._near(position, velocity, hold))
+        return self.begun(time, *self.near(position, velocity, hold))
 
     def assembled_batch(
             self, samples: int, given: Sequence[Optional[Numbers]],
@@ -643,17 +637,17 @@ class _Workspace(Readings):
         ``given`` are positions and velocities, ``each`` functions that give those of one state.
         Notes beyond ``MOST_NOTES`` may be empty.
         """
-        present, rest = self._initial[0], np.zeros(self.coordinates.nv)
+        present, rest = self.initial[0], np.zeros(self.coordinates.nv)
         vector('time', [time], 1)
         q, qd = (self._rows(what, values, start, samples) for what, values, start in zip(
             ('position', 'velocity'), given, (present, rest)))
         own = np.tile(self.effect_set.initial, (samples, 1))
-        if q is None or qd is None or self._motions:
+        if q is None or qd is None or self.motions:
             how = np.zeros(samples, dtype=np.int64)
             q, qd = np.tile(present, (samples, 1)), np.tile(rest, (samples, 1))
         else:
             guesses = q.copy(), qd.copy()
-            how = self._assembler.close_states(q, qd, hold)
+            how = self.assembler.close_states(q, qd, hold)
         found: Dict[int, List[str]] = {}
         for k in np.flatnonzero((how == BY_ITSELF) | (not self.begins_alike)).tolist():
             try:
@@ -668,12 +662,12 @@ class _Workspace(Readings):
         notes: List[str] = []
         plain = how != BY_ITSELF
         if plain.any():
-            counts = np.where(plain, self._assembler.count_notes(*guesses, q, qd, hold, how), 0)
+            counts = np.where(plain, self.assembler.count_notes(*guesses, q, qd, hold, how), 0)
             for k in np.flatnonzero(counts).tolist():
                 found[k] = int(counts[k]) * ['']
         for k in sorted(found):
             if plain[k] and len(notes) < MOST_NOTES:
-                found[k] = self._assembler.notes(
+                found[k] = self.assembler.notes(
                     guesses[0][k], guesses[1][k], q[k], qd[k], hold)
             notes += [f'state {k}: {note}' for note in found[k]]
         return State(time, q, qd, own, self.coordinates), notes
@@ -705,12 +699,12 @@ class _Workspace(Readings):
     def begins_alike(self) -> bool:
         """Return whether effects begin alike in all states: they have none of their own."""
         effects = self.effect_set
-        return not (len(self._own) or effects.traced or self._table.loaded[0]
+        return not (len(self.own) or effects.traced or self.table.loaded[0]
                     ) and effects.cuts is None
 
     def are_closed(self, states: State) -> bool:
         """Return whether all of many states certainly close the loops."""
-        return not self._motions and len(states) == self._equations.solve(
+        return not self.motions and len(states) == self.equations.solve(
             native.first_open, states.q.copy(), states.qd.copy(),
             float(self.system.settings.closure_limit))
 
@@ -719,14 +713,14 @@ class _Workspace(Readings):
         self.choose_equations(q)
         time = float(time)
         self.clock = lambda: time
-        self._q[:], self._qd[:], self._own[:] = q, qd, own
-        if self._motions:
-            self._motions.set_time(time)
+        self.q[:], self.qd[:], self.own[:] = q, qd, own
+        if self.motions:
+            self.motions.set_time(time)
 
     def at(self, state: State) -> Readings:
         """Move to a state that closes the loops, without torques; AssemblyError for others."""
         self._put(state.time, state.q, state.qd, state.own)
-        self.require_closed(self._q, self._qd)
+        self.require_closed(self.q, self.qd)
         self.system.tau[:] = 0.0
         return self
 
@@ -738,8 +732,8 @@ class _Workspace(Readings):
             found = self.evaluation(state)
             limit = float(self.system.settings.closure_limit)
             if not (found.closure <= limit and native.largest(self.system.work.closure_rate) <= (
-                    limit * max(1.0, native.largest(self._qd)))):
-                self.require_closed(self._q, self._qd)
+                    limit * max(1.0, native.largest(self.qd)))):
+                self.require_closed(self.q, self.qd)
             return found
         if not len(state):
             raise ValueError('state: expected at least one, got an empty batch')
@@ -780,6 +774,14 @@ class _Workspace(Readings):
         places = self.effect_set.own
         return not len(places) or np.array_equal(
             self.begun(0.0, state.q, state.qd).own[places], state.own[places])
+
+
+def begins(model: Model, state: State) -> bool:
+    """Return whether the effects restart in a state of a model, or in all of a batch."""
+    work = model._work
+    work.require_state(state)
+    with model._lock:
+        return all(_of_all(work.begins, state))
 
 
 def _of_all(asked: Callable[[State], Found], states: State) -> List[Found]:

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from numpy.typing import ArrayLike
 
-from .model import Model
+from .model import begins, Model
 from .rollout import Rollout
 from .rollout_run import STATE
 from .scene_records import Method
@@ -56,7 +56,7 @@ def rollout(model: Model, states: Optional[State] = None, torques: Optional[Arra
     wanted = (model.scene if method is None else model.scene.with_method(method)).method
     if simulation is None or simulation.scene.method != wanted:
         simulation = _SIMULATIONS[model] = Simulation(model, None, method)
-    if states is not None and not model._begins(states):
+    if states is not None and not begins(model, states):
         raise ValueError(
             'rollout: expected states in which the effects begin again, as Model.assemble returns '
             'them, got some in which they have gone on; run Simulation(model, state) for these')

@@ -63,7 +63,7 @@ class Readings(Data):
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self.actuated)
 
     @property
-    def _mass(self) -> float:
+    def mass(self) -> float:
         """Mass of all bodies [kg]."""
         return sum(body.mass for body in self.mechanism.bodies)
 
@@ -102,47 +102,47 @@ class Readings(Data):
     @property
     def cut_acceleration(self) -> np.ndarray:
         """Accelerations of ``cut_joint_names`` under the last torques [rad/s^2 or m/s^2]."""
-        if not self._cuts.count:
+        if not self.cuts.count:
             return np.zeros(0)
-        return self._cuts.accelerations(self._moved_equations(), self.system.qdd)
+        return self.cuts.accelerations(self._moved_equations(), self.system.qdd)
 
     @property
     def cut_effort(self) -> np.ndarray:
         """Efforts of commands, as ``effort``, in the order of ``cut_joint_names``."""
-        effort = np.zeros(self._cuts.count)
-        effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
+        effort = np.zeros(self.cuts.count)
+        effort[self.cuts.acted] = self._efforts()[len(self.joint_names):]
         self._add_motions(effort)
         return effort
 
     def _add_motions(self, effort: np.ndarray) -> None:
         """Add the efforts of prescribed motions of cut joints, in place."""
         for motion in self.mechanism.motions:
-            place = self._cuts.place(motion.freedom)
+            place = self.cuts.place(motion.freedom)
             if place is not None:
                 effort[place] += self.motion_forces[motion.name]
 
     def _cut_efforts(self) -> np.ndarray:
         """Return all that acts along the freedoms of cut joints [N m; N]."""
-        effort = np.zeros(self._cuts.count)
-        if len(self._cuts.acted):
-            effort[self._cuts.acted] = self._table.applied[len(self._qd):]
+        effort = np.zeros(self.cuts.count)
+        if len(self.cuts.acted):
+            effort[self.cuts.acted] = self.table.applied[len(self.qd):]
         self._add_motions(effort)
         for coupling, force, scale in zip(
                 self.mechanism.couplings, self.coupling_forces, self._coupling_scales):
             for cut in measured(self.mechanism, coupling):
-                effort[self._cuts.place(cut.name)] += scale * force
+                effort[self.cuts.place(cut.name)] += scale * force
         return effort
 
     @property
     def cut_state(self) -> Tuple[np.ndarray, np.ndarray]:
         """Coordinates and rates of the cut joints, found together."""
-        if not self._cuts.count:
+        if not self.cuts.count:
             return np.zeros(0), np.zeros(0)
         self.evaluate()
-        position, velocity = self._cuts.measure(self.system.work.body)
-        if len(self._cuts.acted):
-            position[self._cuts.acted] = self._table.cuts.q[len(self._qd):]
-        return self._cuts.whole(self.system.work.body, position), velocity
+        position, velocity = self.cuts.measure(self.system.work.body)
+        if len(self.cuts.acted):
+            position[self.cuts.acted] = self.table.cuts.q[len(self.qd):]
+        return self.cuts.whole(self.system.work.body, position), velocity
 
     @property
     def effort(self) -> np.ndarray:
@@ -188,12 +188,12 @@ class Readings(Data):
         (number of cuts, 6): moment x, y, z, force x, y, z.
         """
         self.find_multipliers()
-        model, work = self._equations.model, self._equations.work
+        model, work = self.equations.model, self.equations.work
         wrenches = np.empty((len(model.cut), work.wrench.shape[1]))
         native.cut_wrenches(model, self.system.work.body, self._lam, work.share, wrenches)
         found = wrenches[:len(self.cut_joints)]
         if self.acts_in_cuts:
-            self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
+            self.cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
             if self._couples:
                 found[:, 0] += self._coupled[0] @ self.coupling_forces
         return found
@@ -201,11 +201,11 @@ class Readings(Data):
     def _moved_equations(self) -> Equations:
         """Return the equations in the present state, which is evaluated, too."""
         self.evaluate()
-        return self._equations.move(self._q, self._qd)
+        return self.equations.move(self.q, self.qd)
 
     def redundancy(self) -> Redundancy:
         """Find which equations repeat others in the present position, and which forces share."""
-        return find_redundancy(self.mechanism, self._q)
+        return find_redundancy(self.mechanism, self.q)
 
     @property
     def shared_forces(self) -> Tuple[str, ...]:
@@ -356,16 +356,16 @@ class Readings(Data):
     @property
     def constraint_jacobian(self) -> np.ndarray:
         """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
-        return self._assembler.jacobian(self._q)
+        return self.assembler.jacobian(self.q)
 
     def _closure_of_all(self) -> float:
         """Return the largest closure error, of equations that are left out among others."""
-        return self._equations.move(self._q).closure_error()
+        return self.equations.move(self.q).closure_error()
 
     @property
     def inertia(self) -> np.ndarray:
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
-        return self._assembler.inertia(self._q)
+        return self.assembler.inertia(self.q)
 
     @property
     def energy(self) -> float:
@@ -376,7 +376,7 @@ class Readings(Data):
         """Return kinetic and stored energy of the present state."""
         self.evaluate()
         found = np.empty(2)
-        native.energies(self.system.model, self.system.work, self._qd, found)
+        native.energies(self.system.model, self.system.work, self.qd, found)
         (own, potential), (kinetic, stored) = found.tolist(), self.effect_set.energies()
         return own + kinetic, potential + stored
 
@@ -443,7 +443,7 @@ class Readings(Data):
         velocity : ndarray, shape (nv,)
 
         """
-        position, velocity = self.effect_set.sensors.measure(self.time, self._q, self._qd)
+        position, velocity = self.effect_set.sensors.measure(self.time, self.q, self.qd)
         return position.copy(), velocity.copy()
 
     def measured_cut_joints(self) -> Tuple[np.ndarray, np.ndarray]:
@@ -476,7 +476,7 @@ class Readings(Data):
 
         """
         self.evaluate()
-        return self.effect_set.readings(name, self._own)
+        return self.effect_set.readings(name, self.own)
 
     def windings(self) -> Dict[Tuple[str, str], float]:
         """
@@ -508,16 +508,16 @@ class Readings(Data):
         # Some of those angles are noted where the start was assembled, too.
         known = (*angles, *degree_notes(self.mechanism, self.scene.initial.position))
         return ([*self.mechanism.rounded, *self._suspicions()] + angles + held
-                + self._motions.notes()
+                + self.motions.notes()
                 + [note for note in self.assembly_notes() if note not in known]
                 + effects + self.load_notes())
 
     def _suspicions(self) -> List[str]:
         """Return notes on rounded digits where equations that repeat others depend on these."""
         found, coordinates = suspicions(self.mechanism), self.mechanism.coordinates
-        if found and self._assembler.nc <= MOST_EQUATIONS:
+        if found and self.assembler.nc <= MOST_EQUATIONS:
             freedoms = self.degrees_of_freedom()
-            if freedoms and coordinates.nv - freedoms == self._assembler.nc:
+            if freedoms and coordinates.nv - freedoms == self.assembler.nc:
                 return []
         return found
 
@@ -532,7 +532,7 @@ class Readings(Data):
             change point, other velocities.
 
         """
-        return self._assembler.notes(*self._assembly)
+        return self.assembler.notes(*self._assembly)
 
     def load_notes(self) -> List[str]:
         """
@@ -568,18 +568,18 @@ class Readings(Data):
             Joints less the closure equations that do not depend on the others.
 
         """
-        return self._assembler.degrees_of_freedom(self._q)
+        return self.assembler.degrees_of_freedom(self.q)
 
     @property
     def energy_scale(self) -> float:
         """Return work of weights and torques over the mechanism's length, and at 1 rad/s [J]."""
         return self.passive_energy_scale + (
-            max(self._assembler.extent, 1.0) * native.sum_of_sizes(self.system.applied))
+            max(self.assembler.extent, 1.0) * native.sum_of_sizes(self.system.applied))
 
     @property
     def passive_energy_scale(self) -> float:
         """Return work of weights over the mechanism's length, and the energy at 1 rad/s [J]."""
-        length = self._assembler.extent
+        length = self.assembler.extent
         # With the energy of a rate: at rest without weight there is no other scale.
-        return self._mass * (
+        return self.mass * (
             length * math.hypot(*self.system.model.gravity.tolist()) + length ** 2)

@@ -339,7 +339,7 @@ class _BatchRunner:
         place, known = sample % MOST, self._own.varying
         simulation = known.pop(place, None)
         if simulation is None or not simulation.data.varies(self._given.parameters) or (
-                not simulation._vary(scene)):
+                not simulation.vary(scene)):
             simulation = self._built(scene)
         if simulation.data.varies(self._given.parameters) and not simulation.data.exchanges:
             known[place] = simulation

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .errors import ClosureError, NumericalError, SimulationError, SingularityError
 from .independent import (
     changes_along, choose_independent, dependent_on, following, places_of)
-from .model import Model
+from .model import begins, Model
 from .named_array import by_shapes, frozen, reals, sealed
 from .parameters import parameter_arrays
 from .rollout import RolloutArguments, scheduled
@@ -231,7 +231,7 @@ class Sensitivity:
                 if state.is_batch:
                     raise ValueError(
                         f'state: expected a single one, got a batch of {len(state)}')
-                if not self.model._begins(state):
+                if not begins(self.model, state):
                     raise ValueError('state: expected one in which the effects begin again, as '
                                      'Model.assemble returns it, got one in which they have gone '
                                      'on')

@@ -137,7 +137,7 @@ class Simulation:
         self.coordinates, self.joint_names, self.actuated_joints = (
             data.coordinates, data.joint_names, data.actuated_joints)
         self._q, self._qd, self._effects, self._run = (
-            data._q, data._qd, data.effect_set, stepping.run)
+            data.q, data.qd, data.effect_set, stepping.run)
         # What is called again and again, without another call in between.
         for name, owner in (('step', stepping), ('advance', stepping),
                             ('forward_dynamics', data), ('inverse_dynamics', data)):
@@ -335,7 +335,7 @@ class Simulation:
         """Compute torques and multipliers of a motion: see ``Readings.inverse_dynamics``."""
         return self.data.inverse_dynamics(position, velocity, acceleration)
 
-    def _vary(self, scene: Scene) -> bool:
+    def vary(self, scene: Scene) -> bool:
         """As ``Data.vary``: become a simulation of another scene."""
         if not self.data.vary(scene):
             return False

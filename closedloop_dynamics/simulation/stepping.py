@@ -72,7 +72,7 @@ class Stepping:
 
     def __init__(self, data: Readings) -> None:
         self.data, self.pace, self._lenient_from, self._methods = data, 1.0, b'', 0
-        self._state, self._q, self._effects = data.integrated, data._q, data.effect_set
+        self._state, self._q, self._effects = data.integrated, data.q, data.effect_set
         self._measured, self._delay_line = np.zeros(5), DelayLine()
         # What is known of singular positions that were passed, and of which.
         self._passage: Tuple[bytes, List[str]] = b'', []
@@ -97,7 +97,7 @@ class Stepping:
                 and system.manifold is None and not self._effects.follows_time
                 and method.stabilisation not in ('baumgarte', 'independent')):
             self._derivatives = code = DerivativeCode(
-                self.data, system.qdd, system.lam, len(self.data._own))
+                self.data, system.qdd, system.lam, len(self.data.own))
             native.use_derivatives(system, AccelerationDerivatives(
                 code.table, code.columns, code.found, code.flows))
 
@@ -113,7 +113,7 @@ class Stepping:
 
     def require_known_steps(self, method: Method) -> None:
         """Refuse coordinates that the effects leave no room for."""
-        if self.data._motions and method.stabilisation == 'independent':
+        if self.data.motions and method.stabilisation == 'independent':
             raise SimulationError(
                 f'The scene prescribes motions ({", ".join(self.data.motion_names)}): '
                 'stabilisation: independent knows none. Take stabilisation: projection.')
@@ -125,7 +125,7 @@ class Stepping:
         if duration is None:
             data = self.data
             return self.advance(
-                data._spread if data._spread_torques(torque) else data.joint_torques(torque), 1)
+                data.spread if data.spread_torques(torque) else data.joint_torques(torque), 1)
         tau, size = self.data.joint_torques(torque), self.step_size
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
@@ -334,7 +334,7 @@ class Stepping:
     def _watch(self, method: Method, stiffness: StiffnessGuard) -> Watch:
         """Return the numbers by which the engine watches a run."""
         return watch(method, stiffness.among_laws, self.data.loop_model.may_leave_out,
-                     len(self._windings()) > 0, extent(self.data.mechanism), self.data._mass)
+                     len(self._windings()) > 0, extent(self.data.mechanism), self.data.mass)
 
     def _windings(self) -> np.ndarray:
         """Return the places of windings of cables among the data of effects."""
@@ -351,13 +351,13 @@ class Stepping:
         native.require_free(data.system.native)
         if data.exchanges:
             data.use_equations(
-                data.loop_model.as_at_first() if data._may_leave_out(self.method)
+                data.loop_model.as_at_first() if data.may_leave_out(self.method)
                 else data.loop_model.select(None))
         data.exchanges = 0
         self.run.set_time(0.0, 0)
         data.forget_commands()
-        data._q[:], data._qd[:] = data._initial
-        data._own[:] = self._effects.initial
+        data.q[:], data.qd[:] = data.initial
+        data.own[:] = self._effects.initial
         self.run.rewind()
         native.forget(data.system)
         self.monitor.clear()
@@ -368,7 +368,7 @@ class Stepping:
         health[:] = 0.0
         health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
         data.system.passage[:] = 0.0
-        data._begin_loads()
+        data.begin_loads()
         if data.system.manifold is not None:
             self._state[-1] = 0.0
         self.run.begin()
@@ -380,7 +380,7 @@ class Stepping:
         return {
             'records': dict(effects.records), 'enabled': dict(effects.enabled),
             'choice': data.loop_model.choice, 'exchanges': data.exchanges,
-            'initial': data._initial, 'state': self.run.whole, 'base': self.run.base(),
+            'initial': data.initial, 'state': self.run.whole, 'base': self.run.base(),
             'residual': self.run.balance()['residual'], 'tau': data.system.tau.copy(),
             'memory': (self._delay_line, effects.sensors, effects.sensors_at_cuts),
             'pace': self.pace, 'sampling': self.monitor.sampling}
@@ -399,7 +399,7 @@ class Stepping:
         present, model = data.system.model, data.loop_model.take(choice)
         if model is not present:
             data.use_equations(model)
-        data.exchanges, data._initial = exchanges, initial
+        data.exchanges, data.initial = exchanges, initial
         self.run.begin()
         self.restore(state, 0.0, residual)
         self.run.set_time(*base)
@@ -515,8 +515,8 @@ class Stepping:
                 self.run.give_up()
         if goes_on:
             return
-        beyond = data._motions.advice_on_stopping(
-            data._assembler, self._q, data.time, self.step_size)
+        beyond = data.motions.advice_on_stopping(
+            data.assembler, self._q, data.time, self.step_size)
         if beyond:
             raise MotionError(
                 f'The motion cannot go on at t = {data.time:.9g} s; the state before is kept. '
@@ -539,7 +539,7 @@ class Stepping:
         present = self.data.system.passage.tobytes()
         if self._passage[0] != present:
             self._passage = present, list(change_points.finding(
-                self.data.mechanism, self.data._equations, self.data.system.passage))
+                self.data.mechanism, self.data.equations, self.data.system.passage))
         return self._passage[1]
 
     def require_bearable(self, tau: np.ndarray) -> None:
@@ -557,7 +557,7 @@ class Stepping:
         self.data.evaluate()
         system.tau[:] = before
         motion = np.abs(system.qdd).max(initial=0.0) * self.step_size ** 2
-        if not (motion <= LARGEST_MOTION and np.isfinite(self.data._table.rates).all()):
+        if not (motion <= LARGEST_MOTION and np.isfinite(self.data.table.rates).all()):
             raise NumericalError(
                 f'torque: expected torques that a step of {self.step_size:g} s can follow, got '
                 f'up to {largest_torque:.3g} (N m or N), by which a joint would move by '
@@ -570,19 +570,19 @@ class Stepping:
         """As ``Simulation.set_state``."""
         data = self.data
         native.require_free(data.system.native)
-        state = data._near(position, velocity, hold)
+        state = data.near(position, velocity, hold)
         data.choose_equations(state[0])
         if self.method.stabilisation == 'independent':
-            data._assembler.require_independent(state[0])
+            data.assembler.require_independent(state[0])
         self.require_step_from(*state)
         self.run.add_work()
         self.run.find_start()
         before = data.energy
-        data._q[:], data._qd[:] = state
-        self._effects.reset_states(data._own)
+        data.q[:], data.qd[:] = state
+        self._effects.reset_states(data.own)
         self.run.restart(True)
         self.run.jump()
-        data._begin_loads()
+        data.begin_loads()
         self.run.jump_balance(data.energy - before)
 
     def require_step_from(self, position: np.ndarray, velocity: np.ndarray) -> None:
@@ -626,15 +626,15 @@ class Stepping:
             undo()
             raise
         self.run.add_work()
-        data._own[restarted] = self._effects.initial[restarted]
+        data.own[restarted] = self._effects.initial[restarted]
         self.adopt_effects()
-        self._effects.begin_at_time(data._own, data.time)
-        if data.has_redundant_constraints and not data._may_leave_out(self.method):
+        self._effects.begin_at_time(data.own, data.time)
+        if data.has_redundant_constraints and not data.may_leave_out(self.method):
             data.use_equations(data.loop_model.select(None))
         self.run.restart(False)
         self.run.jump()
         if len(restarted):
-            data._begin_loads()
+            data.begin_loads()
         self.run.jump_balance(data.energy - before)
         if self._effects.records[name].depends_on_reactions:
             for note in data.load_notes():
@@ -672,10 +672,10 @@ class Stepping:
         ``undo`` leads back to the effects before; where the change is refused, it is to be called.
         """
         data, effects = self.data, self._effects
-        data._motions.require_continued(
+        data.motions.require_continued(
             name, effects.checked(name, enabled, parameters), enabled, data.time)
         restarted = effects.change(name, enabled, parameters)
-        data._require_finite_laws()
+        data.require_finite_laws()
         if effects.records[name].STIFFENS:
             try:
                 self.stiffness.check(self._state, self.step_size)
@@ -689,7 +689,7 @@ class Stepping:
 
     def command_motion(self, commands: Mapping[str, Tuple[Any, ...]]) -> None:
         """As ``Simulation.command_motion``."""
-        courses = self.data._motions.courses(commands, self.data.time)
+        courses = self.data.motions.courses(commands, self.data.time)
         for name, keys in courses.items():
             record = self._effects.checked(name, None, keys)
             fastest = max(abs(record.at(time)[1]) for time in instants(keys['times']))
@@ -753,7 +753,7 @@ class Stepping:
         self._require_closable(method.stabilisation)
         before, independent = (data.exchanges, self._methods), (
             method.stabilisation == 'independent')
-        needs_all = data.has_redundant_constraints and not data._may_leave_out(method)
+        needs_all = data.has_redundant_constraints and not data.may_leave_out(method)
         system = with_equations(
             data.system, data.loop_model.model_of(None)[0]) if needs_all else data.system
         system = with_partition(system, independent)
@@ -786,7 +786,7 @@ class Stepping:
                 f'The loops have drifted apart by {data.closure:.3g} m or rad: more than '
                 f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
         if stabilisation == 'independent':
-            data._assembler.require_independent(data._q)
+            data.assembler.require_independent(data.q)
 
     def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
         data = self.data

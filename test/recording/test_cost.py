@@ -9,6 +9,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording import cost
 from closedloop_dynamics.recording.cost import allowance, Cost, in_windows, probe
+from closedloop_dynamics.simulation.stepping import Stepping
 import pytest
 
 
@@ -109,17 +110,17 @@ def test_the_companion_costs_in_its_windows_alone():
 
 def test_a_short_probe_knows_that_windows_end(monkeypatch):
     # Cost by evaluations; the probe ends within the first window, where they are twice as many.
-    simulation = Simulation.from_scene('three_rrr')
     real = cost.time.process_time
     clock = [0.0]
 
-    def counted(tau, steps):
-        before = sum(simulation.stepping.monitor.work)
-        advance(tau, steps)
-        clock[0] += 1e-6 * (sum(simulation.stepping.monitor.work) - before)
+    def counted(self, tau, steps):
+        before = sum(self.monitor.work)
+        advance(self, tau, steps)
+        clock[0] += 1e-6 * (sum(self.monitor.work) - before)
 
-    advance = simulation.advance
-    monkeypatch.setattr(simulation, 'advance', counted)
+    advance = Stepping.advance
+    monkeypatch.setattr(Stepping, 'advance', counted)
+    simulation = Simulation.from_scene('three_rrr')
     monkeypatch.setattr(cost.time, 'process_time', lambda: clock[0])
     found, _ = probe(simulation, 20.0, 100.0, [5.0, -3.0, 2.0], longest=1e-3)
     monkeypatch.setattr(cost.time, 'process_time', real)

@@ -141,7 +141,7 @@ def test_state_that_leaves_the_finite_numbers_stops_and_publishes_nothing_false(
 
 def test_forces_that_are_not_finite_are_not_published(node, monkeypatch):
     monkeypatch.setattr(
-        type(node.simulation), 'constraint_forces', np.full((2, 3), np.nan))
+        type(node.simulation.data), 'constraint_forces', np.full((2, 3), np.nan))
     advance(node, 0.01)
     assert node.exit_code == 1
     assert node.seen == []

@@ -13,6 +13,7 @@ import warnings
 import closedloop_dynamics as cld
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.config import shipped_names
+from closedloop_dynamics.simulation.model import begins
 import numpy as np
 import pytest
 
@@ -359,7 +360,7 @@ def test_a_rollout_from_where_effects_have_gone_on_is_refused():
     run = cld.Simulation(model)
     run.step(duration=0.2)
     state = run.snapshot()
-    assert model._begins(model.assemble()) and not model._begins(state)
+    assert begins(model, model.assemble()) and not begins(model, state)
     with pytest.raises(ValueError, match='rollout: expected states in which the effects begin'):
         cld.rollout(model, state)
 

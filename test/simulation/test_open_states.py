@@ -3,9 +3,12 @@
 
 """States that leave loops open are refused wherever they come in, with the loop and the gap."""
 
+from functools import partial
+
 from closedloop_dynamics import AssemblyError, Model, rollout, Sensitivity, Simulation, State
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics.simulation.model import begins
 import numpy as np
 import pytest
 
@@ -47,7 +50,7 @@ def ways_in(model, state):
         'inverse': lambda: model.inverse(state, np.zeros_like(state.qd)),
         'inertia': lambda: model.inertia(state),
         'constraint_jacobian': lambda: model.constraint_jacobian(state),
-        'begins': lambda: model._begins(state),
+        'begins': lambda: begins(model, state),
         'solve': lambda: model.solve({model.joint_names[0]: 0.1}, branch=state),
         'evaluator': evaluated,
         'simulation': lambda: Simulation(model, state),
@@ -80,7 +83,7 @@ def test_open_states_are_refused_with_the_loop_and_the_gap(scene):
             pytest.fail(name)
         assert any(f'cut_joints.{loop} ' in str(refused.value) for loop in loops), name
     batch = State.stack([model.assemble(), state])
-    for use in (model.evaluate, model.inertia, model._begins,
+    for use in (model.evaluate, model.inertia, partial(begins, model),
                 lambda states: rollout(model, states, steps=2),
                 lambda states: model.state(states.q, states.qd)):
         with pytest.raises(AssemblyError, match='state 1: state: expected one that closes'):

@@ -108,11 +108,11 @@ def twins(simulation):
         pickle.dumps(simulation))
 
 
-@pytest.mark.parametrize('integrator', ['rk4', 'auto', 'rodas4'])
+@pytest.mark.parametrize('integrator', ['rk4', 'auto', 'rodas4', 'dop853'])
 @pytest.mark.parametrize('scene', ['four_bar', 'three_rrr_payload_friction', 'bennett'])
 def test_copies_go_on_as_the_simulation_does(scene, integrator):
     try:
-        simulation = Simulation.from_scene(scene, integrator=integrator)
+        simulation = Simulation.from_scene(scene, integrator=integrator, tolerance=1e-9)
     except SimulationError:
         pytest.skip('an integrator that does not serve this scene')
     torque = np.linspace(0.02, 0.05, len(simulation.actuated_joints))
@@ -133,7 +133,7 @@ def test_copies_go_on_as_the_simulation_does(scene, integrator):
     for one in copies:
         assert one.energy_balance == simulation.energy_balance
         np.testing.assert_array_equal(one.state, simulation.state)
-    # The error control of what was pickled begins again, and keeps its tolerance.
+    # The error control of what was pickled begins again: a thousand tolerances of a step.
     tolerance = 0.0 if integrator == 'rk4' else 1e-6
     for one in (*copies, pickled):
         np.testing.assert_allclose(
@@ -177,12 +177,11 @@ def test_systems_are_pickled_as_what_they_are_built_from(scene):
 
 def test_what_scripts_see_is_little():
     simulation = Simulation.from_scene('four_bar')
-    for one, most in ((simulation, 30), (Model(simulation.scene), 20)):
+    for one, most in ((simulation, 30), (Model(simulation.scene), 21)):
         names = [name for name in dir(one) if not name.startswith('_')]
         assert len(names) <= most, names
     # Quantities of the present state are passed on, and nothing else.
     np.testing.assert_array_equal(simulation.acceleration, simulation.data.acceleration)
     for name in Simulation.__annotations__:
         getattr(simulation, name)
-    with pytest.raises(AttributeError, match="'Simulation' object has no attribute 'system'"):
-        simulation.data.system
+    assert not hasattr(simulation, 'system')

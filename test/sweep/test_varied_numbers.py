@@ -34,13 +34,13 @@ def values_near(scene, key, rng, count):
 def varied(monkeypatch):
     """Count how often numbers were taken in place."""
     taken = []
-    vary = Simulation._vary
+    vary = Simulation.vary
 
     def watched(self, scene):
         taken.append(vary(self, scene))
         return taken[-1]
 
-    monkeypatch.setattr(Simulation, '_vary', watched)
+    monkeypatch.setattr(Simulation, 'vary', watched)
     return taken
 
 
