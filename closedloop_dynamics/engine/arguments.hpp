@@ -405,6 +405,9 @@ inline void mark(const System * system, bool works)
 /// leave something else in the memory of a system.
 template<auto Function>
 inline constexpr bool keeps_evaluation = false;
+/// Whether a function only reads numbers of a run, which other threads may show while it goes on.
+template<auto Function>
+inline constexpr bool only_reads = false;
 inline void outdate(const System * system)
 {
   if (system != nullptr) {
@@ -707,8 +710,10 @@ private:
   Result release_and_call()
   {
     // Under the interpreter lock, so that no other thread comes in between.
-    std::apply([&](auto & ... holder) {(check_free(system_in(holder), name), ...);}, arguments);
-    if constexpr (!keeps_evaluation<Function>) {
+    if constexpr (!only_reads<Function>) {
+      std::apply([&](auto & ... holder) {(check_free(system_in(holder), name), ...);}, arguments);
+    }
+    if constexpr (!keeps_evaluation<Function> && !only_reads<Function>) {
       std::apply([](auto & ... holder) {(outdate(system_in(holder)), ...);}, arguments);
     }
     if constexpr (Releases) {

@@ -378,6 +378,14 @@ inline constexpr bool keeps_evaluation<workspace_of> = true;
 template<>
 inline constexpr bool keeps_evaluation<&On<&Run::whole_length>::call> = true;
 template<>
+inline constexpr bool only_reads<&Of<&Run::time>::call> = true;
+template<>
+inline constexpr bool only_reads<&Of<&Run::base>::call> = true;
+template<>
+inline constexpr bool only_reads<&Of<&Run::report>::call> = true;
+template<>
+inline constexpr bool only_reads<&Of<&Run::steps>::call> = true;
+template<>
 inline constexpr bool keeps_evaluation<&In<&Run::write_whole>::call> = true;
 
 namespace

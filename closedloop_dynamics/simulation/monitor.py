@@ -14,6 +14,9 @@ from ..integration.registry import AUTO, FIXED, INTEGRATORS
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
+# Rounding errors that two runs may have in common next to a singular configuration [rad or m]: in
+# random passages of Peaucellier's linkage, whose motion is known, up to 4e-11.
+COMMON_ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
@@ -195,8 +198,8 @@ class Monitor:
             if singular:
                 # Next to a singular configuration rounding errors grow, and a smaller tolerance
                 # makes them no smaller: the run's own may be all of the distance.
-                bound /= CLOSER
-                present /= CLOSER
+                bound = max(bound / CLOSER, COMMON_ROUNDING)
+                present = max(present / CLOSER, COMMON_ROUNDING)
             if bound > KEPT * self._method.accuracy:
                 cause = (
                     'as the motion came next to a singular configuration, where rounding errors '

@@ -205,6 +205,7 @@ class Stepper:
         self._run = (run, allocate_scratch(system, tableau), tape, self._derivatives.routines,
                      self._beside)
         self._calls: Dict[float, Any] = {}
+        self._call: Any = None
 
     def _choose(self, q: np.ndarray, qd: np.ndarray, own: Optional[Sequence[int]]) -> None:
         """Take independent coordinates, by their places; those that move most where not given."""

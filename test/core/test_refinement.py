@@ -180,8 +180,8 @@ def test_a_scene_with_a_massless_link_is_refined_by_routines(name, body):
         for mass, inertia in ((0.0, 0.0), (1e-9, 1e-12 * np.array(
             1.0 if scene.mechanism.planar else (1.0, 1.0, 1.0))))]
     massless, lightest = map(Simulation, light)
-    assert set(codegen.REFINED) < set(massless.system.routines)
-    assert set(codegen.REFINED) < set(deepcopy(massless.system).routines)
+    assert set(codegen.REFINED) < set(massless.data.system.routines)
+    assert set(codegen.REFINED) < set(deepcopy(massless.data.system).routines)
     assert not set(codegen.REFINED) & set(Simulation(scene).data.system.routines)
     for _ in range(3):
         q, qd = massless.position, massless.velocity
@@ -192,4 +192,4 @@ def test_a_scene_with_a_massless_link_is_refined_by_routines(name, body):
         for simulation in (massless, lightest):
             simulation.step(duration=0.02)
         np.testing.assert_allclose(massless.position, lightest.position, rtol=0, atol=1e-7)
-    assert massless.system.work.health[RANK_REVEALING_COUNT] == 0
+    assert massless.data.system.work.health[RANK_REVEALING_COUNT] == 0

@@ -350,7 +350,8 @@ def test_loops_that_close_to_the_digits_of_lengths_are_closed(tmp_path, digits, 
         # The energy balance is that of accuracy 1e-6.
         assert abs(simulation.energy_balance.residual) < 1e-8
     np.testing.assert_allclose(found.position, meant.position, rtol=0.0, atol=near)
-    told = [note for note in found.data.start_notes() if 'and nowhere better: taken as closed' in note]
+    told = [note for note in found.data.start_notes()
+            if 'and nowhere better: taken as closed' in note]
     assert len(told) == (digits < 12)
     assert not any('nowhere better' in note for note in meant.data.start_notes())
 
