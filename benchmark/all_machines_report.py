@@ -149,10 +149,9 @@ def compared(results, rate):
 def by_default(path):
     """Return the sentence of README.md on the default method beside others."""
     ratios = compared(Results(path), 0)
-    return (f'By the default method, which checks its error in the same time, it is '
-            f'{spread(ratios)} times (median {spread([median(ratios)])}) on the {len(ratios)} '
-            'machines that others can be told and reach 1e-6 on '
-            '([machine by machine](doc/accuracy_machines.md)).')
+    return (f'The default method with its own error check is {spread(ratios)} times faster '
+            f'(median {spread([median(ratios)])}) on the {len(ratios)} machines that others can '
+            'express and follow to 1e-6 ([each](doc/accuracy_machines.md)).')
 
 
 def summary(results):
