@@ -46,7 +46,11 @@ class View:
             plant = self._plant
             torque = plant.torque(self.command, self.numbers)[:len(
                 plant.kinematic.actuated_joints)]
-            self.acceleration, lam = plant.kinematic.forward_dynamics(self.q, self.qd, torque)
+            data = plant.kinematic
+            self.acceleration, lam = data.forward_dynamics(self.q, self.qd, torque)
+            if len(lam) > len(data.system.lam):
+                # Of the equations that are not left out, on which the derivatives are.
+                lam = data.system.lam.copy()
             self._seen = self._code()(self.q, self.qd, self.acceleration, lam, plant.seeds(
                 self.q, self.basis, self.numbers))
         return self._seen

@@ -175,6 +175,19 @@ def test_wrong_length_is_named(model):
     assert abs(first.value - 0.004) < 0.1 * 0.004
 
 
+@pytest.mark.parametrize('scene', ['bennett', 'bricard'])
+def test_redundant_machines_are_estimated_but_for_forces_that_are_not_unique(scene):
+    model = cld.Model.from_scene(scene)
+    joint = model.mechanism.joint_names[0]
+    estimator = Estimator(model, [JointSensor('encoder', joint=joint, deviation=1e-3)])
+    estimator.advance(0.02)
+    found = estimator.estimate()
+    assert found.joint_forces.names == ()
+    assert np.isfinite(found.accelerations.deviation).all()
+    now = model.evaluate(found.state)
+    np.testing.assert_allclose(found.accelerations.value, now.acceleration, rtol=0.0, atol=1e-6)
+
+
 @pytest.mark.parametrize('share, alarmed', [(1.0, False), (1.5, True)])
 def test_other_masses_raise_an_alarm(model, share, alarmed):
     other = model.with_parameters({'mechanism.bodies.platform.mass': 8.0 * share})

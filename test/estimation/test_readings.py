@@ -68,6 +68,17 @@ def spatial_case():
     return model, sensors, unknowns
 
 
+def redundant_case():
+    """Return those of Bennett's linkage whose readings do not need forces that are not unique."""
+    model = cld.Model.from_scene('bennett')
+    joint, body = model.mechanism.joint_names[0], model.mechanism.joints[-1].child
+    sensors = [
+        JointSensor('angle', joint=joint, deviation=1.0),
+        ImuSensor('imu', body=body, gyroscope=1.0, accelerometer=1.0, position=(0.1, 0.2, 0.0)),
+        PoseSensor('tracker', body=body, deviation=1.0, angle=1.0)]
+    return model, sensors, [JointTorque('motor', joint=joint, deviation=1.0)]
+
+
 def moving(model, sensors, unknowns):
     """Return an estimator in a state that moves, with numbers that are not zero."""
     estimator = Estimator(model, sensors, unknowns, Noise(1.0))
@@ -81,7 +92,7 @@ def moving(model, sensors, unknowns):
     return estimator, estimator.filter.moved(now, change)
 
 
-@pytest.mark.parametrize('case', [planar_case, spatial_case])
+@pytest.mark.parametrize('case', [planar_case, spatial_case, redundant_case])
 def test_slopes_equal_differences(case):
     estimator, now = moving(*case())
     filter_, names = estimator.filter, list(estimator.readable)
