@@ -385,7 +385,7 @@ def of_mujoco(motions, _, scene, gravity, rounds):
     try:
         model = mujoco.MjModel.from_xml_string(mjcf(mechanism, effects, left_out=left))
     except MechanismError as error:
-        raise CannotExpress(f'by our writer of MJCF: {error}') from error
+        raise NotAdapted(error) from error
     left = [name for name in left if effects[name]['type'] != 'gravity']
     if left:
         raise CannotExpress(f'effects ({", ".join(left)})')
