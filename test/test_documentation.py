@@ -297,6 +297,8 @@ def test_site_is_built_without_a_broken_link(tmp_path):
     reference = (tmp_path / 'reference.html').read_text()
     assert 'inverse_dynamics' in reference and ':::' not in reference
     assert 'inverse_dynamics' in (tmp_path / 'search' / 'search_index.json').read_text()
+    # The box that chooses among versions.
+    assert '"version": {"provider": "mike"}' in reference
     # Nothing is loaded from elsewhere.
     sources = re.findall(r'(?:src|href)="(https?://[^"]+)"[^>]*>', re.sub(
         r'<a [^>]*>', '', reference))
