@@ -34,10 +34,15 @@ def again(system, q, qd):
     return lambda count: native.evaluate_again(system.native, state, count)
 
 
+def system_of(simulation):
+    """Return the engine's data of a simulation, which had them itself in earlier commits."""
+    return getattr(simulation, 'data', simulation).system
+
+
 def evaluation(scene):
     """Return one evaluation of the accelerations inside compiled code."""
     one = Simulation.from_scene(scene)
-    return again(one.data.system, one.position, one.velocity)
+    return again(system_of(one), one.position, one.velocity)
 
 
 def python_call(scene):
@@ -79,7 +84,7 @@ def beside_flat(loops, tilt):
     from closedloop_dynamics.simulation.scene_records import Method
     from closedloop_dynamics.studies.hard_machines import ladder, scene
     one = Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method()))
-    return again(one.data.system, one.position, one.velocity)
+    return again(system_of(one), one.position, one.velocity)
 
 
 def rollouts(scene):
