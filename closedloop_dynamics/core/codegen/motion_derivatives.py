@@ -9,7 +9,7 @@ force: the acceleration less gravity, as an accelerometer has it; of joints the 
 follow from q, qd, tau and parameters, accelerations and multipliers by the equations of motion.
 """
 
-from .function_table import LAM, QDD
+from .function_table import QDD
 from .scene_routines import POINT
 from .sensitivities import SensitivityTrace
 from .vectors import add, cross, in_space, times
@@ -45,16 +45,9 @@ class MotionTrace(SensitivityTrace):
         found = []
         for row, point in zip(self._bodies, points):
             found += self._seen(row, in_space(point), rates[row])
-        for row, origin in zip(self._rows, points[len(self._bodies):]):
-            if row > 0:
-                found += self._at(row, wrenches[row], origin)
-        for cut in self._cuts:
-            found += self._at(*self.cut_wrench(cut))
-        self.prepare()
-        solved = [*self.symbols(QDD, (self.nv,)), *self.symbols(LAM, (self.nc,))]
-        changes = self._forward([*own, *closed], True)
-        return self.returned('motion', [*changes[:self.nv], *found, *self._changes(found, {
-            one.place: change for one, change in zip(solved, changes)})])
+        found += self._in_world(wrenches, points[len(self._bodies):])
+        solved, changes = self._changes_in_motion(found, [*own, *closed])
+        return self.returned('motion', [*solved[:self.nv], *found, *changes])
 
     def _accelerations(self):
         """Return angular acceleration and specific force of the origins of all bodies."""

@@ -129,17 +129,27 @@ class SensitivityTrace(DerivativeTrace):
     def _wrenches(self):
         """Return the wrenches in joints, in world axes, and their changes."""
         own, wrenches, closed = self._balanced()
-        found, origins = [], self.symbols(POINT, (len(self._rows), 3))
+        found = self._in_world(wrenches, self.symbols(POINT, (len(self._rows), 3)))
+        _, changes = self._changes_in_motion(found, [*own, *closed])
+        return [*found, *changes]
+
+    def _in_world(self, wrenches, origins):
+        """Return the numbers of the wrenches in joints, at their origins, and in cut joints."""
+        found = []
         for row, origin in zip(self._rows, origins):
             if row > 0:
                 found += self._at(row, wrenches[row], origin)
         for cut in self._cuts:
             found += self._at(*self.cut_wrench(cut))
+        return found
+
+    def _changes_in_motion(self, values, residuals):
+        """Return changes of accelerations and multipliers, and of values that follow from them."""
         self.prepare()
         solved = [*self.symbols(QDD, (self.nv,)), *self.symbols(LAM, (self.nc,))]
-        changes = self._forward([*own, *closed], True)
-        return [*found, *self._changes(found, {
-            one.place: change for one, change in zip(solved, changes)})]
+        changes = self._forward(residuals, True)
+        return changes, self._changes(values, {
+            one.place: change for one, change in zip(solved, changes)})
 
     def _at(self, row, wrench, point):
         """Return a wrench on a body about a point of it."""
