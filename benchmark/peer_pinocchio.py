@@ -5,9 +5,9 @@
 Pinocchio (Carpentier et al.), for the comparison in peers.py.
 
 A library of rigid-body algorithms, without integrators of its own: constraintDynamics is called
-from Python (a time loop of our own, SciPy's DOP853; in the plane) and, where a C++ compiler and
-the headers of Eigen are found, from loops in C++ (pinocchio_motion.hpp) with Boost's integrators.
-In space lcaba, its algorithm over the bodies, too.
+from Python (in the plane, by SciPy's DOP853) and from loops in C++ (pinocchio_motion.hpp) with
+Boost's integrators, which need a C++ compiler and the headers of Eigen. In space lcaba, its
+algorithm over the bodies, too.
 """
 
 from model_pinocchio import ACCURACY, Pinocchio, SETTINGS

@@ -31,6 +31,7 @@ for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
 from machine import description, ROOT  # noqa: E402,I100
 import numpy as np  # noqa: E402
 import peer_cases  # noqa: E402
+from peer_errors import NotAdapted  # noqa: E402
 import peer_report  # noqa: E402
 import throughput  # noqa: E402
 from tqdm import tqdm  # noqa: E402
@@ -109,6 +110,8 @@ def engines(scene, chosen):
             result.append(importlib.import_module(name).Engine(scene))
         except ImportError as error:
             print(f'{name} is left out: {error}. pip install -e .[bench] installs all.')
+        except NotAdapted as error:
+            print(f'{name} is left out: {error}')
     return result
 
 
