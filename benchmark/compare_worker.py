@@ -71,7 +71,7 @@ def large_ladder():
     """Return one evaluation of a ladder of 201 joints."""
     from closedloop_dynamics.integration.system import build_system
     from closedloop_dynamics.simulation.modeling import build_model
-    from closedloop_dynamics.studies.families import ladder
+    from families import ladder
     mechanism, position = ladder(100)
     system = build_system(build_model(mechanism))
     # All cranks turn alike: the rates close the loops, too.
@@ -82,7 +82,7 @@ def large_ladder():
 def beside_flat(loops, tilt):
     """Return one evaluation of a ladder of parallelograms so far from flat [rad]."""
     from closedloop_dynamics.simulation.scene_records import Method
-    from closedloop_dynamics.studies.hard_machines import ladder, scene
+    from hard_machines import ladder, scene
     one = Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method()))
     return again(system_of(one), one.position, one.velocity)
 

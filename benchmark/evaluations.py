@@ -24,7 +24,7 @@ from closedloop_dynamics.engine import native  # noqa: E402,I100
 from closedloop_dynamics.integration.system import number_of_states  # noqa: E402
 from closedloop_dynamics.simulation.scene_records import Method  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies import hard_machines as machines  # noqa: E402
+import hard_machines as machines  # noqa: E402
 
 # Of a regular position, then of those beside a singular one [rad].
 REGULAR, DISTANCES = 0.6, (0.0099, 3e-3, 1e-3, 1e-4, 1e-6, 0.0)

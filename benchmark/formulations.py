@@ -20,8 +20,8 @@ import statistics
 import sys
 import time
 
-import numpy as np
 from machine import ROOT
+import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
@@ -32,7 +32,7 @@ from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies.families import chain, ladder  # noqa: E402
+from families import chain, ladder  # noqa: E402
 from formulation_errors import exact_dynamics  # noqa: E402
 from test.reference.formulations import Dense, FORMULATIONS as DENSE  # noqa: E402
 

@@ -39,7 +39,7 @@ def simulation_of(family, size, **method):
     """Return a simulation of a member of a family."""
     from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
     from closedloop_dynamics.simulation.simulation import Simulation
-    from closedloop_dynamics.studies import families
+    import families
     mechanism, position = getattr(families, family)(size)
     return Simulation(Scene(
         family, None, '', mechanism, Initial(tuple(position), (0.0,) * len(position)), {},

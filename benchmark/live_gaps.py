@@ -37,9 +37,9 @@ from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import write_scene
-from closedloop_dynamics.studies.families import ladder
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE as FRAMES, Runner
+from families import ladder
 from geometry_msgs.msg import WrenchStamped
 from machine import description
 from node_rate import start, Subscriber

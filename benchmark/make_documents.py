@@ -57,7 +57,7 @@ def measure_stability(checkout, quick):
     """Run the hard cases with every method, and write doc/stability_cases.md and its picture."""
     with TemporaryDirectory() as folder:
         subprocess.run(
-            [sys.executable, '-m', 'closedloop_dynamics.cli', 'stability', '--output', folder,
+            [sys.executable, ROOT / 'benchmark' / 'stability.py', '--output', folder,
              *(['--quick'] if quick else [])], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
         shutil.copy(Path(folder, 'stability.csv'), checkout / 'doc' / 'pictures')
     runpy.run_path(str(checkout / 'doc' / 'make_stability_cases.py'), run_name='__main__')

@@ -35,8 +35,8 @@ from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import load_scene, scene_names  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.simulation.tree_choice import MOST_JOINTS  # noqa: E402
-from closedloop_dynamics.studies.families import ladder  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
+from families import ladder  # noqa: E402
 
 FUSED = 'multiply and add'
 # Signs of the kinds in tables.

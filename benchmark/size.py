@@ -30,8 +30,8 @@ from closedloop_dynamics.integration.system import build_system  # noqa: E402
 from closedloop_dynamics.mechanism.decomposition import decompose  # noqa: E402
 from closedloop_dynamics.mechanism.validation import validate_mechanism  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
-from closedloop_dynamics.studies.families import chain, ladder, star  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
+from families import chain, ladder, star  # noqa: E402
 
 # Label: builder, and its sizes for 10 to 10,000 joints.
 FAMILIES = {

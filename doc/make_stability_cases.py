@@ -5,15 +5,17 @@
 Write ``doc/stability_cases.md`` and its picture: every hard case, its criteria and its results.
 
 The cases are those of the code, the results those of ``doc/pictures/stability.csv``, which
-``closedloop stability --output`` writes.
+``python benchmark/stability.py --output`` writes.
 """
 
 import csv
 from pathlib import Path
+import sys
 
-from closedloop_dynamics.studies.hard_cases import CASES, Outcome, SKIPPED
-from closedloop_dynamics.studies.stability import METHODS, stability_atlas, table
-from closedloop_dynamics.visual.tables import markdown_table
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'benchmark'))
+
+from hard_cases import CASES, Outcome, SKIPPED  # noqa: E402
+from stability import markdown_table, METHODS, stability_atlas, table  # noqa: E402
 
 PAGE = Path(__file__).with_name('stability_cases.md')
 RESULTS = PAGE.parent / 'pictures' / 'stability.csv'
@@ -22,7 +24,7 @@ HEAD = """\
 
 Written by `python doc/make_stability_cases.py` from the cases in the code and the results of
 
-    closedloop stability --output results      # a quarter of an hour; --quick takes a minute
+    python benchmark/stability.py --output results   # a quarter of an hour; with --quick a minute
 
 [stability.md](stability.md) says what the results mean for a user.
 

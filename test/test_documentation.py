@@ -30,7 +30,7 @@ import time
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.ros.programs import FUNCTIONS, Program
-from closedloop_dynamics.studies.hard_cases import CASES
+from hard_cases import CASES
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]

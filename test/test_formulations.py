@@ -16,7 +16,7 @@ from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.studies.accuracy import Line, study_accuracy
 from closedloop_dynamics.studies.accuracy_report import title, work_precision
-from closedloop_dynamics.studies.families import chain, ladder
+from families import chain, ladder
 import numpy as np
 import pytest
 
@@ -27,8 +27,8 @@ if not BENCHMARKS.is_dir():
     pytest.skip('not in a source checkout', allow_module_level=True)
 sys.path.insert(0, str(BENCHMARKS))
 
-import formulations  # noqa: E402,I100
-from formulation_errors import exact_dynamics  # noqa: E402
+from formulation_errors import exact_dynamics  # noqa: E402,I100
+import formulations  # noqa: E402
 from formulations import (  # noqa: E402
     exponent, growing_case, main, Row, scene_case, study_formulations, study_scenes, VARIANTS)
 from formulations_report import growth, growth_text, table  # noqa: E402

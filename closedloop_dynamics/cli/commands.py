@@ -21,16 +21,16 @@ from ..simulation.signals import Interrupted, program_watch
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
     'accuracy', 'animate', 'check', 'compare', 'effects', 'estimate', 'export', 'forces',
     'identify', 'import', 'kinematics', 'list', 'modes',
-    'optimise', 'plot', 'replay', 'report', 'simulate', 'stability', 'sweep',
-    'synthesise', 'urdf', 'view', 'workspace')}
+    'optimise', 'plot', 'replay', 'report', 'simulate', 'sweep', 'synthesise',
+    'urdf', 'view', 'workspace')}
 
 # Commands of earlier versions, and what serves in their place.
 GONE = {
     **{name: 'doc/examples/derived_machines of the sources writes such scenes: `python '
              f'doc/examples/derived_machines {name} --help`'
        for name in ('cognates', 'invert', 'mirror')},
-    'formulations': 'benchmark/formulations.py of the sources makes this study: `python '
-                    'benchmark/formulations.py --help`',
+    **{name: f'benchmark/{name}.py of the sources makes this study: `python benchmark/{name}.py '
+             '--help`' for name in ('formulations', 'stability')},
     'recover': 'killed recordings are read as they are; an MCAP file gets its index back, and '
                'loses what is damaged, by `mcap recover FILE -o NEW`, a bag its metadata.yaml by '
                '`ros2 bag reindex BAG`'}

@@ -9,7 +9,7 @@ from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.studies.families import chain, ladder, star
+from families import chain, ladder, star
 import numpy as np
 import pytest
 

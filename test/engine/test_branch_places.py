@@ -8,7 +8,7 @@ import math
 
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines as machines
+import hard_machines as machines
 import numpy as np
 import pytest
 

@@ -20,7 +20,7 @@ from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.studies.families import ladder
+from families import ladder
 
 mechanism, position = ladder(1000)
 system = build_system(build_model(validate_mechanism(mechanism)))

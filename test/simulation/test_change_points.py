@@ -13,7 +13,7 @@ from closedloop_dynamics.simulation.change_points import branches_apart
 from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines
+import hard_machines
 import numpy as np
 import pytest
 

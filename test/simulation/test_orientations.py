@@ -22,12 +22,12 @@ from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
-from closedloop_dynamics.studies.spinning_bodies import (
-    free_body, LEAN, LEVER, MOMENTS, nutation, SPIN)
 from closedloop_dynamics.visual.trajectory import from_rows
 import numpy as np
 import pytest
 from scipy.integrate import quad, simpson
+from spinning_bodies import (
+    free_body, LEAN, LEVER, MOMENTS, nutation, SPIN)
 
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree

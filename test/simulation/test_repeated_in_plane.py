@@ -17,8 +17,8 @@ from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines as machines
 from closedloop_dynamics.studies.check import describe
+import hard_machines as machines
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -19,8 +19,8 @@ from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.second_order import (
     find_degrees_of_freedom, find_second_order)
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines
 from closedloop_dynamics.studies.check import describe
+import hard_machines
 import numpy as np
 import pytest
 

@@ -21,7 +21,7 @@ from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines as machines
+import hard_machines as machines
 import numpy as np
 import pytest
 

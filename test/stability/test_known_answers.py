@@ -12,8 +12,8 @@ from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import (
-    hard_cases, hard_machines as machines)
+import hard_cases
+import hard_machines as machines
 import numpy as np
 import pytest
 

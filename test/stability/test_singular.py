@@ -12,8 +12,8 @@ from closedloop_dynamics.simulation.errors import ClosureError, NumericalError, 
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_machines as machines
-from closedloop_dynamics.studies.hard_cases import light_cart
+from hard_cases import light_cart
+import hard_machines as machines
 import numpy as np
 import pytest
 

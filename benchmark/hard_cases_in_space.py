@@ -6,13 +6,12 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics.mechanism.rotations import of_quaternion
+from hard_machines import started
 import numpy as np
-
-from .hard_machines import started
-from .spinning_bodies import (
+from spinning_bodies import (
     ACROSS, ALONG, free_body, LEVER, MOMENTS, norm_error, nutation, one_body, SPIN, top, TOP_MASS,
     TURNS)
-from ..mechanism.rotations import of_quaternion
 
 # Of the corner of Bricard's linkage after a second: two independent solvers agree on it [m].
 BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)

@@ -6,16 +6,16 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics.effects.body_contact import BodyContact
+from closedloop_dynamics.effects.cable import Cable
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
+from closedloop_dynamics.simulation.simulation import Simulation
+from hard_machines import scene, started
 import numpy as np
-
-from .hard_machines import scene, started
-from ..effects.body_contact import BodyContact
-from ..effects.cable import Cable
-from ..effects.contact import Contact
-from ..effects.end_stop import EndStop
-from ..effects.joint_spring import JointSpring
-from ..mechanism.mechanism import Body, Joint, Mechanism, Point, PRISMATIC, REVOLUTE
-from ..simulation.simulation import Simulation
 
 # Mass of a ball [kg], and where it flies from [m].
 MASS, START = 0.5, -0.5

@@ -6,16 +6,15 @@
 from dataclasses import replace
 import math
 
-import numpy as np
-
-from ..effects.gravity import Gravity
-from ..formats.in_space import in_space as lifted
-from ..mechanism.mechanism import (
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.formats.in_space import in_space as lifted
+from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
-from ..mechanism.rotations import composed, of_quaternion
-from ..simulation.scene import load_scene
-from ..simulation.scene_records import Initial, Scene
-from ..simulation.simulation import Simulation
+from closedloop_dynamics.mechanism.rotations import composed, of_quaternion
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
 
 G = 9.81
 # Direction of the ground: the world's axes must play no part.

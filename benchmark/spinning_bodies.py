@@ -5,13 +5,12 @@
 
 import math
 
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
+from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+from hard_machines import G
 import numpy as np
-
-from .hard_machines import G
-from ..effects.gravity import Gravity
-from ..mechanism.mechanism import Body, Joint, Mechanism
-from ..simulation.scene_records import Initial, Scene
-from ..simulation.simulation import Simulation
 
 # Angular velocity of the free body about the axis of the largest moment at the start [rad/s].
 TURNS = 10.0

@@ -7,28 +7,27 @@ from dataclasses import dataclass, replace
 import math
 from typing import Callable
 
-import numpy as np
-
-from .hard_cases_at_contacts import AT_CONTACTS
-from .hard_cases_in_space import IN_SPACE
-from .hard_machines import (
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.integration.control import SHARE
+from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
+from closedloop_dynamics.simulation.errors import SimulationError, StiffnessError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+from hard_cases_at_contacts import AT_CONTACTS
+from hard_cases_in_space import IN_SPACE
+from hard_machines import (
     bar, change_point_linkage, doubled, G, gravity, gravity_in_space, hinge, in_space, ladder,
     ladder_energy, off_the_branch, pantograph, pantograph_motion, scene, started, three_rockers,
     welded_twice, with_masses)
-from ..effects.contact import Contact
-from ..effects.external_force import ExternalForce
-from ..effects.joint_damping import JointDamping
-from ..effects.joint_friction import JointFriction
-from ..effects.joint_spring import JointSpring
-from ..effects.point_spring import PointSpring
-from ..integration.control import SHARE
-from ..integration.registry import FIXED, INTEGRATORS
-from ..mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
-from ..simulation.errors import SimulationError, StiffnessError
-from ..simulation.scene import load_scene
-from ..simulation.scene_records import Initial, Method, Scene
-from ..simulation.simulation import Simulation
+import numpy as np
 
 ACCURATE, DEGRADED, REFUSED, UNSTABLE, SKIPPED = (
     'accurate', 'degraded but stable', 'refused with reason', 'unstable', 'not run')

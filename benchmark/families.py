@@ -5,8 +5,8 @@
 
 import math
 
-from .hard_machines import bar
-from ..mechanism.mechanism import CutJoint, GROUND, Joint, Mechanism, REVOLUTE
+from closedloop_dynamics.mechanism.mechanism import CutJoint, GROUND, Joint, Mechanism, REVOLUTE
+from hard_machines import bar
 
 
 def ladder(loops, angle=0.5):

@@ -1,15 +1,34 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The stability atlas: every hard case with every method, as tables and as a picture."""
+"""
+The stability atlas: every hard case with every method, as tables and as a picture.
 
+Hard cases are singular configurations, redundant loops, extreme scales, contradictory input, stiff
+scenes and long runs. Each cell is the worst figure of one case with one method, and what that
+means: accurate, degraded but stable, refused with a reason, or unstable: silently wrong.
+doc/stability_cases.md lists every case. Exit code 1 where the default method is unstable.
+"""
+
+import argparse
 import math
+from pathlib import Path
+import sys
+import warnings
 
-from .hard_cases import ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE
-from ..mechanism.extras import of_an_extra
-from ..simulation.scene_records import Method
-from ..visual.appearance import DOTS_PER_INCH
-from ..visual.tables import markdown_table, text_table, write_csv
+from machine import ROOT
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.mechanism.extras import of_an_extra  # noqa: E402,I100
+from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402
+from closedloop_dynamics.simulation.scene_records import Method  # noqa: E402
+from closedloop_dynamics.visual.appearance import DOTS_PER_INCH  # noqa: E402
+from closedloop_dynamics.visual.progress import parts_bar  # noqa: E402
+from closedloop_dynamics.visual.tables import (  # noqa: E402
+    markdown_table, text_table, write_csv)
+from hard_cases import (  # noqa: E402
+    ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE)
 
 METHODS = {
     'auto (default)': Method(),
@@ -134,3 +153,42 @@ def _cell(axes, column, row, outcome):
     text = {REFUSED: 'refused', SKIPPED: '-'}.get(outcome.status, f'{outcome.figure:.1e}')
     axes.text(column, row, text, ha='center', va='center', fontsize=8,
               color='white' if outcome.status == UNSTABLE else 'black')
+
+
+def main(arguments=None):
+    """Run the hard cases; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--output', type=Path, metavar='DIR',
+                        help='where to write stability.csv, stability_table.md and '
+                             'stability_atlas.png (default: only print)')
+    parser.add_argument('--quick', action='store_true',
+                        help='fewer trials and shorter runs of the default method, too')
+    parser.add_argument('--case', action='append', metavar='NAME', default=[],
+                        help='only the cases whose name contains this; may be repeated')
+    parser.add_argument('--default-only', action='store_true',
+                        help='only the default method, and RODAS4 for stiff scenes')
+    options = parser.parse_args(arguments)
+    cases = [case for case in CASES
+             if not options.case or any(word in case.name for word in options.case)]
+    if not cases:
+        parser.error(f'--case: expected a part of one of: {", ".join(one.name for one in CASES)}')
+    methods = {name: METHODS[name] for name in (DEFAULT, 'rodas4')
+               } if options.default_only else METHODS
+    # The table has the error of each method.
+    warnings.simplefilter('ignore', InaccuracyWarning)
+    with parts_bar('cells', 'stability') as progress:
+        atlas = study_stability(options.quick, cases, methods, progress)
+    print(table(atlas, cases, methods))
+    if options.output:
+        options.output.mkdir(parents=True, exist_ok=True)
+        write_files(atlas, options.output, cases, methods)
+        stability_atlas(atlas, cases, methods).savefig(options.output / 'stability_atlas.png')
+    failed = unstable(atlas)
+    if failed:
+        print(f'\nunstable with the default method: {", ".join(failed)}')
+    return 1 if failed else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
