@@ -9,21 +9,12 @@ from pathlib import Path
 import platform
 import subprocess
 
+from closedloop_dynamics.studies.published_benchmarks import processor
+
 ROOT = Path(__file__).resolve().parents[1]
 # Names the commit in the environment of benchmarks that a longer measurement runs.
 COMMIT = 'BENCHMARK_COMMIT'
 LIBRARIES = ('llvmlite', 'numpy', 'scipy')
-
-
-def processor():
-    """Return the name of the processor."""
-    try:
-        for line in Path('/proc/cpuinfo').read_text().splitlines():
-            if line.startswith('model name'):
-                return line.partition(':')[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 def commit():
