@@ -5,8 +5,8 @@
 Problems A01 to A05 of the IFToMM library of computational benchmark problems, solved.
 
 M. Gonzalez, D. Dopico, U. Lugris, J. Cuadrado, "A benchmarking system for MBS simulation
-software", Multibody System Dynamics 16 (2006). The error that the library compares is that of the energy
-balance; where a motion is known, so is the error of positions.
+software", Multibody System Dynamics 16 (2006). The error that the library compares is that of the
+energy balance; where a motion is known, so is the error of positions.
 """
 
 from dataclasses import dataclass, replace
