@@ -243,15 +243,17 @@ def main():
                         help='the file to make (default: in place; below build/ for a target '
                              'and with --sanitize)')
     parser.add_argument('--requirements', action='store_true',
-                        help='only print what pip must install before')
+                        help='only print what pip must install before, nothing where the engine is '
+                             'up to date')
     options = parser.parse_args()
     kind = '-'.join(filter(None, (OBJECTS.name, options.target, 'sanitize' * options.sanitize)))
     folder = OBJECTS.with_name(kind)
     output = options.output or (
         FOLDER if folder == OBJECTS else folder) / module(options.target)
+    needed = not fresh(output)
     if options.requirements:
-        print(*requirements())
-    elif not fresh(output):
+        print(*(requirements() if needed else ()))
+    elif needed:
         print('Compiling the engine: this takes about a minute', file=sys.stderr)
         try:
             build(output, folder, options.sanitize, options.target)
