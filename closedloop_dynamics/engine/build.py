@@ -243,8 +243,8 @@ def main():
                         help='the file to make (default: in place; below build/ for a target '
                              'and with --sanitize)')
     parser.add_argument('--requirements', action='store_true',
-                        help='only print what pip must install before, nothing where the engine is '
-                             'up to date')
+                        help='only print what pip must install before: nothing where the engine '
+                             'is up to date')
     options = parser.parse_args()
     kind = '-'.join(filter(None, (OBJECTS.name, options.target, 'sanitize' * options.sanitize)))
     folder = OBJECTS.with_name(kind)
