@@ -37,9 +37,9 @@ sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.ros.joint_states_node import JointStatesNode  # noqa: E402,I100
 from closedloop_dynamics.ros.process import build_executor  # noqa: E402
-from closedloop_dynamics.ros.programs import Programs  # noqa: E402
 from closedloop_dynamics.simulation.completion import Completion  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from programs import Programs  # noqa: E402
 
 SCENES = ('three_rrr_horizontal', 'delta_robot', 'humanoid_ankle', 'stewart_platform')
 

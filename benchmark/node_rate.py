@@ -31,8 +31,8 @@ from sensor_msgs.msg import JointState
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.ros.programs import Program  # noqa: E402,I100
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
+from programs import Program  # noqa: E402
 
 from test.ros.taker import Taker  # noqa: E402,I100
 

@@ -29,8 +29,8 @@ from test.ros.domains import reserve_domain
 import time
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.ros.programs import FUNCTIONS, Program
 from hard_cases import CASES
+from programs import FUNCTIONS, Program
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]

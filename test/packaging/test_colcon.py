@@ -14,7 +14,7 @@ from test.ros.domains import reserve_domain
 from xml.etree import ElementTree
 
 from closedloop_dynamics.engine.build import OBJECTS
-from closedloop_dynamics.ros.programs import Program
+from programs import Program
 import pytest
 
 pytest.importorskip('colcon_core', reason='colcon is not installed')

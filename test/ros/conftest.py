@@ -7,7 +7,7 @@ from test.ros.domains import reserve_domain
 from test.ros.listener import Listener
 import uuid
 
-from closedloop_dynamics.ros.programs import Programs
+from programs import Programs
 import pytest
 import rclpy
 

@@ -26,12 +26,15 @@ import time
 
 from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.process import build_executor
-from closedloop_dynamics.ros.programs import Programs
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'benchmark'))
+
+from programs import Programs  # noqa: E402
 
 SIMULATOR = 'closedloop_simulator'
 # Memory that allocators may take without anything leaking: at once, and per hour [bytes].

@@ -13,14 +13,14 @@ import time
 import uuid
 
 from closedloop_dynamics.control.references import Reference, Wave
-from closedloop_dynamics.ros import demo
-from closedloop_dynamics.ros.demo_drive import Aim, aim_of, drive_for, shipped_drives
-from closedloop_dynamics.ros.demo_report import (
-    compared, draw, not_representative, read_run, Run, summary, wanted_motion)
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.trajectory import Trajectory
+import demo
+from demo_drive import Aim, aim_of, drive_for, shipped_drives
+from demo_report import (
+    compared, draw, not_representative, read_run, Run, summary, wanted_motion)
 import numpy as np
 import pytest
 
@@ -38,8 +38,7 @@ class Demo:
         name, _, value = self._mark.partition('=')
         self.output = directory / 'output'
         self.process = subprocess.Popen(
-            [sys.executable, '-P', '-m', 'closedloop_dynamics.ros.demo', *arguments,
-             '--output', str(self.output)],
+            [sys.executable, ROOT / 'benchmark' / 'demo.py', *arguments, '--output', self.output],
             env={**os.environ, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1', name: value},
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             cwd=directory, start_new_session=True)

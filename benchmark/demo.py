@@ -21,14 +21,14 @@ import time
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording.errors import BagReadError, RecordingError
-from closedloop_dynamics.ros.demo_drive import (
-    aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
-from closedloop_dynamics.ros.demo_report import (
-    compared, draw, not_representative, read_run, summary)
-from closedloop_dynamics.ros.programs import POLL, ProgramError, Programs, READY
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
 from closedloop_dynamics.visual.progress import progress_to
+from demo_drive import (
+    aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
+from demo_report import (
+    compared, draw, not_representative, read_run, summary)
+from programs import POLL, ProgramError, Programs, READY
 
 DEFAULT_OUTPUT = 'demo_output'
 # The machines of the package's name, where no other is requested.
