@@ -15,13 +15,13 @@ import re
 from closedloop_dynamics.effects.external_force import BODY, WORLD
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
-from closedloop_dynamics.mechanism.expressions import FUNCTIONS
+from closedloop_dynamics.mechanism.expressions import FUNCTIONS, UNITS
 from closedloop_dynamics.mechanism.fields import keys_of
 from closedloop_dynamics.mechanism.meanings import documented
 from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
-from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
+from closedloop_dynamics.simulation.scene import SCENE_KEYS
 from closedloop_dynamics.simulation.scene_records import Initial, Method
 
 PAGE = Path(__file__).with_name('scene_keys.md')
@@ -116,12 +116,20 @@ def page():
               '', '### `parameters`', '',
               'Numbers by name, of a mechanism and of a scene. Every other number may be an '
               'expression of them, as text: numbers, `pi`, + - * / ** and brackets, and the '
-              'functions ' + ', '.join(f'`{name}`' for name in FUNCTIONS) + '. A scene gives '
+              'functions ' + ', '.join(f'`{name}`' for name in FUNCTIONS) + '. A number may '
+              'have a unit behind it, ' + ', '.join(f'`{name}`' for name in UNITS) + ': `40 mm`; '
+              'without one it is in SI units. A scene gives '
               'other values to the parameters of its mechanism, and may add its own.', '',
               '## Scene', '', *_names(SCENE_KEYS),
               '`mechanism` is the name of a shipped mechanism, the path of a file, or what such a '
               'file has.', '', '### `initial`', '',
-              *table(Initial, INITIAL_KEYS), '', '### `method`', '',
+              *table(Initial, (('position',), ('hold', 'velocity'))), '',
+              'In the place of `position` the start may be drawn: `at` has places in the world of '
+              'joints, cut joints and points by name, of a joint that slides where the body that '
+              'it carries has its joint; `poses` has frames of bodies as they are described, `[x, '
+              'y, angle]`, in space `[x, y, z, roll, pitch, yaw]`. Approximate is enough, too; '
+              '`position` is then of joints that nothing of this is about.',
+              '', '### `method`', '',
               *table(Method, keys_of(Method)), '', '### `effects`', '',
               'Entries by name, each of one `type` below. Of every type but `prescribed_motion` '
               'one with `enabled: false` is switched off at the start, and can be switched on '

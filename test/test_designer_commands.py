@@ -18,6 +18,7 @@ from closedloop_dynamics.recording.transmission import transmission_angle
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.scene import scene_of_yaml
 import numpy as np
+from PIL import Image
 import pytest
 from scipy.integrate import simpson
 
@@ -101,10 +102,15 @@ def test_kinematics_tells_where_a_branch_ends(capsys, tmp_path):
     assert code == 2 and "On the way from the scene's start to the first pose" in errors
 
 
-def test_kinematics_lists_assemblies_and_starts_on_one(capsys, tmp_path):
-    drive = ('kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11')
-    code, text, _ = call(capsys, *drive, '--assemblies')
+def test_assemblies_are_listed_drawn_and_started_on(capsys, tmp_path):
+    picture = tmp_path / 'assemblies.png'
+    code, text, _ = call(capsys, 'assemblies', 'four_bar', '--drive', 'crank_joint=1rad',
+                         '--picture', picture)
     assert code == 0 and 'proved: 2 (at most 2)' in text
+    assert np.asarray(Image.open(picture).convert('L')).std() > 5.0
+    # Held where the scene starts.
+    assert 'proved: 2 (at most 2)' in call(capsys, 'assemblies', 'four_bar')[1]
+    drive = ('kinematics', 'four_bar', '--drive', 'crank_joint=1:2:11')
     ends = []
     for branch in (1, 2):
         path = tmp_path / f'{branch}.csv'

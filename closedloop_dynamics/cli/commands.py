@@ -19,8 +19,8 @@ from ..simulation.signals import Interrupted, program_watch
 
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
 COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
-    'accuracy', 'animate', 'benchmark', 'check', 'compare', 'effects', 'estimate', 'export',
-    'forces', 'identify', 'import', 'kinematics', 'list', 'modes',
+    'accuracy', 'animate', 'assemblies', 'benchmark', 'check', 'compare', 'effects', 'estimate',
+    'export', 'forces', 'identify', 'import', 'kinematics', 'list', 'modes',
     'optimise', 'plot', 'replay', 'report', 'simulate', 'sweep', 'synthesise',
     'urdf', 'view', 'workspace')}
 

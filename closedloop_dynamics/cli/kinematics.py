@@ -11,19 +11,19 @@ import numpy as np
 from .command import (
     Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
+from ..mechanism.expressions import ANGLES, LENGTHS, UNITS
 from ..recording.cycle import advantages, transmission_extremes
 from ..recording.design import cycle, drive_values, POSES, stops_met
 from ..recording.design_report import drive_shown
 from ..recording.kinematics import (
-    assemblies, by_name, curves, Drive, drive_axis, DrivenRun, forces, torques, UNITS)
+    by_name, curves, Drive, drive_axis, DrivenRun, forces, torques)
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
 from ..visual.progress import announced, progress_to
-from ..visual.tables import text_table, write_csv
+from ..visual.tables import write_csv
 from ..visual.trajectory import from_rows
 
-ANGLES, LENGTHS = ('deg', 'rad'), ('mm', 'm')
 MOST_POSES = 1_000_000
 
 
@@ -39,10 +39,10 @@ def driven_run(arguments, scene):
     except UsageError:
         raise
     except ValueError as error:
-        raise UsageError(_of_option(error)) from None
+        raise UsageError(of_option(error)) from None
 
 
-def _of_option(error):
+def of_option(error):
     """Return the message of a ValueError with its option in front."""
     message = str(error).removeprefix('drives: ')
     return f'--{"" if message.startswith("branch") else "drive: "}{message}'
@@ -66,13 +66,7 @@ def paced(arguments, scene, poses=POSES):
 
 def drives_of(arguments, scene):
     """Return the drives by name, and how many poses they have."""
-    given = mapping(arguments.drive, '--drive')
-    for name, (*_, units) in given.items():
-        for coordinates in (scene.mechanism.coordinates, scene.mechanism.cut_coordinates):
-            if name in coordinates.names:
-                known = LENGTHS if coordinates.lengths[coordinates.index[name]] else ANGLES
-                for unit in set(units).difference(known):
-                    raise UsageError(f'--drive: {name}: expected {" or ".join(known)}, got {unit}')
+    given = drives_given(arguments, scene)
     counts = {name: count for name, (_, count, _) in given.items() if count is not None}
     if len(set(counts.values())) != 1:
         raise UsageError('--drive: expected the same COUNT in all that move, got ' + (
@@ -80,7 +74,19 @@ def drives_of(arguments, scene):
     return {name: drive for name, (drive, *_) in given.items()}, next(iter(counts.values()))
 
 
-def _drive(text):
+def drives_given(arguments, scene):
+    """Return drives with their counts and units, by name; raise UsageError for a wrong unit."""
+    given = mapping(arguments.drive, '--drive')
+    for name, (*_, units) in given.items():
+        for coordinates in (scene.mechanism.coordinates, scene.mechanism.cut_coordinates):
+            if name in coordinates.names:
+                known = LENGTHS if coordinates.lengths[coordinates.index[name]] else ANGLES
+                for unit in set(units).difference(known):
+                    raise UsageError(f'--drive: {name}: expected {" or ".join(known)}, got {unit}')
+    return given
+
+
+def drive_and_count(text):
     """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, its drive and the count."""
     name, drive, count = course(text)
     ends = text.partition('=')[2].split(':')[:2]
@@ -142,8 +148,6 @@ def ending(arguments, run):
 
 def _run(arguments):
     scene = scene_to_change(arguments)
-    if arguments.assemblies:
-        return _list_assemblies(arguments, scene)
     with announced('Following the branch ...'):
         run = driven_run(arguments, scene)
     with progress_to(max(len(run.time) - 1, 1), 'poses', scene.name) as show:
@@ -160,23 +164,6 @@ def _run(arguments):
         if path is not None:
             print(f'  output    {path}')
     return ending(arguments, run)
-
-
-def _list_assemblies(arguments, scene):
-    drives, _ = drives_of(arguments, scene)
-    try:
-        found = assemblies(scene, drives)
-    except AssemblyError as error:
-        raise UsageError(f'{scene.name}: {error}') from None
-    except ValueError as error:
-        raise UsageError(_of_option(error)) from None
-    header = ('branch', *(name.removeprefix('position.')
-                          for name in scene.mechanism.coordinates.columns('position')))
-    rows = [[str(number), *(f'{value:.6g}' for value in position)]
-            for number, position in enumerate(found.positions, 1)]
-    print(f'{scene.name}: assemblies {found}: {found.reason}')
-    print(text_table(header, rows))
-    return 0
 
 
 def summary(run, table):
@@ -218,12 +205,12 @@ def _draw(arguments, run, table):
 def drive_options(default=''):
     """Return the options of drives, for ``driven_run``; without a default they are due."""
     return (
-        Argument('--drive', type=_drive, action='append', default=[], required=not default,
-                 metavar='JOINT=FROM:TO:COUNT',
+        Argument('--drive', type=drive_and_count, action='append', default=[],
+                 required=not default, metavar='JOINT=FROM:TO:COUNT',
                  help='drive a joint, or a coordinate of a point (tool.x), through COUNT values, '
-                      'such as crank_joint=0:360deg:361; units deg, rad, mm, m, a unit after one '
-                      'of both counts for both (default: rad and m). JOINT=VALUE holds it. As '
-                      f'many as there are degrees of freedom{default}'),
+                      'such as crank_joint=0:360deg:361; units deg, rad, mm, cm, m, inch, a unit '
+                      'after one of both counts for both (default: rad and m). JOINT=VALUE holds '
+                      f'it. As many as there are degrees of freedom{default}'),
         OneOf(
             Argument('--speed', type=positive, default=1.0, metavar='RATE',
                      help='constant speed of the first drive that moves [rad/s or m/s]; the '
@@ -231,7 +218,7 @@ def drive_options(default=''):
             Argument('--duration', type=positive, metavar='SECONDS',
                      help='how long the motion takes instead')),
         Argument('--branch', type=whole(1), metavar='N',
-                 help='number of the assembly at the first pose, as --assemblies lists them '
+                 help='number of the assembly at the first pose, as `closedloop assemblies` '
                       "(default: the branch of the scene's start, followed to there)"))
 
 
@@ -259,14 +246,11 @@ examples:
   closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png
   closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --drawing four_bar.svg
   closedloop kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7
-  closedloop kinematics four_bar --drive crank_joint=0:1:2 --assemblies
 """,
     arguments=(
         SCENE, *READING_OPTIONS,
         *drive_options(),
         SET,
-        Argument('--assemblies', action='store_true',
-                 help='only list all assemblies at the first pose'),
         Output('--output', 'FILE.csv', 'where to write a row for each pose', TABLE),
         picture_option('it'),
         Argument('--over', choices=('drive', 'time'), default='drive',

@@ -5,8 +5,9 @@
 Parameters, and arithmetic in the place of numbers.
 
 ``center_of_mass: [l/2, 0]``: numbers, parameters, ``pi``, the operators + - * / ** and functions
-of one or two numbers. An expression is read by ``ast`` and computed here, node by node: nothing
-else can come of it.
+of one or two numbers. A number may have a unit of length or angle behind it: ``40 mm``,
+``90 deg``. An expression is read by ``ast`` and computed here, node by node: nothing else can come
+of it.
 """
 
 import ast
@@ -23,6 +24,12 @@ from .fields import among, at, FieldError, mapping, nearest, shown
 
 LONGEST = 500
 CONSTANTS = {'pi': math.pi}
+# Units behind numbers, in SI.
+LENGTHS = {'mm': 1e-3, 'cm': 1e-2, 'm': 1.0, 'inch': 0.0254}
+ANGLES = {'deg': math.pi / 180.0, 'rad': 1.0}
+UNITS = {**ANGLES, **LENGTHS}
+WITH_UNIT = re.compile(
+    r'(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?(' + '|'.join(UNITS) + r')\b')
 # Function -> how many numbers it may take.
 FUNCTIONS = {**dict.fromkeys(
     ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees',
@@ -107,6 +114,7 @@ class Parameters:
 
     def _number(self, text):
         """Return the value of an expression; the text itself where it is none."""
+        text = without_units(text)
         root = parsed(text)
         names = [node.id for node in ast.walk(root) if isinstance(node, ast.Name)] if root else []
         if root is None or not (names or any(
@@ -117,6 +125,11 @@ class Parameters:
         value = value_of(text, self.values, ON_NUMBERS, EXPECTED)
         self.used.update(self.values.keys() & set(names))
         return value
+
+
+def without_units(text):
+    """Return an expression with SI numbers in the place of numbers with a unit."""
+    return WITH_UNIT.sub(lambda found: f'({float(found[1])!r}*{UNITS[found[2]]!r})', text)
 
 
 def value_of(text, known, functions, expected, takes=FUNCTIONS):
@@ -172,7 +185,7 @@ def _evaluated(node, text, known, functions, expected, takes):
 
 def names_of(text):
     """Return the names that an expression is made of, in order, but for those of constants."""
-    root = parsed(text)
+    root = parsed(without_units(text))
     nodes = [] if root is None else list(ast.walk(root))
     called = [node.func for node in nodes if isinstance(node, ast.Call)]
     names = [node for node in nodes if isinstance(node, ast.Name) and node not in called

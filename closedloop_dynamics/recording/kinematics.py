@@ -4,7 +4,6 @@
 """Motion, drive torques and joint forces of a mechanism that is driven at constant rates."""
 
 from dataclasses import replace
-import math
 from typing import Dict, NamedTuple
 
 import numpy as np
@@ -33,8 +32,6 @@ QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
 STEP = 1e-2
 FIRST, SECOND = (np.array(weights) / 12.0 for weights in (
     (1.0, -8.0, 0.0, 8.0, -1.0), (-1.0, 16.0, -30.0, 16.0, -1.0)))
-# Units of values that are written with one.
-UNITS = {'deg': math.pi / 180.0, 'rad': 1.0, 'mm': 1e-3, 'm': 1.0}
 
 
 class Drive(NamedTuple):
@@ -213,6 +210,19 @@ def assemblies(scene, drives):
     scene = scene_as_it_moves(scene)
     mechanism = with_motions(_driven_scene(scene, drives, 1.0))
     return _assembled(mechanism, start_position(scene), [each.start for each in drives.values()])
+
+
+def held(scene):
+    """
+    Return drives that hold a scene where it starts, by joint.
+
+    They are those that the scene holds, its actuated joints where it holds none.
+    """
+    coordinates, position = scene.mechanism.coordinates, start_position(scene)
+    names = scene.initial.hold or scene.mechanism.actuated_joints
+    values = {name: float(position[coordinates.place[coordinates.index[name]]])
+              for name in names if name in coordinates.single_names}
+    return {name: Drive(value, value) for name, value in values.items()}
 
 
 def start_position(scene):

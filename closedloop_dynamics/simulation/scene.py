@@ -22,11 +22,11 @@ from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
 from ..mechanism.checks import (
-    boolean, list_of, name, NAME_PATTERN, not_negative, number, one_of, text)
+    boolean, list_of, name, NAME_PATTERN, not_negative, number, numbers, one_of, text)
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document, plain
-from ..mechanism.expressions import Parameters, put_changes
+from ..mechanism.expressions import ANGLES, LENGTHS, Parameters, put_changes, WITH_UNIT
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..mechanism.reader import mechanism_of, read_mechanism, with_kept, with_parameters
@@ -41,7 +41,9 @@ SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'par
 MODEL_KEYS = ('mechanism',), (
     'initial', 'loops', 'mend_inertias', 'model', 'arguments', 'anywhere', 'ignore',
     'tolerance', *SCENE_KEYS[1])
-INITIAL_KEYS = ('position',), ('hold', 'velocity')
+INITIAL_KEYS = (), ('position', 'at', 'poses', 'hold', 'velocity')
+# What a start is drawn by: places of pins and points, and poses of bodies.
+DRAWN = 'at', 'poses'
 # Effects for whose joints others are cut, where there is a choice.
 RATHER_IN_TREE = ('prescribed_motion', 'rotor')
 
@@ -379,17 +381,25 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
     """Return the initial state of a mechanism."""
     mapping(value, *INITIAL_KEYS)
     coordinates = mechanism.coordinates
+    drawn = any(key in value for key in DRAWN)
+    if not drawn and 'position' not in value:
+        raise FieldError('this required key, or one of at and poses', 'none', path=('position',))
     with at('position'):
         cut = () if mechanism.tree is None else mechanism.tree.cut
         turning = mechanism.turning_cuts
-        given = names.evaluated(mapping(value['position'], coordinates.keys, [
-            key for key in mapping(value['position'])
-            if key in turning or key.partition('.')[0] in cut]))
+        section = _section(value, 'position')
+        _require_units(section, coordinates)
+        # Where the start is drawn, of joints that nothing of the drawing is about.
+        given = names.evaluated(mapping(section, () if drawn else coordinates.keys, [
+            *coordinates.keys, *(key for key in section
+                                 if key in turning or key.partition('.')[0] in cut)]))
         # Positions of cut joints follow from the others, but for how often they have turned round.
         turned = {key: number(one) for key, one in given.items() if key in turning}
         given = {key: one for key, one in given.items()
                  if key not in turning and key.partition('.')[0] not in cut}
         position = coordinates.filled('position', given, coordinates.start())
+    if drawn:
+        position = _drawn(value, mechanism, names, position)
     with at('hold'):
         hold = list_of(one_of(coordinates.can_be_held, 'one of the joints'))(
             value.get('hold', ()))
@@ -402,6 +412,30 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))
     return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold, turned)
+
+
+def _drawn(value: Mapping[str, Any], mechanism: Mechanism, names: Parameters,
+           start: np.ndarray) -> np.ndarray:
+    """Return the position of a mechanism where pins, points and bodies are drawn."""
+    # Here, as few scenes need it.
+    from .drawn_start import drawn_position
+    found: Dict[str, Dict[str, Any]] = {key: {} for key in DRAWN}
+    for key, count in zip(DRAWN, (2, 3) if mechanism.planar else (3, 6)):
+        with at(key):
+            for name, place in names.evaluated(_section(value, key)).items():
+                with at(name):
+                    found[key][name] = numbers(place, count, f'a list of {count} finite numbers')
+    return drawn_position(mechanism, found['at'], found['poses'], start)
+
+
+def _require_units(section: Mapping[str, Any], coordinates: Any) -> None:
+    """Refuse lengths of joints that turn, and angles of those that slide."""
+    for key, value in section.items():
+        if key in coordinates.index and isinstance(value, str):
+            known = LENGTHS if coordinates.lengths[coordinates.index[key]] else ANGLES
+            for _, unit in WITH_UNIT.findall(value):
+                if unit not in known:
+                    raise FieldError(f'one of the units {among(known)}', unit, path=(key,))
 
 
 def _effect(

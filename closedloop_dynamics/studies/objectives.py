@@ -21,13 +21,11 @@ import numpy as np
 from .quantities import Infeasible, names_of
 from .slopes import (
     deviation, distance_parts, ON_SLOPES, Slope, squared_parts, TAKES)
-from ..mechanism.expressions import CONSTANTS, parsed, value_of
+from ..mechanism.expressions import CONSTANTS, parsed, value_of, without_units
 from ..mechanism.fields import among, at, FieldError, nearest, shown
-from ..recording.kinematics import UNITS
 
 EXPECTED = 'an expression of quantities of the driven machine'
 _DISTANCE = re.compile(r'(distance\(\s*[A-Za-z]\w*\s*,)\s*([^,()]+?)\s*\)')
-_UNIT = re.compile(r'(?<![\w.])(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)(deg|rad|mm|m)\b')
 _DOTTED = re.compile(r'[A-Za-z]\w*(?:\.\w+)+')
 # In names that replace others in the text that is evaluated.
 DOT = '__'
@@ -61,8 +59,7 @@ class Expression:
             self._paths[stands] = paths[name]
             return f'{match[1]} {stands})'
 
-        written = _UNIT.sub(lambda match: f'({match[1]}*{UNITS[match[2]]!r})',
-                            _DISTANCE.sub(path, text))
+        written = without_units(_DISTANCE.sub(path, text))
         written = _DOTTED.sub(lambda match: match[0].replace('.', DOT), written)
         root = parsed(written)
         if root is None:

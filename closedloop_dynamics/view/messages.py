@@ -98,6 +98,7 @@ ASKED = {
     'add': {'what': one_of(tuple(NEEDED)), 'joint': _word, 'body_a': _word, 'a': _place,
             'body_b': _word, 'b': _place},
     'remove': {'kind': one_of(REMOVALS), 'name': _word},
+    'assemble': {'number': _index},
     'undo': {}, 'redo': {},
     # Files.
     'open': {'name': name, 'kind': one_of((SHIPPED, YOURS))},

@@ -3,7 +3,9 @@
 
 """A live simulation controlled by the requests of pages."""
 
+from dataclasses import replace
 from functools import partial
+import json
 import math
 import time
 import warnings
@@ -16,7 +18,7 @@ from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive
 from .driving import Driving
 from .feed import Feed
-from .library import Library
+from .library import Library, picture
 from .messages import describe_drives, describe_effects, drive_of, FREE, METHOD_KEYS
 from .own_motion import own_motion, OwnMotion
 from .rebuilding import built, carry_over, Rebuilding
@@ -26,6 +28,7 @@ from .stepping import LONGEST_WAIT, Stepper
 from .watchdog import Watchdog
 from ..control.errors import StartError
 from ..mechanism.fields import FieldError, shown
+from ..recording.kinematics import assemblies, held
 from ..simulation.errors import InaccuracyWarning, SimulationError
 
 # Frames per second; time between two looks at what takes long [s].
@@ -57,6 +60,7 @@ class Runner(Shown):
             lambda: self.simulation.scene.method, self._adopt, self._refuse)
         self._controllers = Background()
         self._failure, self._achieved, self._every = None, None, 1
+        self._assemblies = None, ()
         self._library = Library() if library is None else library
         self._begin(scene, own)
 
@@ -342,6 +346,14 @@ class Runner(Shown):
         if also:
             self.feed.log(f'with {name} went {", ".join(also)}')
 
+    def _do_assemble(self, page, number):
+        self._require_editing('another assembly')
+        scene, positions = self._assemblies
+        if scene is not self.editor.scene or number >= len(positions):
+            raise FieldError('one of the assemblies of the machine as it is now', shown(number),
+                             path=('number',))
+        self._edit(lambda: self.editor.pose(positions[number]))
+
     def _do_undo(self, page):
         self._edit(self.editor.undo)
 
@@ -427,7 +439,21 @@ class Runner(Shown):
         if path == '/scene.yaml':
             with self._rebuilding.lock:
                 return 'application/yaml; charset=utf-8', self.editor.text()[0].encode()
+        if path == '/assemblies.json':
+            return 'application/json', json.dumps(self._drawn_assemblies()).encode()
         return self._library.resource(path)
+
+    def _drawn_assemblies(self):
+        """Return pictures of all assemblies of the scene that is edited, or why there are none."""
+        scene = self.editor.scene
+        try:
+            found = assemblies(scene, held(scene))
+        except (ValueError, SimulationError) as error:
+            return {'words': str(error), 'pictures': []}
+        self._assemblies = scene, found.positions
+        return {'words': f'{found}: {found.reason}', 'pictures': [
+            picture(replace(scene, initial=replace(scene.initial, position=tuple(position))))
+            for position in found.positions]}
 
     def _do_open(self, page, name, kind):
         self._open(lambda: self._library.scene(name, kind))

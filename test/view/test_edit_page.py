@@ -153,3 +153,26 @@ def test_a_length_is_changed_while_it_moves(tmp_path):
         assert np.hypot(*cut.point_b) == pytest.approx(0.27)
         assert runner.simulation.closure < 1e-9
         tab.close()
+
+
+def test_another_assembly_is_chosen_by_its_picture(tmp_path):
+    with opened('four_bar', tmp_path) as (tab, runner):
+        tab.click('#editing')
+        tab.wait('page.edit.on')
+        before = runner.simulation.position.copy()
+        tab.click('[data-do=assemblies]')
+        tab.wait('document.querySelectorAll(".machines img").length === 2')
+        assert 'proved: 2' in tab.ask('document.querySelector("dialog.choice p").textContent')
+        shown = tab.picture()
+        assert (shown.max(axis=2) - shown.min(axis=2) > 40).mean() > 0.002
+        number = int(np.sign(before[2]) > 0) + 1
+        tab.click(f'.machines button:nth-child({number})')
+        tab.wait('document.querySelectorAll("dialog.choice").length === 0')
+        tab.wait('page.controls.undoable[0]')
+        # The crank stays; coupler and rocker are mirrored at the line between their ends.
+        base, pin = np.array([0.4, 0.0]), 0.1 * np.exp(1j * before[0])
+        axis = complex(*base) - pin
+        mirrored = base[0] + (np.conj((0.25 * np.exp(1j * before[2])) / axis)) * axis
+        found = base[0] + 0.25 * np.exp(1j * runner.simulation.position[2])
+        assert abs(found - mirrored) < 1e-9
+        tab.close()

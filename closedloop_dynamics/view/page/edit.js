@@ -47,6 +47,7 @@ class Editing {
     const panel = make(`<div><div class="row">
       <button data-do="undo" title="undo (Ctrl+Z)">undo</button>
       <button data-do="redo" title="redo (Ctrl+Y)">redo</button>
+      <button data-do="assemblies" title="all ways to put it together">assemblies …</button>
       <select id="add" aria-label="add a part"></select>
       <select id="remove" aria-label="remove a part"></select></div>
       <p class="hint"></p>
@@ -64,7 +65,8 @@ class Editing {
       button.onclick = () => this.ask(button.dataset.do, button.dataset.do === 'save'
         ? {name: this.name.value} : {});
     }
-    [this.undo, this.redo] = edit.querySelectorAll('button');
+    [this.undo, this.redo, this.other] = edit.querySelectorAll('button');
+    this.other.onclick = () => this.assemblies();
     this.menu.onchange = () => this.begin(this.menu.value || null);
     this.less.onchange = () => {
       const [kind, name] = this.less.value.split(' ');
@@ -126,6 +128,26 @@ class Editing {
         const some = found.filter((one) => one.kind === kind);
         return some.length ? [make(`<h3>${title}</h3>`), ...some.map(card)] : [];
       }));
+  }
+
+  // Pictures of all assemblies, to click on.
+  async assemblies() {
+    const dialog = make('<dialog class="choice"><header><h2>Assemblies</h2><button class="icon" aria-label="close">×</button></header><p class="hint">looking for all of them …</p><div class="machines"></div></dialog>');
+    document.body.append(dialog);
+    dialog.onclose = () => dialog.remove();
+    dialog.querySelector('button').onclick = () => dialog.close();
+    dialog.showModal();
+    const {words, pictures} = await (await fetch(served('assemblies.json'))).json();
+    dialog.querySelector('p').textContent = words;
+    dialog.querySelector('div').replaceChildren(...pictures.map((picture, number) => {
+      const button = make(`<button><img alt="assembly ${number + 1}" src="data:image/svg+xml,${
+        encodeURIComponent(picture)}"><b>${number + 1}</b></button>`);
+      button.onclick = () => {
+        this.ask('assemble', {number});
+        dialog.close();
+      };
+      return button;
+    }));
   }
 
   // What the server sends.
@@ -206,7 +228,7 @@ class Editing {
       if (editing) this.fit();
     }
     this.on = editing;
-    this.menu.hidden = this.less.hidden = !editing;
+    this.menu.hidden = this.less.hidden = this.other.hidden = !editing;
     this.say();
   }
 
