@@ -8,6 +8,7 @@
 #include "arguments.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
+#include "correction.hpp"
 #include "course.hpp"
 #include "curve.hpp"
 #include "cut_coordinates.hpp"
@@ -552,6 +553,9 @@ const Entry entries[] = {
   released<move_along>(
     "move_along(system, routines, chart, from_q, from_qd, basis, changes, displacement, q, qd): "
     "status, states"),
+  entry<correct_errors>(
+    "correct_errors(covariance, slope, residual, noise, first, gate, spread, factors, squares, "
+    "whitened, white, others, change, after): whether S is positive definite"),
   released<annotate>("annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, "

@@ -175,10 +175,6 @@ std::pair<Status, Index> move_along(
   Values from_qd, Table basis, Table changes, Values displacement, Table q, Table qd)
 {
   const Index nv = system.nv();
-  const Status found = fill_basis(system, routines, chart, from_q, from_qd, basis);
-  if (found != Status::DONE) {
-    return {found, 0};
-  }
   for (Index n = 0; n < changes.rows; ++n) {
     copy(from_qd, qd[n]);
     for (Index joint = 0; joint < nv; ++joint) {

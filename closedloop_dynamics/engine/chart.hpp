@@ -45,8 +45,8 @@ Status fill_basis(
   const System &, const LaneRoutines &, const Chart &, Values q, Values qd, Table basis);
 
 /// Move from a state by changes, shape (n, 2 k), to states whose loops are closed by the dependent
-/// coordinates: into q and qd, n rows each. Scratch: `basis`, which becomes that of the state, and
-/// `displacement`, shape (nv,). Returns how it ended, and the states that are reached: OPEN_LOOP where
+/// coordinates: into q and qd, n rows each. `basis` is that of the state; scratch: `displacement`,
+/// shape (nv,). Returns how it ended, and the states that are reached: OPEN_LOOP where
 /// the loops cannot be closed at the next one.
 std::pair<Status, Index> move_along(
   const System &, const LaneRoutines &, const Chart &, Values from_q, Values from_qd, Table basis,

@@ -9,6 +9,7 @@
 
 #include "arguments.hpp"
 #include "bounds.hpp"
+#include "correction.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
@@ -305,6 +306,23 @@ inline constexpr auto precondition<move_along> =
       expected::unless(
         changes.columns == 2 * chart.independent.size && displacement.size == system.nv() &&
         has_shape(q, changes.rows, system.nq()) && has_shape(qd, changes.rows, system.nv())));
+  };
+
+template<>
+inline constexpr auto precondition<correct_errors> =
+  [](Table covariance, Table slope, Values residual, Values noise, Indices first, Values gate,
+    Table spread, Table factors, Values squares, Table whitened, Values white, Table others,
+    Values change, Table after) {
+    const Index m = slope.rows, n = slope.columns;
+    bool good = has_shape(covariance, n, n) && residual.size == m && noise.size == m &&
+      first.size == gate.size + 1 && squares.size == gate.size && has_shape(spread, m, m) &&
+      has_shape(factors, m, m) && has_shape(whitened, m, n) && white.size == m &&
+      others.rows == m && change.size == n && has_shape(after, n, n) && first[0] == 0 &&
+      first[gate.size] == m;
+    for (Index sensor = 0; good && sensor < gate.size; ++sensor) {
+      good = first[sensor] <= first[sensor + 1];
+    }
+    return expected::unless(good);
   };
 
 template<>

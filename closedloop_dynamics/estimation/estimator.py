@@ -9,7 +9,7 @@ displacements and rates of the independent coordinates, which the others follow,
 unknown numbers. Between measurements the engine makes the steps, and their Jacobians.
 """
 
-from collections import deque
+from collections import abc, deque
 from dataclasses import dataclass
 import math
 from typing import Any, Deque, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
@@ -201,7 +201,8 @@ class Estimator:
             plant.put(values[:columns.count])
             plant.take(start.independent)
             return Now(start.time, np.array(start.state.q), np.array(start.state.qd), values,
-                       np.array(start.covariance), plant.independent, np.array(start.command),
+                       np.array(start.covariance, order='C'), plant.independent,
+                       np.array(start.command),
                        np.zeros((len(start.covariance), len(columns.suspected))),
                        np.array(start.state.own))
         if start is None or isinstance(start, State):
@@ -306,14 +307,14 @@ class Estimator:
 
     def _torques(self, torque: Any) -> np.ndarray:
         names = self._plant.commanded
-        if isinstance(torque, Mapping):
+        if isinstance(torque, abc.Mapping):
             for name in torque:
                 if name not in names:
                     raise ValueError(f'command: expected some of {among(names) or "no joint"}, '
                                      f'got {name!r}. {nearest(name, names)}'.rstrip('. '))
             torque = [torque.get(name, 0.0) for name in names]
         found = np.array(torque, dtype=float)
-        if found.shape != (len(names),) or not np.isfinite(found).all():
+        if found.shape != (len(names),) or not all(map(math.isfinite, found.tolist())):
             raise ValueError(f'command: expected {len(names)} finite numbers, for '
                              f'{among(names) or "no joint"}, got {torque!r}')
         return found

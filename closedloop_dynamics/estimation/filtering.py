@@ -23,7 +23,6 @@ import math
 from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 from scipy.stats import chi2
 
 from .errors import EstimationError
@@ -31,6 +30,7 @@ from .measuring import Measuring, Reading, View
 from .plant import Plant
 from .results import Innovation
 from .unknowns import Bias
+from ..engine import native
 from ..simulation.errors import SimulationError
 
 # Longest period that is stepped at once [s]: noise is taken to be even in it.
@@ -63,6 +63,16 @@ class Prediction(NamedTuple):
     now: Now
     transition: np.ndarray  # Shape (n, n)
     noise: np.ndarray  # Shape (n, n)
+
+
+class Layout(NamedTuple):
+    """How the numbers of sensors stand in a row, and memory to work with."""
+
+    first: np.ndarray  # Where those of each sensor begin, and their end
+    gates: np.ndarray  # Largest squares of each sensor that are used
+    places: List[slice]
+    bends: bool  # Whether any of them bend with the state
+    scratch: Tuple[np.ndarray, ...]
 
 
 class Columns:
@@ -104,6 +114,7 @@ class Filter:
                  gate: float) -> None:
         self.plant, self.measuring, self.columns, self.noise = plant, measuring, columns, noise
         self._noises: Dict[float, np.ndarray] = {}
+        self._layouts: Dict[Tuple[str, ...], Layout] = {}
         self._gates = {name: chi2.ppf(gate, size) for name, size in measuring.sizes.items()}
 
     def predicted(self, now: Now, time: float) -> Now:
@@ -129,10 +140,12 @@ class Filter:
         period = round(time - now.time, 12)
         q, qd, by_state, by_number, by_torque = plant.step(
             now.q, now.qd, now.values[:columns.count], now.command, period)
-        states, n = len(by_state), len(now.covariance)
-        transition, signature = np.eye(n), now.signature
-        transition[:states, :states] = by_state
-        if columns.count:
+        states, n, signature = len(by_state), len(now.covariance), now.signature
+        if n == states:
+            transition = by_state.copy()
+        else:
+            transition = np.eye(n)
+            transition[:states, :states] = by_state
             known = columns.numbers_known
             transition[:states, states:states + len(known)] = by_number[:, known]
         if not columns.all:
@@ -218,18 +231,19 @@ class Filter:
         return found
 
     def linear(self, now: Now, readings: Mapping[str, np.ndarray],
-               names: Sequence[str]) -> Tuple[np.ndarray, ...]:
+               names: Tuple[str, ...]) -> Tuple[np.ndarray, ...]:
         """Return residuals, slopes by what is estimated and by suspects, variances of readings."""
         measuring, columns = self.measuring, self.columns
-        plain = measuring.plain(tuple(names)) if columns.all else None
+        plain = measuring.plain(names) if columns.all else None
         if plain is not None:
-            places, rows, noise = plain
+            places, rows, noise, rates = plain
             numbers = now.values[:columns.count]
             self.plant.put(numbers)
             basis = self.plant.basis(now.q, now.qd, numbers)
             given = np.concatenate([readings[name] for name in names])
             slope = basis[rows]
-            return given - np.concatenate((now.q, now.qd))[places], slope, slope[:, :0], noise
+            state = np.concatenate((now.q, now.qd)) if rates else now.q
+            return given - state[places], slope, slope[:, :0], noise
         found = self.read(now, names)
         residual = np.concatenate([measuring.residual(name, readings[name], one.value)
                                    for name, one in zip(names, found)])
@@ -258,7 +272,8 @@ class Filter:
         """Return slopes by what is estimated, and by suspects."""
         states = self.plant.size
         known = np.concatenate((np.arange(states), states + self.columns.known))
-        return slope[:, known], slope[:, states + self.columns.suspected]
+        return tuple(np.ascontiguousarray(slope[:, part]) for part in (
+            known, states + self.columns.suspected))
 
     def updated(self, now: Now, readings: Mapping[str, np.ndarray], late: bool = False
                 ) -> Tuple[Now, List[Innovation], Any]:
@@ -267,73 +282,69 @@ class Filter:
 
         And what that says of suspects, or None: sums of g^T S^-1 v, and of g^T S^-1 g.
         """
-        plant, measuring, columns = self.plant, self.measuring, self.columns
+        plant, columns = self.plant, self.columns
         plant.take(now.independent)
-        used, found = list(readings), []
+        used, found = tuple(readings), []
         residual, slope, suspected, noise = self.linear(now, readings, used)
-        cross = now.covariance @ slope.T
-        spread = slope @ cross
-        spread.flat[::len(spread) + 1] += noise
-        keep: List[int] = []
-        accepted, row = [], 0
-        squares = (residual * residual / spread.diagonal()).tolist()
-        for name in used:
-            size = measuring.sizes[name]
-            own = slice(row, row + size)
-            nis = squares[row] if size == 1 else float(
-                residual[own] @ np.linalg.solve(spread[own, own], residual[own]))
-            good = nis <= self._gates[name]
+        left = suspected if columns.all else suspected + slope @ now.signature
+        layout = self._layout_of(used)
+        squares, white, spread, whitened, change, covariance = _corrected(
+            now.covariance, slope, residual, noise, layout, left)
+        accepted = []
+        for name, own, gate, nis in zip(used, layout.places, layout.gates.tolist(),
+                                        squares.tolist()):
+            good = nis <= gate
             found.append(Innovation(now.time, name, residual[own], spread[own, own], nis, good,
                                     '' if good else 'gated', late))
             if good:
                 accepted.append(name)
-                keep.extend(range(row, row + size))
-            row += size
         if not accepted:
             return now, found, None
-        if len(keep) < row:
-            residual, slope, suspected = residual[keep], slope[keep], suspected[keep]
-            noise, cross, spread = noise[keep], cross[:, keep], spread[np.ix_(keep, keep)]
-        told = None
-        bends = any(measuring.bends[name] for name in accepted)
-        gain = _solved(spread, cross.T).T
-        signature = now.signature
+        told, signature = None, now.signature
         if not columns.all:
-            left = suspected + slope @ signature
-            weighted = _solved(spread, left)
-            told = weighted.T @ residual, np.einsum('ij,ij->j', left, weighted)
-            signature = signature - gain @ left
-        change = gain @ residual
+            told = left.T @ white, np.einsum('ij,ij->j', left, left)
+            signature = signature - whitened.T @ left
         try:
-            point = self.moved(now, change)
+            point = self.moved(now, change, near=True)
         except SimulationError:
             # Nowhere near: what was read, or thought, is wrong.
             return now, [one._replace(accepted=False, reason=one.reason or 'out of reach')
                          for one in found], None
-        scale = CONVERGED * np.sqrt(now.covariance.diagonal()) if bends else None
-        for _ in range(MOST_ITERATIONS - 1 if bends else 0):
-            residual, slope, _, noise = self.linear(point, readings, accepted)
-            cross = now.covariance @ slope.T
-            spread = slope @ cross
-            spread.flat[::len(spread) + 1] += noise
-            gain = _solved(spread, cross.T).T
-            before, change = change, gain @ (residual + slope @ change)
-            point = self.moved(now, change)
-            if (np.abs(change - before) <= scale).all():
-                break
-        covariance = now.covariance - gain @ cross.T
-        covariance += covariance.T
-        covariance *= 0.5
+        if layout.bends:
+            scale = CONVERGED * np.sqrt(now.covariance.diagonal())
+            used = tuple(accepted)
+            layout = self._layout_of(used)
+            layout = layout._replace(gates=np.full(len(used), np.inf))
+            for _ in range(MOST_ITERATIONS - 1):
+                residual, slope, left, noise = self.linear(point, readings, used)
+                before = change
+                change, covariance = _corrected(
+                    now.covariance, slope, residual + slope @ change, noise, layout, left)[-2:]
+                point = self.moved(now, change, near=True)
+                if (np.abs(change - before) <= scale).all():
+                    break
         return point._replace(covariance=covariance, signature=signature), found, told
 
-    def moved(self, now: Now, change: np.ndarray) -> Now:
-        """Return a belief whose mean is changed, the loops closed."""
+    def _layout_of(self, names: Tuple[str, ...]) -> Layout:
+        """Return how the numbers of sensors stand in a row."""
+        if names not in self._layouts:
+            first = np.cumsum([0, *(self.measuring.sizes[name] for name in names)])
+            places = [slice(*first[n:n + 2].tolist()) for n in range(len(names))]
+            size = int(first[-1])
+            self._layouts[names] = Layout(
+                first, np.array([self._gates[name] for name in names]), places,
+                any(self.measuring.bends[name] for name in names),
+                (np.empty((size, size)), np.empty(len(names)), np.empty(size)))
+        return self._layouts[names]
+
+    def moved(self, now: Now, change: np.ndarray, near: bool = False) -> Now:
+        """Return a belief whose mean is changed, the loops closed; ``near``: as of ``Plant``."""
         columns, states = self.columns, 2 * len(now.independent)
         values = now.values
         if len(columns.known):
             values = values.copy()
             values[columns.known] += change[states:]
-        q, qd = self.plant.plus(now.q, now.qd, change[:states], values[:columns.count])
+        q, qd = self.plant.plus(now.q, now.qd, change[:states], values[:columns.count], near)
         return now._replace(q=q, qd=qd, values=values)
 
     def apart(self, now: Now, other: Now) -> np.ndarray:
@@ -344,11 +355,16 @@ class Filter:
             (now.values - other.values)[self.columns.known]))
 
 
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the solution of equations with a positive definite matrix."""
-    _, found, failed = dposv(matrix, right)
-    if failed:
+def _corrected(covariance: np.ndarray, slope: np.ndarray, residual: np.ndarray,
+               noise: np.ndarray, layout: Layout, others: np.ndarray) -> Tuple[np.ndarray, ...]:
+    """Return squares, white residuals, spread, whitened slopes, change, covariance (engine)."""
+    (m, n), (factors, squares, white) = slope.shape, layout.scratch
+    spread, whitened, change, after = (
+        np.empty((m, m)), np.empty((m, n)), np.empty(n), np.empty((n, n)))
+    if not native.correct_errors(
+            covariance, slope, residual, noise, layout.first, layout.gates, spread, factors,
+            squares, whitened, white, others, change, after):
         raise EstimationError(
             'The covariance of readings is not positive definite: what is thought has become '
             'worse than rounding. Give the sensors larger deviations, or the start smaller ones.')
-    return found
+    return squares, white, spread, whitened, change, after

@@ -230,12 +230,17 @@ class Measuring:
         return int(coordinates.place[place]), place
 
     def plain(self, names: Tuple[str, ...]) -> Any:
-        """Return places in (q, qd), in the basis, and variances; None unless all are plain."""
+        """
+        Return places in (q, qd), in the basis, variances, and whether there are rates.
+
+        None unless all are plain.
+        """
         if names not in self._chosen:
             places = [self._plain.get(name) for name in names]
             self._chosen[names] = None if None in places or self._extra else (
                 *(np.array(part) for part in zip(*places)),
-                np.concatenate([self.noise[name] for name in names]))
+                np.concatenate([self.noise[name] for name in names]),
+                any(self.sensors[name].quantity == RATE for name in names))
         return self._chosen[names]
 
     def _of_point(self, number: int) -> Any:

@@ -4,6 +4,7 @@
 """The mechanism that is estimated: its steps, moves and unknown numbers, with derivatives."""
 
 from dataclasses import replace
+import math
 from typing import Any, Dict, List, Mapping, Sequence, Tuple, Union
 
 import numpy as np
@@ -27,8 +28,8 @@ from ..simulation.stepper import Stepper
 STRAIGHT = 1e-9
 # Accelerations with an unknown number set in place, and with a model of it, agree to this share.
 AGREE = 1e-9
-# Where a dependent coordinate or rate would change by so much more than when the independent ones
-# were chosen, others are chosen.
+# Where coordinates would change by so much more, as a root of the sum of squares, than when the
+# independent ones were chosen, others are chosen.
 MOST_GROWTH = 8.0
 
 
@@ -223,10 +224,14 @@ class Plant:
             found[:, count:], np.zeros((len(found), len(self.torques))), numbers)))
 
     def plus(self, q: np.ndarray, qd: np.ndarray, change: np.ndarray,
-             numbers: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """Return a state after a change of independent coordinates and rates, and new numbers."""
+             numbers: np.ndarray, near: bool = False) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Return a state after a change of independent coordinates and rates, and new numbers.
+
+        ``near``: as of ``Stepper.moved``.
+        """
         self.put(numbers)
-        places, rates = self.stepper.moved(q, qd, change[np.newaxis])
+        places, rates = self.stepper.moved(q, qd, change[np.newaxis], near)
         return places[0], rates[0]
 
     def take(self, independent: Sequence[str]) -> None:
@@ -247,7 +252,7 @@ class Plant:
     def outgrown(self, q: np.ndarray, qd: np.ndarray) -> bool:
         """Return whether dependent coordinates change much more than when they were chosen."""
         basis = self._present_basis(q, qd)[:self._nv, :self.size // 2]
-        grown = max(float(basis.max(initial=0.0)), -float(basis.min(initial=0.0)))
+        grown = math.sqrt(np.vdot(basis, basis))
         if self._chosen != self.independent:
             self._chosen, self._growth = self.independent, grown
         return grown > MOST_GROWTH * self._growth

@@ -211,7 +211,7 @@ class _Newton:
             if not readings:
                 continue
             self._filter.plant.take(now.independent)
-            residual, slope, _, noise = self._filter.linear(now, readings, list(readings))
+            residual, slope, _, noise = self._filter.linear(now, readings, tuple(readings))
             hessian[k] += (slope / noise[:, np.newaxis]).T @ slope
             right[k] += slope.T @ (residual / noise)
         transitions, noises, gaps = self._dynamics()

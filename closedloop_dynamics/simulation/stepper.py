@@ -216,6 +216,9 @@ class Stepper:
         self._chart = allocate_chart(self._system, own, rest, self._arrays.matrix)
         self._basis = np.zeros((2 * len(qd), 2 * len(own) + len(self.parameters)))
         self._displacement = np.zeros(len(qd))
+        self._fill, self._move = (
+            native.bind(name, self._system.native, self._beside, self._chart)
+            for name in ('fill_basis', 'move_along'))
 
     @property
     def simulation(self) -> Simulation:
@@ -396,8 +399,7 @@ class Stepper:
 
     def basis_at(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the changes of all with the independent ones; overwritten by the next call."""
-        if native.fill_basis(self._system.native, self._run[-1], self._chart, q, qd,
-                             self._basis) != DONE:
+        if self._fill(q, qd, self._basis) != DONE:
             raise SingularityError(f'{_ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
         return self._basis
 
@@ -461,14 +463,19 @@ class Stepper:
         places, rates = self.moved(*start, np.atleast_2d(wanted))
         return (places, rates) if wanted.ndim == 2 else (places[0], rates[0])
 
-    def moved(self, q: np.ndarray, qd: np.ndarray,
-              changes: np.ndarray) -> Tuple[np.ndarray, np.ndarray]:
-        """As ``plus``, of arrays of floats of shapes (nq,), (nv,), (m, 2 n), unchecked."""
+    def moved(self, q: np.ndarray, qd: np.ndarray, changes: np.ndarray,
+              near: bool = False) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        As ``plus``, of arrays of floats of shapes (nq,), (nv,), (m, 2 n), unchecked.
+
+        ``near``: whether ``basis_at`` was called last for this state, or one near it.
+        """
         count = len(changes)
+        if not near:
+            self.basis_at(q, qd)
         places, rates = np.empty((count, len(q))), np.empty((count, len(qd)))
-        status, number = native.move_along(
-            self._system.native, self._run[-1], self._chart, q, qd, self._basis, changes,
-            self._displacement, places, rates)
+        status, number = self._move(
+            q, qd, self._basis, changes, self._displacement, places, rates)
         if status == OPEN_LOOP:
             raise ClosureError(f'changes, row {number}: the loops cannot be closed that far from '
                                'the state: give smaller ones')

@@ -33,6 +33,7 @@ import pytest
 from ..effects import (
     test_curve_search, test_cut_freedoms, test_effect_set, test_joint_spring, test_space)
 from ..effects.machines import simulated
+from ..estimation import test_correction
 from ..simulation import test_driven, test_stepper
 
 RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
@@ -59,7 +60,8 @@ ANY_LENGTH = {
     ('find_joint_forces', 4), ('advance_run', 1),
     ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('cut_direction', 0),
     ('cut_direction', 3), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
-    ('rates_of_coordinates', 1), ('rates_of_coordinates', 3), ('run_samples', 1),
+    ('correct_errors', 11), ('rates_of_coordinates', 1), ('rates_of_coordinates', 3),
+    ('run_samples', 1),
     ('run_samples', 2), ('close_loops', 4)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
 
@@ -288,6 +290,7 @@ def calls(tmp_path_factory):
         stepper = test_stepper.Case('rssr_four_bar')
         stepper.after(stepper.q, stepper.qd, stepper.tau)
         stepper.stepper.change_independent()
+        test_correction.corrected(*test_correction.drawn())
         pieces = test_curve_search.curve(np.random.default_rng(0), True, 'cubic')
         native.curve_distance(pieces.ravel(), True, test_curve_search.forgotten(), 0.05, 0.01)
     for simulation in simulations:
