@@ -85,24 +85,6 @@ def test_core_that_is_kept_awake_delays_nothing_and_nothing_stays_behind(
     listener.wait(lambda: not Path(f'/proc/{keeper}').exists(), 'end of the other process')
 
 
-def test_clock_has_the_time_of_every_state_and_follows_the_factor(processes, listener):
-    clocks = listener.listen('/clock', Clock)
-    states = listener.listen('joint_states', JointState)
-    simulator = processes.start(
-        SIMULATOR, scene='four_bar', publish_clock='true', real_time_factor='0.5')
-    simulator.wait_until_ready()
-    listener.wait(lambda: len(states) > 100, 'states')
-    assert simulator.stop() == 0
-    told = {Time.from_msg(message.clock).nanoseconds for message in clocks}
-    # The clock follows its state: that of the last ones may not have been listened for.
-    stamps = [stamp(message) for message in states if stamp(message) <= max(told)]
-    assert len(stamps) > 90 and set(stamps[5:]) <= told
-    assert stamps == sorted(set(stamps))
-    # Steps of 1 ms, half as many as milliseconds have passed.
-    assert all(value % 1_000_000 == 0 for value in stamps)
-    assert 'at 0.5 x real time' in simulator.output
-
-
 @pytest.mark.parametrize('waits', [
     {'mode': 'lockstep'}, pytest.param({'wait_for_command': 'true'}, marks=pytest.mark.slow)])
 def test_controller_manager_that_waits_for_the_clock_gets_it(processes, listener, waits):
@@ -136,17 +118,6 @@ def after(clocks, now, period):
     """Return the newest time of the clock if it is a period after ``now`` [ns], or None."""
     newest = Time.from_msg(clocks[-1].clock).nanoseconds if clocks else 0
     return newest if newest >= now + period else None
-
-
-def test_node_with_use_sim_time_lives_in_simulated_time(processes, listener):
-    processes.start(SIMULATOR, scene='four_bar', publish_clock='true', real_time_factor='0.1')
-    listener.node.set_parameters([Parameter('use_sim_time', value=True)])
-    ticks = []
-    listener.node.create_timer(0.05, lambda: ticks.append(
-        listener.node.get_clock().now().nanoseconds * 1e-9))
-    listener.wait(lambda: len(ticks) >= 6, 'six ticks')
-    # Five periods, less one where the first tick was late; of the wall clock, half a period.
-    assert ticks[5] - ticks[0] > 0.15
 
 
 def run_in_lockstep(processes, listener, count, **parameters):
@@ -184,22 +155,6 @@ def test_controller_in_lockstep_sees_the_same_run_every_time(processes, listener
     first, second = (run_in_lockstep(processes, listener, 200) for _ in range(2))
     assert first == second
     assert [time for time, _ in first] == [10_000_000 * k for k in range(200)]
-
-
-def test_as_fast_as_possible_loses_nothing(processes, listener):
-    states = listener.listen('joint_states', JointState)
-    simulator = processes.start(
-        SIMULATOR, scene='three_rrr', mode='as_fast_as_possible', wait_for_command='true')
-    simulator.wait_until_ready()
-    publisher = listener.publisher('torque_command', Float64MultiArray)
-    # Repeated until the first command: the simulator knows this subscriber then.
-    listener.wait(lambda: states, 'the initial state')
-    listener.send(publisher, Float64MultiArray(data=[0.0, 0.0, 0.0]),
-                  lambda: len(states) > 2000, '2000 states')
-    assert simulator.stop() == 0
-    stamps = sorted({stamp(message) for message in states})
-    assert stamps[0] == 0
-    assert np.diff(stamps).tolist() == [10_000_000] * (len(stamps) - 1)
 
 
 def test_diagnostics_tell_how_the_run_goes(processes, listener):

@@ -3,9 +3,10 @@
 
 """A bag recorded from real processes is replayed, animated, and drawn."""
 
-from test.ros.bags import read_with_rosbags
+from test.ros import test_orientations, test_space
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording.recording import read_recording
 import numpy as np
 from PIL import Image
 import pytest
@@ -38,33 +39,77 @@ def test_a_recording_that_began_late_is_met_exactly(
     assert 'largest deviation of a position: 0 rad or m' in output
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
-def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, scene):
+def recorded(processes, listener, scene, moved, topics=(), **drive):
+    """Drive a scene by sines while it is recorded, until a coordinate has grown past ``moved``."""
     recorder = processes.start(RECORDER, output='bag').wait_until_ready()
     simulator = processes.start(SIMULATOR, scene=scene, wait_for_command='true')
     simulator.wait_until_ready()
-    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log'):
+    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log', *topics):
         recorder.wait_for(f'/{topic}: first message')
-    source = processes.start(SOURCE, mode='sine', amplitude='[8.0]', frequency='[2.0]')
-    recorder.wait_for('/torque_command: first message')
-    bag = tmp_path / 'bag'
+    source = processes.start(SOURCE, mode='sine', **drive)
     states = listener.listen('/joint_states', JointState)
-    listener.wait(lambda: len(states) > 150, '1.5 s of motion')
+    listener.wait(lambda: states and np.ptp(
+        [message.position for message in states], axis=0).max() > moved, 'motion')
     for process in (source, simulator, recorder):
         assert process.stop() == 0
-    picture = tmp_path / 'deviations.png'
-    assert main(['replay', str(bag), '--tolerance', '1e-12', '--picture', str(picture)]) == 0
-    output = capsys.readouterr().out
-    assert f'states of {scene}' in output
-    assert 'largest deviation of a position: 0 rad or m' in output
-    assert 'note:' not in output
-    assert picture.stat().st_size > 10_000
-    moved = np.ptp([message.position for _, message in read_with_rosbags(bag)['/joint_states']],
-                   axis=0)
-    assert moved.max() > 0.1
+
+
+@pytest.fixture
+def met_exactly(capsys, tmp_path):
+    """Return a function that replays the bag, asserts that all is met, and returns its motion."""
+    def replayed(name):
+        bag, picture = tmp_path / 'bag', tmp_path / 'deviations.png'
+        assert main(['replay', str(bag), '--tolerance', '1e-12', '--picture', str(picture)]) == 0
+        output = capsys.readouterr().out
+        assert f'states of {name}' in output
+        assert 'largest deviation of a position: 0 rad or m' in output
+        assert 'note:' not in output
+        assert picture.stat().st_size > 10_000
+        return read_recording(bag).motion
+    return replayed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
+def test_a_recorded_run_is_met_exactly_and_animated(
+        processes, listener, tmp_path, met_exactly, scene):
+    recorded(processes, listener, scene, 0.1, amplitude='[8.0]', frequency='[2.0]')
+    assert np.ptp(met_exactly(scene).position, axis=0).max() > 0.1
     animation = tmp_path / 'run.gif'
-    assert main(['animate', str(bag), '--output', str(animation), '--duration', '0.5']) == 0
+    assert main(['animate', str(tmp_path / 'bag'), '--output', str(animation),
+                 '--duration', '0.2']) == 0
     with Image.open(animation) as frames:
         # On a busy machine, states come late and are fewer.
-        assert 8 <= frames.n_frames <= 11
+        assert 2 <= frames.n_frames <= 5
+
+
+@pytest.mark.slow
+def test_a_recorded_run_in_space_is_met_exactly_and_drawn(
+        processes, listener, tmp_path, met_exactly):
+    recorded(processes, listener, test_space.file_of(test_space.made('bricard'), tmp_path), 0.2,
+             amplitude='[2.0]', frequency='[2.0]')
+    motion = met_exactly('bricard')
+    assert np.ptp(motion.position, axis=0).max() > 0.1
+    assert motion.forces.shape[1:] == (1, 6)
+    assert np.nanmin(np.abs(motion.forces).max(axis=0)) > 0.0
+    pictures = tmp_path / 'pictures'
+    assert main(['plot', str(tmp_path / 'bag'), '--output', str(pictures)]) == 0
+    assert len(list(pictures.glob('*.png'))) == 3
+
+
+def test_a_recorded_run_with_orientations_is_met_exactly(
+        processes, listener, tmp_path, met_exactly):
+    scene = test_orientations.scene(test_orientations.machine(), **test_orientations.MOVING)
+    recorded(processes, listener, test_space.file_of(scene, tmp_path), 0.05,
+             topics=['multi_dof_joint_states'], amplitude='[0.2, 0.1, 0.1, 0.2, 0.1]',
+             frequency='[2.0, 1.0, 2.0, 1.0, 2.0]')
+    motion = met_exactly('floater')
+    assert motion.position.shape[1] == 13 and motion.velocity.shape[1] == 11
+    # The recorder may hear one topic a state before the other, and misses none after that.
+    missed = np.isnan(np.hstack([motion.position, motion.velocity])).any(axis=1)
+    first = np.argmin(missed)
+    assert first <= 2 and not missed[first:].any()
+    motion = motion.part(slice(first, None))
+    np.testing.assert_allclose(
+        np.linalg.norm(motion.position[:, 3:7], axis=1), 1.0, rtol=0.0, atol=1e-15)
+    assert np.ptp(motion.position, axis=0).min() > 1e-6

@@ -12,9 +12,7 @@ from test.simulation.test_space import machine, scene, tilted_four_bar, TURN
 from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
-from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
@@ -252,30 +250,3 @@ def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
     # From rest: kp times the distance.
     acceleration, _ = one.forward_dynamics(one.position, one.velocity, sent[-1].data)
     np.testing.assert_allclose(acceleration[0], 100.0 * 0.2, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys):
-    path = file_of(made('bricard'), tmp_path)
-    recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
-    simulator = processes.start('closedloop_simulator', scene=path, wait_for_command='true')
-    simulator.wait_until_ready()
-    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log'):
-        recorder.wait_for(f'/{topic}: first message')
-    source = processes.start(
-        'closedloop_torque_source', mode='sine', amplitude='[2.0]', frequency='[2.0]')
-    states = listener.listen('/joint_states', JointState)
-    listener.wait(lambda: states and max(map(abs, states[-1].position)) > 0.2, 'motion')
-    for process in (source, simulator, recorder):
-        assert process.stop() == 0
-    bag = tmp_path / 'bag'
-    assert main(['replay', str(bag), '--tolerance', '1e-12']) == 0
-    output = capsys.readouterr().out
-    assert 'largest deviation of a position: 0 rad or m' in output
-    assert 'note:' not in output
-    recording = read_recording(bag)
-    assert np.ptp(recording.motion.position, axis=0).max() > 0.1
-    assert recording.motion.forces.shape[1:] == (1, 6)
-    assert np.nanmin(np.abs(recording.motion.forces).max(axis=0)) > 0.0
-    assert main(['plot', str(bag), '--output', str(tmp_path / 'pictures')]) == 0
-    assert len(list((tmp_path / 'pictures').glob('*.png'))) == 3
