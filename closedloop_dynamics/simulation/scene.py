@@ -19,6 +19,7 @@ import numpy as np
 
 from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
+from ..effects.outlines import outline
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
 from ..mechanism.checks import (
@@ -456,6 +457,8 @@ def _effect(
             record_type: Any = EFFECTS[kind]
         required, optional = keys_of(record_type)
         values = _with_columns(values, record_type.FILES, directory)
+        if kind == 'body_contact' and 'outline' in values:
+            values = _with_outline(values, names)
         values = dict(mapping(values, ['type', *required], optional))
         del values['type']
         record = record_type(**names.record(record_type, values))
@@ -484,6 +487,18 @@ def _with_columns(
                 found.update(zip(files[key], read_columns(
                     found.pop(key), directory, len(files[key]))))
     return found
+
+
+def _with_outline(values: Mapping[str, Any], names: Parameters) -> Dict[str, Any]:
+    """Return the keys of a contact with the points of a curve in the place of its outline."""
+    for key in ('x', 'y', 'radii', 'polar', 'interpolation'):
+        if key in values:
+            raise FieldError(f'this key or {key}', 'both', path=('outline',))
+    with at('radius'):
+        radius = not_negative(names.evaluated(values.get('radius', 0.0)))
+    with at('outline'):
+        found = outline(radius, mapping(names.evaluated(values['outline'])))
+    return {**{key: one for key, one in values.items() if key != 'outline'}, **found}
 
 
 def _method(values: Mapping[str, Any]) -> Method:
