@@ -18,6 +18,8 @@ from ..visual.progress import announced
 
 def _run(arguments):
     options = reading(arguments, arguments.scene)
+    if is_model(arguments.scene) and arguments.c:
+        raise UsageError('--c: expected it with a scene, got a model in another format')
     if is_model(arguments.scene):
         with announced(READING):
             text, closed = describe_model(read_model(arguments.scene, **options))
@@ -27,6 +29,8 @@ def _run(arguments):
                              'the notes say which stay open')
         return 0
     read = load_scene_or_mechanism(arguments.scene, **options)
+    if isinstance(read, Mechanism) and arguments.c:
+        raise UsageError('--c: expected it with a scene, got a mechanism')
     if isinstance(read, Mechanism):
         if arguments.set:
             raise UsageError('--set: expected it with a scene, got a mechanism')
@@ -46,6 +50,11 @@ def _run(arguments):
         print(describe(read))
         raise UsageError(f'{arguments.scene}: {error}') from None
     print(describe(read, simulation))
+    if arguments.c:
+        # Only here: nothing else needs the code generation of C.
+        from ..simulation.c_source import c_cost
+        print('', 'C, as closedloop export writes it', sep='\n')
+        print(*(f'  {line}' for line in c_cost(simulation).lines()), sep='\n')
     for note in simulation.data.start_notes():
         complain(arguments, note)
     return 0
@@ -77,5 +86,7 @@ examples:
         Argument('scene', metavar='FILE_OR_SCENE',
                  help='a shipped scene or mechanism by its name, a YAML file, or a model in '
                       'another format'),
+        Argument('--c', action='store_true',
+                 help='what the scene costs in C at most: operations, corrections, stack'),
         SET, *READING_OPTIONS),
     run=_run)

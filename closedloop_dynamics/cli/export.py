@@ -19,7 +19,7 @@ from ..formats.sdf_writing import sdf
 from ..formats.urdf_loops import FORMS, GAZEBO
 from ..formats.urdf_writing import urdf_with_loops
 from ..mechanism.mechanism import Mechanism, MechanismError
-from ..simulation.errors import AssemblyError
+from ..simulation.errors import AssemblyError, SimulationError
 from ..simulation.global_assembly import find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
@@ -44,6 +44,8 @@ def _run(arguments):
     if arguments.derivatives and suffix not in CODE:
         raise UsageError('--derivatives: expected it with an output that ends with one of '
                          f'{", ".join(CODE)}')
+    if arguments.float32 and suffix != C:
+        raise UsageError(f'--float32: expected it with an output that ends with {C}')
     if arguments.fmi and suffix != FMU:
         raise UsageError(f'--fmi: expected it with an output that ends with {FMU}')
     require_free(arguments, arguments.output)
@@ -81,15 +83,26 @@ def _run(arguments):
 def _write_c(arguments):
     """Write a scene as C and its header."""
     # Only here: no other format needs the code generation.
-    from ..simulation.c_source import c_source
+    from ..simulation.c_run import error_of_float32, STEPS
+    from ..simulation.c_source import c_cost, c_source
     header = arguments.output.with_suffix('.h')
     require_free(arguments, header)
     simulation, (text, declared) = _coded(arguments, lambda simulation: c_source(
-        simulation, arguments.output.stem, arguments.derivatives))
+        simulation, arguments.output.stem, arguments.derivatives, arguments.float32))
     arguments.output.write_text(text, encoding='utf-8')
     header.write_text(declared, encoding='utf-8')
     print(f'{arguments.output}, {header}: {len(simulation.position)} coordinates, '
           f'{len(simulation.joint_names)} rates, {len(simulation.data.system.lam)} multipliers')
+    # What is stated in the header.
+    print(*c_cost(simulation, arguments.derivatives, arguments.float32).lines(), sep='\n')
+    _print_step_cost(simulation)
+    if arguments.float32:
+        try:
+            error = error_of_float32(simulation)
+            print(f'single precision: a joint coordinate differs from double by {error:.2g} rad '
+                  f'or m at most in {STEPS} steps without torques')
+        except SimulationError as error:
+            print(f'single precision: its error was not measured: {error}')
     _print_left_out(simulation)
     return 0
 
@@ -106,6 +119,7 @@ def _write_fmu(arguments):
           f'{len(unit.variables)} variables')
     if unit.no_exchange:
         print(f'no model exchange: {unit.no_exchange}')
+    _print_step_cost(simulation)
     _print_left_out(simulation)
     return 0
 
@@ -123,6 +137,19 @@ def _coded(arguments, write):
         raise UsageError(f'{arguments.scene}: {error}') from None
     except ValueError as error:
         raise UsageError(f'--output: {error}') from None
+
+
+def _print_step_cost(simulation):
+    """Report what the step size of the scene costs, in steps as the C makes them."""
+    from ..simulation.c_run import step_cost
+    step = f'steps of {simulation.step_size:g} s'
+    try:
+        cost = step_cost(simulation)
+        print(f'{step}: in {cost.duration:g} s without torques the energy balance misses '
+              f'{cost.energy:.2g} of the kinetic energy; half of it moves a joint coordinate by '
+              f'{cost.apart:.2g} rad or m at most')
+    except SimulationError as error:
+        print(f'{step}: what they cost was not measured: {error}')
 
 
 def _print_left_out(simulation):
@@ -208,6 +235,9 @@ examples:
                  help=f'with an output that ends with {C} or {FMU}: derivatives, too: of '
                       'accelerations and multipliers, and the Jacobian for CasADi; directional '
                       'ones of a unit'),
+        Argument('--float32', action='store_true',
+                 help=f'with an output that ends with {C}: numbers of single precision, for small '
+                      'processors; its error beside double is measured and told'),
         Argument('--fmi', metavar='VERSION', choices=('3.0', '2.0'), default=None,
                  help=f'with an output that ends with {FMU}: 3.0 (the default) or 2.0'),
         *READING_OPTIONS),

@@ -9,19 +9,23 @@ import textwrap
 
 import numpy as np
 
+from .c_cost import Cost, MOST_CORRECTIONS
 from .c_template import (
-    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, FORCES, HEADER, JACOBIANS, PLAIN,
-    SOURCE, WITH_QUATERNIONS, WRENCHES)
+    BLOCKS, CALLED, CASADI, COMPONENTS, COMPONENTS_WITH_QUATERNIONS, COMPUTED_TORQUE,
+    DIFFERENTIATE, FORCES, HEADER, INVERSE, JACOBIANS, LINEAR_STEP, LINEARISE, PLAIN, SOURCE,
+    STRAIGHT, TURNING, WITH_QUATERNIONS, WRENCHES)
 from .errors import SimulationError
+from .independent import choose_independent
+from .modeling import extent
 from .traced_scene import refusals
 from ..core.codegen.c_writer import (
-    SINE_AND_COSINE, statements, statements_in_lanes, VECTORS)
+    in_single_precision, LIBRARY_SINES, SINE_AND_COSINE, statements, statements_in_lanes, VECTORS)
 from ..core.codegen.derivatives import (
     COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE)
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, SHARED, TAU, VALUE_COLUMNS,
-    VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, LANES, QDD, SHARED, TAU,
+    VALUE_COLUMNS, VALUES)
 from ..core.codegen.scene_routines import PLACE, PLACE_RATE, POINT, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.traced_laws import act
@@ -39,12 +43,15 @@ _SPATIAL_BODY_COLUMNS = (
 _CUT_COLUMNS = (
     'cut point in body A x y, in body B x y, angle or length; of couplings the sum held, then the '
     'factor of each joint')
+# Closure errors in single precision, in roundings of the mechanism's size: what sums along a loop
+# leave, and what no regular position has.
+ROUNDINGS, MOST_ROUNDINGS = 8.0, 1000.0
 _SPATIAL_CUT_COLUMNS = (
     'cut point in body A x y z, in body B x y z, axes in A row by row, in B, length or lead; of '
     'couplings the sum held, then the factor of each joint')
 
 
-def c_source(simulation, name, derivatives=False):
+def c_source(simulation, name, derivatives=False, float32=False):
     """
     Write a scene as C99.
 
@@ -56,6 +63,9 @@ def c_source(simulation, name, derivatives=False):
         Of the functions and of both files.
     derivatives : bool
         Whether to write derivatives, too, which take most of the file.
+    float32 : bool
+        Whether numbers are of single precision, for processors that have no other. Loops are then
+        closed to its rounding; CasADi, which has double precision, cannot call the code.
 
     Returns
     -------
@@ -73,12 +83,25 @@ def c_source(simulation, name, derivatives=False):
     """
     if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
         raise ValueError(f'name: expected letters, digits and _, a letter first, got {name!r}')
+    require_c(simulation)
+    return _Text(simulation, name, derivatives, float32).both()
+
+
+def c_cost(simulation, derivatives=False, float32=False):
+    """Return the ``c_cost.Cost`` of what ``c_source`` writes; it raises the same errors."""
+    require_c(simulation)
+    text = _Text(simulation, 'model', derivatives, float32)
+    text.both()
+    return text.cost
+
+
+def require_c(simulation):
+    """Refuse a simulation that has no C, as ``c_source`` does."""
     reasons = refusals(simulation.data)
     if reasons:
         raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
             f'{what} ({why})' for what, why in reasons.items()))
     _require_good_start(simulation)
-    return _Text(simulation, name, derivatives).both()
 
 
 def _require_good_start(simulation):
@@ -101,10 +124,11 @@ def left_out(simulation):
 
 
 class _Text:
-    """Both files of one scene."""
+    """Both files of one scene; ``cost`` is that of the functions, once they are written."""
 
-    def __init__(self, simulation, name, derivatives):
+    def __init__(self, simulation, name, derivatives, float32):
         self.simulation, self.name, self.derivatives = simulation, name, derivatives
+        self.float32, self.cost = float32, Cost(8 - 4 * float32)
         self.system, self.model = simulation.data.system, simulation.data.system.model
         self.planar, table = simulation.mechanism.planar, self.system.effects
         values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
@@ -142,21 +166,42 @@ class _Text:
         """Return the source and the header."""
         words, versions = self._words(), '\n'.join(self._versions())
         vectors = re.search(r'\b(four|eight) ', versions + words['ROUTINES'])
-        words |= {'VERSIONS': versions, 'FACTORS': str(self.factors),
+        words |= {'VERSIONS': versions, 'FACTORS': str(self.factors), 'COSTS': '',
                   'VECTORS': f'{VECTORS}\n' if vectors else ''}
-        words |= {word: _filled(text, words) if self.derivatives else '' for word, text in (
-            ('JACOBIANS', JACOBIANS), ('DIFFERENTIATE', DIFFERENTIATE))}
-        words |= {word: _filled(text, words) if self.joints else '' for word, text in (
-            ('FORCES', FORCES), ('WRENCHES', WRENCHES))}
-        return tuple(_filled(text, words) for text in (SOURCE, HEADER))
+        free, driven = int(words['NI']), int(words['NA'])
+        # By what they depend on, in an order in which none has one of the later ones.
+        for there, parts in (
+                (not self.float32, {'CASADI': CASADI, 'CALLED': CALLED, 'BLOCKS': BLOCKS}),
+                (free, {'LINEARISE': LINEARISE, 'LINEAR': LINEAR_STEP}),
+                (free and free == driven, {'DECLARED': INVERSE, 'CONTROL': COMPUTED_TORQUE}),
+                (self.derivatives, {'JACOBIANS': JACOBIANS, 'DIFFERENTIATE': DIFFERENTIATE}),
+                (self.joints, {'FORCES': FORCES, 'WRENCHES': WRENCHES})):
+            words |= {word: _filled(text, words) if there else ''
+                      for word, text in parts.items()}
+        source = _filled(SOURCE, words)
+        sizes = {key: int(words[key]) for key in ('NQ', 'NV', 'NC', 'NI', 'NA')}
+        self.cost.read(source, self.name, sizes | {
+            'NC1': max(sizes['NC'], 1), 'NI1': max(sizes['NI'], 1), 'BALLS': self._balls()})
+        words['COSTS'] = '\n'.join(_wrapped(line) for line in self.cost.lines())
+        both = source, _filled(HEADER, words)
+        return tuple(map(in_single_precision, both)) if self.float32 else both
 
     def _words(self):
         """Return the replacement of each word of the templates."""
         simulation, system = self.simulation, self.system
         coordinates, points = simulation.coordinates, simulation.mechanism.points
         nq, nv, nc = len(simulation.position), len(system.qdd), len(system.lam)
-        size, settings = len(self.model.gravity), system.settings
+        size, tolerance, limit = len(self.model.gravity), *self._tolerances()
+        names = coordinates.columns('velocity')
+        driven = [simulation.joint_names.index(one) for one in simulation.actuated_joints
+                  if one in simulation.joint_names]
+        free = choose_independent(simulation.constraint_jacobian, driven)
         return {
+            'NI': str(len(free)), 'NA': str(len(driven)), 'MOST': str(MOST_CORRECTIONS),
+            'CHOICE': ', '.join(map(str, [*free, -1])),
+            'DRIVES': ', '.join(map(str, [*driven, -1])),
+            'INDEPENDENT': _wrapped(', '.join(f'{n} {names[n]}' for n in free) or 'none'),
+            'NEWTON': repr(1e-3 if self.float32 else 1e-8),
             'NAME': self.name, 'UPPER': self.name.upper(), 'HEADER': f'{self.name}.h',
             # No name ends a comment.
             'TITLE': f'{simulation.scene.name}, in C'.replace('*/', '* /'),
@@ -170,22 +215,32 @@ class _Text:
             'POSITIONS': _strings(coordinates.columns('position')),
             'VELOCITIES': _strings(coordinates.columns('velocity')),
             'COORDINATES': _numbered(coordinates.columns('position')),
-            'RATES': _numbered(coordinates.columns('velocity')),
+            'RATES': _numbered(names),
             'MULTIPLIERS': '\n'.join(_wrapped(line) for line in self._multipliers()),
             'POINTS': _numbered([point.name for point in points]),
             'DEFAULT': ',\n'.join([*(f'  .{name} = {_initializer(array)}'
                                      for name, array, _ in self.members.values()),
-                                   f'  .closure_tolerance = {float(settings.closure_tolerance)!r}',
-                                   f'  .closure_limit = {float(settings.closure_limit)!r}']),
+                                   f'  .closure_tolerance = {tolerance!r}',
+                                   f'  .closure_limit = {limit!r}']),
             'START': f'  .q = {_initializer(simulation.position)},\n'
                      f'  .qd = {_initializer(simulation.velocity)}',
-            'SINES': SINE_AND_COSINE, 'ROUTINES': '\n'.join(self._routines()),
+            'SINES': LIBRARY_SINES if self.float32 else SINE_AND_COSINE,
+            'ROUTINES': '\n'.join(self._routines()),
             'MANIFOLD': self._manifold(),
             'SPARSITIES': '\n'.join(_dense(f'column_{name}', count, 1) for name, count in (
                 ('nq', nq), ('nv', nv), ('nc', nc))),
             'DENSE': '\n'.join(_dense(name, *shape) for name, shape in (
                 ('qdd_q', (nv, nq)), ('qdd_rest', (nv, nv)), ('lam_q', (nc, nq)),
                 ('lam_rest', (nc, nv))))}
+
+    def _tolerances(self):
+        """Return the closure errors that a correction leaves at most, and at which it gives up."""
+        settings = self.system.settings
+        tolerance, limit = float(settings.closure_tolerance), float(settings.closure_limit)
+        if not self.float32:
+            return tolerance, limit
+        rounding = float(np.finfo(np.float32).eps) * extent(self.simulation.mechanism)
+        return max(tolerance, ROUNDINGS * rounding), max(limit, MOST_ROUNDINGS * rounding)
 
     def _multipliers(self):
         """Say of which joints the multipliers are."""
@@ -213,6 +268,7 @@ class _Text:
             first = unrolled(lambda one: parts.extend(one.in_lanes()), DerivativeTrace)
             (_, shared), (solve,) = parts
             self.factors = int(shared.outputs[0][2])
+            self.cost.count('void VERSION(solve)', solve, LANES)
             yield self._function(
                 'int VERSION(columns_of)', first,
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
@@ -263,6 +319,7 @@ class _Text:
             pointers.append(f'const double *const {name} = &model->{name}{array.ndim * "[0]"};')
             places[source] = name
         lines = statements(routine, places)
+        self.cost.count(head, routine)
         used = '\n'.join(lines)
         unused = [*(f'(void){name};' for name in places.values()
                     if not re.search(rf'\b{name}\[', used)), '(void)model;']
@@ -270,15 +327,20 @@ class _Text:
         return (f'static {head}(\n  const {self.name}_model *model, '
                 f'{", ".join(parameters.values())})\n{{\n  {body}\n}}\n')
 
+    def _balls(self):
+        return 0 if self.system.manifold is None else len(self.system.manifold.balls)
+
     def _manifold(self):
         """Return how states are moved, with quaternions where there are any."""
         manifold = self.system.manifold
+        components = self.derivatives and not self.float32
+        turns = self.derivatives and len(self.system.qdd) > len(self.system.lam)
         if manifold is None:
-            return PLAIN + ('\n' + COMPONENTS if self.derivatives else '')
+            return PLAIN + '\n'.join(['', *[COMPONENTS] * components, *[STRAIGHT] * turns])
         return _filled(WITH_QUATERNIONS, {
-            'BALLS': str(len(manifold.balls)), 'BALL': _initializer(manifold.balls),
-            'PLACE': _initializer(manifold.place)}) + (
-                '\n' + COMPONENTS_WITH_QUATERNIONS if self.derivatives else '')
+            'BALLS': str(self._balls()), 'BALL': _initializer(manifold.balls),
+            'PLACE': _initializer(manifold.place)}) + '\n'.join([
+                '', *[COMPONENTS_WITH_QUATERNIONS] * components, *[TURNING] * turns])
 
 
 def _wrapped(text):

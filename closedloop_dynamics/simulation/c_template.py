@@ -13,6 +13,8 @@ HEADER = """\
  * stays on the machine; never with -ffast-math. -D@UPPER@_MAIN adds a main function. The source
  * includes itself: keep its name. With -D@UPPER@_ONE_VERSION it does not.
  *
+@COSTS@
+ *
  * SI units and radians throughout. */
 #ifndef @UPPER@_H_
 #define @UPPER@_H_
@@ -21,8 +23,12 @@ HEADER = """\
 extern "C" {
 #endif
 
-/* Numbers of coordinates, of rates and torques, of multipliers, and of named points. */
-enum { @UPPER@_NQ = @NQ@, @UPPER@_NV = @NV@, @UPPER@_NC = @NC@, @UPPER@_POINTS = @NP@ };
+/* Numbers of coordinates, of rates and torques, of multipliers, of named points, of independent
+ * freedoms, and of actuated joints. */
+enum {
+  @UPPER@_NQ = @NQ@, @UPPER@_NV = @NV@, @UPPER@_NC = @NC@, @UPPER@_POINTS = @NP@,
+  @UPPER@_NI = @NI@, @UPPER@_NA = @NA@
+};
 
 /* What functions return. Where it is not OK, nothing that they were given has changed. */
 enum {
@@ -31,7 +37,7 @@ enum {
   @UPPER@_SINGULAR = 1,
   /* The loops cannot be closed: the step is too large. */
   @UPPER@_OPEN = 2,
-  /* The state left the finite numbers. */
+  /* The state, or a result, left the finite numbers. */
   @UPPER@_NOT_FINITE = 3
 };
 
@@ -76,6 +82,15 @@ void @NAME@_move(double *q, const double *change);
 int @NAME@_step(
   const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size);
 
+/* Assembly from drives: close the loops around the independent coordinates and rates of a state,
+ * which stay as they are (rotations of orientations: to first order), by Newton's method from
+ * where the others are. Independent are, by their places in qd:
+@INDEPENDENT@ */
+int @NAME@_assemble(const @NAME@_model *model, @NAME@_state *state);
+@DECLARED@
+/* Places in qd of the independent freedoms, then of the actuated joints; each table ends by -1. */
+extern const int @NAME@_independent[], @NAME@_actuated[];
+
 /* Kinetic energy, that in gravity, and that stored in springs [J]. */
 void @NAME@_energies(const @NAME@_model *model, const @NAME@_state *state, double energies[3]);
 
@@ -96,11 +111,7 @@ void @NAME@_closure(
 extern const char *const @NAME@_position_names[];
 extern const char *const @NAME@_velocity_names[];
 
-/* CasADi's calling convention: casadi.external('@NAME@', './@NAME@.so') is the evaluation of the
- * default model as a function (q, qd, tau) -> (qdd, lam). */
-int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem);
-
-#ifdef __cplusplus
+@CASADI@#ifdef __cplusplus
 }
 #endif
 
@@ -117,8 +128,9 @@ SOURCE = """\
 #include <string.h>
 
 enum { NQ = @UPPER@_NQ, NV = @UPPER@_NV, NC = @UPPER@_NC };
+enum { NI = @UPPER@_NI, NA = @UPPER@_NA };
 /* Arrays have a length. */
-enum { NC1 = NC > 0 ? NC : 1 };
+enum { NC1 = NC > 0 ? NC : 1, NI1 = NI > 0 ? NI : 1 };
 
 const @NAME@_model @NAME@_default = {
 @DEFAULT@
@@ -127,6 +139,9 @@ const @NAME@_model @NAME@_default = {
 const @NAME@_state @NAME@_start = {
 @START@
 };
+
+const int @NAME@_independent[] = {@CHOICE@};
+const int @NAME@_actuated[] = {@DRIVES@};
 
 /* What takes the time is compiled for newer processors, too, where GCC is to make code for any x86
  * processor: this file includes itself. */
@@ -196,7 +211,7 @@ static double largest(const double *values, int count)
 
 static int close_loops(const @NAME@_model *model, double *q, double *qd)
 {
-  enum { MOST = 8 };
+  enum { MOST = @MOST@ };
   double change[2 * NV], closure[NC1];
   normalise(q);
   int good = correction(model, q, qd, change, closure);
@@ -234,6 +249,125 @@ void @NAME@_move(double *q, const double *change)
   move(q, change);
 }
 
+/* Solve a x = b of some rows, both overwritten; returns the absolute value of the determinant. */
+static double solve(int rows, double *a, double *b)
+{
+  double determinant = 1.0;
+  for (int k = 0; k < rows; ++k) {
+    int best = k;
+    for (int i = k + 1; i < rows; ++i) {
+      best = fabs(a[i * rows + k]) > fabs(a[best * rows + k]) ? i : best;
+    }
+    for (int j = 0; j < rows; ++j) {
+      const double kept = a[k * rows + j];
+      a[k * rows + j] = a[best * rows + j];
+      a[best * rows + j] = kept;
+    }
+    const double kept = b[k];
+    b[k] = b[best];
+    b[best] = kept;
+    determinant *= fabs(a[k * rows + k]);
+    for (int i = k + 1; i < rows; ++i) {
+      const double factor = a[i * rows + k] / a[k * rows + k];
+      for (int j = k; j < rows; ++j) {
+        a[i * rows + j] -= factor * a[k * rows + j];
+      }
+      b[i] -= factor * b[k];
+    }
+  }
+  for (int k = rows - 1; k >= 0; --k) {
+    for (int j = k + 1; j < rows; ++j) {
+      b[k] -= a[k * rows + j] * b[j];
+    }
+    b[k] /= a[k * rows + k];
+  }
+  return determinant;
+}
+
+static int is_chosen(const int *choice, int count, int freedom)
+{
+  for (int n = 0; n < count; ++n) {
+    if (choice[n] == freedom) {
+      return 1;
+    }
+  }
+  return 0;
+}
+
+/* Complete changes of the chosen freedoms so that J change = -right; returns as solve. */
+static double complete(
+  const int *choice, int count, double jacobian[NC1][NV], const double *right, double *change)
+{
+  double a[NC1 * NC1] = {0.0}, b[NC1] = {0.0};
+  int place = 0;
+  for (int i = 0; i < NC; ++i) {
+    b[i] = -right[i];
+  }
+  for (int j = 0; j < NV; ++j) {
+    const int own = is_chosen(choice, count, j);
+    for (int i = 0; i < NC; ++i) {
+      if (own) {
+        b[i] -= jacobian[i][j] * change[j];
+      } else if (place < NC) {
+        a[i * NC + place] = jacobian[i][j];
+      }
+    }
+    place += !own;
+  }
+  const double determinant = solve(NC, a, b);
+  place = 0;
+  for (int j = 0; j < NV; ++j) {
+    if (!is_chosen(choice, count, j) && place < NC) {
+      change[j] = b[place++];
+    }
+  }
+  return determinant;
+}
+
+/* Close the loops, the chosen coordinates and rates as they are. */
+static int close_around(
+  const @NAME@_model *model, const int *choice, int count, @NAME@_state *state)
+{
+  enum { MOST = 30 };
+  static const double none[NC1] = {0.0};
+  @NAME@_state closed = *state;
+  double error[NC1], jacobian[NC1][NV], change[NV];
+  int good = NC == 0;
+  normalise(closed.q);
+  for (int n = 0; NC > 0 && n < MOST; ++n) {
+    @NAME@_closure(model, closed.q, error, jacobian[0]);
+    memset(change, 0, sizeof change);
+    complete(choice, count, jacobian, error, change);
+    const double size = largest(change, NV);
+    if (!(size < 1.0)) {
+      return @UPPER@_OPEN;
+    }
+    move(closed.q, change);
+    /* Newton's method: what is left is the square of the last change. */
+    if (size < @NEWTON@) {
+      good = 1;
+      break;
+    }
+  }
+  @NAME@_closure(model, closed.q, error, jacobian[0]);
+  if (!good || !(largest(error, NC) <= model->closure_limit)) {
+    return @UPPER@_OPEN;
+  }
+  complete(choice, count, jacobian, none, closed.qd);
+  for (int i = 0; i < NV; ++i) {
+    if (!isfinite(closed.qd[i])) {
+      return @UPPER@_SINGULAR;
+    }
+  }
+  *state = closed;
+  return @UPPER@_OK;
+}
+
+int @NAME@_assemble(const @NAME@_model *model, @NAME@_state *state)
+{
+  return close_around(model, @NAME@_independent, NI, state);
+}
+@CONTROL@
 /* What to step along: rates of coordinates, then accelerations. */
 static int slope_at(
   const @NAME@_model *model, const double *state, const double *tau, double *slope)
@@ -306,70 +440,7 @@ void @NAME@_closure(
 const char *const @NAME@_position_names[] = {@POSITIONS@};
 const char *const @NAME@_velocity_names[] = {@VELOCITIES@};
 
-/* CasADi's calling convention. */
-
-enum { ARGUMENTS = 3, RESULTS = 2 };
-
-int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
-{
-  static const double zero[NQ + NV];
-  double qdd[NV], lam[NC1];
-  (void)iw;
-  (void)w;
-  (void)mem;
-  if (!evaluation(
-      &@NAME@_default, arg[0] ? arg[0] : zero, arg[1] ? arg[1] : zero, arg[2] ? arg[2] : zero,
-      qdd, lam))
-  {
-    return @UPPER@_SINGULAR;
-  }
-  if (res[0]) {
-    memcpy(res[0], qdd, sizeof qdd);
-  }
-  if (res[1]) {
-    memcpy(res[1], lam, NC * sizeof(double));
-  }
-  return 0;
-}
-
-long long int @NAME@_n_in(void) {return ARGUMENTS;}
-long long int @NAME@_n_out(void) {return RESULTS;}
-
-const char *@NAME@_name_in(long long int place)
-{
-  static const char *const names[] = {"q", "qd", "tau"};
-  return place >= 0 && place < ARGUMENTS ? names[place] : 0;
-}
-
-const char *@NAME@_name_out(long long int place)
-{
-  static const char *const names[] = {"qdd", "lam"};
-  return place >= 0 && place < RESULTS ? names[place] : 0;
-}
-
-/* Columns, compressed: rows, columns, begin and end of the one column, row of each number. */
-@SPARSITIES@
-
-const long long int *@NAME@_sparsity_in(long long int place)
-{
-  return place == 0 ? column_nq : place > 0 && place < ARGUMENTS ? column_nv : 0;
-}
-
-const long long int *@NAME@_sparsity_out(long long int place)
-{
-  return place == 0 ? column_nv : place == 1 ? column_nc : 0;
-}
-
-int @NAME@_work(
-  long long int *sz_arg, long long int *sz_res, long long int *sz_iw, long long int *sz_w)
-{
-  if (sz_arg) {*sz_arg = ARGUMENTS;}
-  if (sz_res) {*sz_res = RESULTS;}
-  if (sz_iw) {*sz_iw = 0;}
-  if (sz_w) {*sz_w = 0;}
-  return 0;
-}
-@JACOBIANS@
+@CALLED@@JACOBIANS@
 #ifdef @UPPER@_MAIN
 #include <stdio.h>
 #include <stdlib.h>
@@ -441,6 +512,129 @@ void @NAME@_joint_forces(
 const char *const @NAME@_joint_names[] = {@NAMED@};
 """
 
+# Numbers of double precision alone: in the header, and in the source.
+CASADI = """\
+/* CasADi's calling convention: casadi.external('@NAME@', './@NAME@.so') is the evaluation of the
+ * default model as a function (q, qd, tau) -> (qdd, lam). */
+int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem);
+
+"""
+
+CALLED = """\
+/* CasADi's calling convention. */
+
+enum { ARGUMENTS = 3, RESULTS = 2 };
+
+int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
+{
+  static const double zero[NQ + NV];
+  double qdd[NV], lam[NC1];
+  (void)iw;
+  (void)w;
+  (void)mem;
+  if (!evaluation(
+      &@NAME@_default, arg[0] ? arg[0] : zero, arg[1] ? arg[1] : zero, arg[2] ? arg[2] : zero,
+      qdd, lam))
+  {
+    return @UPPER@_SINGULAR;
+  }
+  if (res[0]) {
+    memcpy(res[0], qdd, sizeof qdd);
+  }
+  if (res[1]) {
+    memcpy(res[1], lam, NC * sizeof(double));
+  }
+  return 0;
+}
+
+long long int @NAME@_n_in(void) {return ARGUMENTS;}
+long long int @NAME@_n_out(void) {return RESULTS;}
+
+const char *@NAME@_name_in(long long int place)
+{
+  static const char *const names[] = {"q", "qd", "tau"};
+  return place >= 0 && place < ARGUMENTS ? names[place] : 0;
+}
+
+const char *@NAME@_name_out(long long int place)
+{
+  static const char *const names[] = {"qdd", "lam"};
+  return place >= 0 && place < RESULTS ? names[place] : 0;
+}
+
+/* Columns, compressed: rows, columns, begin and end of the one column, row of each number. */
+@SPARSITIES@
+
+const long long int *@NAME@_sparsity_in(long long int place)
+{
+  return place == 0 ? column_nq : place > 0 && place < ARGUMENTS ? column_nv : 0;
+}
+
+const long long int *@NAME@_sparsity_out(long long int place)
+{
+  return place == 0 ? column_nv : place == 1 ? column_nc : 0;
+}
+
+int @NAME@_work(
+  long long int *sz_arg, long long int *sz_res, long long int *sz_iw, long long int *sz_w)
+{
+  if (sz_arg) {*sz_arg = ARGUMENTS;}
+  if (sz_res) {*sz_res = RESULTS;}
+  if (sz_iw) {*sz_iw = 0;}
+  if (sz_w) {*sz_w = 0;}
+  return 0;
+}
+"""
+
+# Where as many joints are actuated as there are degrees of freedom: in the header, and behind the
+# assembly.
+INVERSE = """
+/* Torques tau[NV] of the actuated joints, zero in others, that accelerate the independent freedoms
+ * by acceleration[NI]: computed torque. They take NI + 1 evaluations. */
+int @NAME@_inverse(
+  const @NAME@_model *model, const @NAME@_state *state, const double *acceleration, double *tau);
+"""
+
+COMPUTED_TORQUE = """
+int @NAME@_inverse(
+  const @NAME@_model *model, const @NAME@_state *state, const double *acceleration, double *tau)
+{
+  /* Accelerations are those without torques, and in proportion to these. */
+  double unit[NV] = {0.0}, qdd[NV], lam[NC1], without[NI], by_torque[NI * NI], found[NI];
+  for (int n = -1; n < NI; ++n) {
+    if (n >= 0) {
+      unit[@NAME@_actuated[n]] = 1.0;
+    }
+    if (!evaluation(model, state->q, state->qd, unit, qdd, lam)) {
+      return @UPPER@_SINGULAR;
+    }
+    for (int i = 0; i < NI; ++i) {
+      const double one = qdd[@NAME@_independent[i]];
+      if (n < 0) {
+        without[i] = one;
+        found[i] = acceleration[i] - one;
+      } else {
+        by_torque[i * NI + n] = one - without[i];
+      }
+    }
+    if (n >= 0) {
+      unit[@NAME@_actuated[n]] = 0.0;
+    }
+  }
+  solve(NI, by_torque, found);
+  for (int i = 0; i < NI; ++i) {
+    if (!isfinite(found[i])) {
+      return @UPPER@_SINGULAR;
+    }
+  }
+  memset(tau, 0, NV * sizeof(double));
+  for (int i = 0; i < NI; ++i) {
+    tau[@NAME@_actuated[i]] = found[i];
+  }
+  return @UPPER@_OK;
+}
+"""
+
 # Where derivatives are asked for: in the header, and behind the functions of CasADi.
 DIFFERENTIATE = """
 /* Accelerations, multipliers and derivatives of both, of coordinates that close the loops: NV
@@ -450,6 +644,94 @@ DIFFERENTIATE = """
 int @NAME@_differentiate(
   const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
   double *lam, double *derivatives);
+@LINEARISE@"""
+
+# Beside them, where there is a degree of freedom.
+LINEARISE = """
+/* Derivatives of a step: a[2 NI][2 NI] of the displacements and rates of the independent freedoms
+ * after it by those before it, b[2 NI][NA] by the torques of the actuated joints. The equations of
+ * small changes are integrated as _step integrates the motion: to its order, the fifth power of
+ * the step size. */
+int @NAME@_linearise(
+  const @NAME@_model *model, const @NAME@_state *state, const double *tau, double step_size,
+  double *a, double *b);
+"""
+
+LINEAR_STEP = """
+int @NAME@_linearise(
+  const @NAME@_model *model, const @NAME@_state *state, const double *tau, double step_size,
+  double *a, double *b)
+{
+  /* By columns, changes of all displacements, then rates. */
+  enum { CHANGES = 2 * NI + NA, BOTH = 2 * NV, STATES = NQ + NV };
+  static const double none[NC1] = {0.0};
+  static const double share[4] = {0.0, 0.5, 0.5, 1.0};
+  static const double weight[4] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
+  double before[CHANGES][BOTH] = {{0.0}}, along[CHANGES][BOTH] = {{0.0}};
+  double after[CHANGES][BOTH], start[STATES], stage[STATES], slope[STATES] = {0.0}, now[BOTH];
+  double lam[NC1], by[3][NV][NV + NC], rates_by[2 * NV * NC1], jacobian[NC1][NV], right[NC1];
+  memcpy(start, state->q, sizeof state->q);
+  memcpy(start + NQ, state->qd, sizeof state->qd);
+  for (int k = 0; k < 4; ++k) {
+    for (int i = 0; i < STATES; ++i) {
+      stage[i] = start[i] + step_size * (share[k] * slope[i]);
+    }
+    rates(stage, stage + NQ, slope);
+    if (@NAME@_evaluate(model, stage, stage + NQ, tau, slope + NQ, lam) != @UPPER@_OK ||
+      !derivatives_of(model, stage, stage + NQ, slope + NQ, lam, by[0][0], rates_by))
+    {
+      return @UPPER@_SINGULAR;
+    }
+    if (k == 0) {
+      @NAME@_closure(model, stage, right, jacobian[0]);
+      for (int n = 0; n < NI; ++n) {
+        const int own = @NAME@_independent[n];
+        before[n][own] = before[NI + n][NV + own] = 1.0;
+        complete(@NAME@_independent, NI, jacobian, none, before[n]);
+        change_of_rates(rates_by, before[n], right);
+        complete(@NAME@_independent, NI, jacobian, right, before[n] + NV);
+        complete(@NAME@_independent, NI, jacobian, none, before[NI + n] + NV);
+      }
+      memcpy(after, before, sizeof after);
+    }
+    for (int n = 0; n < CHANGES; ++n) {
+      for (int i = 0; i < BOTH; ++i) {
+        now[i] = before[n][i] + step_size * (share[k] * along[n][i]);
+      }
+      memcpy(along[n], now + NV, NV * sizeof(double));
+      turn_changes(stage + NQ, now, along[n]);
+      for (int row = 0; row < NV; ++row) {
+        double sum = n < 2 * NI ? 0.0 : by[2][@NAME@_actuated[n - 2 * NI]][row];
+        for (int j = 0; j < NV; ++j) {
+          sum += by[0][j][row] * now[j] + by[1][j][row] * now[NV + j];
+        }
+        along[n][NV + row] = sum;
+      }
+      for (int i = 0; i < BOTH; ++i) {
+        after[n][i] += step_size * (weight[k] * along[n][i]);
+      }
+    }
+  }
+  for (int row = 0; row < 2 * NI; ++row) {
+    const int place = row < NI ? @NAME@_independent[row] : NV + @NAME@_independent[row - NI];
+    for (int n = 0; n < CHANGES; ++n) {
+      if (!isfinite(after[n][place])) {
+        return @UPPER@_NOT_FINITE;
+      }
+    }
+  }
+  for (int row = 0; row < 2 * NI; ++row) {
+    const int place = row < NI ? @NAME@_independent[row] : NV + @NAME@_independent[row - NI];
+    for (int n = 0; n < CHANGES; ++n) {
+      if (n < 2 * NI) {
+        a[row * 2 * NI + n] = after[n][place];
+      } else {
+        b[row * NA + n - 2 * NI] = after[n][place];
+      }
+    }
+  }
+  return @UPPER@_OK;
+}
 """
 
 JACOBIANS = """
@@ -476,6 +758,17 @@ static int derivatives_of(
   return 1;
 }
 
+/* Changes of J qd with coordinates. */
+static inline void change_of_rates(const double *rates_by, const double *dq, double *change)
+{
+  for (int i = 0; i < NC; ++i) {
+    change[i] = 0.0;
+    for (int j = 0; j < NV; ++j) {
+      change[i] += rates_by[j * NC + i] * dq[j];
+    }
+  }
+}
+
 int @NAME@_differentiate(
   const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
   double *lam, double *derivatives)
@@ -487,7 +780,10 @@ int @NAME@_differentiate(
   }
   return status;
 }
+@LINEAR@@BLOCKS@"""
 
+# In CasADi's calling convention.
+BLOCKS = """
 /* All Jacobians, blocks of their own: of each result by each argument. */
 int jac_@NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
 {
@@ -575,6 +871,29 @@ static void by_components(const double *q, const double *by_change, double *out)
         }
       }
     }
+  }
+}
+"""
+
+# Of changes along a motion, where there is a degree of freedom: of rotations in turning frames.
+STRAIGHT = """\
+static void turn_changes(const double *qd, const double *dq, double *out)
+{
+  (void)qd;
+  (void)dq;
+  (void)out;
+}
+"""
+
+TURNING = """\
+static void turn_changes(const double *qd, const double *dq, double *out)
+{
+  for (int n = 0; n < BALLS; ++n) {
+    const double *w = qd + ball[n][1], *d = dq + ball[n][1];
+    double *to = out + ball[n][1];
+    to[0] -= w[1] * d[2] - w[2] * d[1];
+    to[1] -= w[2] * d[0] - w[0] * d[2];
+    to[2] -= w[0] * d[1] - w[1] * d[0];
   }
 }
 """

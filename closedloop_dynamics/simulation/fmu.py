@@ -11,17 +11,16 @@ joints follow from the loops. Which ones they are changes, as an event, where ot
 
 import hashlib
 import io
-from pathlib import Path
 import platform
 import re
 import sys
-import tempfile
 from typing import NamedTuple
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
+from .c_run import compiled
 from .c_source import c_source
 from .errors import SimulationError
 from .fmu_template import BOTH, COMMON, FMI2, FMI3, WORDS
@@ -29,14 +28,10 @@ from .key_paths import changed, numbers, resolve
 from .parameters import finite
 from ..core.codegen import space
 from ..core.codegen.function_table import VALUE_COLUMNS
-from ..engine import build
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 
 VERSIONS = ('3.0', '2.0')
-FLAGS = '-x', 'c', '-std=c99', '-fPIC', '-fvisibility=hidden'
-# Sources of more bytes are compiled without optimisation: it would take a minute.
-LONG = 1_000_000
 # Pivots below this share of the largest are rounding.
 RANK_TOLERANCE = 1e-8
 # What is varied to see how the model follows from a parameter, beside its size or 1.
@@ -117,27 +112,8 @@ def fmu(simulation, name, version='3.0', derivatives=False, binary=True):
         entries['sources/buildDescription.xml'] = _build_description(name)
     if binary:
         folder, ending = _platform(version)
-        entries[f'binaries/{folder}/{name}{ending}'] = compiled(files, name)
+        entries[f'binaries/{folder}/{name}{ending}'] = compiled(files, 'fmu.c')
     return Fmu(_archive(entries), tuple(unit.variables), unit.no_exchange)
-
-
-def compiled(files, name, *options):
-    """
-    Compile the sources of a unit, by name, for this machine; return a shared library's bytes.
-
-    ``options``: further ones of the compiler.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        for place, text in files.items():
-            Path(folder, place).write_text(text, encoding='utf-8')
-        size = '-O0' if len(files[f'{name}.c']) > LONG else '-O2'
-        out = Path(folder, 'unit')
-        try:
-            build.run([*(build.compiler() or build.zig()), *FLAGS, size, *options, '-shared',
-                       Path(folder, 'fmu.c'), '-o', out, '-lm'])
-        except build.BuildError as error:
-            raise SimulationError(f'The unit could not be compiled: {error}') from None
-        return out.read_bytes()
 
 
 def _token(files, version):

@@ -115,125 +115,12 @@ static int require(const Instance *instance, int modes, const char *function)
   return instance->values.mode & modes ? OK : failed(instance, ERROR, function);
 }
 
-/* Solve a x = b, both overwritten; returns the absolute value of the determinant of a. */
-static double solve(double a[NC1][NC1], double b[NC1])
-{
-  double determinant = 1.0;
-  for (int k = 0; k < NC; ++k) {
-    int best = k;
-    for (int i = k + 1; i < NC; ++i) {
-      best = fabs(a[i][k]) > fabs(a[best][k]) ? i : best;
-    }
-    for (int j = 0; j < NC; ++j) {
-      const double kept = a[k][j];
-      a[k][j] = a[best][j];
-      a[best][j] = kept;
-    }
-    const double kept = b[k];
-    b[k] = b[best];
-    b[best] = kept;
-    determinant *= fabs(a[k][k]);
-    for (int i = k + 1; i < NC; ++i) {
-      const double factor = a[i][k] / a[k][k];
-      for (int j = k; j < NC; ++j) {
-        a[i][j] -= factor * a[k][j];
-      }
-      b[i] -= factor * b[k];
-    }
-  }
-  for (int k = NC - 1; k >= 0; --k) {
-    for (int j = k + 1; j < NC; ++j) {
-      b[k] -= a[k][j] * b[j];
-    }
-    b[k] /= a[k][k];
-  }
-  return determinant;
-}
-
-static int is_chosen(const Values *values, int freedom)
-{
-  for (int n = 0; n < FREE; ++n) {
-    if (values->choice[n] == freedom) {
-      return 1;
-    }
-  }
-  return 0;
-}
-
-/* Complete changes of the independent freedoms so that J change = -right; returns as solve. */
-static double complete(
-  const Values *values, double jacobian[NC1][NV], const double *right, double *change)
-{
-  double a[NC1][NC1] = {{0.0}}, b[NC1] = {0.0};
-  int place = 0;
-  for (int i = 0; i < NC; ++i) {
-    b[i] = -right[i];
-  }
-  for (int j = 0; j < NV; ++j) {
-    const int own = is_chosen(values, j);
-    for (int i = 0; i < NC; ++i) {
-      if (own) {
-        b[i] -= jacobian[i][j] * change[j];
-      } else if (place < NC) {
-        a[i][place] = jacobian[i][j];
-      }
-    }
-    place += !own;
-  }
-  const double determinant = solve(a, b);
-  place = 0;
-  for (int j = 0; j < NV; ++j) {
-    if (!is_chosen(values, j) && place < NC) {
-      change[j] = b[place++];
-    }
-  }
-  return determinant;
-}
-
-/* Close the loops, the independent coordinates and rates as they are. */
-static int close_around(Values *values)
-{
-  enum { MOST = 30 };
-  static const double none[NC1] = {0.0};
-  @NAME@_state closed = values->state;
-  double error[NC1], jacobian[NC1][NV], change[NV];
-  int good = NC == 0;
-  normalise(closed.q);
-  for (int n = 0; NC > 0 && n < MOST; ++n) {
-    @NAME@_closure(&values->model, closed.q, error, jacobian[0]);
-    memset(change, 0, sizeof change);
-    complete(values, jacobian, error, change);
-    const double size = largest(change, NV);
-    if (!(size < 1.0)) {
-      return @UPPER@_OPEN;
-    }
-    move(closed.q, change);
-    /* Newton's method: what is left is the square of the last change. */
-    if (size < 1e-8) {
-      good = 1;
-      break;
-    }
-  }
-  @NAME@_closure(&values->model, closed.q, error, jacobian[0]);
-  if (!good || !(largest(error, NC) <= values->model.closure_limit)) {
-    return @UPPER@_OPEN;
-  }
-  complete(values, jacobian, none, closed.qd);
-  for (int i = 0; i < NV; ++i) {
-    if (!isfinite(closed.qd[i])) {
-      return @UPPER@_SINGULAR;
-    }
-  }
-  values->state = closed;
-  values->open = 0;
-  return @UPPER@_OK;
-}
-
 static int closed(Instance *instance)
 {
   Values *values = &instance->values;
   if (values->open) {
-    const int status = EXCHANGE ? close_around(values) :
+    const int status = EXCHANGE ?
+      close_around(&values->model, values->choice, FREE, &values->state) :
       @NAME@_correct(&values->model, &values->state);
     if (status != @UPPER@_OK) {
       return failed(instance, DISCARD, reason(status));
@@ -264,7 +151,7 @@ static double determinant_now(const Values *values)
   static const double none[NC1] = {0.0};
   double error[NC1], jacobian[NC1][NV], change[NV] = {0.0};
   @NAME@_closure(&values->model, values->state.q, error, jacobian[0]);
-  return complete(values, jacobian, none, change);
+  return complete(values->choice, FREE, jacobian, none, change);
 }
 
 /* Choose independent coordinates again, by elimination with complete pivoting. Returns whether
@@ -519,17 +406,10 @@ static int differentiate(
   {
     return failed(instance, DISCARD, reason(@UPPER@_SINGULAR));
   }
-  /* Compact: rows of NC numbers. */
-  const double *by_position = &rates_by[0][0][0];
   @NAME@_closure(&values->model, q, right, jacobian[0]);
-  complete(values, jacobian, zero, dq);
-  for (int i = 0; i < NC; ++i) {
-    right[i] = 0.0;
-    for (int j = 0; j < NV; ++j) {
-      right[i] += by_position[j * NC + i] * dq[j];
-    }
-  }
-  complete(values, jacobian, right, dqd);
+  complete(values->choice, FREE, jacobian, zero, dq);
+  change_of_rates(&rates_by[0][0][0], dq, right);
+  complete(values->choice, FREE, jacobian, right, dqd);
   rates(q, dq, moved);
   for (size_t n = 0; n < count; ++n) {
     unsigned k = unknowns[n];

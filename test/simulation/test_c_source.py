@@ -21,11 +21,13 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.mechanism.rotations import of_quaternion
-from closedloop_dynamics.simulation.c_source import c_source
+from closedloop_dynamics.simulation.c_source import c_cost, c_source
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.stepper import Stepper
 import numpy as np
 import pytest
 
@@ -61,8 +63,9 @@ def simulation_of(scene, effects=()):
     return Simulation.from_scene(scene)
 
 
-def build(folder, simulation, *options, name='model', derivatives=False, compiler='gnu'):
-    source, header = c_source(simulation, name, derivatives)
+def build(folder, simulation, *options, name='model', derivatives=False, compiler='gnu',
+          command='cc', float32=False):
+    source, header = c_source(simulation, name, derivatives, float32)
     if compiler == 'plain':
         # As one that knows no vectors reads it.
         assert 'defined(__GNUC__)' in source
@@ -70,22 +73,23 @@ def build(folder, simulation, *options, name='model', derivatives=False, compile
     (folder / f'{name}.c').write_text(source)
     (folder / f'{name}.h').write_text(header)
     out = folder / (f'{name}.so' if '-shared' in options else name)
-    subprocess.run(('cc', *STRICT, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
+    subprocess.run(
+        (command, *STRICT, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
     return out
 
 
-def links(folder, *options):
+def links(folder, *options, command='cc'):
     """Return whether a program can be made with some options."""
     (folder / 'nothing.c').write_text('#include <math.h>\nint main(void) {return 0;}\n')
     return not subprocess.run(
-        ('cc', *options, '-o', folder / 'nothing', folder / 'nothing.c', '-lm'),
+        (command, *options, '-o', folder / 'nothing', folder / 'nothing.c', '-lm'),
         check=False, capture_output=True).returncode
 
 
-def run(program, steps, tau, every=50):
+def run(program, steps, tau, every=50, emulator=()):
     text = subprocess.run(
-        (program, str(steps), '0.001', str(every), *map(repr, tau.tolist())), check=True,
-        capture_output=True, text=True).stdout
+        (*emulator, program, str(steps), '0.001', str(every), *map(repr, tau.tolist())),
+        check=True, capture_output=True, text=True).stdout
     return np.array([line.split() for line in text.splitlines()], dtype=float)
 
 
@@ -159,6 +163,169 @@ def test_numbers_of_more_digits_change_nothing(scene, size, options, tmp_path):
     simulation.step(command, 0.1)
     nq = len(simulation.position)
     np.testing.assert_allclose(rows[-1, 1:1 + nq], simulation.position, rtol=0, atol=2e-13)
+
+
+# Compilers and emulators of other processors, from Debian: packages gcc-arm-linux-gnueabihf,
+# gcc-arm-linux-gnueabi and qemu-user.
+ARM_HARD, ARM_SOFT = 'arm-linux-gnueabihf-gcc', 'arm-linux-gnueabi-gcc'
+
+
+@compiled
+@pytest.mark.parametrize('float32', (False, True))
+@pytest.mark.parametrize('command, options, emulator', (
+    ('cc', (), ()), ('cc', ('-m32',), ()),
+    (ARM_HARD, ('-static', '-mfpu=neon-vfpv4'), ('qemu-arm',)),
+    (ARM_SOFT, ('-static', '-mfloat-abi=soft'), ('qemu-arm',))))
+@pytest.mark.parametrize('scene', (
+    'three_rrr_vertical', pytest.param('rssr_four_bar', marks=pytest.mark.slow)))
+def test_other_processors_and_single_precision_make_the_same_run(
+        scene, command, options, emulator, float32, tmp_path):
+    if any(shutil.which(one) is None for one in (command, *emulator)) or not links(
+            tmp_path, *options, command=command):
+        pytest.skip(f'needs {" ".join((command, *options, *emulator))}')
+    simulation = simulation_of(scene)
+    tau, nq = torques(simulation), len(simulation.position)
+    rows = run(build(tmp_path, simulation, '-DMODEL_MAIN', '-O2', *options, command=command,
+                     float32=float32), 100, simulation.joint_torques(tau), 50, emulator)
+    for row in rows[1:]:
+        simulation.step(tau, 0.05)
+        # Of single precision, 100 roundings of coordinates of some radians.
+        np.testing.assert_allclose(row[1:1 + nq], simulation.position, rtol=0,
+                                   atol=5e-5 if float32 else 2e-13)
+    # Read from memory, where x87 has rounded them.
+    states = rows[:, 1:1 + nq]
+    assert np.array_equal(np.float32(states), states) == float32
+
+
+@compiled
+@pytest.mark.parametrize('float32', (False, True))
+@pytest.mark.parametrize('scene', (
+    'four_bar', 'three_rrr', pytest.param('rssr_four_bar', marks=pytest.mark.slow)))
+def test_cost_bounds_what_a_compiler_takes(scene, float32, tmp_path):
+    simulation = simulation_of(scene)
+    cost = c_cost(simulation, True, float32)
+    for level in ('-O0', '-O1'):
+        build(tmp_path, simulation, level, '-shared', '-fPIC', '-fstack-usage',
+              '-DMODEL_ONE_VERSION', derivatives=True, float32=float32)
+        report, = tmp_path.glob('*.su')
+        used = {}
+        for line in report.read_text().splitlines():
+            place, size, _ = line.split('\t')
+            used[re.sub(r'\..*', '', place.split(':')[-1])] = int(size)
+        chains = {
+            'evaluate': ('model_evaluate', 'evaluation', 'evaluation_any'),
+            'step': ('model_step', 'close_loops', 'correction', 'correction_any'),
+            'assemble': ('model_assemble', 'close_around', 'model_closure', 'closures_of'),
+            'linearise': ('model_linearise', 'derivatives_of', 'columns_of_any')}
+        for function, chain in chains.items():
+            # What is not listed has become part of its caller.
+            taken = sum(used.get(one, 0) for one in chain)
+            assert taken <= cost.stack[function]
+            # Without optimisation it is no rough bound: frames are short beside long functions.
+            if level == '-O0' and function == 'evaluate' and not float32 and scene != 'four_bar':
+                assert taken > 0.7 * cost.stack[function]
+
+
+def test_cost_counts_the_operations_of_the_source():
+    simulation = simulation_of('slider_crank')
+    cost, (source, header) = c_cost(simulation), c_source(simulation, 'model')
+    body = source.partition('VERSION(evaluation)(')[2].partition('\n}\n')[0]
+    # One operation a line: between operands, a sign, a quotient by name, or a root.
+    lines = [line for line in body.splitlines() if re.search(
+        r'= (?:\S+ [-+*/] \S+|-v\d+|sqrt\(.*\));', line)]
+    assert cost.operations['evaluation'] == len(lines)
+    assert cost.of_step(cost.operations) == 4 * len(lines) + 9 * cost.operations['correction']
+    assert str(cost.of_step(cost.operations)) in header and 'MOST = 8' in source
+
+
+def library_of(folder, simulation, derivatives=False):
+    """Return functions of the compiled library, of arrays and numbers."""
+    library = ctypes.CDLL(str(build(
+        folder, simulation, '-O1', '-shared', '-fPIC', derivatives=derivatives)))
+    model = ctypes.byref(ctypes.c_char.in_dll(library, 'model_default'))
+
+    def call(name, *values):
+        return getattr(library, f'model_{name}')(model, *(
+            ctypes.c_double(one) if isinstance(one, float) else
+            ctypes.c_void_p(one.ctypes.data) for one in values))
+
+    names = simulation.joint_names
+    places = list(iter(lambda found=iter((ctypes.c_int * 50).in_dll(
+        library, 'model_independent')): next(found), -1))
+    return call, tuple(names[place] for place in places)
+
+
+@compiled
+@pytest.mark.parametrize('scene', (
+    'three_rrr_vertical', 'rssr_four_bar',
+    pytest.param('stewart_platform', marks=pytest.mark.slow)))
+def test_assembly_keeps_the_independent_coordinates(scene, tmp_path):
+    simulation = simulation_of(scene)
+    call, independent = library_of(tmp_path, simulation)
+    model = Model.from_scene(scene)
+    simulation.step(torques(simulation), 0.05)
+    start = simulation.snapshot()
+    own = [simulation.joint_names.index(name) for name in independent]
+    rng = np.random.default_rng(4)
+    change = np.zeros(len(start.qd))
+    change[own] = 0.02 * rng.normal(size=len(own))
+    opened = start.coordinates.moved(start.q, change)
+    state = np.concatenate((opened, start.qd))
+    assert call('assemble', state) == 0
+    q, qd = state[:len(opened)], state[len(opened):]
+    # It closes the loops, or this refuses it.
+    model.state(q, qd)
+    # Around the independent ones, which stay; rotations are coordinates to first order alone.
+    turns = model.coordinates.place < 0
+    moved = np.abs(start.coordinates.apart(q, opened))[own]
+    assert (moved <= np.where(turns[own], 1e-3, 1e-13)).all()
+    np.testing.assert_allclose(qd[own], start.qd[own], rtol=1e-14)
+    assert np.abs(q - opened).max() > 1e-4
+    # What no Newton's method reaches is reported, and left alone.
+    state[:len(q)], state[len(q):] = math.nan, 1.0
+    assert call('assemble', state) in (1, 2)
+    assert (state[len(q):] == 1.0).all()
+
+
+@compiled
+@pytest.mark.parametrize('scene', (
+    'three_rrr_vertical', pytest.param('stewart_platform', marks=pytest.mark.slow)))
+def test_computed_torque_is_that_of_the_package(scene, tmp_path):
+    simulation = simulation_of(scene)
+    call, independent = library_of(tmp_path, simulation)
+    model, rng = Model.from_scene(scene), np.random.default_rng(4)
+    simulation.step(torques(simulation), 0.05)
+    state = simulation.snapshot()
+    own = [simulation.joint_names.index(name) for name in independent]
+    wanted, tau = rng.normal(size=len(own)), np.zeros(len(state.qd))
+    assert call('inverse', np.concatenate((state.q, state.qd)), wanted, tau) == 0
+    expected = model.reduce(state, independent=independent).inverse(wanted)
+    driven = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
+    np.testing.assert_allclose(tau[driven], expected, rtol=1e-8, atol=1e-8)
+    acceleration = model.evaluate(state, expected).acceleration
+    np.testing.assert_allclose(acceleration[own], wanted, rtol=0, atol=1e-7)
+
+
+@compiled
+@pytest.mark.parametrize('scene', (
+    'four_bar', 'three_rrr_vertical', pytest.param('rssr_four_bar', marks=pytest.mark.slow)))
+def test_linearised_steps_are_those_of_the_package_to_the_order_of_the_method(scene, tmp_path):
+    simulation = simulation_of(scene)
+    call, independent = library_of(tmp_path, simulation, True)
+    model, torque = Model.from_scene(scene), torques(simulation)
+    simulation.step(torque, 0.1)
+    start, n, na = simulation.snapshot(), len(independent), len(torque)
+    errors = []
+    for period in (8e-3, 4e-3):
+        stepper = Stepper(model, period, steps=1, independent=independent)
+        stepper.q[:], stepper.qd[:], stepper.tau[:] = start.q, start.qd, list(torque.values())
+        stepper()
+        a, b = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, na))
+        assert call('linearise', np.concatenate((start.q, start.qd)),
+                    simulation.joint_torques(torque), period, a, b) == 0
+        errors.append(max(np.abs(one - exact).max() / np.abs(exact).max()
+                          for one, exact in ((a, stepper.A), (b, stepper.B))))
+    assert errors[0] < 1e-4 and errors[1] < errors[0] / 2 ** 3.5
 
 
 @compiled

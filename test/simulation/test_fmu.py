@@ -16,7 +16,8 @@ from zipfile import ZipFile
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine import build
 from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.fmu import compiled, fmu
+from closedloop_dynamics.simulation.c_run import compiled
+from closedloop_dynamics.simulation.fmu import fmu
 from closedloop_dynamics.simulation.key_paths import changed, resolve
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
@@ -471,4 +472,4 @@ def test_the_command_writes_units_and_tells_what_they_lack(tmp_path, capsys):
 
 def test_what_does_not_compile_is_told_with_the_reason():
     with pytest.raises(SimulationError, match='could not be compiled'):
-        compiled({'machine.c': '', 'fmu.c': 'no C'}, 'machine')
+        compiled({'machine.c': '', 'fmu.c': 'no C'}, 'fmu.c')

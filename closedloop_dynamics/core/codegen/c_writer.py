@@ -3,6 +3,8 @@
 
 """C99 writer for traced arithmetic."""
 
+import re
+
 from . import sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
@@ -68,6 +70,17 @@ static void sines_and_cosines(int count, const double *angle, double *sine, doub
 }}
 """
 
+# In single precision all angles are the C library's.
+LIBRARY_SINES = """\
+static void sines_and_cosines(int count, const double *angle, double *sine, double *cosine)
+{
+  for (int n = 0; n < count; ++n) {
+    sine[n] = sin(angle[n]);
+    cosine[n] = cos(angle[n]);
+  }
+}
+"""
+
 
 # Numbers side by side: as many vectors as it takes of the width that the processor has, or, where
 # the compiler knows none, single numbers. Read again for another processor, under other names.
@@ -94,11 +107,11 @@ typedef double part_of_four, part_of_eight;
 #else
 #if defined(__AVX__)
 #define PARTS_OF_FOUR(of, a, sign, b) {{of(a, sign, b, 0)}}
-typedef double part_of_four __attribute__((vector_size(32)));
+typedef double part_of_four __attribute__((vector_size(4 * sizeof(double))));
 #define AT_FOUR(v, place) (v).parts[0][place]
 #else
 #define PARTS_OF_FOUR(of, a, sign, b) {{of(a, sign, b, 0), of(a, sign, b, 1)}}
-typedef double part_of_four __attribute__((vector_size(16)));
+typedef double part_of_four __attribute__((vector_size(2 * sizeof(double))));
 #define AT_FOUR(v, place) (v).parts[(place) / 2][(place) % 2]
 #endif
 #if defined(__AVX512F__)
@@ -284,6 +297,20 @@ def statements_in_lanes(routine, places, shared):
         known = name(value.place if hasattr(value, 'place') else float(value))
         lines.append(f'memcpy({places[source]} + {LANES * place}, &{known}, sizeof {known});')
     return lines
+
+
+def in_single_precision(text):
+    """Return C with numbers of single precision; comments, strings and names stay."""
+    def changed(match):
+        word = match[0]
+        return (f'{word}f' if match['number'] or match['function'] else
+                {'double': 'float', 'HUGE_VAL': 'HUGE_VALF'}[word] if match['word'] else word)
+
+    return re.sub(
+        r'"(?:\\.|[^"\\])*"|/\*.*?\*/'
+        r'|(?<![\w.])(?P<number>\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])'
+        fr'|\b(?P<function>fabs|sin|cos|{"|".join(_FUNCTIONS.values())})(?=\()'
+        r'|\b(?P<word>double|HUGE_VAL)\b', changed, text, flags=re.DOTALL)
 
 
 def _in_vectors(width, kind, operands):
