@@ -50,8 +50,8 @@ class Cost:
         yield (f'At most, an evaluation takes {operations["evaluation"]} operations and '
                f'{sines["evaluation"]} sines and cosines, a correction '
                f'{operations["correction"]} and {sines["correction"]}, a step {STAGES} '
-               f'evaluations and {1 + MOST_CORRECTIONS} corrections: {self.of_step(operations)} and '
-               f'{self.of_step(sines)}.')
+               f'evaluations and {1 + MOST_CORRECTIONS} corrections: '
+               f'{self.of_step(operations)} and {self.of_step(sines)}.')
         yield ('Stack, at most, in bytes, without what the C library takes: ' + ', '.join(
             f'{name} {size}' for name, size in self.stack.items()) + '.')
 
