@@ -223,7 +223,7 @@ def measure(scene, duration, bare):
         live = Live(scene)
         moved = MOVED.get(live.scene.name)
         simulator = start('simulator', f'scene:={scene}', f'publish_rate:={RATE}',
-                          *([] if moved is None else [f'motion_joints:={moved}']))
+                          *([] if moved is None else [f'motion_joints:=[{moved}]']))
         try:
             live.subscriber.take_until(
                 lambda: len(live.sent) > RATE or simulator.poll() is not None)

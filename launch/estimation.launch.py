@@ -67,7 +67,7 @@ def start(context):
     if viewed:
         entities.append(Node(
             package=PACKAGE, executable='closedloop_viewer', output='screen',
-            parameters=[{'nodes': '/closedloop_simulator',
+            parameters=[{'nodes': ['/closedloop_simulator'],
                          'estimator': f'/{TWIN}/closedloop_estimator'}]))
     if shown:
         entities.append(Node(

@@ -111,11 +111,16 @@ def converted(parameter, text):
     """Return the value of an argument in the type of its parameter: 200 serves as 200.0."""
     kind = type(parameter.default)
     try:
+        if kind is list:
+            value = yaml.safe_load(text)
+            if not isinstance(value, list):
+                raise ValueError
+            return value
         return {'true': True, 'false': False}[text.lower()] if kind is bool else kind(text)
-    except (KeyError, ValueError):
-        raise RuntimeError(
-            f"{parameter.name}: expected {'true or false' if kind is bool else 'a number'}, got "
-            f"'{text}'") from None
+    except (KeyError, ValueError, yaml.YAMLError):
+        expected = {bool: 'true or false', list: 'a list (write [name_1, name_2])'}
+        raise RuntimeError(f"{parameter.name}: expected {expected.get(kind, 'a number')}, got "
+                           f"'{text}'") from None
 
 
 def node(executable, values, parameters):

@@ -103,7 +103,7 @@ class JointStatesNode(Node):
 
     def _build_completion(self):
         values, simulation = self._values, self._simulation
-        joints = [name for name in values['joints'] if name] or [
+        joints = values['joints'] or [
             name for name in simulation.actuated_joints if name in simulation.joint_names]
         deviations = values['deviations'] * (
             len(joints) if len(values['deviations']) == 1 else 1)

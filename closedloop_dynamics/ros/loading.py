@@ -23,18 +23,18 @@ COST_DURATION, COST_RATE, LONGEST_PROBE = 10.0, 10.0, 0.1
 def allow_code(paths):
     """Run the Python files of the parameter ``allow_code``; StartError where one fails."""
     try:
-        for path in filter(None, map(str.strip, paths.split(','))):
+        for path in paths:
             run_code(path)
     except ValueError as error:
         raise StartError(f"parameter 'allow_code': {error}") from None
 
 
-def load_simulation(values, logger, moved='', **method):
+def load_simulation(values, logger, moved=(), **method):
     """
     Return the simulation of a scene, and the scene's own method; log both.
 
     ``values`` are parameters of the node, ``scene`` and ``allow_code`` among them. ``moved`` names
-    joints, with commas between them, whose motion is commanded beside those of the scene;
+    joints whose motion is commanded beside those of the scene;
     ``method`` is what differs from the scene's own; None: nothing. Raises StartError if the scene
     cannot be read or simulated.
     """
@@ -45,9 +45,8 @@ def load_simulation(values, logger, moved='', **method):
     try:
         with leaving_at_once():
             read = load_scene(scene)
-            joints = [name.strip() for name in moved.split(',') if name.strip()]
             simulation = Simulation.from_scene(read, {
-                joint: PrescribedMotion(COMMANDED, joint=joint) for joint in joints}, **method)
+                joint: PrescribedMotion(COMMANDED, joint=joint) for joint in moved}, **method)
             simulation.data.prepare_exchanges()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None

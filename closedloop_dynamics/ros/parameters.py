@@ -77,14 +77,14 @@ class Parameter(Setting):
 
 # Of every node that reads scenes.
 ALLOW_CODE = Parameter(
-    'allow_code', '',
-    'Python files, with commas between them, that run first: they register effects that the scene '
-    'names, which runs no code by itself.')
+    'allow_code', [''],
+    'Python files that run first: they register effects that the scene names, which runs no code '
+    'by itself.')
 
 
 def declare(node, parameters):
     """
-    Declare parameters on a node and return their values by name.
+    Declare parameters on a node and return their values by name, lists without empty names.
 
     A node is given its values on the command line, or by a file. Raises StartError if one has the
     wrong type, is out of range or not a choice.
@@ -106,7 +106,7 @@ def _declare(node, parameter):
         parameter.require_choice(value)
     except (InvalidParameterValueException, ValueError) as error:
         raise StartError(str(error)) from None
-    return value
+    return list(filter(None, value)) if parameter.kind == _Type.STRING_ARRAY else value
 
 
 def _widened(given, kind):

@@ -65,9 +65,9 @@ SIMULATOR_PARAMETERS = (
         'Keep the initial state, and publish it, until so many have subscribed to joint_states '
         '[1], so that a recorder misses no motion; 0: begin at once.', (0, 100)),
     Parameter(
-        'motion_joints', '',
-        'Joints, with commas between them, whose motion follows motion_command, beside those of '
-        'the scene; they take no torques.'),
+        'motion_joints', [''],
+        'Joints whose motion follows motion_command, beside those of the scene; they take no '
+        'torques.'),
     Parameter(
         'publish_clock', False,
         'Publish simulated time on /clock, from one publishing period on, and stamp all messages '

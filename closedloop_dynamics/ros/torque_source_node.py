@@ -154,7 +154,7 @@ class TorqueSourceNode(Node):
         self._timer = self.simulation = self.law = self._orientations = None
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self.apply_parameters)
-        joints = tuple(name for name in self.values['joints'] if name)
+        joints = tuple(self.values['joints'])
         if self.values['mode'] in MODEL_MODES:
             self.simulation = self._load(joints)
             self._create_command(by_name=False)

@@ -82,8 +82,8 @@ PERIODS = 9
 # and how far the point may move in a period before it is released.
 HAND_RATE, HAND_SHARE, FEEL_PERIOD, STRETCH, SWING = 30.0, 0.12, 0.02, 0.2, 0.25
 VIEWER_PARAMETERS = (
-    Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
-                           'given: all that are found.'),
+    Parameter('nodes', [''], 'Full names of the simulators to show. Not given: all that are '
+                             'found.'),
     Parameter('estimator', '', 'Full name of a closedloop_estimator whose estimates are shown '
                                'with the simulators, pale, with bands; not given: none.'),
     Parameter('host', '127.0.0.1', 'Address to listen on; any but that of this host needs the '
@@ -521,8 +521,7 @@ class ViewerNode(Node):
         self.exit_code, self.server = None, None
         self._values = declare(self, VIEWER_PARAMETERS)
         allow_code(self._values[ALLOW_CODE.name])
-        self._wanted = [self._full(name) for name in self._values['nodes'].split(',')
-                        if name.strip()]
+        self._wanted = list(map(self._full, self._values['nodes']))
         self._estimator = self._values['estimator'] and self._full(self._values['estimator'])
         self._offered, self._shown, self._first = {}, {}, None
         steady = Clock(clock_type=ClockType.STEADY_TIME)

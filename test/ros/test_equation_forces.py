@@ -25,7 +25,7 @@ def test_forces_are_published_recorded_and_met(processes, listener, tmp_path, ca
     recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
     # Steps of one size remember nothing: a recording that began late is met to the last bit.
     simulator = processes.start('closedloop_simulator', scene='geared_five_bar', integrator='rk4',
-                                motion_joints='crank_2_joint', publish_clock='true')
+                                motion_joints='[crank_2_joint]', publish_clock='true')
     simulator.wait_until_ready()
     for topic in (*TOPICS, 'joint_states', 'replay_log', 'scene'):
         recorder.wait_for(f'/{topic}: first message')

@@ -51,7 +51,8 @@ effects:
 """
 
 
-@pytest.mark.parametrize('scene, motion_joints', [(SCENE, 'crank_joint'), ('planetary_gear', '')])
+@pytest.mark.parametrize('scene, motion_joints', [
+    (SCENE, ['crank_joint']), ('planetary_gear', [''])])
 def test_topics_of_the_simulator_are_listed(make_node, tmp_path, scene, motion_joints):
     if scene is SCENE:
         scene = str(tmp_path / 'pushed.yaml')

@@ -122,7 +122,8 @@ def test_health_of_a_pose_is_told(pose, news, level, word):
 
 @pytest.mark.parametrize('parameters, problem', [
     ({}, "'scene': expected"), ({'scene': 'no_such'}, 'no_such'),
-    ({'scene': 'four_bar', 'allow_code': 'none.py, no.py'}, "'allow_code': .*none.py: FileNotF"),
+    ({'scene': 'four_bar', 'allow_code': ['none.py', 'no.py']},
+     "'allow_code': .*none.py: FileNotF"),
     ({'scene': 'three_rrr', 'joints': ['theta_1']}, 'leave 2 of 3 degrees of freedom open'),
     ({'scene': 'four_bar', 'deviations': [0.0]}, 'positive'),
     ({'scene': 'four_bar', 'deviations': [1.0, 1.0]}, 'expected 1 positive'),

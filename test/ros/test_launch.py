@@ -113,11 +113,12 @@ def test_one_simulator_is_started_without_arguments(simulate):
 
 def test_arguments_have_the_types_of_the_parameters(simulate):
     node, = simulate(scene='four_bar', rate='200', wait_for_command='true', step_count='5',
-                     step_size='1e-3', namespace='cell', mode='lockstep')
+                     step_size='1e-3', namespace='cell', mode='lockstep', motion_joints='[a, b]')
     values = node.parameters[-1]
     assert values == {
         'scene': 'four_bar', 'publish_rate': 200.0, 'wait_for_command': True, 'step_count': 5,
-        'step_size': 0.001, 'mode': 'lockstep', 'marker_frame': 'world', 'frame_prefix': ''}
+        'step_size': 0.001, 'mode': 'lockstep', 'motion_joints': ['a', 'b'],
+        'marker_frame': 'world', 'frame_prefix': ''}
     assert {type(parameter.default) for parameter in SIMULATOR_PARAMETERS} == set(
         map(type, values.values()))
     assert node.namespace == 'cell'
@@ -126,6 +127,7 @@ def test_arguments_have_the_types_of_the_parameters(simulate):
 @pytest.mark.parametrize('name, value, problem', [
     ('rate', 'fast', 'publish_rate: expected a number'),
     ('wait_for_command', 'maybe', 'expected true or false'),
+    ('motion_joints', 'theta_1', 'expected a list'),
     ('drive', 'nobody', 'three_rrr_circle')])
 def test_wrong_arguments_are_named(simulate, name, value, problem):
     with pytest.raises(RuntimeError, match=problem):

@@ -49,7 +49,7 @@ BAD = [
 @pytest.fixture
 def node(make_node, monkeypatch):
     """Return a simulator whose time goes on with torque commands, which have no values."""
-    node = make_node(SimulatorNode, scene='carpet_scraper', motion_joints='theta_1',
+    node = make_node(SimulatorNode, scene='carpet_scraper', motion_joints=['theta_1'],
                      mode='lockstep')
     node.warnings = []
     monkeypatch.setattr(node, 'warn', lambda kind, text: node.warnings.append(text))
@@ -96,14 +96,14 @@ def test_a_trajectory_is_followed_and_bad_ones_change_nothing(node):
 
 def test_joints_that_cannot_be_moved_are_refused_at_the_start(make_node):
     with pytest.raises(StartError, match='motion.theta_9'):
-        make_node(SimulatorNode, scene='carpet_scraper', motion_joints='theta_9')
+        make_node(SimulatorNode, scene='carpet_scraper', motion_joints=['theta_9'])
 
 
 def test_another_process_moves_a_crank_and_its_recording_is_met(
         processes, listener, tmp_path, capsys):
     recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
     simulator = processes.start('closedloop_simulator', scene='carpet_scraper',
-                                motion_joints='theta_1', wait_for_command='true')
+                                motion_joints='[theta_1]', wait_for_command='true')
     simulator.wait_until_ready()
     for topic in ('scene', 'joint_states', 'replay_log'):
         recorder.wait_for(f'/{topic}: first message')

@@ -63,7 +63,7 @@ def test_no_request_compiles(scene, make_node, wanted):
 
 
 def test_a_commanded_motion_compiles_nothing(make_node, wanted):
-    node = make_node(SimulatorNode, scene='four_bar', motion_joints='crank_joint',
+    node = make_node(SimulatorNode, scene='four_bar', motion_joints=['crank_joint'],
                      mode='lockstep', publish_rate=200.0)
     wanted.clear()
     for value in (1.2, 1.6):

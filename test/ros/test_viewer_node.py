@@ -57,7 +57,7 @@ def served(viewer):
 
 def test_a_running_simulator_is_shown_and_driven(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     with Client(served(viewer)) as client:
         assert client.scene['title'] == '/closedloop_simulator'
         client.until(lambda client: client.row is not None and np.isfinite(client.row).all())
@@ -95,7 +95,7 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
 def test_estimates_are_shown_beside_the_simulator(context, spinning):
     """The viewer waits for the estimator, and shows values, deviations and poses of it."""
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator', estimator='twin')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'], estimator='twin')
     estimator = rclpy.create_node('twin', context=context)
     for _ in range(8):
         viewer.poll_simulators()
@@ -135,7 +135,7 @@ def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):
     rclpy.init(context=elsewhere, domain_id=domain)
     namesake = rclpy.create_node('closedloop_simulator', context=elsewhere)
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     with Client(served(viewer)) as client:
         client.until(lambda client: client.row is not None and np.isfinite(client.row).all())
         assert client.scene['hand']
@@ -146,7 +146,7 @@ def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):
 
 def test_a_running_simulator_is_stepped_posed_and_held(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical', step_size=0.002, **SLOWLY)
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     with Client(served(viewer)) as client:
         client.until(lambda client: client.row is not None)
         client.ask('pause')
@@ -200,7 +200,7 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
 
 def test_a_point_of_a_running_simulator_is_pulled(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr', **SLOWLY)
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     wrench = simulator.live.wrench
     with Client(served(viewer)) as client, Client(viewer.server.url) as other:
         assert client.scene['hand']
@@ -253,7 +253,7 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
 
 def test_what_moves_too_far_between_states_is_let_go(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr', publish_rate=5.0)
-    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     with Client(served(viewer)) as client:
         client.ask('command', joint='theta_1', value=200.0)
         client.until(lambda client: client.row is not None
