@@ -56,7 +56,8 @@ extras = {
     # Recordings of ROS: bags.
     'bags': ['mcap>=1.6', 'rosbags>=0.11'],
     # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.
-    'bench': ['cmeel-eigen==3.4.1', 'exudyn==1.13.6', 'mujoco==4.0.0', 'pin==4.1.0'],
+    'bench': ['cmeel-eigen==3.4.1', 'drake==1.51.1', 'exudyn==1.13.6', 'mujoco==4.0.0',
+              'pin==4.1.0'],
     # To complete words of the command line in a shell.
     'completion': ['argcomplete>=3.2'],
     # Linear models as those of python-control.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-This simulator beside its peers: Pinocchio, MuJoCo and Exudyn on the same mechanisms.
+This simulator beside its peers: Pinocchio, MuJoCo, Drake and Exudyn on the same mechanisms.
 
 Builds mechanisms in each of them from the same description, shows that all compute the same
 accelerations, then measures in one run, in turn, on one thread: the time of an evaluation or a
@@ -39,7 +39,7 @@ from tqdm import tqdm  # noqa: E402
 from closedloop_dynamics.visual.tables import text_table  # noqa: E402,I100
 
 OURS = 'peer_ours'
-ENGINES = (OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
+ENGINES = (OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_drake', 'peer_exudyn')
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
 LEG_FORCES = {f'leg_{k}': 28.5 * share for k, share in enumerate(
     (1.0, 1.1, 0.95, 1.05, 0.9, 1.0), start=1)}
@@ -78,7 +78,7 @@ GROUPS = {
         ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
         ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0))),
     # Exudyn's models in ``peer_exudyn`` are planar.
-    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:3], (
+    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:4], (
         ('Stewart platform, 0.6 s', 'stewart_platform', LEG_FORCES, 0.6),
         ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
         ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)),

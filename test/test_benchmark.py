@@ -485,17 +485,22 @@ def test_comparison_runs_two_commits(benchmark, tmp_path):
 
 @pytest.mark.parametrize('engine', [
     'peer_exudyn', *(pytest.param(engine, marks=pytest.mark.slow) for engine in (
-        'peer_pinocchio', 'peer_mujoco'))])
+        'peer_pinocchio', 'peer_mujoco', 'peer_drake'))])
 def test_peers_agree(benchmark, engine):
     pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
-                         'peer_exudyn': 'exudyn'}[engine])
+                         'peer_drake': 'pydrake', 'peer_exudyn': 'exudyn'}[engine])
     peers = benchmark('peers')
     cases = benchmark('peer_cases')
     for scene in (cases.load_scene(name, tree) for group in peers.GROUPS.values()
                   if engine in group.engines for name in group.scenes
                   for tree in cases.trees(name)):
-        row, *others = peers.agreement(scene, peers.engines(scene, (engine,)), 3)
-        assert row.get('extrapolated', row['error']) < 1e-4
+        built = peers.engines(scene, (engine,))
+        if not built:  # The adapter of Drake knows joints of one freedom, and loops of bodies.
+            assert engine == 'peer_drake' and not scene.mechanism.planar
+            continue
+        row, *others = peers.agreement(scene, built, 3)
+        # Drake's constraints give way, however short the step.
+        assert engine == 'peer_drake' or row.get('extrapolated', row['error']) < 1e-4
         assert row['error'] < 2e-2
         assert all(other['error'] < 1e-5 for other in others)
 
