@@ -17,7 +17,6 @@ from typing import Any, Deque, Dict, List, Mapping, NamedTuple, Optional, Sequen
 import numpy as np
 
 from .account import Account
-from .errors import EstimationError
 from .everything import Everything
 from .filtering import Columns, Filter, Now, SAME_TIME
 from .measuring import Measuring, View
@@ -122,7 +121,8 @@ class Estimator:
         that jump, such as dry friction, contacts and stops.
     suspects : sequence of unknowns.Unknown
         Changes that alarms may name: what is believed to be as the model has it, and is not
-        estimated. Their deviations and densities are of no account.
+        estimated. Their densities are of no account, and their deviations but with sigma points,
+        where changes as large as these are tried.
     gate : float
         Probability with which a good reading is used; others are outliers.
     integrator : str, mapping or Method
@@ -155,10 +155,6 @@ class Estimator:
                             f'{model!r}')
         self.method = one_of((EXTENDED, SIGMA_POINTS))(method)
         by_points = method == SIGMA_POINTS
-        if by_points and (noise.torque or suspects):
-            raise EstimationError(
-                'Sigma points know noise of accelerations, and no suspects: give '
-                'Noise(acceleration=...), or take the extended filter.')
         if not 0.0 < gate < 1.0:
             raise FieldError('a probability between 0 and 1', repr(gate), '', ('gate',))
         self.sensors, self.unknowns, self.noise = tuple(sensors), tuple(unknowns), noise

@@ -48,16 +48,7 @@ class Everything:
         plant, size = self._plant, self._size
         coordinates, found = plant.simulation.coordinates, []
         for one in points:
-            numbers = one.values[:count]
-            plant.put(numbers)
-            state = plant.model.state(one.q, one.qd, time=one.time)
-            plant.begin_at(state)
-            forward, _ = plant.simulation.forward_dynamics(
-                one.q, one.qd, plant.torque(one.command, numbers))
-            plant.simulation.system.tau[:] = 0.0
-            plant.simulation.system.tau[plant.simulation.actuated] = plant.torque(
-                one.command, numbers)
-            plant.simulation.touch()
+            forward = plant.evaluate(one.time, one.q, one.qd, one.values[:count], one.command)
             forces = [plant.simulation.force(name) for name in self._joints]
             found.append((
                 coordinates.apart(one.q, points[0].q), one.qd, forward,

@@ -20,7 +20,7 @@ the likeliest f is (sum g^T S^-1 v) / (sum g^T S^-1 g).
 """
 
 import math
-from typing import Any, Dict, List, Mapping, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -98,6 +98,9 @@ class Columns:
         own = [one for group in (numbers[0], errors[0]) for one in group]
         self.names = tuple(name for one in own for name in one.components)
         self.deviations = np.array([value for one in own for value in one.deviations])
+        self.suspected_deviations = np.array([
+            value for group in (numbers[1], errors[1]) for one in group
+            for value in one.deviations])
         self.walks = np.square([value for one in own for value in one.densities])
         self.suspects = tuple((one, name) for group in (numbers[1], errors[1]) for one in group
                               for name in one.components)
@@ -179,7 +182,12 @@ class Filter:
     def points(self, now: Now) -> Tuple[np.ndarray, List[Now]]:
         """Return changes to states around a mean, in pairs, and these states, the mean first."""
         size = len(now.covariance)
-        root = np.linalg.cholesky(now.covariance).T * math.sqrt(size)
+        try:
+            root = np.linalg.cholesky(now.covariance).T * math.sqrt(size)
+        except np.linalg.LinAlgError:
+            raise EstimationError(
+                'Sigma points: the covariance is not positive definite; a joint that friction '
+                'holds has no noise from torques. Give Noise(acceleration=...), too.') from None
         changes = np.ascontiguousarray(np.concatenate((root, -root)))
         self.plant.take(now.independent)
         return changes, [now, *(self.moved(now, one) for one in changes)]
@@ -189,17 +197,47 @@ class Filter:
         plant, columns = self.plant, self.columns
         period = time - now.time
         changes, points = self.points(now)
-        reached = [one._replace(**dict(zip(('q', 'qd', 'own'), plant.after(
-            now.time, one.q, one.qd, one.values[:columns.count], one.command, period, now.own))))
-            for one in points]
-        apart = np.array([self.apart(one, reached[0]) for one in reached[1:]])
+        mean, *reached = [self._after(one, period) for one in points]
+        apart = np.array([self.apart(one, mean) for one in reached])
         middle = apart.mean(axis=0)
         apart -= middle
-        noise = self._noise_of(period, len(middle), plant.size, np.zeros((0, 0)))
+        by_torque, signature = np.zeros((plant.size, len(plant.torques))), now.signature
+        if self.noise.torque:
+            # As large as noise is, held for the period.
+            sizes = np.full(len(plant.commanded), self.noise.torque / math.sqrt(period))
+            by_torque[:, plant.command] = self._slopes_of(
+                lambda one: self.apart(self._after(one, period), mean), sizes, [
+                    now._replace(command=now.command + push) for push in np.diag(sizes)]
+            )[:plant.size]
+        noise = self._noise_of(period, len(middle), plant.size, by_torque)
         transition = np.linalg.solve(now.covariance, changes.T @ apart / len(apart)).T
-        mean = self.moved(reached[0], middle)
-        return self._in_good_coordinates(Prediction(mean._replace(
-            time=time, covariance=apart.T @ apart / len(apart) + noise), transition, noise))
+        if not columns.all:
+            signature = transition @ signature + self._slopes_of(
+                lambda one: self.apart(self._after(one, period), mean), *self._suspected(now))
+        return self._in_good_coordinates(Prediction(self.moved(mean, middle)._replace(
+            time=time, covariance=apart.T @ apart / len(apart) + noise, signature=signature),
+            transition, noise))
+
+    def _after(self, now: Now, period: float) -> Now:
+        """Return where a motion leads by the engine; effects have the states that they had."""
+        q, qd, own = self.plant.after(now.time, now.q, now.qd, now.values[:self.columns.count],
+                                      now.command, period, now.own)
+        return now._replace(q=q, qd=qd, own=own)
+
+    def _suspected(self, now: Now) -> Tuple[np.ndarray, List[Now]]:
+        """Return deviations of suspects, and the beliefs in which each is changed by its own."""
+        columns, tried = self.columns, []
+        for place, size in zip(columns.suspected, columns.suspected_deviations):
+            values = now.values.copy()
+            values[place] += size
+            tried.append(now._replace(values=values))
+        return columns.suspected_deviations, tried
+
+    @staticmethod
+    def _slopes_of(found: Callable[[Now], np.ndarray], sizes: np.ndarray,
+                   tried: Sequence[Now]) -> np.ndarray:
+        """Return what changes by each of some sizes lead to, as slopes, shape (n, sizes)."""
+        return np.array([found(one) for one in tried]).T / sizes
 
     def _noise_of(self, period: float, size: int, states: int,
                   by_torque: np.ndarray) -> np.ndarray:
@@ -234,7 +272,11 @@ class Filter:
                names: Tuple[str, ...]) -> Tuple[np.ndarray, ...]:
         """Return residuals, slopes by what is estimated and by suspects, variances of readings."""
         measuring, columns = self.measuring, self.columns
-        plain = measuring.plain(names) if columns.all else None
+        if self._by_points(names):
+            expected, middle, *slopes = self._read_by_points(now, names)
+            return measuring.residuals(names, [readings[name] for name in names], [
+                one.value for one in expected]) - middle, *slopes
+        plain = measuring.plain(names)
         if plain is not None:
             places, rows, noise, rates = plain
             numbers = now.values[:columns.count]
@@ -243,10 +285,13 @@ class Filter:
             given = np.concatenate([readings[name] for name in names])
             slope = basis[rows]
             state = np.concatenate((now.q, now.qd)) if rates else now.q
-            return given - state[places], slope, slope[:, :0], noise
+            residual = given - state[places]
+            if columns.all:
+                return residual, slope, slope[:, :0], noise
+            return residual, *self._parted(slope), noise
         found = self.read(now, names)
-        residual = np.concatenate([measuring.residual(name, readings[name], one.value)
-                                   for name, one in zip(names, found)])
+        residual = measuring.residuals(names, [readings[name] for name in names], [
+            one.value for one in found])
         slope = np.concatenate([one.slope for one in found])
         noise = np.concatenate([measuring.noise[name] for name in names])
         if columns.all:
@@ -255,9 +300,48 @@ class Filter:
 
     def slopes(self, now: Now, names: Sequence[str]) -> Tuple[np.ndarray, np.ndarray]:
         """Return slopes by what is estimated, and variances, of sensors."""
+        if self._by_points(names):
+            _, _, slope, _, noise = self._read_by_points(now, names)
+            return slope, noise
         slope = np.concatenate([one.slope for one in self.read(now, names)])
         return (self._parted(slope)[0],
                 np.concatenate([self.measuring.noise[name] for name in names]))
+
+    def _by_points(self, names: Sequence[str]) -> bool:
+        """Return whether readings follow from accelerations that have no derivatives."""
+        return self.plant.by_points and any(self.measuring.felt[name] for name in names)
+
+    def _read_by_points(self, now: Now, names: Sequence[str]) -> Tuple[Any, ...]:
+        """
+        Return readings of the mean, how far they are from the mean reading, slopes, variances.
+
+        Slopes by what is estimated and by suspects; what readings bend by is added to the noise.
+        """
+        measuring, (changes, points) = self.measuring, self.points(now)
+        expected = self.felt_readings(now, names)
+        middle_values = [one.value for one in expected]
+
+        def away(one: Now) -> np.ndarray:
+            return measuring.residuals(names, [
+                each.value for each in self.felt_readings(one, names)], middle_values)
+
+        apart = np.array([away(one) for one in points[1:]])
+        middle = apart.mean(axis=0)
+        apart -= middle
+        slope = np.ascontiguousarray(np.linalg.solve(
+            now.covariance, changes.T @ apart / len(apart)).T)
+        bent = np.mean(np.square(apart), axis=0) - np.einsum(
+            'ij,jk,ik->i', slope, now.covariance, slope)
+        noise = np.concatenate([measuring.noise[name] for name in names])
+        suspected = np.zeros((len(noise), 0)) if self.columns.all else np.ascontiguousarray(
+            self._slopes_of(away, *self._suspected(now)))
+        return expected, middle, slope, suspected, noise + np.maximum(bent, 0.0)
+
+    def felt_readings(self, now: Now, names: Sequence[str]) -> List[Reading]:
+        """Return what sensors are expected to read in a state, without slopes."""
+        count, measuring = self.columns.count, self.measuring
+        view = measuring.felt_view(now.time, now.q, now.qd, now.values[:count], now.command)
+        return [measuring.read(name, view, now.values[count:]) for name in names]
 
     def read(self, now: Now, names: Sequence[str]) -> List[Reading]:
         """Return what sensors are expected to read."""

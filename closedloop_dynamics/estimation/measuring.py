@@ -8,7 +8,7 @@ from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from .motion_code import MotionCode
+from .motion_code import MotionCode, Seen
 from .plant import Plant
 from .sensors import (
     AnySensor, BODY, ForceSensor, ImuSensor, JointSensor, PointSensor, PoseSensor, POSITION, RATE,
@@ -55,6 +55,19 @@ class View:
                 self.q, self.basis, self.numbers))
         return self._seen
 
+    def show(self, gravity: np.ndarray, wrenches: Sequence[np.ndarray]) -> None:
+        """Have accelerations that are known and wrenches, of which nothing is differentiated."""
+        place, axes, spin, force = (part[0] for part in self._code()(
+            self.q, self.qd, self.acceleration, np.zeros(()), None)[1:5])
+        # Its code is of the mechanism alone, without gravity.
+        force = force - np.append(gravity, 0.0)[:3]
+        whole = np.zeros((len(wrenches), 6))
+        if len(wrenches):
+            whole[:, [2, 3, 4] if len(wrenches[0]) == 3 else slice(6)] = wrenches
+        self._seen = Seen(np.zeros((len(self.qd), 0)), *(
+            (part, np.zeros((*part.shape, self.basis.shape[1])))
+            for part in (place, axes, spin, force, whole)))
+
     @property
     def cuts(self) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions and rates of cut joints, and their derivatives by the tree's."""
@@ -93,7 +106,9 @@ class Measuring:
         self._forces = any(isinstance(one, ForceSensor) for one in sensors)
         self.sizes = {one.name: len(one.components(self.planar)) for one in sensors}
         self.noise = {one.name: np.square(one.deviations(self.planar)) for one in sensors}
-        # Whether readings bend with the state, so that updates are iterated.
+        # Whether readings follow from accelerations; whether they bend with the state, so that
+        # updates are iterated.
+        self.felt = {one.name: isinstance(one, (ImuSensor, ForceSensor)) for one in sensors}
         self.bends = {one.name: not (
             isinstance(one, JointSensor) and one.joint in plant.simulation.joint_names)
             for one in sensors}
@@ -122,9 +137,6 @@ class Measuring:
     # One function for each kind of sensor, found when it is bound.
 
     def _reader(self, sensor: Sensor) -> Any:
-        if self.plant.by_points and isinstance(sensor, (ImuSensor, ForceSensor)):
-            raise FieldError('positions, rates and torques of joints, points and poses, with '
-                             'sigma points', type(sensor).__name__)
         if isinstance(sensor, JointSensor):
             return self._of_joint(sensor)
         if isinstance(sensor, ForceSensor):
@@ -160,8 +172,26 @@ class Measuring:
         if self._code is None or self._code_of is not data.system.model:
             self._code_of = data.system.model
             self._code = MotionCode(
-                data, self.plant.stepper.parameter_arrays, self._points, self._forces)
+                data, self.plant.stepper.parameter_arrays, self._points,
+                self._forces and not self.plant.by_points)
         return self._code
+
+    def felt_view(self, time: float, q: np.ndarray, qd: np.ndarray, numbers: np.ndarray,
+                  command: np.ndarray) -> View:
+        """Return a state with the accelerations and forces that the engine finds, no slopes."""
+        plant, size = self.plant, self.plant.size + len(numbers)
+        view = View(plant, self.code, q, qd, numbers, command, np.zeros((2 * len(qd), size)))
+        view.acceleration = plant.evaluate(time, q, qd, numbers, command)
+        view.show(plant.simulation.system.model.gravity, [
+            plant.simulation.force(name) for name in self._force_places()] if (
+            self._forces) else [])
+        return view
+
+    def _force_places(self) -> Tuple[str, ...]:
+        """Return the names of the joints, and of cut joints, with forces that are unique."""
+        simulation = self.plant.simulation
+        return (*simulation.force_places()[0], *(
+            cut.name for cut in self.plant.scene.mechanism.cut_joints if simulation.cut_rows))
 
     def _of_joint(self, sensor: JointSensor) -> Any:
         plant = self.plant
@@ -287,16 +317,14 @@ class Measuring:
         return imu
 
     def _of_wrench(self, sensor: ForceSensor) -> Any:
-        simulation, mechanism = self.plant.simulation, self.plant.scene.mechanism
-        joints, _ = simulation.force_places()
-        cuts = [cut.name for cut in mechanism.cut_joints] if simulation.cut_rows else []
-        if not joints:
+        mechanism, places = self.plant.scene.mechanism, self._force_places()
+        if not self.plant.simulation.force_places()[0]:
             raise FieldError(
                 'joints whose forces follow from the motion',
                 'a mechanism where closure equations repeat others, so that forces are not unique')
         with at('joint'):
-            one_of((*joints, *cuts), 'a joint that is not fixed among')(sensor.joint)
-        place = (*joints, *cuts).index(sensor.joint)
+            one_of(places, 'a joint that is not fixed among')(sensor.joint)
+        place = places.index(sensor.joint)
         carrier = next(one.child if hasattr(one, 'child') else one.body_a
                        for one in (*mechanism.joints, *mechanism.cut_joints)
                        if one.name == sensor.joint)
@@ -332,6 +360,11 @@ class Measuring:
             if scale:
                 whole[row, :slope.shape[1]] += errors[place] * slope[row]
         return Reading(value, whole)
+
+    def residuals(self, names: Sequence[str], given: Sequence[np.ndarray],
+                  values: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what several sensors read less what was expected, in a row."""
+        return np.concatenate([self.residual(*one) for one in zip(names, given, values)])
 
     def residual(self, name: str, given: np.ndarray, value: np.ndarray) -> np.ndarray:
         """Return what was read less what was expected; angles by the shorter way."""

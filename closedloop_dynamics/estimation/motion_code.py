@@ -3,7 +3,7 @@
 
 """What is seen of a motion, and its derivatives along given directions, compiled."""
 
-from typing import Any, NamedTuple, Sequence, Tuple
+from typing import Any, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -78,8 +78,10 @@ class MotionCode:
             cuts).motion()], SCALAR)('motion')
 
     def __call__(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, lam: np.ndarray,
-                 seeds: np.ndarray) -> Seen:
+                 seeds: Optional[np.ndarray]) -> Seen:
         """Return what is seen in a state, and its changes along seeds, shape (n, inputs)."""
+        if seeds is None:
+            seeds = np.zeros((1, len(self._seed)))
         self._qdd[:], self._lam[:] = qdd, lam
         found = np.empty((len(seeds), len(self._result)))
         for seed, result in zip(seeds, found):

@@ -357,9 +357,17 @@ class PointsPlant(Plant):
     def _present_basis(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         return self.stepper.basis_at(q, qd)
 
-    def begin_at(self, state: State) -> None:
-        """Have a state evaluated."""
-        self._run.stepping.begin_at(state)
+    def evaluate(self, time: float, q: np.ndarray, qd: np.ndarray, numbers: np.ndarray,
+                 command: np.ndarray) -> np.ndarray:
+        """Have a state evaluated under torques, by ``simulation``; return the accelerations."""
+        self.put(numbers)
+        self._run.stepping.begin_at(self.model.state(q, qd, time=time))
+        torque, simulation = self.torque(command, numbers), self.simulation
+        found, _ = simulation.forward_dynamics(q, qd, torque)
+        simulation.system.tau[:] = 0.0
+        simulation.system.tau[simulation.actuated] = torque
+        simulation.touch()
+        return found
 
     def after(self, time: float, q: np.ndarray, qd: np.ndarray, numbers: np.ndarray,
               command: np.ndarray, duration: float, own: np.ndarray) -> Tuple[np.ndarray, ...]:

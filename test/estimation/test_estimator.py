@@ -5,7 +5,8 @@
 
 import closedloop_dynamics as cld
 from closedloop_dynamics.estimation.estimator import Estimator, Noise, SIGMA_POINTS, Start
-from closedloop_dynamics.estimation.sensors import encoder_deviation, JointSensor, PointSensor
+from closedloop_dynamics.estimation.sensors import (
+    encoder_deviation, ImuSensor, JointSensor, PointSensor, WrenchSensor)
 from closedloop_dynamics.estimation.unknowns import (
     Bias, JointTorque, Number, Payload, Wrench)
 import numpy as np
@@ -263,6 +264,27 @@ def test_dry_friction_needs_sigma_points_and_is_found():
     assert estimate.points.names == tuple(one.name for one in model.mechanism.points)
 
 
+def test_friction_that_has_changed_is_named():
+    model = cld.Model.from_scene('three_rrr_payload_friction')
+    other = model.with_parameters({'effects.gear_1.coulomb': 6.0})
+    suspects = [
+        Number('mass', key='mechanism.bodies.platform.mass', deviation=0.1),
+        Number('friction', key='effects.gear_1.coulomb', deviation=0.1),
+        JointTorque('motor', joint='theta_6', deviation=0.1)]
+    for moved, alarmed in (model, False), (other, True):
+        record, _ = Machine(moved, held_path(model, 0.2)).run(
+            0.3, 5e-3, positions_of(DRIVEN, 1e-4))
+        estimator = follow(Estimator(
+            model, encoders(DRIVEN, 1e-4), (), Noise(acceleration=0.05, torque=0.05),
+            Start(position=0.001, rate=0.01), method=SIGMA_POINTS, suspects=suspects,
+            gate=1.0 - 1e-12), record)
+        assert bool(estimator.alarms) == alarmed
+        if alarmed:
+            first = estimator.alarms[0]
+            assert (first.kind, first.name) == ('friction', 'friction')
+            assert abs(first.value - 2.0) < 4.0 * first.deviation
+
+
 def test_points_of_sigma_equal_derivatives_where_nothing_jumps(model):
     record, _ = Machine(model, held_path(model)).run(0.05, 0.01, positions_of(DRIVEN, 1e-4))
     arguments = model, encoders(DRIVEN, 1e-4), (), Noise(0.1), Start(position=1e-4, rate=1e-3)
@@ -275,6 +297,29 @@ def test_points_of_sigma_equal_derivatives_where_nothing_jumps(model):
         first, second = (getattr(each.estimate(), part) for each in (one, other))
         assert first.names == second.names
         assert np.allclose(first.deviation, second.deviation, rtol=2e-2, atol=1e-9), part
+
+
+def test_instruments_and_suspects_with_points_of_sigma_equal_derivatives(model):
+    imu = ImuSensor('imu', body='platform', gyroscope=1e-2, accelerometer=0.1, mounting=0.3)
+    force = WrenchSensor('force', joint='theta_4', deviation=1.0, moment=0.1, axes='body')
+    suspects = [Number('mass', key='mechanism.bodies.platform.mass', deviation=1e-3),
+                Bias('offset', sensor='imu', component='x', deviation=1e-3)]
+    record, _ = Machine(model, held_path(model)).run(0.05, 0.01, positions_of(DRIVEN, 1e-4))
+    arguments = (model, [*encoders(DRIVEN, 1e-4), imu, force], (), Noise(torque=0.1),
+                 Start(position=1e-4, rate=1e-3))
+    found = []
+    for method in ('extended', SIGMA_POINTS):
+        estimator = Estimator(*arguments, method, suspects=suspects, gate=1.0 - 1e-15)
+        follow(estimator, record)
+        readings = {'imu': [0.0, 0.1, 9.0], 'force': [0.1, 2.0, 30.0]}
+        told = estimator.filter.updated(estimator.belief_at_work, {
+            name: np.array(values) for name, values in readings.items()})
+        found.append((estimator.belief_at_work, *told))
+    one, other = found
+    np.testing.assert_allclose(one[0].signature, other[0].signature, rtol=1e-3, atol=1e-7)
+    for first, second in zip(one[2], other[2]):
+        np.testing.assert_allclose(first.value, second.value, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-2, atol=1e-4)
 
 
 BAD = {

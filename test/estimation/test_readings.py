@@ -4,7 +4,7 @@
 """What sensors are expected to read is what a simulation has, and its derivatives are right."""
 
 import closedloop_dynamics as cld
-from closedloop_dynamics.estimation.estimator import Estimator, Noise
+from closedloop_dynamics.estimation.estimator import Estimator, Noise, SIGMA_POINTS
 from closedloop_dynamics.estimation.sensors import (
     ForceSensor, ImuSensor, JointSensor, PointSensor, PoseSensor, WrenchSensor)
 from closedloop_dynamics.estimation.unknowns import (
@@ -181,3 +181,21 @@ def test_unit_measures_spin_and_specific_force(case):
     turned = frames[0].T @ np.einsum('k,kij->ij', slopes, np.array(frames))
     spin = np.array((turned[2, 1], turned[0, 2], turned[1, 0]))
     assert np.allclose(value[:3], mounting.T @ spin, atol=1e-6)
+
+
+@pytest.mark.parametrize('case', [planar_case, spatial_case])
+def test_readings_without_derivatives_are_the_same(case):
+    model, sensors, unknowns = case()
+    # Lengths are known where there are no derivatives.
+    unknowns = [one for one in unknowns if one.name != 'length']
+    names, found = [one.name for one in sensors], []
+    for method in ('extended', SIGMA_POINTS):
+        estimator = Estimator(model, sensors, unknowns, Noise(1.0), method=method)
+        now = estimator.belief_at_work
+        values = 0.05 + 0.1 * np.arange(len(now.values))
+        moved = estimator.filter.moved(now, np.concatenate((
+            np.full(estimator.filter.plant.size, 0.02), values)))
+        moved = moved._replace(command=3.0 + np.arange(len(estimator.commanded)))
+        read = estimator.filter.felt_readings if method == SIGMA_POINTS else estimator.filter.read
+        found.append(np.concatenate([one.value for one in read(moved, names)]))
+    np.testing.assert_allclose(*found, rtol=SAME, atol=SAME)
