@@ -51,14 +51,16 @@ def _smoothed(setup, model, record, start):
     from ..estimation.smoothing import smooth
     with progress_bar(1.0, 'of the record', 'smoothing') as bar:
         found = smooth(model, setup.sensors, record, setup.unknowns, setup.noise, start,
-                       method=setup.method, progress=lambda done: bar.update(done - bar.n))
+                       method=setup.method, suspects=setup.suspects,
+                       progress=lambda done: bar.update(done - bar.n))
     return map(found.estimate, range(len(record.times))), found.consistency, found.alarms
 
 
 def _filtered(setup, model, record, start):
     """Return the same from what was measured up to each time, as the node estimates."""
     from ..estimation.estimator import Estimator
-    estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method)
+    estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method,
+                          suspects=setup.suspects)
     estimates = []
     with progress_bar(len(record.times), 'instants', 'filtering') as bar:
         for k, time in enumerate(record.times):

@@ -9,6 +9,8 @@ What an estimator is told, from a YAML file: sensors, unknowns and noise, and wh
       hand: {type: imu, body: platform, gyroscope: 0.01, accelerometer: 0.1}
     unknowns:
       part: {type: payload, body: platform, position: [0.2, 0.1155], deviation: 10.0}
+    suspects:
+      link: {type: number, key: mechanism.joints.theta_2.position.0, deviation: 0.01}
     noise: {torque: 0.5}
     start: {position: 0.001, rate: 0.1}
     topics: {hand: /hand/imu}
@@ -43,7 +45,7 @@ UNKNOWNS: Dict[str, Type[Unknown]] = {
 # Where torques come from: efforts in joint_states, or commands.
 EFFORT, COMMAND = 'effort', 'command'
 METHODS = EXTENDED, SIGMA_POINTS
-SECTIONS = 'unknowns', 'noise', 'start', 'topics', 'names', 'torques', 'method'
+SECTIONS = 'unknowns', 'suspects', 'noise', 'start', 'topics', 'names', 'torques', 'method'
 
 
 class SetupError(ValueError):
@@ -57,7 +59,8 @@ class Setup(NamedTuple):
     Attributes
     ----------
     sensors : tuple of sensors.Sensor
-    unknowns : tuple of unknowns.Unknown
+    unknowns, suspects : tuple of unknowns.Unknown
+        What is estimated, and what alarms may name.
     noise : estimator.Noise
     start : estimator.Start
         Standard deviations at the start.
@@ -73,6 +76,7 @@ class Setup(NamedTuple):
 
     sensors: Tuple[AnySensor, ...]
     unknowns: Tuple[AnyUnknown, ...]
+    suspects: Tuple[AnyUnknown, ...]
     noise: Noise
     start: Start
     topics: Dict[str, str]
@@ -111,13 +115,15 @@ def read_setup(source: Union[str, Path, Mapping[str, Any]], scene: Scene) -> Set
 def _setup(data: Any, scene: Scene) -> Setup:
     given = mapping(data, ('sensors',), SECTIONS)
     sensors = _records(given, 'sensors', SENSORS, scene)
-    unknowns = _records(given, 'unknowns', UNKNOWNS, scene)
+    unknowns, suspects = (
+        _records(given, section, UNKNOWNS, scene) for section in ('unknowns', 'suspects'))
     known = [one.name for one in sensors]
     for one in sensors:
         with at('sensors', one.name):
             _require_place(one, scene)
-    for one in unknowns:
-        with _of_record('unknowns', one.name, data):
+    for section, one in (*(('unknowns', one) for one in unknowns),
+                         *(('suspects', one) for one in suspects)):
+        with _of_record(section, one.name, data):
             if isinstance(one, Bias):
                 with at('sensor'):
                     one_of(known, 'one of the sensors')(one.sensor)
@@ -139,7 +145,7 @@ def _setup(data: Any, scene: Scene) -> Setup:
         method = one_of(METHODS)(given.get('method', METHODS[0]))
     noise, start = (_numbers(given, section, kind) for section, kind in (
         ('noise', Noise), ('start', Start)))
-    return Setup(sensors, unknowns, noise, start, topics, names, torques, method)
+    return Setup(sensors, unknowns, suspects, noise, start, topics, names, torques, method)
 
 
 def _numbers(given: Any, section: str, kind: Any) -> Any:

@@ -13,6 +13,7 @@ from .sensors import (
     ForceSensor, ImuSensor, JointSensor, PointSensor, PoseSensor, POSITION, RATE, TORQUE,
     WrenchSensor)
 from ..mechanism.checks import ROUNDED_NORM
+from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import REVOLUTE
 from ..recording.message_numbers import constraint_force, stamp_of, vector
 
@@ -25,6 +26,12 @@ MESSAGES = {JointSensor: STATE, ImuSensor: IMU, PointSensor: POSE, PoseSensor: P
             ForceSensor: WRENCH, WrenchSensor: WRENCH}
 # Where a JointState has the quantities of a joint.
 FIELDS = {POSITION: 'position', RATE: 'velocity', TORQUE: 'effort'}
+
+
+def topics_of(setup):
+    """Return the topics of sensors by their names: as given, or as they are where none is."""
+    return {one.name: setup.topics.get(one.name, STATES if MESSAGES[type(one)] == STATE
+                                       else one.name) for one in setup.sensors}
 
 
 class StreamError(ValueError):
@@ -52,10 +59,12 @@ class Streams:
         self._driven = frozenset(mechanism.actuated_joints)
         self._turning = frozenset(joint.name for joint in (
             *mechanism.joints, *mechanism.cut_joints) if joint.type == REVOLUTE)
-        self._sensors, self.topics = {}, {STATES: STATE}
+        self._sensors, self.topics, topics = {}, {STATES: STATE}, topics_of(setup)
         for sensor in setup.sensors:
-            kind = MESSAGES[type(sensor)]
-            topic = setup.topics.get(sensor.name, STATES if kind == STATE else sensor.name)
+            topic, kind = topics[sensor.name], MESSAGES[type(sensor)]
+            if not topic.strip('/') or self.topics.get(topic, kind) != kind:
+                raise FieldError(f'a topic of {kind} alone', repr(topic), '',
+                                 ('topics', sensor.name))
             self._sensors.setdefault(topic, []).append(sensor)
             self.topics[topic] = kind
         self._latest, self._angles = {}, {}

@@ -14,8 +14,10 @@ from closedloop_dynamics.estimation.beginning import Beginning
 from closedloop_dynamics.estimation.errors import EstimationError
 from closedloop_dynamics.estimation.estimator import Estimator
 from closedloop_dynamics.estimation.setup_file import COMMAND, EFFORT, read_setup, SetupError
-from closedloop_dynamics.estimation.streams import STATES, StreamError, Streams
+from closedloop_dynamics.estimation.streams import (
+    MESSAGES, STATES, StreamError, Streams, topics_of)
 from closedloop_dynamics.estimation.unknowns import Wrench
+from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.bag import MessageTypes
 from closedloop_dynamics.ros.commands import CommandError, SERVICE_QOS, TorqueCommand
@@ -54,6 +56,8 @@ SILENCE = 0.05
 HOPELESS = 50
 # Links of its markers: how much of them is seen.
 PALE = 0.35
+# Before the names of sensors, of parameters.
+TOPICS = 'topics.'
 # Where the components of a load are in the numbers of a wrench, force first.
 WRENCH = 'x', 'y', 'z', 'torque_x', 'torque_y', 'torque_z'
 PARTS = {**{name: place for place, name in enumerate(WRENCH)}, 'torque': 5}
@@ -71,6 +75,15 @@ ESTIMATOR_PARAMETERS = (
     Parameter('publish_rate', 100.0, 'Estimates published per second, in the mode realtime [Hz].',
               (0.1, 2000.0)),
 )
+
+
+def topic_parameters(setup):
+    """Return a parameter for each sensor: the topic of its messages."""
+    topics = topics_of(setup)
+    return tuple(Parameter(
+        f'{TOPICS}{one.name}', topics[one.name],
+        f"Topic of the messages of the sensor '{one.name}', {MESSAGES[type(one)]}.")
+        for one in setup.sensors)
 
 
 class Timeline:
@@ -138,7 +151,13 @@ class EstimatorNode(Node):
             self._setup = setup = read_setup(values['sensors'], simulation.scene)
         except SetupError as error:
             raise StartError(f"parameter 'sensors': {error}") from None
-        self._model, self._streams = Model(simulation.scene), Streams(setup, simulation.mechanism)
+        for name, topic in declare(self, topic_parameters(setup)).items():
+            setup.topics[name.removeprefix(TOPICS)] = topic
+        try:
+            self._streams = Streams(setup, simulation.mechanism)
+        except FieldError as error:
+            raise StartError(f'parameter {error}') from None
+        self._model = Model(simulation.scene)
         self._timeline, self._throttles = Timeline(), {}
         self.paused, self.counts, self._reason = False, dict.fromkeys(
             (USED, NOT_USABLE, ODD, RESTARTS), 0), ''
@@ -162,7 +181,7 @@ class EstimatorNode(Node):
         try:
             with leaving_at_once():
                 estimator = Estimator(self._model, setup.sensors, setup.unknowns, setup.noise,
-                                      start, setup.method)
+                                      start, setup.method, suspects=setup.suspects)
                 estimator.estimate()
                 return estimator
         except (ValueError, EstimationError, SimulationError) as error:

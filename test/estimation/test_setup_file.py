@@ -34,6 +34,9 @@ start: {position: 0.001, rate: 0.1}
 topics: {hand: /hand/imu}
 names: {motor_1: theta_1}
 torques: command
+suspects:
+  mass: {type: number, key: mechanism.bodies.platform.mass, deviation: 1.0}
+  offset: {type: bias, sensor: encoder, deviation: 0.01}
 """
 
 
@@ -61,6 +64,7 @@ def test_all_that_a_file_says_is_taken_over(read):
     assert setup.unknowns[0] == Payload(
         'part', body='platform', deviation=10.0, position=(0.2, 0.1155))
     assert isinstance(setup.unknowns[1], Wrench) and setup.unknowns[-1].planar
+    assert [one.name for one in setup.suspects] == ['mass', 'offset']
     assert (setup.noise.torque, setup.noise.acceleration) == (0.5, 0.1)
     assert (setup.start.position, setup.start.rate) == (0.001, 0.1)
     assert (setup.topics, setup.names) == ({'hand': '/hand/imu'}, {'motor_1': 'theta_1'})

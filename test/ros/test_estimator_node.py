@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
 import pytest
 from rclpy.time import Time
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
@@ -97,6 +97,22 @@ def test_partial_messages_and_other_names_do_and_give_the_same(build, tmp_path):
         whole.on_measurement('joint_states', message)
     assert whole.counts[NOT_USABLE] == 0
     np.testing.assert_allclose(whole.seen[-1][1], states(120)[1][59][-1], atol=2e-3)
+
+
+HAND = '  hand: {type: imu, body: platform, gyroscope: 0.01, accelerometer: 0.1}\n'
+
+
+def test_topics_of_sensors_are_parameters(build, tmp_path):
+    path = tmp_path / 'sensors.yaml'
+    path.write_text(SENSORS.read_text().replace('\nunknowns', f'{HAND}\nunknowns', 1))
+    node = build(**{'sensors': str(path), 'topics.hand': '/hand/imu'})
+    topics = {one.topic_name: one.msg_type for one in node.subscriptions}
+    assert topics['/hand/imu'] is Imu and topics['/joint_states'] is JointState
+    assert node.get_parameter('topics.encoder_1').value == 'joint_states'
+    assert 'hand' in node.describe_parameter('topics.hand').description
+    for topic in 'joint_states', '':
+        with pytest.raises(StartError, match='parameter topics.hand: expected a topic of .*Imu'):
+            build(**{'sensors': str(path), 'topics.hand': topic})
 
 
 BAD = [
