@@ -31,7 +31,7 @@ from closedloop_dynamics.core.codegen.live_scene import LiveTrace  # noqa: E402
 from closedloop_dynamics.core.codegen.routines import (  # noqa: E402
     count_operations as count, operations)
 from closedloop_dynamics.effects.registry import EFFECTS  # noqa: E402
-from closedloop_dynamics.effects.scene_code import LiveLaws  # noqa: E402
+from closedloop_dynamics.effects.scene_code import SceneLaws  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
     DISTANCE, POINT_ON_LINE)
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
@@ -144,7 +144,7 @@ def operations_of(simulation, which=EVALUATION):
     """Return how many operations the one routine of a scene takes, or one of joints at rest."""
     model, table = simulation.data.system.model, simulation.data.system.effects
     return operations(model) if table is None else count(
-        LiveTrace(model, LiveLaws(table, which)).routine(EVALUATION))
+        LiveTrace(model, SceneLaws(table, which)).routine(EVALUATION))
 
 
 def timed(pair, blocks, seconds):

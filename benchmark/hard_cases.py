@@ -66,7 +66,7 @@ def judge(case, method, quick):
         figure = float(case.run(method, quick))
     except SimulationError as error:
         return Outcome(REFUSED, math.nan, f'{type(error).__name__}: {error}')
-    # A NaN is no smaller than anything.
+    # Every comparison with NaN is false: such a figure is unstable.
     if figure <= case.accurate:
         return Outcome(ACCURATE, figure)
     if figure <= case.stable:

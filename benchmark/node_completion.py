@@ -37,7 +37,7 @@ sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.ros.joint_states_node import JointStatesNode  # noqa: E402,I100
 from closedloop_dynamics.ros.process import build_executor  # noqa: E402
-from closedloop_dynamics.simulation.completion import Completion  # noqa: E402
+from closedloop_dynamics.simulation.passive_joint_solver import PassiveJointSolver  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from programs import Programs  # noqa: E402
 
@@ -77,7 +77,7 @@ def costs(scene, rate, count):
     names, rows = measured(scene, rate, count)
     found, own = {}, []
     simulation = Simulation.from_scene(scene)
-    completion = Completion(simulation.mechanism, names, simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, names, simulation.position)
     for position, velocity in rows:
         begin = time.thread_time_ns()
         completion.complete(position, velocity)

@@ -7,7 +7,7 @@ from .command import (
     Argument, Command, complain, FAILED, Group, measured_options, picture_option, positive, SCENE,
     SET, UsageError, whole, with_numbers)
 from ..recording.measurements import read_measurements
-from ..simulation.completion import CompletionError
+from ..simulation.passive_joint_solver import PassiveJointError
 from ..simulation.scene import load_scene
 from ..studies.excitation import excite
 from ..studies.identification import driven_joints, identify, measured_joints
@@ -24,7 +24,7 @@ def _run(arguments):
     try:
         joints = tuple(arguments.joints or measured_joints(scene))
         return (_identify if arguments.excite is None else _excite)(arguments, scene, joints)
-    except CompletionError as error:
+    except PassiveJointError as error:
         return complain(arguments, error)
     except (OSError, ValueError) as error:
         raise UsageError(str(error)) from None

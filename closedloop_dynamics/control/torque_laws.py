@@ -4,10 +4,10 @@
 """
 Torques from the state of joints and where they are to be.
 
-A mechanism with closed loops may need a hundred times the torque in one
-position that it needs in another, for the same acceleration. Gains that hold
-it in the one shake it to pieces in the other. With the model between them (computed torque), the
-controller sees a unit inertia everywhere.
+For the same acceleration a mechanism with closed loops may need a hundred times the torque in one
+position that it needs in another, so that gains that are stable in one position are unstable in
+another. With the model between them (computed torque), the controller sees a unit inertia
+everywhere.
 """
 
 import math

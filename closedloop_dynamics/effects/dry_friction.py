@@ -23,8 +23,8 @@ def friction_element(record, machine, values, load_time=0.0, **keys):
     Parameters
     ----------
     record : Effect
-        What it ``rubs_along``.
-    machine : effect.Machine
+        Dry friction acts along its ``friction_direction``.
+    machine : effect.NameResolver
         Names, resolved.
     values : sequence of floats
         F_c, s, v_s, and mu r.
@@ -34,7 +34,7 @@ def friction_element(record, machine, values, load_time=0.0, **keys):
         Of ``ForceElement``: where it acts.
 
     """
-    values = (*values, float(record.rubs_along in machine.determined))
+    values = (*values, float(record.friction_direction in machine.determined))
     return ForceElement(
         dry_friction, values=(*values, *(LOAD_TIME - len(values)) * (0.0,), load_time),
         states=(State(OWN), State(OWN, 10.0), State(DISSIPATED)), **keys)

@@ -10,9 +10,9 @@ from ..mechanism.fields import among, at, FieldError, normalise
 WORLD, BODY = 'world', 'body'
 
 
-class Machine:
+class NameResolver:
     """
-    A mechanism's names, resolved.
+    Indices of what a mechanism's names stand for.
 
     Parameters
     ----------

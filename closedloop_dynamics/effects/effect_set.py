@@ -150,7 +150,7 @@ class EffectSet:
     @property
     def directions_with_friction(self):
         """Return sums of freedoms with dry friction, as pairs of names and arms, each once."""
-        return tuple({self.records[name].rubs_along: None for name, role in zip(
+        return tuple({self.records[name].friction_direction: None for name, role in zip(
             self._rows, self._table.role) if role == FRICTION})
 
     def mark_determined(self, directions):

@@ -81,7 +81,7 @@ class JointFriction(Effect):
         return mechanism.coordinates.names + mechanism.cut_coordinates.names
 
     @property
-    def rubs_along(self):
+    def friction_direction(self):
         """Return the freedom, with an arm of 1, as a tuple of one pair."""
         return ((self.joint, 1.0),)
 

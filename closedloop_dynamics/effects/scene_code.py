@@ -120,24 +120,24 @@ def energies_in_lanes(model, table):
     int
 
     """
-    return address_of_scene(model, structure(model, table), lambda: LiveLaws(
+    return address_of_scene(model, structure(model, table), lambda: SceneLaws(
         table, calls.AT_REST), LANES, calls.ENERGIES)
 
 
 def _addresses(model, table, key, form=SCALAR):
     """Return the addresses of the evaluations of a scene by place of the function table."""
-    found = {calls.EVALUATION: address_of_scene(model, key, lambda: LiveLaws(table), form)}
+    found = {calls.EVALUATION: address_of_scene(model, key, lambda: SceneLaws(table), form)}
     # Motions and cut joints would respond to friction, too.
     frictions = table.role.tolist().count(FRICTION)
     if frictions and MOTION not in table.role and not len(table.cuts.index):
         several = (calls.RESPONSES,) if 1 < frictions <= _MOST_FRICTIONS else ()
         for which in (calls.AT_REST, *several):
             found[which] = address_of_scene(
-                model, (*key, which), partial(LiveLaws, table, which), form)
+                model, (*key, which), partial(SceneLaws, table, which), form)
     return found
 
 
-class LiveLaws:
+class SceneLaws:
     """
     The laws of a scene, for ``core.codegen.live_scene.LiveTrace``.
 

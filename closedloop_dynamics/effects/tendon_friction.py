@@ -39,7 +39,7 @@ class TendonFriction(AlongJoints):
     coulomb: float = 0.0
 
     @property
-    def rubs_along(self):
+    def friction_direction(self):
         """Return the arms by freedoms, as a tuple of pairs."""
         return tuple(self.arms.items())
 

@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from .sensors import JointSensor, POSITION, RATE
-from ..simulation.completion import Completion
+from ..simulation.passive_joint_solver import PassiveJointSolver
 
 # Readings further apart give no rate [s].
 LONGEST = 0.2
@@ -38,7 +38,7 @@ class Beginning:
         names = [one.joint for one in self._sensors]
         if names:
             try:
-                self._completion = Completion(
+                self._completion = PassiveJointSolver(
                     model.mechanism, names, model.assemble().q)
             except ValueError:
                 # These joints leave some freedom open.
@@ -48,7 +48,7 @@ class Beginning:
         """
         Return the ``Start``, or None where more readings are needed.
 
-        ``readings``, by sensor, are of a time [s]. CompletionError where the loops cannot be
+        ``readings``, by sensor, are of a time [s]. PassiveJointError where the loops cannot be
         closed with them.
         """
         if self._completion is None:

@@ -261,7 +261,7 @@ def _routines_of_forces(model, joints):
 
 
 def _can_be_unrolled(model):
-    """Return whether routines of a mechanism are of bearable size."""
+    """Return whether the routines of a mechanism are small enough to be compiled."""
     freedoms, cut = len(model.tree) - 1, model.cut
     if not space.is_spatial(model):
         return freedoms <= MOST_UNROLLED_BODIES

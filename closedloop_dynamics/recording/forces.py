@@ -13,7 +13,7 @@ from .message_numbers import NANOSECONDS, stamp_of
 from .rosbag2 import open_bag
 from .run import moving_joints
 from ..mechanism.extras import of_an_extra
-from ..simulation.completion import Completion, CompletionError
+from ..simulation.passive_joint_solver import PassiveJointError, PassiveJointSolver
 
 # Of the polynomials between measurements, so that accelerations have continuous slopes.
 DEGREE = 5
@@ -119,13 +119,13 @@ def forces_along(simulation, joints, times, positions, deviation=0.0):
 
     Raises
     ------
-    CompletionError, SimulationError
+    PassiveJointError, SimulationError
         Where the mechanism cannot be there, or its drives cannot move it so.
     ValueError
         For joints that do not determine the others.
 
     """
-    completion = Completion(simulation.mechanism, joints, simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, joints, simulation.position)
     turns = ~simulation.coordinates.lengths[
         [simulation.coordinates.index[name] for name in joints]]
     positions = positions.copy()
@@ -135,7 +135,7 @@ def forces_along(simulation, joints, times, positions, deviation=0.0):
             zip(*smooth(times, positions, deviation))):
         completion.complete(position, rate)
         if completion.passed:
-            raise CompletionError(
+            raise PassiveJointError(
                 f'at {times[k]:.6g} s the motion touches a singular position, where branches '
                 'meet: these joints do not determine the one on which it goes on')
         q, qd = completion.position, completion.velocity

@@ -29,7 +29,7 @@ class TorqueCommand:
     A command that is refused changes nothing: the last good one stays. Times are those of a steady
     clock [s]. Torques are in the order of ``actuated_joints``; they fall to zero when no command
     came, or the last one acted, for a ``timeout``; 0: the last one holds for ever.
-    ``require_bearable`` raises SimulationError where torques are far too large.
+    ``require_admissible`` raises SimulationError where torques are far too large.
 
     ``torque``: in force now [N m, or N for prismatic joints]; ``counts``: commands accepted,
     rejected, timed out (how often the torques fell to zero) and lost on the way, counted by the
@@ -38,9 +38,9 @@ class TorqueCommand:
     the last command [s of the clock that time follows], counted by the mode that advances it.
     """
 
-    def __init__(self, joint_names, actuated_joints, timeout=0.0, require_bearable=None):
+    def __init__(self, joint_names, actuated_joints, timeout=0.0, require_admissible=None):
         self.actuated_joints, self.timeout = tuple(actuated_joints), timeout
-        self._require_bearable = require_bearable
+        self._require_admissible = require_admissible
         self.torque = np.zeros(len(self.actuated_joints))
         self.counts = dict.fromkeys(('accepted', 'rejected', 'timed out', 'lost', NOT_ACTUATED), 0)
         self.expired, self.held = False, 0.0
@@ -110,9 +110,9 @@ class TorqueCommand:
         self.torque[:] = 0.0
 
     def _accept(self, torque, now):
-        if self._require_bearable is not None:
+        if self._require_admissible is not None:
             try:
-                self._require_bearable(torque)
+                self._require_admissible(torque)
             except SimulationError as error:
                 raise self._refusal(error) from None
         self.torque[:] = torque

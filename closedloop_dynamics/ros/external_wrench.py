@@ -63,18 +63,18 @@ class ExternalWrench:
         if self._simulation.mechanism.planar and any(parts[2:5]):
             raise CommandError('expected force x and y and torque z, in the plane, got others')
         if any(parts):
-            self._require_bearable(name, np.array(parts))
+            self._require_admissible(name, np.array(parts))
             self._acting[name] = np.array(parts), self._simulation.time + TIMEOUT
         else:
             self._acting.pop(name, None)
 
-    def _require_bearable(self, name, wrench):
+    def _require_admissible(self, name, wrench):
         """Refuse a wrench that no step can follow."""
         simulation, tau = self._simulation, self._simulation.joint_torques(None)
         tau[:len(self.torques)] = wrench_in_joints(
             simulation.mechanism, simulation.position, *self._places[name], wrench)
         try:
-            simulation.stepping.require_bearable(tau)
+            simulation.stepping.require_admissible(tau)
         except SimulationError as error:
             raise CommandError(error) from None
 

@@ -19,7 +19,8 @@ from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import (
     ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import run, StartError
-from closedloop_dynamics.simulation.completion import Completion, CompletionError
+from closedloop_dynamics.simulation.passive_joint_solver import (
+    PassiveJointError, PassiveJointSolver)
 from closedloop_dynamics.visual.urdf import urdf
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -110,7 +111,7 @@ class JointStatesNode(Node):
         try:
             with np.errstate(divide='ignore'):
                 weights = 1.0 / np.square(deviations)
-            return Completion(simulation.mechanism, joints, simulation.position, weights)
+            return PassiveJointSolver(simulation.mechanism, joints, simulation.position, weights)
         except ValueError as error:
             raise StartError(str(error)) from None
 
@@ -125,7 +126,7 @@ class JointStatesNode(Node):
             velocity = np.array(message.velocity)[places]
         try:
             self.completion.complete(np.array(message.position)[places], velocity)
-        except CompletionError as error:
+        except PassiveJointError as error:
             self._complain(NOT_CLOSED, f'joint_states not completed: {error}')
             return
         except ValueError as error:
@@ -194,7 +195,7 @@ class JointStatesNode(Node):
 
 def pose_finding(completion, tolerance, news, reason):
     """
-    Judge the latest pose of a ``Completion``.
+    Judge the latest pose of a ``PassiveJointSolver``.
 
     ``news`` are the counts of the last period; ``reason`` says why the latest message that was
     not completed was not.

@@ -251,10 +251,10 @@ def spin(executor, over, beat=None):
     callbacks run in another thread.
     """
     from rclpy.executors import SingleThreadedExecutor
-    attendant = None
+    callback_thread = None
     if beat is not None and not isinstance(executor, SingleThreadedExecutor):
         beat.take_over()
-        attendant = _Attendant(executor)
+        callback_thread = _CallbackThread(executor)
     try:
         while not over():
             due = beat.due() if beat is not None else None
@@ -267,17 +267,17 @@ def spin(executor, over, beat=None):
             # A callback's request comes before other callbacks.
             if due > -math.inf:
                 _catch_up(executor)
-            if attendant is None:
+            if callback_thread is None:
                 beat.act()
             else:
-                with attendant:
+                with callback_thread:
                     beat.act()
     finally:
-        if attendant is not None:
-            attendant.close()
+        if callback_thread is not None:
+            callback_thread.close()
 
 
-class _Attendant:
+class _CallbackThread:
     """A context: while its body takes long, another thread runs the callbacks of an executor."""
 
     def __init__(self, executor):
@@ -286,7 +286,7 @@ class _Attendant:
         # Who holds it may use the executor.
         self._turn = threading.Lock()
         self._turn.acquire()
-        self._thread = threading.Thread(target=self._attend, name='attendant', daemon=True)
+        self._thread = threading.Thread(target=self._run_callbacks, name='callbacks', daemon=True)
         self._thread.start()
 
     def __enter__(self):
@@ -305,7 +305,7 @@ class _Attendant:
         self._turn.release()
         self._thread.join()
 
-    def _attend(self):
+    def _run_callbacks(self):
         while not self._over:
             since = self._since
             if since is None or time.monotonic() - since < LONG_BEAT:

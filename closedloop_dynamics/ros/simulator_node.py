@@ -139,7 +139,8 @@ class SimulatorNode(Node):
         self.command = TorqueCommand(
             (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
             values['command_timeout'],
-            lambda torque: simulation.stepping.require_bearable(simulation.joint_torques(torque)))
+            lambda torque: simulation.stepping.require_admissible(
+                simulation.joint_torques(torque)))
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
         if real_time:

@@ -29,7 +29,7 @@ from .scene_records import Method, Scene
 from .second_order import find_second_order, SecondOrder
 from .state import State
 from ..core import types as t
-from ..effects.effect import Machine
+from ..effects.effect import NameResolver
 from ..effects.effect_set import EffectSet
 from ..engine import native
 from ..integration.evaluation import Evaluator, QUANTITIES, request
@@ -120,7 +120,7 @@ class Data:
         self.motion_names = tuple(motion.name for motion in mechanism.motions)
         placements = self.loop_model.placements
         model, self.equations = self.loop_model.model, self.loop_model.equations
-        machine = Machine(
+        machine = NameResolver(
             self.mechanism, placements, self.motions.rows, self.acted)
         self.effect_set = EffectSet(scene.effects, model, machine, coordinate_arrays(
             self.mechanism, model, placements, self.acted, True)
@@ -147,7 +147,7 @@ class Data:
         self._allowed = np.array([
             -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
             dtype=np.int64)
-        # Where it was found last which rates are kinematically determined, and which ones are.
+        # The position of the last search for kinematically determined rates, and its result.
         self._determined: Tuple[Any, np.ndarray] = None, np.zeros(0, dtype=bool)
         self._assemble_start()
         self._code = self.system.code

@@ -88,7 +88,7 @@ class DrivingConstraints:
     ``mechanism`` is as ``with_motions`` returns it; right-hand sides in ``cut_point`` of its model
     are written; ``place`` returns the world place of a named point, ``cut_place`` the coordinate
     of a freedom of a cut joint, at coordinates. ``records``: effects of the scene, by name; may be
-    replaced by others of the same equations; ``rows``: for ``effects.effect.Machine``.
+    replaced by others of the same equations; ``rows``: for ``effects.effect.NameResolver``.
     """
 
     def __init__(self, scene, mechanism, model, place, cut_place):

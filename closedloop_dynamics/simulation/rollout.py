@@ -143,8 +143,8 @@ def _each(run, portions, threads):
         pool.shutdown(cancel_futures=True)
 
 
-class _Twins:
-    """Simulations like one, for rollouts of it that change no parameter."""
+class _CopyPool:
+    """Copies of a simulation, for rollouts of it that change no parameter."""
 
     def __init__(self, simulation):
         self._like = self._traits(simulation)
@@ -164,7 +164,7 @@ class _Twins:
             one is other for one, other in zip(records, own))
 
 
-_TWINS = WeakKeyDictionary()
+_POOLS = WeakKeyDictionary()
 
 
 class _BatchRunner:
@@ -180,10 +180,10 @@ class _BatchRunner:
         self._moved = any(state is not None and state.ndim > 1
                           for state in (given.position, given.velocity))
         self._own, self._lent, self._lent_varying = threading.local(), [], []
-        twins = _TWINS.get(simulation)
-        if twins is None or not twins.fit(simulation):
-            twins = _TWINS[simulation] = _Twins(simulation)
-        self._spare, self._varying = twins.spare, twins.varying
+        pool = _POOLS.get(simulation)
+        if pool is None or not pool.fit(simulation):
+            pool = _POOLS[simulation] = _CopyPool(simulation)
+        self._spare, self._varying = pool.spare, pool.varying
 
     def __enter__(self):
         return self
@@ -210,14 +210,14 @@ class _BatchRunner:
         """Return for each of some samples its number, results and why it ended early or None."""
         done = {}
         if self._fits_simd and len(samples) >= FEWEST:
-            done = self._side_by_side(samples, results)
+            done = self._in_lanes(samples, results)
         if not done and len(samples) > 1 and self._again:
-            done = self._at_once(samples)
+            done = self._in_batch(samples)
         for sample in samples:
             record = done.get(sample)
-            yield sample, self._alone(sample) if record is None else self._result(record)
+            yield sample, self._singly(sample) if record is None else self._result(record)
 
-    def _side_by_side(self, samples, results):
+    def _in_lanes(self, samples, results):
         """Return records of samples run in the lanes of a vector, by number; none where not."""
         starts = self._starts(samples)
         # One simulation may make all of them.
@@ -231,7 +231,7 @@ class _BatchRunner:
             room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
         return dict(zip(starts, together.record(list(starts.values()), room) or ()))
 
-    def _at_once(self, samples):
+    def _in_batch(self, samples):
         """Return records of samples run in one call, by number; those left out run alone."""
         starts = list(self._starts_alike(samples).items())
         if not starts:
@@ -279,7 +279,7 @@ class _BatchRunner:
     def _result(self, record):
         return record.values, record.failure
 
-    def _alone(self, sample):
+    def _singly(self, sample):
         """Return results by quantity, and why the run ended early or None."""
         try:
             start = self._start(sample)

@@ -191,19 +191,19 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     shape (n, ns): initial states, by default the present one; all else as for ``record``. None for
     runs that are to be made step by step: these alone can say how they end.
     """
-    steps, records, bearable = (
+    steps, records, admissible = (
         schedule.steps(simulation.step_size), [None] * len(torques), range(len(torques)))
     if not np.abs(torques).max(initial=0.0) <= USUAL_TORQUE:
-        bearable = np.flatnonzero(np.abs(torques).max(axis=(1, 2)) <= USUAL_TORQUE).tolist()
-        torques, starts = torques[bearable], None if starts is None else starts[bearable]
-    if not (steps and len(bearable) and runs_whole(simulation)):
+        admissible = np.flatnonzero(np.abs(torques).max(axis=(1, 2)) <= USUAL_TORQUE).tolist()
+        torques, starts = torques[admissible], None if starts is None else starts[admissible]
+    if not (steps and len(admissible) and runs_whole(simulation)):
         return records
     tau = all_torques(simulation, torques)
     starts = simulation.data.integrated[np.newaxis].copy() if starts is None else starts
     states, status, found = run_samples(
         simulation.stepping.run.run_samples, starts, tau, schedule.in_steps(steps))
     for k in np.flatnonzero(status == DONE).tolist():
-        records[bearable[k]] = RunResult(
+        records[admissible[k]] = RunResult(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
             _finding(simulation, found[k]))
     return records

@@ -45,7 +45,7 @@ from ..mechanism.fields import at, FieldError
 
 # How often equations are exchanged while the motion goes on by less than a share of a step.
 MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
-# How much further from dependent equations must be to be exchanged for others.
+# Other equations replace those in use where they are further from dependent by this factor.
 BETTER = 3.0
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
@@ -260,7 +260,7 @@ class Stepping:
         """Apply joint torques from now on."""
         if (tau == self.data.system.tau).all():
             return
-        self.require_bearable(tau)
+        self.require_admissible(tau)
         self.run.command(tau)
 
     def _make_all(self, steps: int) -> None:
@@ -542,7 +542,7 @@ class Stepping:
                 self.data.mechanism, self.data.equations, self.data.system.passage))
         return self._passage[1]
 
-    def require_bearable(self, tau: np.ndarray) -> None:
+    def require_admissible(self, tau: np.ndarray) -> None:
         """
         Refuse joint torques, of ``joint_torques``, that no step from the present state can follow.
 

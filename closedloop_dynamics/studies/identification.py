@@ -38,12 +38,12 @@ from ..effects.registry import effect_type
 from ..engine import native
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
-from ..simulation.completion import Completion, CompletionError
 from ..simulation.data import Data
 from ..simulation.errors import SimulationError
 from ..simulation.geometry import Geometry
 from ..simulation.key_paths import changed, numbers, resolve
 from ..simulation.modeling import extent
+from ..simulation.passive_joint_solver import PassiveJointError, PassiveJointSolver
 
 # Columns, scaled to length one, are dependent below DEPENDENT; shares of others below NOTHING are
 # rounding; parameters whose torques are below UNSEEN of those of the largest have no influence.
@@ -211,7 +211,7 @@ def identify(scene, keys, motion, effort, others=None):
     IdentificationError
         Where effects or drives are such that inverse dynamics does not know them, or nothing can
         be learnt.
-    CompletionError
+    PassiveJointError
         Where the motion does not follow from the measured joints.
     ValueError
         For keys, joints and arrays that do not fit.
@@ -226,7 +226,7 @@ def measured_joints(scene):
     names = bare.mechanism.coordinates.single_names
     chosen = tuple(name for name in driven if name in names)
     try:
-        Completion(bare.mechanism, chosen, Data(bare).position)
+        PassiveJointSolver(bare.mechanism, chosen, Data(bare).position)
     except ValueError:
         return tuple(names)
     return chosen
@@ -257,7 +257,7 @@ class Identifier:
 
     Raises
     ------
-    CompletionError, IdentificationError, ValueError
+    PassiveJointError, IdentificationError, ValueError
 
     """
 
@@ -590,13 +590,13 @@ class _Along:
 
     def _completed(self):
         """Return positions, rates and accelerations of all joints, of every instant."""
-        completion = Completion(
+        completion = PassiveJointSolver(
             self.scene.mechanism, self._joints, self.data.position)
         found = []
         for k, (position, rate, acceleration) in enumerate(self._motion.transpose(1, 0, 2)):
             completion.complete(position, rate)
             if completion.passed:
-                raise CompletionError(
+                raise PassiveJointError(
                     f'motion: sample {k} touches a singular position, where branches meet: '
                     f'{", ".join(self._joints)} do not determine the one on which it goes on')
             found.append((completion.position.copy(), completion.velocity.copy(),
@@ -798,7 +798,7 @@ def _moving(along):
 
     def moves(q, qd):
         rates = dict(zip(data.torque_names, effects.rates(q, qd)))
-        return all(one.direction(sum(arm * rates[name] for name, arm in one.rubs_along))
+        return all(one.direction(sum(arm * rates[name] for name, arm in one.friction_direction))
                    for one in frictions)
 
     found = np.flatnonzero([moves(q, qd) for q, qd, _ in along.states])

@@ -89,11 +89,11 @@ def _records(job, source, rows, torques):
     if starts and source.together:
         records = SimdRuns(job.schedule, wanted).record(list(starts.values()))
     done = dict(zip(starts, records or ()))
-    return [done.get(k) or _alone(job, source, row, own, wanted)
+    return [done.get(k) or _singly(job, source, row, own, wanted)
             for k, (row, own) in enumerate(zip(rows, torques))]
 
 
-def _alone(job, source, row, torques, wanted):
+def _singly(job, source, row, torques, wanted):
     """Return the result of a sample run alone."""
     try:
         start = source.start(row, torques)

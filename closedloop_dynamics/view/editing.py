@@ -33,7 +33,7 @@ GESTURE, MOST_STEPS = 1.0, 200
 # Cut joints whose two points coincide: pins that can be moved.
 PINS = ('revolute', 'spherical', 'universal', 'cylindrical', 'fixed')
 LENGTH, BODIES = 'length', 'mechanism.bodies.'
-# A hand finds nothing among the numbers of more.
+# Largest mechanism whose lengths and masses get sliders: longer lists cannot be searched by eye.
 MOST_BODIES = 100
 
 

@@ -11,7 +11,7 @@ from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.effect import Machine
+from closedloop_dynamics.effects.effect import NameResolver
 from closedloop_dynamics.effects.effect_set import EffectSet
 from closedloop_dynamics.effects.effect_table import EffectTable
 from closedloop_dynamics.effects.end_stop import EndStop
@@ -45,7 +45,7 @@ def accelerations(mechanism, q, qd, tau, effects):
     built = mechanism_arrays(mechanism, (0.0, 0.0, -9.81))
     for record in effects.values():
         record.fit(mechanism)
-    chosen = EffectSet(effects, built.model, Machine(mechanism, built.placements))
+    chosen = EffectSet(effects, built.model, NameResolver(mechanism, built.placements))
     numbers = Numbers(built.model)
     table = EffectTable.of(built.model, built.model, chosen.elements)
     numbers.move(q, qd)
@@ -322,7 +322,7 @@ def carried(seed, joint, axis):
 def test_a_rotor_moves_as_a_body_of_its_own(seed, joint, axis, ratio):
     chain, fixed, explicit, q, qd = carried(seed, joint, axis)
     built = mechanism_arrays(chain, (0.0, 0.0, -9.81))
-    machine = Machine(chain, built.placements)
+    machine = NameResolver(chain, built.placements)
     effects = {'motor': Rotor(f'joint_{joint}', 0.07, ratio, axis), 'fixed': fixed}
     EffectSet(effects, built.model, machine)
     one, other = Numbers(built.model), Numbers(build_model(explicit, (0.0, 0.0, -9.81)))

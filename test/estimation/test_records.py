@@ -15,8 +15,8 @@ from closedloop_dynamics.estimation.streams import StreamError, Streams
 from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.forces import MessageBag
 from closedloop_dynamics.recording.reading import BagReadError
-from closedloop_dynamics.simulation.completion import CompletionError
 from closedloop_dynamics.simulation.model import Model
+from closedloop_dynamics.simulation.passive_joint_solver import PassiveJointError
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
@@ -145,7 +145,7 @@ def test_joints_that_cannot_be_there_begin_nothing(setup, scene):
     # All proximal links point outwards: the platform does not reach their ends.
     readings = dict(zip(ENCODERS, ((3.67,), (-0.52,), (1.57,))))
     readings.update({f'rate_{name[-1]}': (0.0,) for name in ENCODERS})
-    with pytest.raises(CompletionError):
+    with pytest.raises(PassiveJointError):
         beginning.take(0.0, readings)
 
 

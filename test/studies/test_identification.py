@@ -10,9 +10,9 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.completion import CompletionError
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.motions import moving
+from closedloop_dynamics.simulation.passive_joint_solver import PassiveJointError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.excitation import excite
@@ -432,7 +432,7 @@ def test_another_branch_is_refused():
     scene = load_scene('three_rrr')
     motion, effort, states = run(scene, 5.0, 60)
     seen = {'theta_2': [q[1] for q, _, _ in states]}
-    with pytest.raises((IdentificationError, CompletionError), match='singular position'):
+    with pytest.raises((IdentificationError, PassiveJointError), match='singular position'):
         identify(scene, ['mechanism.bodies.platform.mass'], motion, effort, seen)
     before = {name: each[:, :40] for name, each in motion.items()}, {
         name: each[:40] for name, each in effort.items()}

@@ -6,9 +6,9 @@ The evaluation of a scene as the engine runs it: a mechanism with the laws of it
 
 Laws are traced into the one routine between the motion of the bodies and their accelerations.
 Their numbers, states and what was decided about them are loads, so that a change of these compiles
-nothing. What the laws say of themselves beside the rates of their states is left to the laws by
-themselves (``law_routine``): no step asks for it. What they store is traced for the energies of
-states in the lanes of a vector.
+nothing. Readings and powers of the laws come from the routine of each law alone (``law_routine``):
+no step needs them. Stored energies are traced for the energies of states in the lanes of a
+vector.
 """
 
 import math
@@ -58,7 +58,7 @@ class LiveTrace(MechanismTrace):
     model : Model
         Constant arrays of the mechanism.
     laws : object
-        ``effects.scene_code.LiveLaws``: ``act(forces)`` applies the effects, ``motions(trace)``
+        ``effects.scene_code.SceneLaws``: ``act(forces)`` applies the effects, ``motions(trace)``
         returns what prescribed motions have in the places of ``Model.cut_point``, and ``columns``
         gives how many numbers the rows of arrays have, by their places; ``states`` how many states
         the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``

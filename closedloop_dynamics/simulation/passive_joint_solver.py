@@ -41,11 +41,11 @@ FOLD, TOUCHED = 0.25, 0.01
 SMALLEST = 1e-150
 
 
-class CompletionError(SimulationError):
+class PassiveJointError(SimulationError):
     """Measured positions that belong to no position of the mechanism that can be reached."""
 
 
-class Completion:
+class PassiveJointSolver:
     """
     Follows a mechanism by the positions of some of its joints.
 
@@ -130,7 +130,7 @@ class Completion:
 
         Raises
         ------
-        CompletionError
+        PassiveJointError
             Where no such position closes the loops, or the way there is not clear: the last one
             is kept.
         ValueError
@@ -150,7 +150,7 @@ class Completion:
             np.abs(change / self._unit[self._rates]).max() / PIECE))
         try:
             if pieces > MOST_PIECES:
-                raise CompletionError(
+                raise PassiveJointError(
                     f'{self.measured[int(np.abs(change).argmax())]} moved by '
                     f'{np.abs(change).max():.3g} rad or m at once: the way there is not known')
             for k in range(1, pieces + 1):
@@ -159,8 +159,8 @@ class Completion:
             found = self._solved(
                 self._equations.move(self.position).jacobian(), 0.0, rates, self.velocity)
             if not np.isfinite(found).all():
-                raise CompletionError('the velocities grow beyond all bounds')
-        except CompletionError:
+                raise PassiveJointError('the velocities grow beyond all bounds')
+        except PassiveJointError:
             self.position, self._values = before
             self._prepare(self.position)
             raise
@@ -202,7 +202,7 @@ class Completion:
                 return
         self.get_ready()
         if halvings == 0:
-            raise CompletionError(
+            raise PassiveJointError(
                 'no position that closes the loops was found next to the last one: sensors that '
                 'contradict one another, a mechanism that is at its limit, or lengths that differ')
         self._follow(0.5 * (self._values + values), halvings - 1)

@@ -5,8 +5,9 @@
 
 import math
 
-from closedloop_dynamics.simulation.completion import Completion, CompletionError
 from closedloop_dynamics.simulation.geometry import Geometry
+from closedloop_dynamics.simulation.passive_joint_solver import (
+    PassiveJointError, PassiveJointSolver)
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def places_of(simulation, names):
 def test_simulated_motion_is_met(scene, measured):
     simulation = Simulation.from_scene(scene)
     places, rates = places_of(simulation, measured)
-    completion = Completion(simulation.mechanism, measured, simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, measured, simulation.position)
     rng = np.random.default_rng(5)
     torque = rng.uniform(-0.5, 0.5, len(simulation.actuated_joints))
     for _ in range(40):
@@ -52,7 +53,7 @@ def test_contradicting_sensors_are_balanced_by_their_weights():
     names = ['theta_1', 'theta_6', 'theta_7', 'theta_2', 'theta_4']
     places, _ = places_of(simulation, names)
     weights = np.array([4.0, 1.0, 1.0, 9.0, 0.5])
-    completion = Completion(simulation.mechanism, names, simulation.position, weights)
+    completion = PassiveJointSolver(simulation.mechanism, names, simulation.position, weights)
     rng = np.random.default_rng(3)
     exact = simulation.position[places]
     completion.complete(exact)
@@ -74,11 +75,11 @@ def test_contradicting_sensors_are_balanced_by_their_weights():
 def test_angles_may_differ_by_turns_and_ways_are_followed_in_pieces():
     simulation = Simulation.from_scene('four_bar')
     places, _ = places_of(simulation, ['crank_joint'])
-    completion = Completion(simulation.mechanism, ['crank_joint'], simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, ['crank_joint'], simulation.position)
     begin, = simulation.position[places]
     completion.complete([begin + 3.0 + 4.0 * math.pi])
     # The same, taken slowly.
-    slow = Completion(simulation.mechanism, ['crank_joint'], simulation.position)
+    slow = PassiveJointSolver(simulation.mechanism, ['crank_joint'], simulation.position)
     for part in np.linspace(0.0, 1.0, 100):
         slow.complete([begin + 3.0 * part])
     np.testing.assert_allclose(completion.position, slow.position, atol=1e-11)
@@ -88,12 +89,12 @@ def test_angles_may_differ_by_turns_and_ways_are_followed_in_pieces():
 def test_what_no_position_of_the_mechanism_has_is_refused_and_the_last_one_kept():
     simulation = Simulation.from_scene('four_bar')
     places, _ = places_of(simulation, ['rocker_joint'])
-    completion = Completion(simulation.mechanism, ['rocker_joint'], simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, ['rocker_joint'], simulation.position)
     begin, = simulation.position[places]
     completion.complete([begin + 0.01])
     kept, sines = completion.position.copy(), []
     # The rocker swings between two limits, at which the measured joint tells nothing.
-    with pytest.raises(CompletionError, match='no position that closes the loops'):
+    with pytest.raises(PassiveJointError, match='no position that closes the loops'):
         for k in range(400):
             completion.complete([begin + 0.01 * k])
             kept = completion.position.copy()
@@ -110,13 +111,13 @@ def test_singular_position_that_is_passed_is_told():
     simulation = Simulation.from_scene('three_rrr')
     names = ['theta_1', 'theta_6', 'theta_7']
     places, _ = places_of(simulation, names)
-    completion, sines = Completion(simulation.mechanism, names, simulation.position), []
+    completion, sines = PassiveJointSolver(simulation.mechanism, names, simulation.position), []
     # Under its weight alone it falls through positions in which locked drives would not hold it.
     for _ in range(200):
         simulation.step(None, 0.005)
         try:
             completion.complete(simulation.position[places])
-        except CompletionError:
+        except PassiveJointError:
             break
         apart = np.abs(simulation.coordinates.apart(
             completion.position, simulation.position)).max()
@@ -137,22 +138,22 @@ def test_singular_position_that_is_passed_is_told():
 def test_measurements_that_do_not_do_are_refused(measured, weights, problem):
     simulation = Simulation.from_scene('three_rrr')
     with pytest.raises(ValueError, match=problem):
-        Completion(simulation.mechanism, measured, simulation.position, weights)
+        PassiveJointSolver(simulation.mechanism, measured, simulation.position, weights)
 
 
 @pytest.mark.parametrize('values', [[math.nan], [math.inf], [], [1.0, 2.0]])
 def test_other_than_finite_numbers_are_refused(values):
     simulation = Simulation.from_scene('four_bar')
-    completion = Completion(simulation.mechanism, ['crank_joint'], simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, ['crank_joint'], simulation.position)
     with pytest.raises(ValueError, match='expected 1 finite'):
         completion.complete(values)
 
 
 def test_velocities_beyond_all_bounds_are_refused():
     simulation = Simulation.from_scene('four_bar')
-    completion = Completion(simulation.mechanism, ['crank_joint'], simulation.position)
+    completion = PassiveJointSolver(simulation.mechanism, ['crank_joint'], simulation.position)
     places, _ = places_of(simulation, ['crank_joint'])
-    with pytest.raises(CompletionError, match='beyond all bounds'):
+    with pytest.raises(PassiveJointError, match='beyond all bounds'):
         completion.complete(simulation.position[places] + 0.01, [1.7e308])
     np.testing.assert_array_equal(completion.position, simulation.position)
     assert not completion.velocity.any()
@@ -160,6 +161,6 @@ def test_velocities_beyond_all_bounds_are_refused():
 
 def test_a_slide_that_jumps_is_refused():
     simulation = Simulation.from_scene('slider_crank')
-    completion = Completion(simulation.mechanism, ['slider_joint'], simulation.position)
-    with pytest.raises(CompletionError, match='moved by 1e\\+03 rad or m at once'):
+    completion = PassiveJointSolver(simulation.mechanism, ['slider_joint'], simulation.position)
+    with pytest.raises(PassiveJointError, match='moved by 1e\\+03 rad or m at once'):
         completion.complete([1e3 + simulation.position[2]])
