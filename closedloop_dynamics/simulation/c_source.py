@@ -95,26 +95,23 @@ def c_cost(simulation, derivatives=False, float32=False):
     return text.cost
 
 
-def require_c(simulation):
-    """Refuse a simulation that has no C, as ``c_source`` does."""
+def require_c(simulation, language='C'):
+    """Refuse a simulation that has no C, or no code in another language of the same graph."""
     reasons = refusals(simulation.data)
     if reasons:
-        raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
-            f'{what} ({why})' for what, why in reasons.items()))
-    _require_good_start(simulation)
-
-
-def _require_good_start(simulation):
-    """Refuse a state that the elimination alone, as in C, cannot evaluate."""
+        raise SimulationError(
+            f'{simulation.scene.name} cannot be written as {language}: ' + '; '.join(
+                f'{what} ({why})' for what, why in reasons.items()))
     system = simulation.data.system
     before = system.work.health.copy()
     good = native.is_regular(system.native, simulation.position, simulation.velocity)
     system.work.health[:] = before
     if not good:
+        # The elimination alone, as in C, cannot evaluate the state.
         raise SimulationError(
-            f'{simulation.scene.name} cannot be written as C: closure equations depend on one '
-            'another where it starts, or nearly, or masses differ so much that the elimination '
-            'alone cannot decide. Start it in another position.')
+            f'{simulation.scene.name} cannot be written as {language}: closure equations depend '
+            'on one another where it starts, or nearly, or masses differ so much that the '
+            'elimination alone cannot decide. Start it in another position.')
 
 
 def left_out(simulation):

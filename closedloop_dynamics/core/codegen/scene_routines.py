@@ -37,9 +37,14 @@ class SceneTrace(MechanismTrace):
     def moved(self):
         """Run the outward recursion and apply the effects; return their forces."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
-        forces = Forces(self)
+        forces = self.forces_type(self)
         self._act(forces)
         return forces
+
+    @property
+    def forces_type(self):
+        """What laws act by: ``Forces``, or a class of it."""
+        return Forces
 
     def evaluation(self):
         """Accelerations and multipliers."""

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A scene as WebAssembly: evaluation, correction of the loops, motion of the bodies, energies."""
+
+from collections import Counter
+
+import numpy as np
+
+from .c_source import require_c
+from ..core.codegen.expression_graph import Q, QD
+from ..core.codegen.function_table import (
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, TAU, VALUE_COLUMNS, VALUES)
+from ..core.codegen.joint_forces import closures_of
+from ..core.codegen.scene_routines import Forces, SceneTrace
+from ..core.codegen.vectors import add, scale, ZERO
+from ..core.codegen.wasm_writer import DOUBLE, module
+from ..core.types import CUT_NUMBER, CUT_ROW
+from ..effects.element import DISSIPATED, WORK
+from ..effects.traced_laws import act
+
+# Inputs and outputs beside those of function tables: a wrench on each body, in world axes at its
+# origin; power that effects dissipate, and that they bring in; motion of each body; forces where
+# loops close; of each effect 1 where it acts, 0 where it is switched off. Their places are behind
+# all others.
+PUSH, POWER, MOTION, FORCE, SWITCH = range(60, 65)
+# Numbers of a body's motion: its origin, its axes row by row, velocity and angular velocity.
+MOTION_COLUMNS = 18
+NAMES = {Q: 'q', QD: 'qd', TAU: 'tau', PUSH: 'push', SWITCH: 'switch', BODY: 'body',
+         GRAVITY: 'gravity', CUT_POINT: 'cut_point', VALUES: 'values', QDD: 'qdd', LAM: 'lam',
+         POWER: 'power', CORRECTIONS: 'change', CLOSURE: 'closure', ENERGY: 'energies',
+         MOTION: 'motion', FORCE: 'force'}
+
+
+def wasm_module(simulation):
+    """
+    Write a scene as a module of WebAssembly.
+
+    Its functions have no arguments and return 1, or 0 in a singular position: ``evaluation`` of
+    q, qd, tau, push and switch to qdd, lam and power; ``correction`` of q and qd to change (that
+    of q, then of qd) and closure; ``energies`` (kinetic, of gravity, stored) [J]; ``bodies``:
+    motion; ``forces`` of q and lam to force, three numbers a cut joint, on body A in world axes
+    [N].
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In the state to start from; parameters are those that effects and masses have now.
+
+    Returns
+    -------
+    binary : bytes
+    arrays : dict of str to list
+        By name, where an array begins in the memory [numbers], and the numbers it is to have at
+        first, or of results how many they are.
+
+    Raises
+    ------
+    SimulationError
+        Where something of the scene has no such code, with names and reasons; or where the scene
+        starts in a singular position.
+
+    """
+    require_c(simulation, 'WebAssembly')
+    system = simulation.data.system
+    model, table = system.model, system.effects
+    values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
+    rows, nv, nc = len(model.tree), len(system.qdd), len(system.lam)
+    cuts = len(simulation.mechanism.cut_joints)
+    given = {Q: simulation.position, QD: simulation.velocity, TAU: np.zeros(nv),
+             PUSH: np.zeros(6 * rows), SWITCH: np.ones(len(values)), BODY: model.body,
+             GRAVITY: model.gravity, CUT_POINT: model.cut_point, VALUES: values}
+    found = {QDD: nv, LAM: nc, POWER: 2, CORRECTIONS: 2 * nv, CLOSURE: nc, ENERGY: 3,
+             MOTION: MOTION_COLUMNS * rows, FORCE: 3 * cuts}
+    routines = []
+    for what in ('evaluation', 'correction', 'energies', 'bodies', 'forces'):
+        trace = _Trace(model, table, values.shape, cuts)
+        getattr(trace, what)()
+        routines.append(trace.named(what))
+    binary, addresses = module(routines, {
+        **{source: array.size for source, array in given.items()}, **found})
+    return binary, {
+        NAMES[source]: [address // DOUBLE, given[source].ravel().tolist() if source in given
+                        else found[source]]
+        for source, address in addresses.items()}
+
+
+class _SwitchedForces(Forces):
+    """Forces of effects that an input switches on and off."""
+
+    def __init__(self, trace):
+        super().__init__(trace)
+        self._switches = trace.symbols(SWITCH, trace.values.shape[:1])
+
+    @property
+    def _switch(self):
+        return self._switches[self.row]
+
+    def twist(self, joint, torque):
+        super().twist(joint, torque * self._switch)
+
+    def push(self, body, offset, force, moment=ZERO):
+        super().push(body, offset, *(scale(each, self._switch) for each in (force, moment)))
+
+    def store(self, energy):
+        super().store(energy * self._switch)
+
+    def flow(self, *rates, first=0):
+        super().flow(*(rate * self._switch for rate in rates), first=first)
+
+
+class _Trace(SceneTrace):
+    """A scene with a wrench on each body; a trace serves for one routine."""
+
+    def __init__(self, model, table, values, cuts):
+        super().__init__(model, lambda forces: act(table, forces), values)
+        self._cuts = cuts
+        self._roles = {} if table is None else {
+            row.state + n: state.role for row in table.enabled_rows
+            for n, state in enumerate(table.elements[row.number].states)}
+
+    def evaluation(self):
+        """Accelerations, multipliers and power of effects."""
+        super().evaluation()
+        for place, role in enumerate((DISSIPATED, WORK)):
+            self.outputs.append((POWER, place, sum(
+                rate for state, rate in self._rates.items() if self._roles[state] == role)))
+
+    def moved(self):
+        """Run the outward recursion, apply the effects and the wrenches; return the forces."""
+        forces = super().moved()
+        self._rates = forces.rates
+        for row, push in list(enumerate(self.symbols(PUSH, (len(self.constant.tree), 6))))[1:]:
+            if forces.size == 2:
+                # Of a mechanism in the plane there is a moment about the normal alone.
+                push = (0.0, 0.0, push[2], *push[3:5], 0.0)
+            Forces.push(forces, row, ZERO, tuple(push[3:]), tuple(push[:3]))
+        return forces
+
+    @property
+    def forces_type(self):
+        return _SwitchedForces
+
+    def bodies(self):
+        """Motion of the bodies."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        for row, motion in list(enumerate(self.recursion.motion))[1:]:
+            numbers = (*motion.origin, *(number for axis in motion.frame for number in axis),
+                       *motion.velocity, *motion.spin)
+            self.outputs += [(MOTION, MOTION_COLUMNS * row + k, number)
+                             for k, number in enumerate(numbers)]
+
+    def forces(self):
+        """Sum up the forces of multipliers on bodies A, by cut joint in the mechanism's order."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        lam, taken, found = self.symbols(LAM, (self.nc,)), Counter(), {}
+        for a, _, closure in closures_of(self, False):
+            number, first = self.constant.cut[a, [CUT_NUMBER, CUT_ROW]].tolist()
+            multiplier = lam[first + taken[a]]
+            taken[a] += 1
+            found[number] = add(found.get(number, ZERO), scale(closure.on_a[3:], multiplier))
+        # Behind the cut joints are the couplings.
+        self.outputs = [(FORCE, 3 * number + k, value) for number in range(self._cuts)
+                        for k, value in enumerate(found.get(number, ZERO))]
