@@ -3,6 +3,7 @@
 
 """``closedloop view``: a mechanism in the browser, live or as it was recorded."""
 
+from contextlib import contextmanager
 from importlib.util import find_spec
 import os
 from pathlib import Path
@@ -26,8 +27,9 @@ from ..view.columns import motion_columns
 from ..view.description import describe
 from ..view.messages import EXPRESSION, FREE, HELD, OWN, POSITION, SPEED, TORQUE
 from ..view.own_motion import chosen
-from ..view.page import live_page, recorded_page
+from ..view.page import live_page, recorded_page, standalone_page
 from ..view.saved import recorded, simulated
+from ..view.standalone import standalone
 from ..visual.progress import announced, progress_to
 
 # By default, unless it is taken.
@@ -52,7 +54,7 @@ def _run(arguments):
     if arguments.what is None:
         raise UsageError('expected a scene or a recording, or --node')
     if arguments.save is None:
-        for option in ('duration', 'rate', 'overwrite'):
+        for option in ('duration', 'rate', 'overwrite', 'live'):
             if getattr(arguments, option):
                 raise UsageError(f'--{option}: expected it with --save')
     if not _is_recording(arguments.what):
@@ -95,16 +97,9 @@ def _live(arguments):
     # The server's library takes a while, which no other command should.
     from ..view.library import Library
     from ..view.runner import Runner
-    scene = with_numbers(read_scene(arguments.what, arguments), arguments)
-    with announced(LOADING):
-        try:
-            runner = Runner(scene, own=chosen(
-                _drives(arguments), arguments.drives, arguments.controller),
-                            library=Library(Path.cwd()))
-        except (AssemblyError, StartError) as error:
-            raise UsageError(f'{arguments.what}: {error}') from None
-        except FieldError as error:
-            raise UsageError(f'drives: {error}') from None
+    scene, motion = _scene_and_motion(arguments)
+    with announced(LOADING), _refusing(arguments):
+        runner = Runner(scene, own=motion, library=Library(Path.cwd()))
     _with_warnings(runner.described)
     with program_watch.noting() as received:
         server = _served(arguments, [live_page(scene.name)], [runner.feed], runner.resource)
@@ -113,6 +108,23 @@ def _live(arguments):
         finally:
             server.close()
     return 128 + received[0]
+
+
+def _scene_and_motion(arguments):
+    """Return a scene, and a function that gives what drives it from the start."""
+    return with_numbers(read_scene(arguments.what, arguments), arguments), chosen(
+        _drives(arguments), arguments.drives, arguments.controller)
+
+
+@contextmanager
+def _refusing(arguments):
+    """Report a scene that does not start as a fault of the command line."""
+    try:
+        yield
+    except (AssemblyError, StartError) as error:
+        raise UsageError(f'{arguments.what}: {error}') from None
+    except FieldError as error:
+        raise UsageError(f'drives: {error}') from None
 
 
 def _drives(arguments):
@@ -184,10 +196,24 @@ def _recorded_page(arguments):
 
 
 def _save(arguments):
-    page = (_recorded_page if _is_recording(arguments.what) else _simulated_page)(arguments)
+    page = (_standalone_page if arguments.live else _recorded_page if _is_recording(
+        arguments.what) else _simulated_page)(arguments)
     arguments.save.write_text(page, encoding='utf-8')
     print(f'{arguments.save}: {arguments.save.stat().st_size / 1e6:.2g} MB')
     return 0
+
+
+def _standalone_page(arguments):
+    if _is_recording(arguments.what):
+        raise UsageError('--live: expected a scene, as a recording is not simulated')
+    for option in ('duration', 'rate'):
+        if getattr(arguments, option):
+            raise UsageError(f'--{option}: expected it without --live, where the page itself '
+                             'simulates')
+    scene, motion = _scene_and_motion(arguments)
+    with announced(LOADING), _refusing(arguments):
+        description, machine = standalone(scene, motion(scene))
+    return standalone_page(scene.name, _with_warnings(description), machine)
 
 
 def _simulated_page(arguments):
@@ -227,6 +253,7 @@ examples:
   closedloop view my_bag
   closedloop view --node /closedloop_simulator
   closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html
+  closedloop view three_rrr --save machine.html --live
 """,
     arguments=(
         *recording_arguments('what', 'SCENE_OR_RECORDING', '?', 'a shipped scene by its name, a '
@@ -236,6 +263,9 @@ examples:
                       'repeated'),
         Output('--save', 'FILE', 'write one HTML file that plays the motion anywhere, offline, '
                'instead of showing it', ('.html',)),
+        Argument('--live', action='store_true',
+                 help='with --save, a page that simulates the scene by itself, opened from disk '
+                      'or any web server'),
         Argument('--duration', metavar='SECONDS', type=positive,
                  help=f'with --save, how much of a scene is simulated (default: {DURATION:g})'),
         Argument('--rate', metavar='HZ', type=positive,

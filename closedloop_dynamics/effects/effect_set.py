@@ -227,6 +227,10 @@ class EffectSet:
         self._fill(changed)
         return True
 
+    def element_of(self, record):
+        """Return what a record, in the place of one of these, says of itself."""
+        return record.element(self._machine)
+
     def restart(self):
         """Restart the instruments."""
         enabled = [record for name, record in self.records.items() if self.enabled[name]]

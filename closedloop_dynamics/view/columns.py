@@ -121,7 +121,7 @@ class Columns:
         return self.starts['width']
 
 
-def _joint_plots(mechanism):
+def joint_plots(mechanism):
     """Return the plots of joints and cut joints, which recordings have, too."""
     names = mechanism.coordinates
     position, velocity, effort = map(names.columns, ('position', 'velocity', 'effort'))
@@ -143,7 +143,7 @@ def _joint_plots(mechanism):
 
 
 def _joint_values(names, position, velocity, effort, forces, points):
-    """Return the values of ``_joint_plots``, of one instant or of several."""
+    """Return the values of ``joint_plots``, of one instant or of several."""
     driven = list(names.actuated)
     power = effort[..., driven] * velocity[..., driven]
     return [position[..., names.place[names.place >= 0]], effort[..., driven], power,
@@ -168,7 +168,7 @@ def _other_columns(names):
 
 def motion_columns(mechanism, estimated=False):
     """Return the columns of a recording or of topics, with those of an estimator or without."""
-    plots, names = _joint_plots(mechanism), mechanism.coordinates
+    plots, names = joint_plots(mechanism), mechanism.coordinates
     estimates = [plot for plot in plots if estimated and plot.group in ESTIMATED]
     behind = len(plots) + len(estimates) + sum(map(np.count_nonzero, _is_other(names)))
     return Columns(mechanism, plots=plots + [
@@ -236,7 +236,7 @@ class SimulationRows:
         names = mechanism.coordinates
         self._names, (self._turns, self._undriven) = names, _is_other(names)
         # Behind these come the places where a hand may take hold of the machine.
-        plots = _joint_plots(replace(mechanism, points=mechanism.points[:points]))
+        plots = joint_plots(replace(mechanism, points=mechanism.points[:points]))
         self._read = [(name, reading) for name, record in shown.items()
                       for reading in READINGS.get(type(record), ())]
         self._telling = dict.fromkeys([*self._loads, *(name for name, _ in self._read)])

@@ -116,7 +116,7 @@ class Editor:
         if len(mechanism.bodies) > MOST_BODIES:
             return found
         for body in (GROUND, *(body.name for body in mechanism.bodies)):
-            (first, _, origin), *others = self._pins(body)
+            (first, _, origin), *others = self.pins(body)
             for name, key, place in others:
                 if key is not None and math.dist(place, origin) > SHORTEST:
                     add('lengths', f'{LENGTH}.{body}.{name}', f'{body}: {first} to {name}',
@@ -162,7 +162,7 @@ class Editor:
         self.scene = replace(self.scene, initial=replace(
             self.scene.initial, position=tuple(np.array(position).tolist())))
 
-    def _pins(self, body):
+    def pins(self, body):
         """Return names, key paths and places of the joints of a body, its own one first."""
         mechanism = self.scene.mechanism
         found = [(joint.name, None, np.zeros(len(joint.position)))

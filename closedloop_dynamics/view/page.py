@@ -11,7 +11,8 @@ import numpy as np
 
 PARTS = ('algebra.js', 'history.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js',
          'arrows.js', 'overlay.js', 'camera.js', 'scene.js', 'plot.js', 'plots.js', 'panels.js',
-         'timeline.js', 'compare.js', 'vector.js', 'export.js', 'edit.js', 'page.js')
+         'timeline.js', 'compare.js', 'vector.js', 'export.js', 'edit.js', 'expression.js',
+         'machine.js', 'standalone.js', 'page.js')
 STYLES = ('page.css', 'edit.css', 'time.css')
 
 
@@ -33,10 +34,19 @@ def recorded_page(title, description, times, rows):
     """
     return _page(title, {
         'scene': description, 'count': len(times),
-        'times': _packed(times, np.float64), 'rows': _packed(rows, np.float32)})
+        'times': packed(times, np.float64), 'rows': packed(rows, np.float32)})
 
 
-def _packed(values, kind):
+def standalone_page(title, description, machine):
+    """
+    Return a page, HTML, that simulates a machine by itself and needs nothing else.
+
+    ``description`` and ``machine`` are by ``standalone.standalone``.
+    """
+    return _page(title, {'description': description, 'machine': machine})
+
+
+def packed(values, kind):
     """Return numbers in base64, least significant byte first."""
     values = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder('<'))
     return base64.b64encode(values.tobytes()).decode('ascii')

@@ -69,8 +69,9 @@ class Tab:
 
     numbers = itertools.count(1)
 
-    def __init__(self, socket, url, width=1280, height=800, dark=False, phone=False):
-        """Open it, with a size in CSS pixels and a theme."""
+    def __init__(
+            self, socket, url, width=1280, height=800, dark=False, phone=False, scripts=True):
+        """Open it, with a size in CSS pixels and a theme; its own scripts may be blocked."""
         self._socket = socket
         target = self._do('Target.createTarget', url='about:blank')['targetId']
         self._session = None
@@ -80,6 +81,7 @@ class Tab:
                  deviceScaleFactor=2 if phone else 1, mobile=phone)
         self._do('Emulation.setEmulatedMedia', features=[
             {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}])
+        self._do('Emulation.setScriptExecutionDisabled', value=not scripts)
         # Input reaches the page whichever window the browser takes for the active one.
         self._do('Page.bringToFront')
         self._do('Emulation.setFocusEmulationEnabled', enabled=True)

@@ -144,7 +144,7 @@ def test_a_length_is_changed_while_it_moves(tmp_path):
         tab.click('#play')
         tab.wait('page.now > 0.5')
         tab.ask('document.getElementById("numbers-panel").open = true')
-        tab.ask('page.edit.numbers["length.rocker.cut_1"].set(0.27, true)')
+        tab.ask('page.edit.numbers.sliders["length.rocker.cut_1"].set(0.27, true)')
         tab.wait('Math.abs(page.scene.cuts[0].point_b[0] - 0.27) < 1e-9')
         now = tab.ask('page.now')
         tab.wait(f'page.now > {now} + 0.5 && page.playing')

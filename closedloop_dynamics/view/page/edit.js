@@ -169,26 +169,8 @@ class Editing {
     });
     this.curves = (scene.curves ?? []).map(({places}) => (
       Array.from({length: places.length / 3}, (_, k) => places.slice(3 * k, 3 * k + 3))));
-    const sliders = scene.sliders ?? [], keys = sliders.map(({key}) => key).join();
-    byId('numbers-panel').hidden = !sliders.length;
-    if (keys === this.keys) {
-      sliders.forEach(({key, value}) => this.numbers[key].follow(value));
-      return;
-    }
-    this.keys = keys;
-    this.numbers = {};
-    const groups = [...new Set(sliders.map(({group}) => group))];
-    byId('numbers').replaceChildren(...groups.map((group, k) => {
-      const box = make(`<details${k ? '' : ' open'}><summary>${escaped(group)}</summary></details>`);
-      for (const one of sliders.filter((each) => each.group === group)) {
-        const slider = new Slider({
-          label: one.label, unit: one.unit, low: one.low, high: one.high, value: one.value,
-          reset: one.value, onchange: (value) => this.ask('set', {key: one.key, value})});
-        this.numbers[one.key] = slider;
-        box.append(slider.element);
-      }
-      return box;
-    }));
+    this.numbers ??= new Numbers((what, more) => this.ask(what, more));
+    this.numbers.describe(scene.sliders ?? []);
   }
 
   // What can be added, and removed.

@@ -47,6 +47,7 @@ class Page {
     byId('theme').onclick = () => { this.dark = !this.dark; this.setTheme(); };
     this.others();
     if (data.scene) this.startRecorded();
+    else if (data.machine) this.startStandalone();
     else this.connect();
     requestAnimationFrame(() => this.tick());
   }
@@ -408,6 +409,19 @@ class Page {
   }
 
   // Out of itself.
+
+  // A machine that is simulated in the page: it answers as a server does.
+  async startStandalone() {
+    this.live = true;
+    byId('count').hidden = false;
+    try {
+      this.socket = new Standalone(this, this.data.description, await Machine.of(this.data.machine));
+    } catch (error) {
+      this.complain(`This browser cannot run the machine of this page: ${error.message}`);
+      throw error;
+    }
+    this.socket.begin();
+  }
 
   startRecorded() {
     this.live = false;

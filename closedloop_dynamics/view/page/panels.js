@@ -67,6 +67,34 @@ class Slider {
   }
 }
 
+// Sliders of lengths, masses and parameters.
+class Numbers {
+  constructor(ask) { this.ask = ask; }
+
+  describe(sliders) {
+    const keys = sliders.map(({key}) => key).join();
+    byId('numbers-panel').hidden = !sliders.length;
+    if (keys === this.keys) {
+      sliders.forEach(({key, value}) => this.sliders[key].follow(value));
+      return;
+    }
+    this.keys = keys;
+    this.sliders = {};
+    const groups = [...new Set(sliders.map(({group}) => group))];
+    byId('numbers').replaceChildren(...groups.map((group, k) => {
+      const box = make(`<details${k ? '' : ' open'}><summary>${escaped(group)}</summary></details>`);
+      for (const one of sliders.filter((each) => each.group === group)) {
+        const slider = new Slider({
+          label: one.label, unit: one.unit, low: one.low, high: one.high, value: one.value,
+          reset: one.value, onchange: (value) => this.ask('set', {key: one.key, value})});
+        this.sliders[one.key] = slider;
+        box.append(slider.element);
+      }
+      return box;
+    }));
+  }
+}
+
 class Drives {
   constructor(described, place, ask) {
     this.rows = {};

@@ -1,0 +1,90 @@
+// Expressions in the time t, as drives have them: value, rate and acceleration at once. Functions
+// with corners are none of them: a motion has no jumps of its speed.
+
+const expressionOf = (() => {
+  // A number with its first and second derivative by the time.
+  const jet = (value, rate = 0, bend = 0) => [value, rate, bend];
+  // f of a jet, by f, f' and f'' there.
+  const chained = ([, rate, bend], f, slope, curve) => jet(
+    f, slope * rate, slope * bend + curve * rate * rate);
+  const product = (a, b) => jet(a[0] * b[0], a[1] * b[0] + a[0] * b[1],
+                                a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]);
+  const inverse = (a) => chained(a, 1 / a[0], -1 / a[0] ** 2, 2 / a[0] ** 3);
+  const sum = (a, b, sign = 1) => a.map((x, k) => x + sign * b[k]);
+  const logarithm = (a) => chained(a, Math.log(a[0]), 1 / a[0], -1 / a[0] ** 2);
+  const exponential = (a) => chained(a, Math.exp(a[0]), Math.exp(a[0]), Math.exp(a[0]));
+  const root = (a) => chained(a, Math.sqrt(a[0]), 0.5 / Math.sqrt(a[0]), -0.25 / a[0] ** 1.5);
+  const arctangent = (a) => chained(a, Math.atan(a[0]), 1 / (1 + a[0] ** 2),
+                                    -2 * a[0] / (1 + a[0] ** 2) ** 2);
+  // A constant exponent has no logarithm of its base, which may be negative.
+  const power = (a, b) => (b[1] || b[2] ? exponential(product(logarithm(a), b))
+    : b[0] === 0 ? jet(1)
+      : chained(a, a[0] ** b[0], b[0] * a[0] ** (b[0] - 1),
+                b[0] === 1 ? 0 : b[0] * (b[0] - 1) * a[0] ** (b[0] - 2)));
+  const sineOf = (a) => chained(a, Math.sin(a[0]), Math.cos(a[0]), -Math.sin(a[0]));
+  const cosineOf = (a) => chained(a, Math.cos(a[0]), -Math.sin(a[0]), -Math.cos(a[0]));
+  const arcsine = (a) => arctangent(product(a, inverse(root(sum(jet(1), product(a, a), -1)))));
+  const JET_FUNCTIONS = {
+    sin: sineOf, cos: cosineOf, tan: (a) => product(sineOf(a), inverse(cosineOf(a))),
+    asin: arcsine, acos: (a) => sum(jet(Math.PI / 2), arcsine(a), -1), atan: arctangent,
+    sqrt: root, exp: exponential, log: logarithm,
+    radians: (a) => a.map((x) => x * Math.PI / 180), degrees: (a) => a.map((x) => x * 180 / Math.PI),
+    hypot: (a, b) => root(sum(product(a, a), product(b, b))),
+    atan2: (a, b) => sum(arctangent(product(a, inverse(b))), jet(
+      Math.atan2(a[0], b[0]) - Math.atan(a[0] / b[0])))};
+
+  // Return a function of the time that gives [value, rate, acceleration]. Throws an Error where the
+  // text is no expression.
+  const read = (text) => {
+    const tokens = text.match(/\d+\.?\d*(?:e[+-]?\d+)?|\.\d+(?:e[+-]?\d+)?|[a-z_]\w*|\*\*|[-+*/(),]|\S/gi) ?? [];
+    let at = 0;
+    const wrong = () => new Error(`expected an expression in the time t, such as 1.05+2*pi*t, got ${text}`);
+    const taken = (...which) => (which.includes(tokens[at]) ? tokens[at++] : null);
+    const need = (what) => { if (!taken(what)) throw wrong(); };
+    const chain = (operand, operators) => {
+      let left = operand();
+      for (let sign = taken(...Object.keys(operators)); sign; sign = taken(...Object.keys(operators))) {
+        const [before, right, join] = [left, operand(), operators[sign]];
+        left = (t) => join(before(t), right(t));
+      }
+      return left;
+    };
+    const total = () => chain(term, {'+': sum, '-': (a, b) => sum(a, b, -1)});
+    const term = () => chain(signed, {'*': product, '/': (a, b) => product(a, inverse(b))});
+    const signed = () => {
+      const sign = taken('+', '-');
+      if (!sign) return raised();
+      const inner = signed();
+      return sign === '+' ? inner : (t) => inner(t).map((x) => -x);
+    };
+    const raised = () => {
+      const base = single();
+      if (!taken('**')) return base;
+      const exponent = signed();
+      return (t) => power(base(t), exponent(t));
+    };
+    const single = () => {
+      const token = tokens[at++];
+      if (token === '(') {
+        const inner = total();
+        need(')');
+        return inner;
+      }
+      if (token === 't') return (t) => jet(t, 1);
+      if (token === 'pi') return () => jet(Math.PI);
+      if (/^[\d.]/.test(token ?? '')) return () => jet(Number(token));
+      const call = Object.hasOwn(JET_FUNCTIONS, token ?? '') ? JET_FUNCTIONS[token] : null;
+      if (!call) throw wrong();
+      need('(');
+      const operands = [total()];
+      while (taken(',')) operands.push(total());
+      need(')');
+      if (operands.length !== call.length) throw wrong();
+      return (t) => call(...operands.map((operand) => operand(t)));
+    };
+    const found = total();
+    if (at < tokens.length) throw wrong();
+    return found;
+  };
+  return read;
+})();
