@@ -38,7 +38,8 @@ class Health:
         Of the block elimination, relative to the largest diagonal entry of its cut point: about
         the squared sine of the angle between one closure equation and the others. 1: as
         independent as can be; 0: dependent. Below 1e-3 without masses, so that light links
-        play no part.
+        play no part. Where arms are eliminated before multipliers (``core/codegen/arms.py``),
+        the least squared sine between the columns of an arm, above 0.01.
     smallest_pivot_ever : float
         Since the last reset.
     condition : float

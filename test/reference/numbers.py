@@ -73,7 +73,7 @@ class OnNumbers(Recursion):
                 found[model.tree[i, DOF]] = dot(motion.axis, wrenches[i])
                 wrenches[parent] = add(
                     wrenches.get(parent, 2 * ZERO), at_parent(wrenches[i], motion.offset))
-        self._about_own(model, found)
+        self.about_own(model, found)
         return found
 
     def row(self, model, a, equation):
@@ -123,7 +123,7 @@ class OnNumbers(Recursion):
             Of the joints: what these accelerations take beside the multipliers.
 
         """
-        qdd, wrenches = self._about_world(model, qdd), list(self.force)
+        qdd, wrenches = self.about_world(model, qdd), list(self.force)
         accelerations = [2 * ZERO]
         wrenches[0] = 2 * ZERO
         for i in range(1, len(self.bodies)):
@@ -148,7 +148,7 @@ class OnNumbers(Recursion):
                 forces[dof] = forces[dof] + self.bodies[i].armature * qdd[dof] + dot(
                     self.rotor[i], carried)
             wrenches[parent] = add(wrenches[parent], at_parent(wrenches[i], motion.offset))
-        self._about_own(model, forces)
+        self.about_own(model, forces)
         return [None, *wrenches[1:]], forces
 
     def cut_wrench(self, model, a, lam):

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 import warnings
 
 from .c_writer import SINE_AND_COSINE, Statements
-from .expression_graph import CALL, Q, QD, TAKE
+from .expression_graph import CALL, Q, QD, TAKE, with_others
 from .function_table import (
     BAUMGARTE, ENTRIES, LANES, LAW_COLUMNS, PRESENT, PRESENT_COLUMNS, SHARED, TAU)
 
@@ -65,6 +65,12 @@ class _Scalar(Statements):
             *map(self._name, operands[3:]), f'r{place}']
         return f'((engine *)table[{entry}])({", ".join(arguments)})'
 
+    @classmethod
+    def of(cls, routine):
+        """Return the statements of a routine, which calls that which does the same otherwise."""
+        other = routine.otherwise
+        return cls(routine, cls.PLACES, None if other is None else f'{other.name}(table, q, qd)')
+
     def text(self):
         """Return what computes the routine, and returns whether its results are good."""
         return '\n'.join(self.lines)
@@ -85,6 +91,11 @@ class _Kernel(_Scalar):
 
 class _Lanes(_Scalar):
     """Statements of a routine for one state after the other."""
+
+    @classmethod
+    def of(cls, routine):
+        """Return the statements of what does the same in all lanes."""
+        return cls(routine.otherwise or routine, cls.PLACES)
 
     def _element(self, source, place):
         array = self._places[source]
@@ -140,8 +151,8 @@ def _tell():
 def _library(routines, writer, source):
     """Compile routines to one shared library."""
     source.write_text('\n'.join((HEAD, *(
-        f'long long {routine.name}({writer.PARAMETERS})\n{{\n'
-        f'{writer(routine, writer.PLACES).text()}\n}}' for routine in routines))))
+        f'long long {routine.name}({writer.PARAMETERS})\n{{\n{writer.of(routine).text()}\n}}'
+        for routine in with_others(routines)))))
     done = subprocess.run(
         [*compiler(), *FLAGS, source, '-o', source.with_suffix('.so')],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)

@@ -158,7 +158,8 @@ class Statements:
 
     PACKED = True
 
-    def __init__(self, routine, places):
+    def __init__(self, routine, places, otherwise=None):
+        """``otherwise``: the call in the place of results where those are not right, if any."""
         self.lines, self._places = [], places
         self._operations, use = routine.graph.operations, routine.needed()
         # Numbers that have a name, operands of vectors, and how many numbers these have.
@@ -174,12 +175,15 @@ class Statements:
                 self._compute(members[0])
             else:
                 self._compute_in_lanes(members)
+        guard = routine.graph.guard
+        good = 1 if guard is None else self._name(guard.place)
+        if otherwise is not None:
+            self.lines.append(f'if (!{good}) return {otherwise};')
         for source, place, value in routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.lines.append(f'{self._element(source, place)} {self._sign(source)} '
                               f'{self._name(known)};')
-        guard = routine.graph.guard
-        self.lines.append(f'return {1 if guard is None else self._name(guard.place)};')
+        self.lines.append(f'return {good};')
 
     def _element(self, source, place):
         """Return a number of an input or output."""

@@ -6,7 +6,8 @@
 from . import arctangent, sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
-    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE)
+    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE,
+    with_others)
 from .function_table import ENTRIES, LAW_COLUMNS, PRESENT, PRESENT_COLUMNS, TAU
 from .llvm_text import BIT, DOUBLE, DOUBLES, Function, integer, number, WORD, WORDS
 
@@ -97,19 +98,29 @@ class Writer:
 
     def finish(self):
         """Store the outputs, and return whether the traced branches were the right ones."""
-        for source, place, value in self.routine.outputs:
-            known = value.place if hasattr(value, 'place') else float(value)
-            result, address = self.number(known), self.address(source, place)
-            if self.is_added(source):
-                result = self.function.binary('fadd', self.function.load(address), result)
-            self.function.store(result, address)
         guard = self.routine.graph.guard
         if guard is not None:
             self.conditions.append(self.number(guard.place))
         good = integer(1, BIT)
         for condition in self.conditions:
             good = self.function.binary('and', good, condition)
+        self.go_on_if(good)
+        for source, place, value in self.routine.outputs:
+            known = value.place if hasattr(value, 'place') else float(value)
+            result, address = self.number(known), self.address(source, place)
+            if self.is_added(source):
+                result = self.function.binary('fadd', self.function.load(address), result)
+            self.function.store(result, address)
         self.function.end(self.function.convert('zext', good, WORD))
+
+    def go_on_if(self, good):
+        """Leave the rest to the other routine, where there is one, unless a condition holds."""
+        if self.routine.otherwise is not None:
+            here, other = self.function.blocks('good', 'otherwise')
+            self.function.branch_if(good, here, other)
+            self.function.begin(other)
+            self.function.end_by(self.routine.otherwise.name)
+            self.function.begin(here)
 
     def turn(self, angles):
         """Compute the sines and cosines of angles, at their places, at once, in vectors."""
@@ -221,7 +232,7 @@ class KernelWriter(Writer):
 def intermediate_code(routines, writer):
     """Return LLVM's intermediate representation of routines, by a ``Writer``."""
     declared, functions = {}, []
-    for routine in routines:
+    for routine in with_others(routines):
         written = writer(routine, declared)
         written.write()
         functions.append(written.function.text())

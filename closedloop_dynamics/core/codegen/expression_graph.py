@@ -53,11 +53,12 @@ class Routine:
     Arithmetic of a graph with its inputs and outputs, and the name of its machine code's symbol.
 
     ``outputs``: (input, place, value): what is stored where. An input is the place of an array's
-    address in the function table, Q or QD, or a row of a kernel.
+    address in the function table, Q or QD, or a row of a kernel. ``otherwise``: the Routine that
+    does the same where the guard of this one does not hold; this one stores nothing then.
     """
 
-    def __init__(self, name, graph, outputs):
-        self.name, self.graph, self.outputs = name, graph, outputs
+    def __init__(self, name, graph, outputs, otherwise=None):
+        self.name, self.graph, self.outputs, self.otherwise = name, graph, outputs, otherwise
 
     def needed(self):
         """
@@ -71,6 +72,11 @@ class Routine:
         values = [value for _, _, value in self.outputs] + [self.graph.guard]
         return needed_for(
             self.graph.operations, [value.place for value in values if hasattr(value, 'place')])
+
+
+def with_others(routines):
+    """Return routines, each after that which does the same otherwise."""
+    return [one for routine in routines for one in (routine.otherwise, routine) if one is not None]
 
 
 def needed_for(operations, places, within=None):

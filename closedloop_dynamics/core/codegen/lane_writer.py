@@ -66,9 +66,6 @@ class LaneWriter(Writer):
             else:
                 self.values[place] = (self.load(*operands) if kind == LOAD
                                       else self.operation(kind, *operands))
-        for source, place, value in self.routine.outputs:
-            known = value.place if hasattr(value, 'place') else float(value)
-            self.function.store(self.number(known), self.place(source, place), _ALIGNED)
         guard = self.routine.graph.guard
         for condition in [] if guard is None else [self.values[guard.place]]:
             within.append(condition)
@@ -76,5 +73,9 @@ class LaneWriter(Writer):
         for condition in within:
             good = self.function.binary(
                 'and', good, self.function.convert('bitcast', condition, _BITS))
-        self.function.end(self.function.convert(
-            'zext', self.function.compare('icmp eq', good, integer(-1, _BITS)), WORD))
+        good = self.function.compare('icmp eq', good, integer(-1, _BITS))
+        self.go_on_if(good)
+        for source, place, value in self.routine.outputs:
+            known = value.place if hasattr(value, 'place') else float(value)
+            self.function.store(self.number(known), self.place(source, place), _ALIGNED)
+        self.function.end(self.function.convert('zext', good, WORD))

@@ -67,9 +67,13 @@ class LiveTrace(MechanismTrace):
 
     """
 
-    def __init__(self, model, laws):
+    def __init__(self, model, laws, with_arms=True):
         self.laws, self.first = laws, len(model.tree) - 1
-        super().__init__(model)
+        super().__init__(model, with_arms=with_arms)
+
+    def without_arms(self):
+        """Return a trace of the same with all multipliers."""
+        return LiveTrace(self.constant, self.laws, with_arms=False)
 
     def cut_points(self):
         """Return symbols for ``Model.cut_point``; prescribed motions depend on the time."""

@@ -154,6 +154,11 @@ class Function:
         self._declared[name] = f'declare {kind} @{name}({", ".join([kind] * len(values))})'
         return self.result(kind, f'call {kind} @{name}({", ".join(map(_typed, values))})')
 
+    def end_by(self, name):
+        """End by calling another function of the same kind, in the place of this one."""
+        kinds = ', '.join(map(_typed, self.arguments))
+        self.end(self.result(WORD, f'tail call {WORD} @{name}({kinds})'))
+
     def call_address(self, address, values):
         """Write the call of the function at an address, which returns a double number."""
         kind = f'{DOUBLE} ({", ".join(kind for kind, _ in values)})*'

@@ -5,7 +5,8 @@
 
 import numpy as np
 
-from . import elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space
+from . import (
+    arms, elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space)
 from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, LOAD, LOGARITHM, MULTIPLY, NEGATE,
     POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
@@ -109,10 +110,11 @@ class MechanismTrace:
     """
     One mechanism with symbols in the place of all numbers that may change.
 
-    ``joints``: of which ``least_forces`` are found, and what is ``left_out``.
+    ``joints``: of which ``least_forces`` are found, and what is ``left_out``; ``with_arms``:
+    whether accelerations are found by ``arms`` where there are any.
     """
 
-    def __init__(self, model, joints=None):
+    def __init__(self, model, joints=None, with_arms=True):
         self.graph, self.joints = ExpressionGraph(), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
@@ -132,6 +134,7 @@ class MechanismTrace:
         self.recursion = Recursion(
             bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
+        self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
 
     def cut_points(self):
         """Return symbols for ``Model.cut_point``."""
@@ -153,8 +156,19 @@ class MechanismTrace:
 
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
+        self.by_arms = False
+        if self.with_arms and which in (EVALUATION, ACCELERATION):
+            self.recursion.hinges = ()
         getattr(self, NAMES[which])()
-        return Routine(NAMES[which], self.graph, self.outputs)
+        otherwise = None
+        if self.by_arms:
+            otherwise = self.without_arms().routine(which)
+            otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
+        return Routine(NAMES[which], self.graph, self.outputs, otherwise)
+
+    def without_arms(self):
+        """Return a trace of the same with all multipliers."""
+        return MechanismTrace(self.constant, self.joints, with_arms=False)
 
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
@@ -223,6 +237,13 @@ class MechanismTrace:
         self.recursion.hinges = ()
         self.acceleration(refinement)
 
+    def method(self):
+        """Return the module whose ``accelerate`` is the cheapest."""
+        if self.with_arms:
+            self.by_arms = True
+            return arms
+        return embedding if self.embeds() else forward_dynamics
+
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""
         return any(embedding.closing_bodies(self.recursion, self.constant))
@@ -245,7 +266,7 @@ class MechanismTrace:
 
         """
         if by is None:
-            by = embedding if self.embeds() else forward_dynamics
+            by = self.method()
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         qdd, lam = zeros(self.nv), zeros(self.nc)
         if tau is None:
@@ -271,7 +292,7 @@ class MechanismTrace:
         work = zeros_like_workspace(self.constant)
         recursion.outward(self.model, self.q, zeros(self.nv), work)
         qdd, lam = zeros(self.nv), zeros(self.nc)
-        bool((embedding if self.embeds() else forward_dynamics).accelerate(
+        bool(self.method().accelerate(
             recursion, self.model, work, tau, 0.0, qdd, lam))
         return qdd, lam
 

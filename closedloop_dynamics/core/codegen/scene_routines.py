@@ -30,7 +30,7 @@ class SceneTrace(MechanismTrace):
     """
 
     def __init__(self, model, act, values):
-        super().__init__(model)
+        super().__init__(model, with_arms=False)
         self.values, self.decided = self.symbols(VALUES, values), False
         self._act = act
 

@@ -298,7 +298,7 @@ class Recursion:
     def inward(self, model, tau, work, massless=False, before=None):
         """As the engine's function; ``before`` is called with each row, and with 0."""
         self.inertia, self.force = list(self.inertia), list(self.force)
-        tau = self._about_world(model, self._between(model, tau))
+        tau = self.about_world(model, self._between(model, tau))
         for i in range(len(self.bodies) - 1, -1, -1):
             if before is not None:
                 before(i)
@@ -375,7 +375,7 @@ class Recursion:
                 work.body[i, DZ] = dot(turn, self.acceleration[i][:3]) - dot(turn, since[:3])
             if after is not None:
                 after(i)
-        self._about_own(model, qdd)
+        self.about_own(model, qdd)
 
     def accelerate(self, i, parent, inverse, right):
         """
@@ -420,7 +420,7 @@ class Recursion:
             self.force[first] = self.force[second] = 2 * ZERO
         return tau
 
-    def _about_world(self, model, tau):
+    def about_world(self, model, tau):
         """Return torques, those of spherical joints and of three hinges about the world's axes."""
         tau = list(tau)
         for frame, places in self.balls(model):
@@ -432,7 +432,7 @@ class Recursion:
                 tau[place] = value
         return tau
 
-    def _about_own(self, model, qdd):
+    def about_own(self, model, qdd):
         """Turn accelerations from the world's axes into the body's, and the hinges', in place."""
         for frame, places in self.balls(model):
             qdd[places] = times(transpose(frame), qdd[places])
