@@ -837,6 +837,7 @@ def _whole(steps: Any) -> int:
         return int(steps)
     raise ValueError(f'steps: expected a whole number >= 0, got {steps!r}')
 
+
 def instants(times: Sequence[float]) -> np.ndarray:
     """Return times and some between them [s]."""
     all_times = np.array(times)
