@@ -20,6 +20,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
+from ..mechanism import test_between, test_expressions
+
 SCENES = ('four_bar', 'slider_crank_end_stop', 'three_rrr')
 # A mechanism in space and one in the plane with all that a description may use.
 SPACE = ["""\
@@ -54,42 +56,15 @@ cut_joints:
 points:
   pin: {body: rod, position: [rod, 0, 0]}
 """]
-PLANE = ["""\
-mechanism: ./machine.yaml
-parameters: {a: pi/3, b: a/2, l: 0.11}
-initial: {position: {crank_joint: a, coupler_joint: -b, rocker_joint: 1.7}, hold: [crank_joint]}
-effects: {gravity: {type: gravity, acceleration: [0, -9.81*l/0.11]}}
-method: {integrator: rk4, step_size: 1/2000}
-""", """\
-name: four_bar
-parameters: {l: 0.1, k: 3.5*l}
-bodies:
-  crank: {shape: {cylinder: {radius: l, length: l/10, axis: [0, 0, 1]}}, density: 7800}
-  coupler: {shape: {box: {size: [k, l/10, l/20], center: [k/2, 0]}}, mass: sqrt(k)}
-  rocker: {mass: 0.8, center_of_mass: [0.125, 0.0], inertia: k**2/12}
-joints:
-  crank_joint: {type: revolute, parent: ground, child: crank, position: [0, 0], actuated: true}
-  coupler_joint: {type: revolute, parent: crank, child: coupler, position: [l, 0]}
-  rocker_joint: {type: revolute, parent: ground, child: rocker, position: [0.4, 0], angle: pi/16}
-cut_joints:
-  cut_1: {type: revolute, body_a: coupler, point_a: [k, 0], body_b: rocker, point_b: [0.25, 0]}
-"""]
+PLANE = [test_expressions.SCENE, test_expressions.MECHANISM.replace(
+    'rod: {to: [l, 0], radius: 0.01}', 'cylinder: {radius: l, length: l/10, axis: [0, 0, 1]}'
+    ).replace('mass: 1.0, center_of_mass: [k/2, 0.0], inertia: k**2/12',
+              'shape: {box: {size: [k, l/10, l/20], center: [k/2, 0]}}, mass: sqrt(k)')]
 BETWEEN = ["""\
 mechanism: ./machine.yaml
 initial: {position: {crank_joint: 1, coupler_joint: -0.5, tip: 0, rocker_joint: 1.7}}
 effects: {lamp: {type: payload, body: coupler, mass: 1, position: [0.1, 0.0]}}
-""", """\
-name: four_bar
-bodies:
-  crank: {mass: 0.5, center_of_mass: [0.05, 0.0], inertia: 0.0004}
-  coupler: {mass: 1.0, center_of_mass: [0.0, 0.0], inertia: 0.01}
-  rocker: {mass: 0.8, center_of_mass: [0.125, 0.0], inertia: 0.004}
-joints:
-  crank_joint: {type: revolute, between: [ground, crank], points: [[0, 0], [0, 0]], actuated: true}
-  coupler_joint: {type: revolute, between: [crank, coupler], points: [[0.1, 0], [-0.175, 0]]}
-  tip: {type: revolute, between: [coupler, rocker], points: [[0.175, 0], [0.25, 0]], cut: true}
-  rocker_joint: {type: revolute, between: [ground, rocker], points: [[0.4, 0], [0, 0]]}
-"""]
+""", test_between.FOUR_BAR.replace('[0.25, 0]]}', '[0.25, 0]], cut: true}')]
 VALUES = (
     '0', '-1', '1e999', '-1e308', '1e-320', '.nan', '-.inf', '9' * 5000, '0x' + 'f' * 5000, '1_0',
     '', '~', 'true', 'yes', '[]', '{}', '[1, 2, 3]', '{x: 1}', "''", '"\\0"', '"a\\0.yaml"',

@@ -15,6 +15,8 @@ from closedloop_dynamics.mechanism.reader import read_mechanism, validate_mechan
 import numpy as np
 import pytest
 
+from ..reference import faults
+
 GOOD = """\
 name: four_bar
 bodies:
@@ -44,7 +46,6 @@ NAME = 'a name of letters, digits and underscores that starts with a letter'
 VECTOR = 'a list of 2 finite numbers [x, y]'
 BODIES = 'there are crank, coupler, rocker'
 
-# What is written in place of what; then line, key path, expected, got, and advice if any.
 FAULTS = {
     'mass_zero': (
         'mass: 0.5', 'mass: 0', 3, 'bodies.crank.mass', 'a positive number', '0',
@@ -237,15 +238,11 @@ FAULTS = {
 
 
 def write(directory, text):
-    path = directory / 'machine.yaml'
-    path.write_text(text, encoding='utf-8')
-    return path
+    return faults.write(directory, text, 'machine.yaml')
 
 
 def refusal(path):
-    with pytest.raises(MechanismError) as caught:
-        read_mechanism(path)
-    return str(caught.value)
+    return faults.refusal(path, read_mechanism, MechanismError)
 
 
 def test_good_file_reads_as_built(tmp_path):
@@ -255,11 +252,8 @@ def test_good_file_reads_as_built(tmp_path):
 
 @pytest.mark.parametrize('fault', FAULTS)
 def test_fault_is_named(tmp_path, fault):
-    old, new, line, key_path, expected, got, advice = FAULTS[fault]
-    assert old in GOOD
-    path = write(tmp_path, GOOD.replace(old, new, 1))
-    advice = f' ({advice})' if advice else ''
-    assert refusal(path) == f'{path}:{line}: {key_path}: expected {expected}, got {got}{advice}'
+    faults.require_named(
+        tmp_path / 'machine.yaml', GOOD, FAULTS[fault], read_mechanism, MechanismError)
 
 
 @pytest.mark.parametrize('written, value', [
