@@ -3,10 +3,13 @@
 
 """Small machines and scenes whose motion under one effect is known in closed form."""
 
+import math
+
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point)
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+import numpy as np
 
 
 def block(mass=1.0, angle=0.0):
@@ -36,6 +39,29 @@ def flyer():
          Joint('y', 'prismatic', 'rail', 'lift', (0, 0), 1.5707963267948966, True),
          Joint('turn', 'revolute', 'lift', 'hull', (0, 0), -1.5707963267948966)),
         (), (Point('ball', 'hull', (0.0, 0.0)), Point('rim', 'hull', (0.0, -0.2))))
+
+
+def pair():
+    """Return two bodies that move freely in the plane, of 1 kg and 0.5 kg m^2 each."""
+    bodies, joints = [], []
+    for side in 'ab':
+        bodies += [Body(f'rail_{side}', 0.0, (0, 0), 0.0, True),
+                   Body(f'lift_{side}', 0.0, (0, 0), 0.0, True),
+                   Body(f'hull_{side}', 1.0, (0, 0), 0.5)]
+        joints += [
+            Joint(f'x_{side}', 'prismatic', 'ground', f'rail_{side}', (0, 0)),
+            Joint(f'y_{side}', 'prismatic', f'rail_{side}', f'lift_{side}', (0, 0), math.pi / 2),
+            Joint(f'turn_{side}', 'revolute', f'lift_{side}', f'hull_{side}', (0, 0),
+                  -math.pi / 2)]
+    return Mechanism('pair', tuple(bodies), tuple(joints), (), (
+        Point('front', 'hull_a', (0.3, 0.0)), Point('rear', 'hull_b', (-0.2, 0.0))))
+
+
+def momenta(simulation):
+    """Return the momenta along x and y and about the origin, of ``pair``."""
+    x, v = simulation.position, simulation.velocity
+    spin = sum(x[k] * v[k + 1] - x[k + 1] * v[k] + 0.5 * v[k + 2] for k in (0, 3))
+    return np.array([v[0] + v[3], v[1] + v[4], spin])
 
 
 def pendulum(mass=2.0, length=0.5):

@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from .machines import assert_balanced, block, flyer, simulated
-from .test_bushing import pair
+from .machines import assert_balanced, block, flyer, momenta, pair, simulated
 
 EARTH = Gravity((0.0, -9.81))
 
@@ -62,18 +61,12 @@ def test_bodies_keep_their_momentum_and_the_balance_closes(shape):
     q = two_at((0.0, 0.05, 0.1), (0.72, 0.0, -0.2))
     simulation = simulated(pair(), {'touch': touch}, q, [1.0, 0.0, 0.5, -1.0, 0.1, -0.5],
                            step_size=2e-4)
-
-    def momenta():
-        x, v = simulation.position, simulation.velocity
-        spin = sum(x[k] * v[k + 1] - x[k + 1] * v[k] + 0.5 * v[k + 2] for k in (0, 3))
-        return np.array([v[0] + v[3], v[1] + v[4], spin])
-
-    before, most = momenta(), 0.0
+    before, most = momenta(simulation), 0.0
     for _ in range(40):
         simulation.step(duration=0.01)
         most = max(most, simulation.effect_readings('touch')['normal_force'])
     assert most > 1.0
-    assert np.allclose(momenta(), before, atol=1e-9)
+    assert np.allclose(momenta(simulation), before, atol=1e-9)
     assert_balanced(simulation, 1e-6)
 
 

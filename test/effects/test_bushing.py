@@ -7,27 +7,10 @@ import math
 
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
 import pytest
 
-from .machines import assert_balanced, flyer, simulated
-
-
-def pair():
-    """Return two bodies that move freely in the plane, of 1 kg and 0.5 kg m^2 each."""
-    bodies, joints = [], []
-    for side in 'ab':
-        bodies += [Body(f'rail_{side}', 0.0, (0, 0), 0.0, True),
-                   Body(f'lift_{side}', 0.0, (0, 0), 0.0, True),
-                   Body(f'hull_{side}', 1.0, (0, 0), 0.5)]
-        joints += [
-            Joint(f'x_{side}', 'prismatic', 'ground', f'rail_{side}', (0, 0)),
-            Joint(f'y_{side}', 'prismatic', f'rail_{side}', f'lift_{side}', (0, 0), math.pi / 2),
-            Joint(f'turn_{side}', 'revolute', f'lift_{side}', f'hull_{side}', (0, 0),
-                  -math.pi / 2)]
-    return Mechanism('pair', tuple(bodies), tuple(joints), (), (
-        Point('front', 'hull_a', (0.3, 0.0)), Point('rear', 'hull_b', (-0.2, 0.0))))
+from .machines import assert_balanced, flyer, momenta, pair, simulated
 
 
 def test_forces_and_moment_are_those_of_the_springs():
@@ -50,15 +33,9 @@ def test_two_bodies_keep_their_momentum_and_the_balance_closes():
     q = np.array([0.0, 0.0, 0.1, 0.6, 0.1, -0.2])
     qd = np.array([0.5, -0.2, 2.0, 0.0, 0.3, -1.0])
     simulation = simulated(pair(), {'mount': mount}, q, qd)
-
-    def momenta():
-        x, v = simulation.position, simulation.velocity
-        spin = sum(x[k] * v[k + 1] - x[k + 1] * v[k] + 0.5 * v[k + 2] for k in (0, 3))
-        return np.array([v[0] + v[3], v[1] + v[4], spin])
-
-    before = momenta()
+    before = momenta(simulation)
     simulation.step(duration=1.0)
-    assert np.allclose(momenta(), before, atol=1e-9)
+    assert np.allclose(momenta(simulation), before, atol=1e-9)
     assert simulation.energy_balance.dissipated > 0.1
     assert_balanced(simulation, 1e-7)
 

@@ -10,8 +10,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
-from .machines import assert_balanced, block, flyer, simulated
-from .test_bushing import pair
+from .machines import assert_balanced, block, flyer, pair, simulated
 from .test_space import assert_moves, drawn
 
 

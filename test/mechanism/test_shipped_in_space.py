@@ -165,13 +165,6 @@ def test_rssr_four_bar_moves_as_known():
     assert_agree(one.energy - start, 0.032458613162, 1e-9)
 
 
-def test_bricards_linkage_moves_as_known():
-    one = known('bricard')
-    one.step(None, 1.0)
-    assert_agree(one.point('corner'), (0.5105014612, -1.6491675994, 0.1401231146), 1e-9)
-    assert_agree(one.energy, -29.43, 1e-9)
-
-
 def test_bennetts_linkage_keeps_its_law():
     one = Simulation(load_scene('bennett'))
     alpha, beta = (one.mechanism.parameters[key] for key in ('alpha', 'beta'))

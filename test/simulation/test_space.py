@@ -73,41 +73,6 @@ def test_rssr_four_bar_moves_as_known(linkage):
     assert one.closure < 1e-12
 
 
-def test_stewart_platform_moves_as_known():
-    center = spatial_machines.stewart_platform()[0].bodies[-1].center_of_mass
-    mechanism, forces = machine(
-        'stewart_platform', *(('platform', np.add(center, step))
-                              for step in [(0.0, 0.0, 0.0), *np.eye(3)]))
-    one = Simulation(scene(mechanism, **TIGHT))
-    start = one.energy
-    one.step(forces, 0.3)
-    assert_agree(one.points[0], (-0.006612888235, -0.003836627965, 0.605095609325), 1e-9)
-    one.step(forces, 0.3)
-    assert_agree(one.points[0], (-0.034261768566, -0.020474374083, 0.617628809006), 1e-9)
-    assert_agree((one.points[1:] - one.points[0]).T, [
-        [0.788368044122, -0.577218863246, -0.212824366368],
-        [0.476391160672, 0.791680900711, -0.382482435522],
-        [0.389265062703, 0.200149282690, 0.899117887486]], 1e-9)
-    assert_agree(one.energy - start, 8.148633672, 1e-9)
-
-
-@pytest.mark.slow
-def test_delta_robot_moves_as_known():
-    center = spatial_machines.delta_robot()[0].bodies[-1].center_of_mass
-    mechanism, torques = machine('delta_robot', ('platform', center),
-                                 ('platform', np.add(center, (1.0, 0.0, 0.0))))
-    one = Simulation(scene(mechanism, **TIGHT))
-    start = one.energy
-    one.step(torques, 0.25)
-    assert_agree(one.points[0], (-0.047474961513, -0.028554924782, -1.079204205218), 1e-9)
-    one.step(torques, 0.25)
-    assert_agree(one.points[0], (0.528637631678, -0.112854291725, -0.681333093596), 1e-9)
-    # The platform never turns.
-    assert_agree(one.points[1] - one.points[0], (1.0, 0.0, 0.0), 1e-9)
-    assert_agree(np.radians(20.0) + one.position[0], 2.483436197, 1e-9)
-    assert_agree(one.energy - start, 0.690703490, 1e-8)
-
-
 def test_bricards_linkage_moves_though_an_equation_repeats_the_others():
     mechanism, _ = machine('bricard', ('rod_3', (0.0, 0.0, 1.0)))
     one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), **TIGHT))

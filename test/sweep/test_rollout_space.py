@@ -13,6 +13,7 @@ from closedloop_dynamics.sweep import sweep
 import numpy as np
 import pytest
 
+from .test_rollout import assert_same, one_by_one
 from ..reference import spatial_machines
 from ..simulation.test_orientations import scene
 
@@ -30,25 +31,6 @@ def flyer(**method):
         Joint('hull', 'free', 'ground', 'hull', (0.0, 0.0, 0.0)),
         Joint('ball', 'spherical', 'hull', 'arm', (0.2, 0.0, 0.0), actuated=True)))
     return scene(mechanism, velocity={'hull': {'angular_velocity': (1.0, 2.0, 3.0)}}, **method)
-
-
-def one_by_one(made, torques, steps, every, starts=None):
-    """Return what single simulations do, advanced by ``step``, by quantity."""
-    results = {name: [] for name in QUANTITIES}
-    for sample, rows in enumerate(torques):
-        simulation = Simulation(made)
-        if starts is not None:
-            simulation.set_state(starts[sample])
-        simulation.step(rows[0], 0.0)
-        kept = {name: [getattr(simulation, name)] for name in QUANTITIES}
-        for step in range(1, steps + 1):
-            simulation.step(rows[(step - 1) // (steps // len(rows))])
-            if step % every == 0:
-                for name in QUANTITIES:
-                    kept[name].append(getattr(simulation, name))
-        for name in QUANTITIES:
-            results[name].append(kept[name])
-    return {name: np.array(values) for name, values in results.items()}
 
 
 @pytest.mark.parametrize('build, method', [
@@ -69,8 +51,7 @@ def test_results_in_space_are_those_of_single_simulations(build, method):
     assert result.failures == {}
     expected = one_by_one(made, torques, 12, 3)
     assert result.position.shape[-1] == simulation.coordinates.nq
-    for name in QUANTITIES:
-        np.testing.assert_array_equal(getattr(result, name), expected[name], name)
+    assert_same(result, expected)
 
 
 def test_samples_in_space_start_where_they_are_told_to():
@@ -80,9 +61,8 @@ def test_samples_in_space_start_where_they_are_told_to():
                        for change in random.standard_normal((4, names.nv))])
     torques = random.normal(0.0, 0.02, (4, 1, 1))
     result = Simulation(made).rollout(torques, starts, steps=6, quantities=QUANTITIES)
-    expected = one_by_one(made, torques, 6, 1, starts)
-    for name in QUANTITIES:
-        np.testing.assert_array_equal(getattr(result, name), expected[name], name)
+    expected = one_by_one(made, torques, 6, 1, [starts])
+    assert_same(result, expected)
     assert result.closure.max() < 1e-12
     starts[1, -4:] *= 2.0
     failed = Simulation(made).rollout(torques, starts, steps=6)
