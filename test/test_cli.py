@@ -8,6 +8,7 @@ from importlib import import_module
 import math
 import os
 from pathlib import Path
+import shlex
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import warnings
 
 from closedloop_dynamics import __version__, scene_names
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.cli.commands import COMMANDS
+from closedloop_dynamics.cli.commands import COMMANDS, parser
 from closedloop_dynamics.simulation.simulation import Simulation
 import pytest
 
@@ -50,7 +51,14 @@ def test_help_teaches_every_command(capsys):
         assert command.name == name and f' {name} {command.summary} ' in words
         code, own, _ = call(capsys, name, '--help')
         assert code == 0
-        assert f'closedloop {name} ' in own and 'examples:' in own
+        assert f' 0 done; 1 {command.failure}, or' in ' '.join(own.split())
+        assert command.examples[0].split()[0] == name
+        for example in command.examples:
+            line = f'closedloop {example}'.split(' --')[0]
+            assert line in own
+            # What another command prepares is that one's.
+            words = shlex.split(example)
+            parser([words[0]]).parse_args(words)
 
 
 def test_version_is_that_of_the_package(capsys):

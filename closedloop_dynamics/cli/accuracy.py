@@ -60,16 +60,14 @@ for one simulated second (median of repeats, in turn). A method that fails
 has the reason in its row. Then the cheapest setting that holds a target, as lines to paste
 into a scene.
 """,
-    epilog="""\
-examples:
-  closedloop accuracy three_rrr --quick
-  closedloop accuracy three_rrr --torque theta_1=5 --duration 2 --output results
-  closedloop accuracy carpet_scraper --target 1e-9
-  closedloop accuracy stewart_platform --quick
-  closedloop accuracy carpet_scraper --motion theta_1=4.7124*t
-  closedloop accuracy my_robot.urdf --duration 0.5
-  closedloop accuracy my/scene.yaml --budget 0.05
-""",
+    examples=(
+        'accuracy three_rrr --quick',
+        'accuracy three_rrr --torque theta_1=5 --duration 2 --output results',
+        'accuracy carpet_scraper --target 1e-9',
+        'accuracy stewart_platform --quick',
+        'accuracy carpet_scraper --motion theta_1=4.7124*t',
+        'accuracy my_robot.urdf --duration 0.5',
+        'accuracy my/scene.yaml --budget 0.05'),
     arguments=(
         SCENE, *READING_OPTIONS,
         *directory_options('SCENE_accuracy.csv and the diagram SCENE_accuracy.png'),

@@ -62,12 +62,10 @@ COMMAND = Command(
 Draw a recorded or simulated run as a moving picture: the mechanism, the path of a point, the
 constraint forces as arrows and over time. What is shown after a reset is the run since then.
 """,
-    epilog="""\
-examples:
-  closedloop animate my_bag --output run.gif
-  closedloop simulate three_rrr --torque theta_1=5 --output run.csv
-  closedloop animate run.csv --output run.gif --speed 0.5
-""",
+    examples=(
+        'animate my_bag --output run.gif',
+        'simulate three_rrr --torque theta_1=5 --output run.csv',
+        'animate run.csv --output run.gif --speed 0.5'),
     arguments=(
         *recording_arguments(),
         Output('--output', 'FILE', 'where to write it: a .gif, or a .mp4 where ffmpeg is '

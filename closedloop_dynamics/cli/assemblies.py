@@ -47,11 +47,9 @@ or where --drive says. In the plane all are found, and it is proved; where it is
 in space, those are found that random starts lead to. `closedloop kinematics --branch N`
 goes on from one of them.
 """,
-    epilog="""\
-examples:
-  closedloop assemblies four_bar
-  closedloop assemblies four_bar --drive crank_joint=60deg --picture four_bar.png
-""",
+    examples=(
+        'assemblies four_bar',
+        'assemblies four_bar --drive crank_joint=60deg --picture four_bar.png'),
     arguments=(
         SCENE, *READING_OPTIONS,
         Argument('--drive', type=drive_and_count, action='append', default=[],

@@ -61,12 +61,10 @@ balance over the outputs, which the library compares; the largest error of posit
 where the motion is known: in closed form for A01 and A02, from the Test Set for IVP
 Solvers at 0.03 s for A03, to 1.4e-9 rad; the CPU time of a run, the median of repeats.
 """,
-    epilog="""\
-examples:
-  closedloop benchmark
-  closedloop benchmark A03 --accuracy 1e-9
-  closedloop benchmark --output results
-""",
+    examples=(
+        'benchmark',
+        'benchmark A03 --accuracy 1e-9',
+        'benchmark --output results'),
     arguments=(
         Argument('problem', metavar='PROBLEM', nargs='*',
                  help=f'which ones: {", ".join(one.name for one in PROBLEMS)} (default: all)'),

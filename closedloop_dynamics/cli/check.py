@@ -77,11 +77,9 @@ subsystems, cut joints, degrees of freedom, the elimination order, and what a
 scene starts from, as given and with the loops closed. If something is wrong,
 say where and what was expected; if the start may not be what was meant, say so.
 """,
-    epilog="""\
-examples:
-  closedloop check four_bar
-  closedloop check my/mechanism.yaml
-""",
+    examples=(
+        'check four_bar',
+        'check my/mechanism.yaml'),
     arguments=(
         Argument('scene', metavar='FILE_OR_SCENE',
                  help='a shipped scene or mechanism by its name, a YAML file, or a model in '

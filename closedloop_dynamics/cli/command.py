@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import math
 import os
 from pathlib import Path
+import re
 import sys
+import textwrap
 from typing import Callable
 
 from ..effects.user_code import run_code
@@ -29,6 +31,17 @@ FAILED = 1
 PICTURES, TABLE, YAML = ('.png', '.pdf', '.svg'), ('.csv',), ('.yaml', '.yml')
 # While a file is read.
 READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
+
+
+# Of an example in a help.
+LONGEST_LINE = 96
+
+
+def exit_codes(failure):
+    """Return the exit codes in a paragraph, of which 1 is a failure in words."""
+    return textwrap.fill(
+        f'Exit codes: 0 done; 1 {failure}, or a file could not be written completely; 2 a wrong '
+        'option, scene, mechanism or recording; 130 interrupted, 143 terminated.', 84)
 
 
 class UsageError(ValueError):
@@ -100,14 +113,29 @@ class Command:
 
     name: str
     summary: str  # For the list of commands, in a few words
-    #: ``description``, ``epilog``: For its own help, before and after the options.
-    description: str
+    description: str  # For its own help, before the options
     #: Takes the parsed arguments, returns the exit code; prints its result. It may raise
     #: UsageError, SceneError, MechanismError (exit code 2), SimulationError and OSError (1).
     run: Callable
     arguments: tuple = ()  # Of Argument, Group and OneOf
-    epilog: str = ''
+    examples: tuple = ()  # Lines without ``closedloop``
+    failure: str = 'the simulation failed'  # What exit code 1 means, beside files not written
     reads_scenes: bool = True  # Whether it reads any, and so has the option ``--allow-code``
+
+    @property
+    def epilog(self):
+        """Return the end of its own help: examples, broken before options, and exit codes."""
+        lines = ['examples:']
+        for example in self.examples:
+            words, *options = re.split(r' (?=--)', f'  closedloop {example}')
+            lines.append(words)
+            for option in options:
+                if len(lines[-1]) + len(option) > LONGEST_LINE:
+                    lines[-1] += ' \\'
+                    lines.append(f'      {option}')
+                else:
+                    lines[-1] += f' {option}'
+        return '\n'.join((*lines, '', exit_codes(self.failure)))
 
     @property
     def outputs(self):

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 
-from .command import complain, HelpfulParser, UsageError
+from .command import complain, exit_codes, HelpfulParser, UsageError
 from .. import __version__
 from ..core.codegen import announced_by
 from ..mechanism.extras import MissingLibraryError
@@ -45,16 +45,12 @@ The shipped ones go by their names; anything else is the path of a file:
   closedloop check three_rrr
   closedloop simulate three_rrr --duration 2 --torque theta_1=5 --output run.csv
 """
-EPILOG = """\
-Exit codes: 0 done; 1 the simulation failed, a comparison found a difference, or a
-file could not be written completely; 2 a wrong option, scene, mechanism or recording;
-130 interrupted, 143 terminated.
-"""
 
 
 def parser(names=tuple(COMMANDS)):
     """Return the parser of the whole command line, with some commands only."""
-    whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
+    whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=exit_codes(
+        'the simulation failed, or a comparison found a difference'))
     whole.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     commands = whole.add_subparsers(
         title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)

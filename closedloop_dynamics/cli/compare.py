@@ -145,13 +145,12 @@ compare: the paths of their named points, drive torques and joint forces in one 
 and a table of strokes, transmission angles, largest torques and forces, with the changes
 against the first machine. Every machine's rows are written with its scene beside them.
 """,
-    epilog="""\
-examples:
-  closedloop compare four_bar --set mechanism.bodies.coupler.mass=2 --output heavier
-  closedloop compare my_scene.yaml --set parameters.b=0.36 --set parameters.b=0.38 --output two
-  closedloop compare three_rrr_vertical three_rrr_horizontal --drive theta_1=2:2.1:11 \\
-      --drive theta_6=3.4 --drive theta_7=4.7
-""",
+    examples=(
+        'compare four_bar --set mechanism.bodies.coupler.mass=2 --output heavier',
+        'compare my_scene.yaml --set parameters.b=0.36 --set parameters.b=0.38 --output two',
+        'compare three_rrr_vertical three_rrr_horizontal --drive theta_1=2:2.1:11 '
+        '--drive theta_6=3.4 --drive theta_7=4.7'),
+    failure='a machine does not reach the end of the motion',
     arguments=(
         Argument('scene', metavar='SCENE', nargs='+',
                  help='shipped scenes by their names, or YAML files; two or more, or one with '

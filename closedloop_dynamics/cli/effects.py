@@ -56,12 +56,10 @@ constant rates. With --output: the table as CSV and Markdown, a picture of the
 changes, and for every contact one of torque, contact forces and forces at the
 cut joints over a turn of the drive.
 """,
-    epilog="""\
-examples:
-  closedloop effects three_rrr_payload_friction --output results
-  closedloop effects stewart_platform --matters 1e-4
-  closedloop effects carpet_scraper_on_carpet --joint-rate theta_1=4.7124 --output results
-""",
+    examples=(
+        'effects three_rrr_payload_friction --output results',
+        'effects stewart_platform --matters 1e-4',
+        'effects carpet_scraper_on_carpet --joint-rate theta_1=4.7124 --output results'),
     arguments=(
         SCENE, *READING_OPTIONS,
         *directory_options('SCENE_effects.csv, .md and .png, and a picture of every contact'),

@@ -141,14 +141,11 @@ Read what sensors measured, from a bag or a CSV file, and estimate the motion of
 mechanism, the forces in its joints and what is unknown (loads, friction, lengths, errors of
 sensors), each with a standard deviation. All of the record tells of each instant (a
 smoother); with --filter what was measured up to then, as closedloop_estimator does live.
-Exit code 1: the record does not fit the model and its noise, or tells nothing of what is
-unknown; 2: something cannot be read, or does not fit the mechanism.
 """,
-    epilog="""\
-examples:
-  closedloop estimate my_bag --scene three_rrr --sensors sensors.yaml --picture estimates.png
-  closedloop estimate run.csv --scene four_bar --sensors sensors.yaml --output estimates.csv
-""",
+    examples=(
+        'estimate my_bag --scene three_rrr --sensors sensors.yaml --picture estimates.png',
+        'estimate run.csv --scene four_bar --sensors sensors.yaml --output estimates.csv'),
+    failure='the record does not fit the model and its noise, or tells nothing of what is unknown',
     arguments=(
         Argument('recording', metavar='BAG_OR_CSV',
                  help='a bag, or a CSV file with a column for each number'),

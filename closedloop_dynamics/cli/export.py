@@ -207,15 +207,13 @@ the loops, a step, energies and points, for programs without this package
 (doc/export.md). One that ends with .fmu gets a functional mock-up unit, with its
 sources and compiled for this machine. What cannot be written so is refused.
 """,
-    epilog="""\
-examples:
-  closedloop export three_rrr --output three_rrr.xml
-  closedloop export my_robot.yaml --output my_robot.urdf
-  closedloop export my_robot.yaml --loops drake --output my_robot_for_drake.urdf
-  closedloop export delta_robot --output delta_robot.sdf
-  closedloop export stewart_platform --output stewart_platform.c
-  closedloop export three_rrr --output three_rrr.fmu
-""",
+    examples=(
+        'export three_rrr --output three_rrr.xml',
+        'export my_robot.yaml --output my_robot.urdf',
+        'export my_robot.yaml --loops drake --output my_robot_for_drake.urdf',
+        'export delta_robot --output delta_robot.sdf',
+        'export stewart_platform --output stewart_platform.c',
+        'export three_rrr --output three_rrr.fmu'),
     arguments=(
         Argument('scene', metavar='SCENE',
                  help='a shipped scene or mechanism by its name, a YAML file, or a model'),

@@ -105,11 +105,9 @@ accelerations are those of splines through the positions; measured ones are nois
 accelerations more so: give their --deviation. A motion that touches a singular position is
 refused, as the other joints do not follow from the measured ones there.
 """,
-    epilog="""\
-examples:
-  closedloop forces my_bag --scene three_rrr --output forces.csv
-  closedloop forces robot_bag --scene delta_robot --deviation 1e-4 --output forces_bag
-""",
+    examples=(
+        'forces my_bag --scene three_rrr --output forces.csv',
+        'forces robot_bag --scene delta_robot --deviation 1e-4 --output forces_bag'),
     arguments=(
         Argument('bag', metavar='BAG', help='directory of the bag, or one of its files'),
         Argument('--scene', metavar='SCENE', required=True,

@@ -97,15 +97,14 @@ explain them: masses, centres of mass and inertias by linear least squares, in w
 of the loops have no part; lengths, friction, springs and other numbers by nonlinear
 ones. For each: the standard deviation, and whether it is below 10 % of the value. Where the
 motion shows sums of parameters alone, these are named, and their parts get no numbers.
-Numbers begin as they are in the scene. Exit code 1: a body came out that cannot exist, or
-the motion does not follow from the measured joints.
+Numbers begin as they are in the scene.
 """,
-    epilog="""\
-examples:
-  closedloop identify run.csv four_bar --vary mechanism.bodies.coupler.mass
-  closedloop identify my_bag three_rrr_horizontal --vary mechanism.bodies --picture left.png
-  closedloop identify four_bar --vary mechanism.bodies --excite 2 --amplitude 1
-""",
+    examples=(
+        'identify run.csv four_bar --vary mechanism.bodies.coupler.mass',
+        'identify my_bag three_rrr_horizontal --vary mechanism.bodies --picture left.png',
+        'identify four_bar --vary mechanism.bodies --excite 2 --amplitude 1'),
+    failure='a body came out that cannot exist, or the motion does not follow from the '
+            'measured joints',
     arguments=(
         Argument('recording', metavar='BAG_OR_CSV', nargs='?',
                  help='a bag, or what `closedloop simulate --output` wrote; none with --excite'),

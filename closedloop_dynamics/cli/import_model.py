@@ -50,11 +50,9 @@ and a scene where one is wanted. Links that are fixed together become one body;
 loops that are drawn open are closed in the scene. What is left out is listed. A model
 need not be imported to be simulated: check, simulate and the nodes take its file.
 """,
-    epilog="""\
-examples:
-  closedloop import robot.urdf --output my_robot.yaml
-  closedloop import robot.urdf --output my_robot.yaml --scene my_robot_scene.yaml
-""",
+    examples=(
+        'import robot.urdf --output my_robot.yaml',
+        'import robot.urdf --output my_robot.yaml --scene my_robot_scene.yaml'),
     arguments=(
         Argument('file', metavar='FILE', type=Path,
                  help=f'a model: a name that ends with {", ".join(READERS)}'),

@@ -230,23 +230,22 @@ Drive joints, or coordinates of points, through values at constant speed, and wr
 positions, velocities, accelerations, the torques that the drives exert, and the forces
 in all joints, against the drive and the time. The branch of the start is followed and
 never left: where it ends, it is said where and why (a dead centre, the edge of what can
-be reached, a change point), the rows before it are written, and the exit code is 1.
+be reached, a change point), and the rows before it are written.
 
 Driven joints exert what the motion takes (columns motion.drive_JOINT.force and .power,
 and effort.JOINT); where points are driven, the actuated joints do (effort.JOINT). All
 columns are those of `closedloop simulate --forces all`. Beside FILE.csv is written
 FILE.csv.scene.json, the scene with all overrides: plot, animate and view show it.
 """,
-    epilog="""\
-examples:
-  closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --speed 10 --output turn.csv
-  closedloop kinematics four_bar --drive crank_joint=0:360deg:361 --duration 2 --over time \\
-      --picture turn.png
-  closedloop kinematics four_bar --drive rocker_joint=90:160deg:71
-  closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png
-  closedloop kinematics four_bar --drive crank_joint=60deg:420deg:361 --drawing four_bar.svg
-  closedloop kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7
-""",
+    examples=(
+        'kinematics four_bar --drive crank_joint=0:360deg:361 --speed 10 --output turn.csv',
+        'kinematics four_bar --drive crank_joint=0:360deg:361 --duration 2 --over time '
+        '--picture turn.png',
+        'kinematics four_bar --drive rocker_joint=90:160deg:71',
+        'kinematics four_bar --drive crank_joint=60deg:420deg:361 --picture turn.png',
+        'kinematics four_bar --drive crank_joint=60deg:420deg:361 --drawing four_bar.svg',
+        'kinematics three_rrr --drive theta_1=2:2.2:21 --drive theta_6=3.4 --drive theta_7=4.7'),
+    failure='the branch of the start ends before the last pose',
     arguments=(
         SCENE, *READING_OPTIONS,
         *drive_options(),

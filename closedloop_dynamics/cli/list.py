@@ -36,9 +36,6 @@ List the shipped scenes: the name that every command takes, whether it moves in
 the plane or in space, how many bodies, cut joints and drives it has, and what
 it is.
 """,
-    epilog="""\
-examples:
-  closedloop list
-""",
+    examples=('list',),
     run=_run,
     reads_scenes=False)

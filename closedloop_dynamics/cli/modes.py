@@ -108,14 +108,13 @@ where the motion grows), how fast it grows, and the joints that move most, the l
 motion 1. Where a scene lists what has no derivative (dry friction, contacts, ...),
 that is refused by its name.
 """,
-    epilog="""\
-examples:
-  closedloop modes three_rrr_vertical
-  closedloop modes four_bar --torque crank_joint=0.5
-  closedloop modes carpet_scraper --hold-start
-  closedloop modes three_rrr_vertical --picture modes.png
-  closedloop modes three_rrr_vertical --mode 2 --output mode_2.csv; closedloop view mode_2.csv
-""",
+    examples=(
+        'modes three_rrr_vertical',
+        'modes four_bar --torque crank_joint=0.5',
+        'modes carpet_scraper --hold-start',
+        'modes three_rrr_vertical --picture modes.png',
+        'modes three_rrr_vertical --mode 2 --output mode_2.csv',
+        'view mode_2.csv'),
     arguments=(
         SCENE, TORQUE,
         Argument('--hold-start', action='store_true',

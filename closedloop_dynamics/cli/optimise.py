@@ -248,18 +248,15 @@ m), numbers of the scene (parameters.l) and, over the motion:
   distance(POINT, FILE.csv)            of places x,y in a file from its path, root mean square
   part(Q, FROM, TO)                    Q where the drive is between two values
 """,
-    epilog="""\
-examples:
-  closedloop optimise four_bar --vary mechanism.cut_joints.cut_1.point_b.0=0.2:0.3 \\
-      --vary mechanism.joints.coupler_joint.position.0=50mm:120mm \\
-      --minimise "max(force.cut_1)" --subject-to "min(transmission_angle) >= 40deg" \\
-      --subject-to "max(position.rocker_joint) - min(position.rocker_joint) >= 30deg"
-  closedloop optimise four_bar --vary mechanism.points.coupler_point.position.0=0:0.3 \\
-      --vary mechanism.points.coupler_point.position.1=-0.1:0.2 --output straight \\
-      --minimise "straightness(part(coupler_point, 90deg, 270deg))"
-
-Exit code 1 where no machine meets all requirements.
-""",
+    examples=(
+        'optimise four_bar --vary mechanism.cut_joints.cut_1.point_b.0=0.2:0.3 '
+        '--vary mechanism.joints.coupler_joint.position.0=50mm:120mm '
+        '--minimise "max(force.cut_1)" --subject-to "min(transmission_angle) >= 40deg" '
+        '--subject-to "max(position.rocker_joint) - min(position.rocker_joint) >= 30deg"',
+        'optimise four_bar --vary mechanism.points.coupler_point.position.0=0:0.3 '
+        '--vary mechanism.points.coupler_point.position.1=-0.1:0.2 --output straight '
+        '--minimise "straightness(part(coupler_point, 90deg, 270deg))"'),
+    failure='no machine meets all requirements',
     arguments=(
         SCENE, *READING_OPTIONS,
         Group(

@@ -42,12 +42,10 @@ COMMAND = Command(
 Draw positions, velocities and efforts of the joints over time, the forces at the cut joints over
 time, and the mechanism in several positions. What is shown after a reset is the run since then.
 """,
-    epilog="""\
-examples:
-  closedloop plot my_bag --output pictures
-  closedloop plot run.csv --output pictures
-  closedloop plot run.csv --output pictures --drawing run.svg
-""",
+    examples=(
+        'plot my_bag --output pictures',
+        'plot run.csv --output pictures',
+        'plot run.csv --output pictures --drawing run.svg'),
     arguments=(
         *recording_arguments(),
         *directory_options(', '.join(f'{name}.png' for name in TITLES), ''),

@@ -66,14 +66,13 @@ velocities, efforts and constraint forces of every state. The topics scene and r
 of the simulator make this exact: on the same machine the deviations are zero, elsewhere
 those of rounding. Without replay_log, times are taken from the stamps and torques from the
 efforts, which shows the motion but not the last digits. A second replay, started with a
-difference of 1e-12, shows how sensitive the motion is; a deviation that rounding of such a
-size does not explain ends with exit code 1.
+difference of 1e-12, shows how sensitive the motion is, and so which deviations rounding
+explains.
 """,
-    epilog="""\
-examples:
-  closedloop replay my_bag
-  closedloop replay my_bag --tolerance 1e-9 --picture deviations.png
-""",
+    examples=(
+        'replay my_bag',
+        'replay my_bag --tolerance 1e-9 --picture deviations.png'),
+    failure='a deviation is larger than rounding explains, or than --tolerance',
     arguments=(
         *recording_arguments('bag', 'BAG', what='directory of the bag, or one of its files'),
         Argument('--tolerance', metavar='ERROR', type=positive,

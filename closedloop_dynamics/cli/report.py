@@ -59,12 +59,10 @@ advantage and dead centres, drive torque and power, work per cycle, the largest 
 every joint with its place, its hodograph and load spectrum, shaking force and moment,
 sensitivity to every length, and tolerances.
 """,
-    epilog="""\
-examples:
-  closedloop report four_bar --output four_bar.html
-  closedloop report four_bar --speed 20 --set mechanism.bodies.coupler.mass=2 --output heavy.html
-  closedloop report slider_crank --drive crank_joint=0:360deg:721 --output slider.html
-""",
+    examples=(
+        'report four_bar --output four_bar.html',
+        'report four_bar --speed 20 --set mechanism.bodies.coupler.mass=2 --output heavy.html',
+        'report slider_crank --drive crank_joint=0:360deg:721 --output slider.html'),
     arguments=(
         SCENE,
         *reading_options(short=False),

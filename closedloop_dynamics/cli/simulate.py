@@ -237,15 +237,13 @@ replaced unless asked for. Ctrl-C leaves all rows so far. Beside FILE are writte
 FILE.scene.json, the scene with all overrides, from which plot, animate and view
 draw the rows, and FILE.report.txt, the summary.
 """,
-    epilog="""\
-examples:
-  closedloop simulate three_rrr
-  closedloop simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv
-  closedloop simulate carpet_scraper --motion theta_1=4.7124*t --output run.csv
-  closedloop simulate delta_robot --duration 600 --dry-run
-  closedloop simulate four_bar --set mechanism.bodies.crank.mass=2
-  closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
-""",
+    examples=(
+        'simulate three_rrr',
+        'simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv',
+        'simulate carpet_scraper --motion theta_1=4.7124*t --output run.csv',
+        'simulate delta_robot --duration 600 --dry-run',
+        'simulate four_bar --set mechanism.bodies.crank.mass=2',
+        'simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv'),
     arguments=(
         SCENE,
         *reading_options(short=False),

@@ -113,16 +113,14 @@ grid: uniform:FROM:TO, loguniform:FROM:TO, normal:MEAN:DEVIATION.
 
 A sample that fails is marked so, with its reason, and stops nothing. Ctrl-C
 leaves a valid file, which --resume goes on with; the same command gives the same
-numbers, however often it was interrupted and wherever it runs.
+numbers, however often it was interrupted and wherever it runs. doc/sweep.md states what
+is in the file.
 """,
-    epilog="""\
-examples:
-  closedloop sweep four_bar --vary mechanism.bodies.crank.mass=0.5:2:4 --output mass.nc
-  closedloop sweep three_rrr --vary mechanism.bodies.platform.mass=normal:8:0.4 \\
-      --vary torque.theta_1=0,5 --samples 500 --seed 7 --output monte_carlo.zarr
-
-Exit code 1 where no sample succeeded. doc/sweep.md states what is in the file.
-""",
+    examples=(
+        'sweep four_bar --vary mechanism.bodies.crank.mass=0.5:2:4 --output mass.nc',
+        'sweep three_rrr --vary mechanism.bodies.platform.mass=normal:8:0.4 '
+        '--vary torque.theta_1=0,5 --samples 500 --seed 7 --output monte_carlo.zarr'),
+    failure='no sample succeeded',
     arguments=(
         SCENE,
         Argument('--output', required=True, metavar='FILE',

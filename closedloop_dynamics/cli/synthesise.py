@@ -94,16 +94,12 @@ x,y), whose coupler goes through poses (motion, x,y,angle), or whose output foll
 (function, angle of the crank, angle of the rocker or stroke of the slider). Lengths in m, angles
 in rad. Up to five positions are met exactly, in general, more of them as nearly as can be.
 Linkages that take the positions in another order, change their branch or lock between them are
-left out.
+left out; where none remains, the exit code is 2.
 """,
-    epilog="""\
-examples:
-  closedloop synthesise path places.csv --output found
-  closedloop synthesise motion poses.csv --pins=-0.05,0.25,0.1,0.3
-  closedloop synthesise function angles.csv --linkage slider_crank
-
-Exit code 2 where none is found.
-""",
+    examples=(
+        'synthesise path places.csv --output found',
+        'synthesise motion poses.csv --pins=-0.05,0.25,0.1,0.3',
+        'synthesise function angles.csv --linkage slider_crank'),
     arguments=(
         Argument('task', choices=tuple(COLUMNS), help='what the positions are of'),
         Argument('positions', metavar='FILE.csv', help='a position in a line [m, rad]'),

@@ -54,14 +54,12 @@ plane of a planar mechanism is the x-y plane. URDF itself knows no loops: cut jo
 are elements beside the tree that other parsers pass over, joint_states of the
 simulator close them.
 """,
-    epilog="""\
-examples:
-  closedloop urdf three_rrr
-  closedloop urdf delta_robot --loops drake
-  closedloop urdf delta_robot --output delta.urdf --srdf delta.srdf
-  closedloop urdf three_rrr --hardware three_rrr.so --output three_rrr.urdf
-  closedloop urdf carpet_scraper --output carpet_scraper.urdf
-""",
+    examples=(
+        'urdf three_rrr',
+        'urdf delta_robot --loops drake',
+        'urdf delta_robot --output delta.urdf --srdf delta.srdf',
+        'urdf three_rrr --hardware three_rrr.so --output three_rrr.urdf',
+        'urdf carpet_scraper --output carpet_scraper.urdf'),
     arguments=(
         Argument('scene', metavar='SCENE',
                  help='a shipped scene or mechanism by its name, or a YAML file'),

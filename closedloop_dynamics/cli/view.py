@@ -244,17 +244,15 @@ pause, slow motion, sliders for its drives, effects and methods switched while i
 dragged by the mouse, plots beside it. A recording plays with a time slider. The page comes from
 this computer and needs no network. Closing it changes nothing; Ctrl-C ends the command.
 """,
-    epilog="""\
-examples:
-  closedloop view three_rrr
-  closedloop view four_bar --set mechanism.bodies.crank.mass=2
-  closedloop view four_bar --motion 'crank_joint=1.05+2*pi*t'
-  closedloop view stewart_platform --drives held
-  closedloop view my_bag
-  closedloop view --node /closedloop_simulator
-  closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html
-  closedloop view three_rrr --save machine.html --live
-""",
+    examples=(
+        'view three_rrr',
+        'view four_bar --set mechanism.bodies.crank.mass=2',
+        "view four_bar --motion 'crank_joint=1.05+2*pi*t'",
+        'view stewart_platform --drives held',
+        'view my_bag',
+        'view --node /closedloop_simulator',
+        'view three_rrr --duration 10 --torque theta_1=5 --save run.html',
+        'view three_rrr --save machine.html --live'),
     arguments=(
         *recording_arguments('what', 'SCENE_OR_RECORDING', '?', 'a shipped scene by its name, a '
                              'YAML file, a bag, or what `closedloop simulate --output` wrote'),

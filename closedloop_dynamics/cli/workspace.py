@@ -175,14 +175,12 @@ stiffness of the point. On a grid along two axes, the curves of type-1 (serial) 
 
 FILE.nc is a NetCDF file. Ctrl-C leaves a valid one, which --resume goes on with.
 """,
-    epilog="""\
-examples:
-  closedloop workspace three_rrr --point platform_center --picture map.png
-  closedloop workspace three_rrr --point platform_center --orientation 20deg \\
-      --grid x=-0.3:1.2:500 --grid y=-0.4:1.1:500 --clearance 0.02 --output map.nc
-  closedloop workspace three_rrr --point platform_center --turn z=0:350deg:36
-  closedloop workspace stewart_platform --point platform_center --limit leg_1=-0.1:0.2
-""",
+    examples=(
+        'workspace three_rrr --point platform_center --picture map.png',
+        'workspace three_rrr --point platform_center --orientation 20deg '
+        '--grid x=-0.3:1.2:500 --grid y=-0.4:1.1:500 --clearance 0.02 --output map.nc',
+        'workspace three_rrr --point platform_center --turn z=0:350deg:36',
+        'workspace stewart_platform --point platform_center --limit leg_1=-0.1:0.2'),
     arguments=(
         SCENE, *READING_OPTIONS, SET,
         Group(
