@@ -84,6 +84,8 @@ extras = {
     # colcon test looks for pytest here; without it, it finds no tests and passes.
     'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout',
              'ruff==0.17.6'],
+    # Steps as an operator of PyTorch.
+    'torch': ['torch>=2.5'],
     # The page of closedloop view.
     'view': ['websockets>=14.0'],
 }

@@ -39,9 +39,10 @@ _HOMES = {
 _MORE = {
     'c_source': 'simulation.c_source', 'Differentiator': 'simulation.derivatives',
     'fmu': 'simulation.fmu', 'identify': 'studies.identification',
-    'jax_dynamics': 'simulation.jax_dynamics', 'Linearisation': 'simulation.linearisation',
+    'jax_dynamics': 'simulation.jax_dynamics', 'jax_step': 'simulation.jax_step',
+    'Linearisation': 'simulation.linearisation',
     'LinearModel': 'simulation.linearisation', 'MechanismEnv': 'simulation.environment',
-    'MechanismVectorEnv': 'simulation.environment'}
+    'MechanismVectorEnv': 'simulation.environment', 'torch_step': 'simulation.torch_step'}
 __all__ = sorted(_HOMES)
 __version__ = '1.1.0'
 

@@ -8,6 +8,7 @@
 #include "arguments.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
+#include "callable_steps.hpp"
 #include "correction.hpp"
 #include "course.hpp"
 #include "curve.hpp"
@@ -549,6 +550,9 @@ const Entry entries[] = {
   released<step_states>(
     "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states "
     "done"),
+  entry<callable_steps>(
+    "callable_steps(system, run, scratch, tape, routines, actuated, instants, inputs): a handle"),
+  entry<fill_addresses>("fill_addresses(steps, out): of them, and of three functions of rows"),
   entry<fill_basis>("fill_basis(system, routines, chart, q, qd, basis): status"),
   released<move_along>(
     "move_along(system, routines, chart, from_q, from_qd, basis, changes, displacement, q, qd): "

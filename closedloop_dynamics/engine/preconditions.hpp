@@ -277,6 +277,22 @@ inline constexpr auto precondition<gradient_of_steps> =
   };
 
 template<>
+inline constexpr auto precondition<callable_steps> =
+  [](const std::shared_ptr<System> & system, const SteppedRun & run, Table scratch,
+    const Tape & tape, const StepRoutines & routines, Indices actuated, Table instants,
+    const RunInputs & inputs) -> const char * {
+    const char * const reason = expected::recorded(
+      *system, run, scratch, tape, routines, instants, inputs);
+    return reason != nullptr ? reason : expected::unless(
+      instants.rows == 2 && run.torque.rows == 1 && inputs.torque.rows == 1 &&
+      are_places(actuated, 0, system->nv()));
+  };
+
+template<>
+inline constexpr auto precondition<fill_addresses> =
+  [](const CallableSteps &, Indices out) {return expected::unless(out.size == 4);};
+
+template<>
 inline constexpr auto precondition<step_states> =
   [](const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, const LaneRoutines & beside, const Chart & chart,

@@ -21,6 +21,7 @@ LIBRARIES = {
     'netCDF4': ('netCDF4', 'sweep'),
     'rainflow': ('rainflow', 'report'),
     'rosbags': ('rosbags', 'bags'),
+    'torch': ('torch', 'torch'),
     'trimesh': ('trimesh', 'models'),
     'websockets': ('websockets', 'view'),
     'xacro': ('xacro', 'models'),

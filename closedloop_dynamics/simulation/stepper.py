@@ -20,13 +20,13 @@ from .simulation import Simulation
 from .state import State
 from .step_derivatives import StepDerivatives
 from .traced_scene import require_derivatives
-from ..core.codegen.sensitivities import CLOSURE, REVERSE
+from ..core.codegen.sensitivities import CLOSURE, FORWARD, REVERSE
 from ..engine import native
 from ..integration.control import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
 from ..integration.registry import INTEGRATORS, STABILISATIONS
 from ..integration.stepped_run import (
-    allocate_chart, allocate_scratch, allocate_steps, allocate_tape, SteppedRun)
+    allocate_chart, allocate_scratch, allocate_steps, allocate_tape, RunInputs, SteppedRun)
 
 # Steps of a period at most this share longer than the method's step size are rounding.
 ROUNDING = 1e-9
@@ -35,7 +35,7 @@ MOST_PERIODS = 64
 # What users call the engine's arrays.
 _ARRAYS = {'q': 'q', 'qd': 'qd', 'tau': 'torque', 'next_q': 'next_q', 'next_qd': 'next_qd',
            'A': 'by_state', 'B': 'by_torque', 'by_parameter': 'by_parameter', 'basis': 'basis'}
-_ENDS = {
+ENDS = {
     OPEN_LOOP: (ClosureError, 'the loops cannot be closed after the step: take smaller steps'),
     SINGULAR: (SingularityError, 'there is no derivative here: closure equations depend on one '
                'another, or nearly, or the independent coordinates do not decide all others'),
@@ -281,6 +281,26 @@ class Stepper:
         self._call = native.bind(
             'step_states', self._system.native, *self._run, self._chart, self._reach)
 
+    def called_by_address(self) -> Tuple[Any, Sequence[int]]:
+        """
+        Return what others call by address, and what keeps it alive (callable_steps.hpp).
+
+        Addresses of the steps, and of three functions of rows. Calls use the memory of this
+        stepper, which is not to be called any more.
+        """
+        for group in FORWARD, REVERSE:
+            self._derivatives.need(group)
+        nq, nv = self._reach.q.shape[1], self._reach.qd.shape[1]
+        run, scratch, tape, routines, _ = self._run
+        arrays = (self._reach.actuated, np.zeros((2, nq + nv)),
+                  RunInputs(np.zeros(nq + nv), np.zeros((1, nv)),
+                            np.zeros(len(self._arrays.entries))))
+        handle, _ = native.callable_steps(
+            self._system.native, run, scratch, tape, routines, *arrays)
+        addresses = np.zeros(4, dtype=np.int64)
+        native.fill_addresses(handle, addresses)
+        return (handle, self._run, arrays), addresses.tolist()
+
     @property
     def parameters(self) -> Tuple[str, ...]:
         """Key paths of the parameters, in their order."""
@@ -361,7 +381,7 @@ class Stepper:
             self.model.state(one.q[number], one.qd[number])
         except AssemblyError as error:
             raise AssemblyError(f'{which}{error}') from None
-        kind, what = _ENDS[status]
+        kind, what = ENDS[status]
         raise kind(f'{which}{what}; independent: {", ".join(self.independent)}')
 
     def change_independent(self, independent: Optional[Sequence[str]] = None) -> np.ndarray:
@@ -400,7 +420,7 @@ class Stepper:
     def basis_at(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the changes of all with the independent ones; overwritten by the next call."""
         if self._fill(q, qd, self._basis) != DONE:
-            raise SingularityError(f'{_ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
+            raise SingularityError(f'{ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
         return self._basis
 
     def displacements(self) -> np.ndarray:
@@ -480,7 +500,7 @@ class Stepper:
             raise ClosureError(f'changes, row {number}: the loops cannot be closed that far from '
                                'the state: give smaller ones')
         if status != DONE:
-            raise SingularityError(f'{_ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
+            raise SingularityError(f'{ENDS[SINGULAR][1]}: {", ".join(self.independent)}')
         return places, rates
 
     def minus(self, q: ArrayLike, qd: ArrayLike, from_q: ArrayLike,

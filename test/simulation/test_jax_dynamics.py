@@ -33,26 +33,17 @@ def test_values_and_derivatives_are_those_of_differences(name):
     found = model.evaluate(model.state(*state[:2]), state[2])
     for value, expected in zip(dynamics(*state), (found.acceleration, found.multipliers)):
         np.testing.assert_allclose(value, expected, rtol=1e-10, atol=1e-10)
-    turned = [first for first, _ in model.coordinates.balls]
-
-    def at(place, change):
-        moved = [one.copy() for one in state]
-        moved[place] += change
-        for first in turned:
-            moved[0][first:first + 4] /= np.linalg.norm(moved[0][first:first + 4])
-        return np.concatenate(dynamics(*moved))
-
-    random = np.random.default_rng(1)
-    for place, one in enumerate(state):
-        change = random.normal(size=one.shape)
-        changes = [np.zeros_like(other) for other in state]
-        changes[place] = change
-        _, along = jax.jvp(dynamics, state, tuple(changes))
-        step = 1e-3
-        slope = sum(weight * (at(place, k * step * change) - at(place, -k * step * change))
-                    for k, weight in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))) / step
-        np.testing.assert_allclose(
-            np.concatenate(along), slope, rtol=0, atol=1e-7 * max(1.0, np.abs(slope).max()))
+    # Along states that close the loops, as others are refused: by independent coordinates, rates.
+    stepper, random = model.stepper(1e-3), np.random.default_rng(1)
+    direction, step = random.normal(size=2 * len(stepper.independent)), 1e-3
+    by_torque, counts = random.normal(size=len(state[2])), np.array((-3, -2, -1, 1, 2, 3))
+    weights = np.array((-1 / 60, 3 / 20, -3 / 4, 3 / 4, -3 / 20, 1 / 60)) / step
+    q, qd = stepper.plus(*state[:2], counts[:, np.newaxis] * step * direction)
+    torques = state[2] + counts[:, np.newaxis] * step * by_torque
+    _, along = jax.jvp(dynamics, state, (weights @ q, weights @ qd, by_torque))
+    slope = weights @ [np.concatenate(dynamics(*one)) for one in zip(q, qd, torques)]
+    np.testing.assert_allclose(
+        np.concatenate(along), slope, rtol=0, atol=1e-7 * max(1.0, np.abs(slope).max()))
 
 
 @pytest.mark.slow
