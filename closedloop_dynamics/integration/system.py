@@ -11,18 +11,17 @@ from ..core import codegen
 from ..core.codegen import function_table as calls, joint_kernels, space
 from ..core.equations import with_all_equations
 from ..core.manifold import manifold_of
-from ..core.types import Handle, KEPT, Model, POSSIBLE, RANK_REVEALING_COUNT
+from ..core.types import Handle, Model, RANK_REVEALING_COUNT
 from ..effects import scene_code
 from ..effects.effect_table import EffectTable
 from ..effects.force_law import FRICTION
 from ..engine import native
 
-# Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
-# compile and falls out of the fastest memory. In space, where the loops do more in vain, it pays
-# up to so many operations of an evaluation, by a rule of thumb: they take some twenty seconds to
-# compile, once. Of more freedoms than these there is one set of routines: equations that are left
-# out are exchanged in a run, which must not wait for others, and those for light links are larger.
-MOST_UNROLLED_BODIES, MOST_UNROLLED_OPERATIONS, MOST_IN_VARIANTS = 24, 50_000, 40
+# Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
+# up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
+# at most, once. In the plane, where long chains keep more numbers waiting for registers, as many
+# take four times as long.
+MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 15_000
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
 # Columns of ``System.whole.numbers``: the pivot below which other equations are looked for; the
@@ -201,7 +200,7 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
 
     """
     if unrolled is None:
-        unrolled = _can_be_unrolled(model)
+        unrolled = can_be_unrolled(model)
     nv, nc, whole = len(model.tree) - 1, len(model.column) - 1, with_all_equations(model)
     effects = None if len(elements) == 0 and cuts is None else EffectTable.of(
         model, whole, elements, cuts)
@@ -260,14 +259,10 @@ def _routines_of_forces(model, joints):
     return (codegen.WRENCHES, *least) if left_out or space.is_spatial(model) else ()
 
 
-def _can_be_unrolled(model):
+def can_be_unrolled(model):
     """Return whether the routines of a mechanism are small enough to be compiled."""
-    freedoms, cut = len(model.tree) - 1, model.cut
-    if not space.is_spatial(model):
-        return freedoms <= MOST_UNROLLED_BODIES
-    if freedoms > MOST_IN_VARIANTS and (cut[:, KEPT] != cut[:, POSSIBLE]).any():
-        return False
-    return codegen.unrolled_size(model) <= MOST_UNROLLED_OPERATIONS
+    most = MOST_UNROLLED_OPERATIONS if space.is_spatial(model) else MOST_UNROLLED_IN_PLANE
+    return codegen.unrolled_size(model, MOST_UNROLLED_OPERATIONS) <= most
 
 
 def refine(system, state):
@@ -278,15 +273,18 @@ def refine(system, state):
     links, in two to three times the time. ``state``, shape (ns,), closes the loops; the system's
     table is written.
     """
-    if not system.is_unrolled or len(system.qdd) > MOST_IN_VARIANTS:
+    if not system.is_unrolled:
         return
     health, (q, qd, *_) = system.work.health, parts_of_state(system)
     before, system.table[list(codegen.REFINED)] = health.copy(), 0
     native.evaluate_state(system.native, state)
-    # Where equations depend on others, these routines would fail.
-    if (health[RANK_REVEALING_COUNT] == before[RANK_REVEALING_COUNT]
-            and not native.is_regular(system.native, state[q], state[qd])):
-        codegen.link(system.model, system.table, codegen.REFINED)
+    if not native.is_regular(system.native, state[q], state[qd]):
+        # Where equations depend on others, which loops over bodies tell, they would fail.
+        loops = with_equations(system, system.model)
+        loops.work.health[RANK_REVEALING_COUNT] = 0.0
+        native.evaluate_state(loops.native, state)
+        if loops.work.health[RANK_REVEALING_COUNT] == 0.0:
+            codegen.link(system.model, system.table, codegen.REFINED)
     health[:] = before
 
 

@@ -209,7 +209,8 @@ class LoopModel:
 
     def _independent_choices(self, q):
         assembler, found, kept = Assembler(self.mechanism, self.equations), [], self.equations.kept
-        most = min(MOST_CHOICES, MOST_UNROLLED_OPERATIONS // unrolled_size(self.model))
+        most = min(MOST_CHOICES, int(MOST_UNROLLED_OPERATIONS // unrolled_size(
+            self.model, MOST_UNROLLED_OPERATIONS)))
         if not kept.all() and math.comb(len(kept), int(kept.sum())) > most:
             return found
         jac = assembler.dimensionless(assembler.of_largest_rank(q, 0))

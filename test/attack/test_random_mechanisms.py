@@ -77,7 +77,7 @@ def attack(rng, mechanism, q, qd, integrator):
 def test_no_random_mechanism_loses_energy_in_silence(topologies, unrolled, monkeypatch):
     if not unrolled:
         # Loops over bodies are compiled once for all topologies.
-        monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', 0)
+        monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', 0)
     counts = {'refused': 0, 'warned': 0, 'accepted': 0, 'silent': 0}
     silent = []
     with warnings.catch_warnings():

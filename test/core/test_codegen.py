@@ -8,14 +8,16 @@ import ctypes
 import math
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink
+from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink, routines
 from closedloop_dynamics.core.codegen.expression_graph import (
     arctangent, cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
 from closedloop_dynamics.core.codegen.machine_code import (
     engines, LANES, machine_code, PACKED, SCALAR)
 from closedloop_dynamics.core.codegen.packing import packing_of
+from closedloop_dynamics.core.codegen.routines import operations, unrolled_size
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration import system as integration_system
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
@@ -83,6 +85,22 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_again():
             assert np.abs(pair[0].qdd - before).max() > 1e-3
         assert_agree(pair[0].qdd, pair[1].qdd, SOLVE)
         before = pair[0].qdd.copy()
+
+
+def test_traced_operations_decide_what_is_unrolled(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
+    monkeypatch.setattr(routines, 'sizes', {})
+    model = build_model(cases.drawn('three_rrr')[1])
+    counted = operations(model)
+    assert unrolled_size(model, counted) == counted
+    assert unrolled_size(model, counted // (2 * routines.RECORDED)) == math.inf
+    for more, unrolled in ((0, True), (-1, False)):
+        monkeypatch.setattr(integration_system, 'MOST_UNROLLED_IN_PLANE', counted + more)
+        assert build_system(model).is_unrolled is unrolled
+    # Counted once: another process reads it.
+    monkeypatch.setattr(routines, 'sizes', {})
+    monkeypatch.setattr(routines, 'count_operations', None)
+    assert unrolled_size(model, counted) == counted
 
 
 def test_copies_work_on_arrays_of_their_own():
@@ -160,19 +178,23 @@ def test_code_that_takes_long_is_announced_before_it_is_made(tmp_path, monkeypat
     monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
     events = []
 
-    def one(name):
+    def one(name, operations=1):
         def made():
             events.append(name)
             graph = ExpressionGraph()
-            return [Routine(name, graph, [(QD, 0, graph.put(LOAD, Q, 0) + 1.0)])]
+            total = graph.put(LOAD, Q, 0)
+            for n in range(operations):
+                total = total + float(n + 1)
+            return [Routine(name, graph, [(QD, 0, total)])]
         return made
 
     with announced_by(events.append):
-        machine_code(('long', 1), one('short'), SCALAR, seconds=0.5)
+        machine_code(('long', 1), one('short'), SCALAR)
+        monkeypatch.setattr('closedloop_dynamics.core.codegen.machine_code.A_SECOND', 10)
         for _ in range(2):
-            machine_code(('long', 2), one('long'), SCALAR, seconds=12.0)
-    machine_code(('long', 3), one('unheard'), SCALAR, seconds=12.0)
-    short, announced, long, unheard = events
+            machine_code(('long', 2), one('long', 119), SCALAR)
+    machine_code(('long', 3), one('unheard', 119), SCALAR)
+    short, long, announced, unheard = events
     assert (short, long, unheard) == ('short', 'long', 'unheard')
     assert 'may take 12 s' in announced
 

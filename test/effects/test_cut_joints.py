@@ -166,7 +166,7 @@ def largest_difference(directory):
 @pytest.fixture
 def by_loops(monkeypatch):
     """Unroll nothing."""
-    monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', 0)
+    monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', 0)
     monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
 
 

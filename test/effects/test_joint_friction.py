@@ -370,7 +370,7 @@ def test_friction_of_many_joints_at_rest_by_loops_over_bodies_is_that_of_generat
     found, evaluations = [], []
     for most in (None, 0):
         if most is not None:
-            monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', most)
+            monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', most)
             monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
         simulation = Simulation(scene)
         torques = np.linspace(-3.0, 40.0, len(mechanism.actuated_joints))

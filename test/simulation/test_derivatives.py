@@ -143,7 +143,7 @@ def torques(simulation):
 
 def by_loops(scene, effects):
     """Return a simulation that uses no code generated for its mechanism."""
-    with mock.patch.object(system, '_can_be_unrolled', lambda model: False):
+    with mock.patch.object(system, 'can_be_unrolled', lambda model: False):
         simulation = simulation_of(scene, effects, integrator='rk4')
     assert not simulation.data.system.is_unrolled
     return simulation

@@ -26,17 +26,21 @@ LARGEST_PRODUCT = 16
 Q, QD = -1, -2
 
 
+class TooManyOperations(Exception):
+    """More operations than may be recorded."""
+
+
 class ExpressionGraph:
     """
-    Recorded arithmetic, each operation once.
+    Recorded arithmetic, each operation once, ``most`` operations at most (``TooManyOperations``).
 
     ``operations`` are (operation, operands...); an operand is the place of an earlier operation or
     a float. ``guard``, a Symbol or None: what must hold for the results to be right: the branches
     that were taken.
     """
 
-    def __init__(self):
-        self.operations, self.guard, self._known = [], None, {}
+    def __init__(self, most=math.inf):
+        self.operations, self.guard, self._known, self._most = [], None, {}, most
 
     def put(self, *operation):
         """Return the symbol of an operation, an old one where there is the same already."""
@@ -44,6 +48,8 @@ class ExpressionGraph:
         key = operation, *map(type, operation)
         place = self._known.setdefault(key, len(self.operations))
         if place == len(self.operations):
+            if place >= self._most:
+                raise TooManyOperations
             self.operations.append(operation)
         return Symbol(self, place)
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smaller, TAKE
 from .function_table import (
-    ALWAYS, AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, PIECE,
+    AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, PIECE,
     PRESENT, PRESENT_COLUMNS, RATES, RESPONSE, RESPONSES, SIDES, TRIALS, VALUES)
 from .machine_code import machine_code, SCALAR
-from .routines import A_SECOND, form_for, MechanismTrace, NAMES, topology, unrolled_size, zeros
+from .routines import form_for, MechanismTrace, NAMES, topology, zeros
 from .scene_routines import energies_of_bodies, Forces
 from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 
@@ -43,8 +43,7 @@ def address_of_scene(model, structure, laws, form=SCALAR, which=EVALUATION):
     key = topology(model), structure, form, which
     if key not in _addresses:
         find = machine_code(
-            key, lambda: [LiveTrace(model, laws()).routine(which)], form, 1,
-            unrolled_size(model) / (A_SECOND * len(ALWAYS)))
+            key, lambda: [LiveTrace(model, laws()).routine(which)], form)
         _addresses[key] = find(NAMES[which])
     return _addresses[key]
 

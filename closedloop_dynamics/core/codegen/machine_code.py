@@ -23,8 +23,8 @@ SCALAR, ROW, KERNEL, LANES, PACKED = (
     ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
-# What takes less to compile is not announced [s].
-LONG = 4.0
+# Operations that are compiled in a second; what takes less than LONG [s] is not announced.
+A_SECOND, LONG = 7000, 4.0
 # Functions to machine code in use, by its digest: it must stay where it is as long as the process
 # lives, and is there once, however many ask for it.
 engines = {}
@@ -41,14 +41,14 @@ def announced_by(announce):
         _announce.remove(announce)
 
 
-def machine_code(key, routines, form, parts=1, seconds=0.0):
+def machine_code(key, routines, form, parts=1):
     """
     Return a function from a routine's name to its address, compiled now or by an earlier process.
 
     ``key``: structure of the mechanism and all else that the routines depend on; ``routines``
     returns the list of Routine, called only where nothing is stored; ``form``: ``SCALAR``,
     ``ROW``, ``KERNEL``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code
-    is, at most as many as there are routines; ``seconds``: approximate limit of the compile time.
+    is, at most as many as there are routines.
     """
     host, compiled, loaded = (c_code.host, c_code.compiled, c_code.loaded) if (
         cache.LLVM is None) else (_host, _compiled, _loaded)
@@ -58,10 +58,12 @@ def machine_code(key, routines, form, parts=1, seconds=0.0):
     names = [f'codegen.{digest}.{part}.o' for part in range(parts)]
     objects = [cache.read(name) for name in names]
     if None in objects:
+        traced = routines()
+        seconds = sum(len(one.needed()) for one in traced) / A_SECOND if _announce else 0.0
         for announce in _announce if seconds >= LONG else ():
             announce(f'generating code for this mechanism, which may take {seconds:.0f} s; '
                      'it is kept for the next start')
-        objects = compiled(routines(), form, parts)
+        objects = compiled(traced, form, parts)
         for name, code in zip(names, objects):
             cache.write(name, code)
     return engines.setdefault(digest, loaded(objects))

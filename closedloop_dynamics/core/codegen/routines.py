@@ -3,13 +3,16 @@
 
 """Traced routines: the evaluation of a state, and the correction of its drift."""
 
+import hashlib
+import math
+
 import numpy as np
 
 from . import (
     arms, elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space)
 from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, LOAD, LOGARITHM, MULTIPLY, NEGATE,
-    POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT)
+    POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     ENERGIES, EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
@@ -20,6 +23,7 @@ from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
 from .vectors import in_space, times, transpose
 from .workspace import zeros_like_workspace
+from .. import cache
 from ..types import (
     CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
     TYPE)
@@ -45,12 +49,11 @@ def topology(model):
     return tuple((array.shape, array.tobytes()) for array in arrays)
 
 
+# Of a trace more is recorded than its routine needs; up to so many times as much.
+RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
-# Operations of a body; of a multiplier that passes a joint; of an evaluation whose routines are
-# compiled in a second.
-_OF_BODY, _OF_PASSAGE, A_SECOND = 350, 25, 5000
-_addresses = {}
+_addresses, sizes = {}, {}
 
 
 def addresses(model, which, form=SCALAR, joints=None):
@@ -71,18 +74,30 @@ def addresses(model, which, form=SCALAR, joints=None):
         find = machine_code(
             (key, tuple(one_by_one[one] for one in missing)),
             lambda: [MechanismTrace(model, joints).routine(one) for one in missing], form,
-            len(missing), unrolled_size(model) / A_SECOND)
+            len(missing))
         known.update((one_by_one[one], find(NAMES[one])) for one in missing)
     return {one: known[one_by_one[one]] for one in which}
 
 
-def unrolled_size(model):
-    """Return about how many operations an evaluation in space is, by a rule of thumb."""
-    cut = model.cut
-    passages = (cut[:, ROWS] * (cut[:, PATH_END] - cut[:, PATH_A])).sum()
-    # Of each column the squared number of entries below it.
-    elimination = (np.diff(model.column) ** 2).sum()
-    return int(_OF_BODY * (len(model.tree) - 1) + _OF_PASSAGE * passages + elimination)
+def unrolled_size(model, most):
+    """
+    Return how many operations an evaluation is, as ``operations``; infinity where more than most.
+
+    It is traced once, and kept on disk as code is; no more than ``most`` operations are recorded.
+    """
+    key = topology(model), most
+    if key not in sizes:
+        name = f'size.{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}'
+        stored = cache.read(name)
+        if stored is None:
+            try:
+                stored = str(count_operations(
+                    MechanismTrace(model, most=RECORDED * most).routine(EVALUATION))).encode()
+            except TooManyOperations:
+                stored = b'inf'
+            cache.write(name, stored)
+        sizes[key] = float(stored)
+    return sizes[key]
 
 
 def form_for(model, form=SCALAR):
@@ -111,11 +126,12 @@ class MechanismTrace:
     One mechanism with symbols in the place of all numbers that may change.
 
     ``joints``: of which ``least_forces`` are found, and what is ``left_out``; ``with_arms``:
-    whether accelerations are found by ``arms`` where there are any.
+    whether accelerations are found by ``arms`` where there are any; ``most``: operations that may
+    be recorded.
     """
 
-    def __init__(self, model, joints=None, with_arms=True):
-        self.graph, self.joints = ExpressionGraph(), joints
+    def __init__(self, model, joints=None, with_arms=True, most=math.inf):
+        self.graph, self.joints = ExpressionGraph(most), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
         self.model = model.replaced(
