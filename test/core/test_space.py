@@ -10,7 +10,7 @@ from closedloop_dynamics.core.codegen.function_table import (
     ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
 from closedloop_dynamics.core.types import ROWS
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
+    Body, Coupling, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
@@ -105,6 +105,23 @@ def test_rates_and_biases_are_derivatives_where_loops_are_open(kind, seed):
     found = (after[:2] - before[:2]) / (2.0 * step)
     assert_agree(found[0], rate, 1e-8, smallest=1.0)
     assert_agree(found[1], bias, 1e-8, smallest=1.0)
+
+
+def test_refinement_counts_the_angles_that_a_coupling_reads():
+    # Of the geared joints one carries the other; two others, not parallel to them, carry both.
+    carriers, z = ('ground', 'table', 'arm', 'first'), (0, 0, 1)
+    names = (*carriers[1:], 'second')
+    mechanism = Mechanism(
+        'wrist', tuple(Body(name, 1.0, (0.1, 0.0, 0.05), (0.01, 0.02, 0.03)) for name in names),
+        tuple(Joint(f'{name}_joint', 'revolute', carrier, name, (0.2, 0.1, 0.0), axis=axis)
+              for name, carrier, axis in zip(names, carriers, (z, (1, 0, 0), z, z))), (),
+        couplings=(Coupling('gears', {'first_joint': 1.0, 'second_joint': 2.0}),))
+    engine = SpatialEngine(mechanism)
+    q, qd, tau = np.array([0.3, 0.4, 0.2, -0.1]), np.zeros(4), np.arange(1.0, 5.0)
+    found, good = engine.in_parts(ACCELERATION, q, qd, tau)
+    refined, as_good = engine.in_parts(REFINED_ACCELERATION, q, qd, tau)
+    assert good and as_good
+    assert_agree(refined, found, 1e-10)
 
 
 @pytest.mark.parametrize('light', [1.0, 1e-4])

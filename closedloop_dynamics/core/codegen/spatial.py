@@ -202,6 +202,9 @@ class Recursion:
 
     def __init__(self, bodies, cuts, gravity, hinges=()):
         self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
+        # Elsewhere loops may close on bodies whose angles are counted from different frames.
+        self.is_parallel = all(
+            body is None or body.turned is None and not body.ball for body in bodies)
         self.ground = BodyKinematics(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
             2 * ZERO)
@@ -444,7 +447,7 @@ class Recursion:
     def _counts_angles(self, i):
         """Return whether levers and accelerations are those of a body's angle, not its joint's."""
         body = self.bodies[i]
-        return bool(body.turns) and not body.ball and is_zero((body.slides,))
+        return self.is_parallel and bool(body.turns) and is_zero((body.slides,))
 
     def _joined_before(self, model, i):
         """Return whether the angle of a body is counted from before its own joint."""
