@@ -5,7 +5,8 @@
 Take the pictures of the page of ``closedloop view`` in ``doc/pictures``.
 
 ``view.png`` has the plots that are shown at first, ``view_accuracy.png`` those of forces, closure
-and error, ``view_edit.png`` a machine that is edited, ``view_time.png`` two runs over an angle;
+and error, ``view_edit.png`` a machine that is edited, ``view_board.png`` one that is drawn,
+``view_time.png`` two runs over an angle;
 ``machines_plane.png`` and ``machines_space.png`` have all shipped machines.
 
     python doc/make_view_picture.py          (from the checkout, which is on the PYTHONPATH)
@@ -16,6 +17,7 @@ Needs Chromium.
 from contextlib import contextmanager
 from pathlib import Path
 from test.view.browser import browser
+from test.view.test_board import Hand, jansens_leg
 import threading
 
 from closedloop_dynamics.simulation.scene import load_scene
@@ -66,7 +68,7 @@ def page(open_page, scene, **size):
     thread.start()
     try:
         tab = open_page(f'{server.url}?smooth', **size)
-        tab.wait('typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.told)')
+        tab.wait('typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.controls)')
         yield tab
     finally:
         over.set()
@@ -118,6 +120,18 @@ def compare(tab):
     tab.wait('page.plots.visible.size >= 2 && page.now === 1.53')
 
 
+def draw(tab):
+    """Draw a leg of Jansen with the mouse."""
+    tab.click('#new')
+    tab.wait('page.edit.board.element.open')
+    hand = Hand(tab)
+    tab.ask('Object.assign(page.edit.board, {middle: [0.05, 0.03], scale: 3900})')
+    jansens_leg(hand)
+    hand.click('select', (0.09, 0.08))
+    hand.told()
+    tab.click('#board [data-do=fit]')
+
+
 def run_to(tab, end):
     """Run to a time, and stand still."""
     tab.ask('page.ask("play")')
@@ -150,6 +164,9 @@ def main():
                 document.getElementById("drives-panel").open = false;""")
             tab.wait('!page.edit.undo.disabled')
             save(tab, 'view_edit')
+        with page(open_page, EDITED, width=1100, height=700) as tab:
+            draw(tab)
+            save(tab, 'view_board')
         with page(open_page, EDITED, width=1100, height=700) as tab:
             compare(tab)
             save(tab, 'view_time')

@@ -103,6 +103,7 @@ ASKED = {
     # Files.
     'open': {'name': name, 'kind': one_of((SHIPPED, YOURS))},
     'load': {'name': name, 'text': text},
+    'check': {'number': _index, 'name': name, 'text': text},
     'save': {'name': name},
     # How far the page has got with the frames it was sent.
     'seen': {'frame': _index},

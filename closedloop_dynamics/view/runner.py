@@ -13,6 +13,7 @@ import warnings
 import numpy as np
 
 from .background import Background
+from .checking import checked
 from .columns import SimulationRows
 from .coupler_curves import curves
 from .description import CHOICES, describe, described_drive
@@ -471,6 +472,9 @@ class Runner(Shown):
                 self.holder = self._grabbed = None
         except StartError as error:
             raise FieldError('a machine that can be shown', str(error)) from None
+
+    def _do_check(self, page, number, name, text):
+        self.feed.send_controls(checked={'number': number, **checked(text, name)})
 
     def _do_save(self, page, name):
         with self._rebuilding.lock:

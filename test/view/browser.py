@@ -144,6 +144,13 @@ class Tab:
             modifiers=modifiers,
             button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
 
+    def touch(self, *places):
+        """Put a finger down at the first place, and lead it over the others."""
+        for place, kind in zip(places, ('touchStart', *('touchMove',) * len(places))):
+            self._do('Input.dispatchTouchEvent', type=kind,
+                     touchPoints=[{'x': place[0], 'y': place[1], 'id': 1}])
+        self._do('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
+
     def _input(self, event, method, **parameters):
         """Send input, again where it does not reach the page: a busy browser may drop it."""
         if event is None:

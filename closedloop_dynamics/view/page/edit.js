@@ -84,6 +84,23 @@ class Editing {
       }
     });
     this.library();
+    byId('new').hidden = false;
+    byId('new').onclick = () => (this.board ??= new Board(this.host())).open();
+  }
+
+  // What checks and simulates a drawing: the server.
+  host() {
+    let number = 0;
+    this.waiting = {};
+    return {
+      check: (name, text) => new Promise((done) => {
+        this.waiting = {number: ++number, done};
+        this.ask('check', {number, name, text});
+      }),
+      simulate: (name, text) => {
+        this.drawn = name;
+        this.ask('load', {name, text});
+      }};
   }
 
   // Machines to open.
@@ -153,6 +170,10 @@ class Editing {
   // What the server sends.
 
   describe(scene) {
+    if (this.drawn === scene.title) {
+      this.drawn = null;
+      this.board.element.close();
+    }
     if (this.title !== scene.title) {
       this.title = scene.title;
       this.name.value = `${scene.title}_edited`;
@@ -202,7 +223,8 @@ class Editing {
     picture.touched = true;
   }
 
-  follow({editing, undoable}) {
+  follow({editing, undoable, checked}) {
+    if (checked && checked.number === this.waiting?.number) this.waiting.done(checked);
     [this.undo.disabled, this.redo.disabled] = undoable.map((can) => !can);
     byId('editing').setAttribute('aria-pressed', editing);
     if (this.on !== editing) {
