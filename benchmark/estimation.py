@@ -199,8 +199,8 @@ def coverage(scene, runs, seed):
             alarms[right] += bool(estimator.alarms)
         if time.perf_counter() - told > 10.0:
             told = time.perf_counter()
-            print(f'  {scene}: {run + 1} of {runs} runs, {told - begin:.0f} s', file=sys.stderr,
-                  flush=True)
+            print(f'  {scene}: {run + 1} of {runs} runs, {inside[True]} in the region, '
+                  f'{told - begin:.0f} s', file=sys.stderr, flush=True)
     shares = [100.0 * count / runs for count in (inside[True], alarms[True], alarms[False])]
     print('{}: {:.1f} % in the 95 % region; alarms {:.1f} % as told, {:.1f} % with {} {} times as '
           'heavy'.format(scene, *shares, body, WRONG), flush=True)

@@ -81,6 +81,17 @@ def positions_of(names, deviation):
     return read
 
 
+def steps_of(names, bits):
+    """Return a function for the readings of encoders with so many steps a turn."""
+    step = 2.0 * np.pi / 2 ** bits
+
+    def read(simulation, rng):
+        index = simulation.coordinates
+        return {name: step * np.round(
+            simulation.position[index.place[index.index[name]]] / step) for name in names}
+    return read
+
+
 def held_path(model, amplitude=0.15, frequency=1.0, stiffness=300.0):
     """Return a drive that holds the actuated joints near a path about the start."""
     start = model.assemble()
@@ -107,4 +118,4 @@ def drawn_start(model, position, rate, rng):
 
 
 __all__ = ['drawn_start', 'encoders', 'held_path', 'Machine', 'Noise', 'pendulum', 'positions_of',
-           'spring_chain', 'Start']
+           'spring_chain', 'Start', 'steps_of']
