@@ -4,6 +4,7 @@
 """The node that estimates: by its callbacks, and beside a simulator as a process."""
 
 import math
+import signal
 from test.estimation.recorded import MACHINE, SENSORS, states
 from types import SimpleNamespace
 
@@ -325,3 +326,44 @@ def test_process_estimates_what_a_simulator_publishes(processes, listener):
         DiagnosticStatus.OK) for message in findings for status in message.status), 'a finding')
     assert source.stop() == 0
     assert node.stop() == 0
+
+
+def test_killed_in_mid_motion_another_process_goes_on_and_bears_nonsense(
+        processes, listener, tmp_path):
+    """The load is found again by a process that has not seen the motion begin."""
+    drive = ['--ros-args', '--params-file',
+             str(MACHINE.parents[1] / 'controllers' / 'three_rrr_circle.yaml')]
+    path = tmp_path / 'sensors.yaml'
+    path.write_text(SENSORS.read_text().replace('\nunknowns', f'{HAND}\nunknowns', 1))
+    settings = {'scene': 'three_rrr', 'sensors': path, 'mode': 'lockstep', 'topics.hand': '/hand'}
+    unknown = listener.listen('estimated_unknowns', Float64MultiArray)
+    findings = listener.listen('/diagnostics', DiagnosticArray)
+
+    def found():
+        return unknown and 0.0 < unknown[-1].data[3] < 0.05
+
+    node = processes.start(NODE, **settings).wait_until_ready()
+    processes.start(SIMULATOR, arguments=drive, scene=MACHINE, mode='lockstep',
+                    wait_for_subscribers=2)
+    processes.start(SOURCE, arguments=drive, scene=MACHINE)
+    listener.wait(found, 'an estimate of the load')
+    node.send(signal.SIGKILL)
+    node.wait()
+    unknown.clear()
+    another = processes.start(NODE, **settings).wait_until_ready()
+    listener.wait(found, 'an estimate of the load by another process')
+    publisher, message = listener.publisher('/hand', Imu), Imu()
+    message.linear_acceleration.x = math.inf
+
+    def told():
+        seconds, rest = unknown[-1].data[:2]
+        message.header.stamp = Time(seconds=int(seconds), nanoseconds=int(rest)).to_msg()
+        return any(status.level == DiagnosticStatus.WARN and 'expected finite' in status.message
+                   for one in findings for status in one.status)
+
+    listener.send(publisher, message, told, 'a finding')
+    unknown.clear()
+    listener.wait(found, 'an estimate after nonsense')
+    *_, mass, deviation = unknown[-1].data
+    assert abs(mass - 5.0) < 5.0 * deviation
+    assert another.stop() == 0
