@@ -161,12 +161,18 @@ def _recording(driving, simulation):
     rows = np.array(rows)
     # Places and rates are followed by accelerations.
     rows = np.hstack([rows, np.gradient(rows[:, len(controlled):], PLACED, axis=0)])
-    # Where the end continues: at the earlier state that is nearest to it.
+    # Where the end continues: at the earlier state that is nearest to it, whole turns aside.
+    count = len(controlled)
+    begin = rows[:3 * len(rows) // 4]
+    missing, turns = rows[-1] - begin, np.zeros((len(begin), count))
+    turning = ~names.lengths[freedoms]
+    turns[:, turning] = 2.0 * np.pi * np.round(missing[:, :count][:, turning] / (2.0 * np.pi))
+    missing[:, :count] -= turns
     scale = np.maximum(np.ptp(rows, axis=0), 1e-9)
-    away = np.abs((rows - rows[-1]) / scale)[:len(rows) // 2, :2 * len(controlled)].max(axis=1)
+    away = np.abs(missing / scale)[:, :2 * count].max(axis=1)
     again = int(np.argmin(away))
     return {'joints': controlled, 'period': PLACED, 'rows': packed(rows, np.float64),
-            'again': again if away[again] < SAME else None}
+            'again': again if away[again] < SAME else None, 'turns': turns[again].tolist()}
 
 
 def _effects(scene, simulation, gravity):

@@ -180,17 +180,20 @@ class Standalone {
   // The motion that a controller has made, between two of its places by a polynomial that agrees in
   // places, rates and accelerations.
   recorded(joint, time) {
-    const {joints, period, rows, again} = this.own, width = 3 * joints.length;
+    const {joints, period, rows, again, turns} = this.own, width = 3 * joints.length;
     const most = rows.length / width - 1, column = joints.indexOf(joint);
-    let at = time / period;
-    if (at > most) at = again === null ? most : again + (at - again) % (most - again);
+    let [at, cycles] = [time / period, 0];
+    if (at > most && again !== null) {
+      cycles = Math.floor((at - again) / (most - again));
+      at -= cycles * (most - again);
+    }
     const k = Math.min(Math.floor(at), most - 1), s = at - k;
     const [[a, b], [u, v], [e, f]] = [0, 1, 2].map((order) => [k, k + 1].map((n) => (
       period ** order * rows[n * width + order * joints.length + column])));
-    if (time / period > most && again === null) return [b, 0, 0];
+    if (at > most) return [b, 0, 0];
     const way = b - a, c3 = 10 * way - 6 * u - 4 * v - 1.5 * e + 0.5 * f;
     const c4 = -15 * way + 8 * u + 7 * v + 1.5 * e - f, c5 = 6 * way - 3 * (u + v) - 0.5 * (e - f);
-    return [a + s * (u + s * (e / 2 + s * (c3 + s * (c4 + s * c5)))),
+    return [cycles * turns[column] + a + s * (u + s * (e / 2 + s * (c3 + s * (c4 + s * c5)))),
             (u + s * (e + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / period,
             (e + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))) / period ** 2];
   }
