@@ -16,6 +16,7 @@ from typing import Any, Dict, Optional, Tuple, Union
 
 from .between import BETWEEN, link, with_tree
 from .checks import number
+from .cylinders import SECTION as CYLINDERS, with_cylinders
 from .document import Document, plain
 from .expressions import Parameters, put_changes
 from .fields import among, at, FieldError, keys_of, mapping, nearest, normalise
@@ -202,7 +203,8 @@ def _mechanism(
         data: Any, given: Mapping[str, float],
         orders: Optional[Mapping[str, bool]] = None) -> Mechanism:
     """Return the mechanism of plain data and of requested cuts, or raise FieldError."""
-    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions', 'rounded')))
+    required, optional = keys_of(Mechanism, leave_out=('source', 'tree', 'motions', 'rounded'))
+    source = mapping(data, required, [*optional, CYLINDERS])
     parameters = Parameters.read(data.get('parameters'), given)
     with at('parameters'):
         for key, value in given.items():
@@ -213,6 +215,8 @@ def _mechanism(
             with at(key):
                 number(value)
     spatial = _is_spatial(data)
+    if CYLINDERS in data:
+        data = with_cylinders(data, parameters, spatial)
     links: Dict[str, Any] = {}
     ground = ()
     if 'ground_visual' in data:
@@ -222,7 +226,7 @@ def _mechanism(
         key: _records(value, key, parameters, spatial, links, data) if key in SECTIONS else value
         for key, value in data.items()}
     mechanism = Mechanism(**{
-        **values, 'parameters': dict(parameters.values), 'source': (data, dict(given), orders),
+        **values, 'parameters': dict(parameters.values), 'source': (source, dict(given), orders),
         'ground_visual': ground})
     origin: Any = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
     bodies = tuple(

@@ -161,7 +161,7 @@ class Board {
   get marked() {
     const words = `${this.told.error ?? ''} ${(this.told.repeated ?? []).join(' ')}`;
     return [...Object.keys(this.drawing.nodes), ...Object.keys(this.drawing.elements)].filter((name) => (
-      new RegExp(`(^|[^A-Za-z0-9_])${name}(_\\d+|_guide|_barrel|_rod)?([^A-Za-z0-9_]|$)`).test(words)));
+      new RegExp(`(^|[^A-Za-z0-9_])${name}(_\\d+|_guide|_barrel|_rod|_foot|_head)?([^A-Za-z0-9_]|$)`).test(words)));
   }
 
   simulate() { this.host.simulate(this.drawing.name, this.text); }
@@ -481,7 +481,7 @@ class Board {
   motor(place, reach) {
     const {drawing} = this, node = this.near(place, reach);
     const on = drawing.of('slider', 'cylinder').find(([name]) => name === this.elementAt(place, reach))?.[0];
-    const joints = drawing.joints().filter((joint) => joint.node === node);
+    const joints = drawing.joints().filter((joint) => joint.node === node && !joint.ofCylinder);
     const rods = drawing.of('slider').filter(([, one]) => one.block && one.node === node);
     if (!(node && (joints.length || rods.length)) && !on) return;
     const turned = joints.length && !rods.length ? {node, body: joints.at(-1).between[1]} : {on: on ?? rods[0]?.[0]};
@@ -556,7 +556,7 @@ class Board {
     if (one.kind === 'cylinder' || one.kind === 'spring') bar(one.a, one.b);
     if (one.kind === 'geneva') bar(one.wheel, one.driver);
     const bodies = drawing.bodies(), body = bodies[this.selected] ?? bodies[`${this.selected}_rod`];
-    if (body) row('mass [kg]', 'number', body.mass, put('mass'));
+    if (body) row('mass [kg]', 'number', (one.kind === 'cylinder' ? 2 : 1) * body.mass, put('mass'));
     if (one.kind === 'slider' || one.kind === 'rack') row('angle', 'angle', one.angle, put('angle'));
     if (one.kind === 'slider') row('with a block', 'check', one.block, put('block'));
     if (one.kind === 'gear') {

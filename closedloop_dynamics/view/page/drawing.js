@@ -149,10 +149,10 @@ class Drawing {
       } else if (one.kind === 'cylinder') {
         const ends = turned.has(name) ? [one.b, one.a] : [one.a, one.b];
         const [a, b] = ends.map((node) => this.place(node)), angle = angleOf(difference(b, a));
-        const half = 0.5 * Math.hypot(...difference(b, a));
-        found[`${name}_barrel`] = {...this.#bar(half, one.mass), at: a, angle, nodes: [ends[0]]};
-        found[`${name}_rod`] = {...this.#bar(half, one.mass), at: b, angle, nodes: [ends[1]]};
-        found[`${name}_rod`].center = [-0.5 * half, 0];
+        // Half of the mass each, as long as half of what is drawn.
+        const half = 0.5 * Math.hypot(...difference(b, a)), mass = 0.5 * (one.mass ?? 2 * BAR_DENSITY * half);
+        found[`${name}_barrel`] = {...this.#bar(half, mass), at: a, angle, nodes: [ends[0]], end: `${name}_foot`};
+        found[`${name}_rod`] = {...this.#bar(half, mass), at: b, angle, nodes: [ends[1]], end: `${name}_head`};
       } else if (one.kind === 'cam') {
         found[name] = disc(this.place(one.node), Math.max(...one.radii), [one.node], one.mass);
       } else if (one.kind === 'geneva') {
@@ -198,10 +198,15 @@ class Drawing {
   joints(bodies = this.bodies()) {
     const found = [], depth = this.#depths(bodies);
     for (const node of Object.keys(this.nodes)) {
-      const [first, ...others] = Object.keys(bodies).filter((body) => bodies[body].nodes.includes(node)).sort(
+      const here = Object.keys(bodies).filter((body) => bodies[body].nodes.includes(node)).sort(
         (one, other) => depth[one] - depth[other] || 0);
+      const whole = here.filter((body) => !bodies[body].end), [first, ...others] = whole;
       others.forEach((other, k) => found.push({
         name: k ? `${node}_${k + 1}` : node, type: 'revolute', node, between: [first, other], at: this.place(node)}));
+      for (const body of here.filter((one) => bodies[one].end)) {
+        found.push({name: bodies[body].end, type: 'revolute', node, between: [first ?? 'nothing', body],
+                    at: this.place(node), ofCylinder: true});
+      }
     }
     for (const [name, one] of this.of('slider', 'rack', 'cylinder')) {
       const [barrel, rod] = [`${name}_barrel`, `${name}_rod`];
@@ -210,9 +215,7 @@ class Drawing {
       found.push({
         name: one.kind === 'cylinder' ? name : `${name}_guide`, type: 'prismatic',
         between: depth[pair[1]] < depth[pair[0]] ? pair.reverse() : pair,
-        // A rod comes as far out of its cylinder as it is long.
-        at: one.kind === 'cylinder' ? bodies[barrel].at : bodies[name].at,
-        ...(one.kind === 'cylinder' ? {points: [[0, 0], [0, 0]]} : {})});
+        at: one.kind === 'cylinder' ? bodies[barrel].at : bodies[name].at, ofCylinder: one.kind === 'cylinder'});
     }
     return found;
   }
@@ -261,15 +264,14 @@ class Drawing {
     const actuated = new Set(motors.filter(([, {law}]) => law === 'torque').map(([, , joint]) => joint));
     const lines = ['mechanism:', `  name: ${this.name}`, '  bodies:'];
     for (const [name, {mass, center, inertia}] of Object.entries(bodies)) {
-      if (name !== GROUND_BODY) {
+      if (name !== GROUND_BODY && !bodies[name].end) {
         lines.push(`    ${name}: {mass: ${brief(mass)}, center_of_mass: ${pair(center)}, inertia: ${brief(inertia)}}`);
       }
     }
     lines.push('  joints:');
-    for (const {name, type, between: [a, b], at, points} of joints) {
-      const places = points ? points.map(pair) : [local(a, at), local(b, at)];
+    for (const {name, type, between: [a, b], at} of joints.filter((joint) => !joint.ofCylinder)) {
       const turned = type === 'prismatic' && a !== b ? bodies[b].angle - bodies[a].angle : 0;
-      lines.push(`    ${name}: {type: ${type}, between: [${a}, ${b}], points: [${places.join(', ')}]${
+      lines.push(`    ${name}: {type: ${type}, between: [${a}, ${b}], points: [${local(a, at)}, ${local(b, at)}]${
         Math.abs(turned) > 1e-12 ? `, angle: ${angle(turned)}` : ''}${actuated.has(name) ? ', actuated: true' : ''}}`);
     }
     const slots = this.of('slider').filter(([, {block}]) => !block);
@@ -278,6 +280,15 @@ class Drawing {
       const body = this.#bodyAt(node, bodies, on), at = this.place(node);
       lines.push(`    ${name}: {type: point_on_line, body_a: ${body}, point_a: ${local(body, at)}, body_b: ${on}, point_b: ${
         local(on, at)}, angle: ${angle(along - bodies[on].angle)}}`);
+    }
+    const cylinders = this.of('cylinder');
+    if (cylinders.length) lines.push('  cylinders:');
+    for (const [name] of cylinders) {
+      const ends = ['foot', 'head'].map((end) => joints.find((joint) => joint.name === `${name}_${end}`));
+      const {mass, center: [half]} = bodies[`${name}_barrel`];
+      lines.push(`    ${name}: {between: [${ends.map(({between}) => between[0]).join(', ')}], points: [${
+        ends.map(({between: [body], at}) => (body in bodies ? local(body, at) : pair(at))).join(', ')}], mass: ${
+        brief(2 * mass)}, length: ${length(2 * half)}${actuated.has(name) ? ', actuated: true' : ''}}`);
     }
     lines.push(...this.#couplings(bodies, joints, length));
     const [effects, points] = this.#effects(bodies, joints, motors);
@@ -291,10 +302,12 @@ class Drawing {
     if (points.size) lines.push('  points:');
     for (const [name, [body, at]] of traced) lines.push(`    ${name}: {body: ${body}, position: ${local(body, at)}}`);
     const places = joints.filter(({name, node}) => name === node).map(({node}) => node);
+    const ends = joints.filter(({name, node, ofCylinder}) => ofCylinder && node && !places.includes(node));
     places.push(...slots.map(([name]) => name), ...[...points.keys()].filter((name) => (
       name in this.nodes && !places.includes(name) && !slots.some(([, {node}]) => node === name))));
-    lines.push('initial:', `  at: {${places.map((name) => `${name}: ${
-      pair(this.place(name in this.nodes ? name : this.elements[name].node))}`).join(', ')}}`);
+    const starts = places.map((name) => [name, this.place(name in this.nodes ? name : this.elements[name].node)]);
+    starts.push(...ends.map(({name, at}) => [name, at]));
+    lines.push('initial:', `  at: {${starts.map(([name, place]) => `${name}: ${pair(place)}`).join(', ')}}`);
     const turns = this.of('geneva').flatMap(([name]) => [name, `${name}_driver`]).map((body) => [
       joints.find(({between}) => between[1] === body)?.name, bodies[body].angle]).filter(([name]) => name);
     if (turns.length) {

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Rods of variable length: cylinders, linear actuators, telescopic springs, each as one element.
+
+``lift: {between: [ground, boom], points: [[0, 0], [0.3, 0]], mass: 2, length: 0.4}`` of a
+mechanism in the plane stands for two uniform bars, ``lift_barrel`` and ``lift_rod``, that slide in
+one another by the joint ``lift``, whose coordinate is the distance of both pins, ``lift_foot`` on
+the first body and ``lift_head`` on the second.
+"""
+
+from .checks import boolean, listed, positive, vector2
+from .fields import at, FieldError, mapping, shown
+
+SECTION = 'cylinders'
+KEYS = ('between', 'points', 'mass', 'length'), ('actuated',)
+
+
+def with_cylinders(data, parameters, spatial):
+    """
+    Return the data of a mechanism with bodies and joints in the place of its cylinders.
+
+    ``parameters`` are those that its expressions may name, ``spatial`` whether it is in space,
+    where there are no cylinders; FieldError.
+    """
+    found = {key: value for key, value in data.items() if key != SECTION}
+    cylinders = data[SECTION] or {}
+    if spatial and cylinders:
+        raise FieldError('nothing: only a mechanism in the plane has cylinders as elements',
+                         shown(cylinders), 'write both bodies and their joints', (SECTION,))
+    for section in ('bodies', 'joints'):
+        found[section] = dict(mapping(found.get(section) or {}))
+    with at(SECTION):
+        for name, values in mapping(cylinders).items():
+            with at(name):
+                bodies, joints = _parts(name, mapping(values, *KEYS), parameters)
+            for section, parts in (('bodies', bodies), ('joints', joints)):
+                for part, record in parts.items():
+                    if part in found[section]:
+                        raise FieldError(f'a name that leaves {part} free in {section}',
+                                         shown(name), path=(name,))
+                    found[section][part] = record
+    return found
+
+
+def _parts(name, values, parameters):
+    """Return the bodies and the joints of a cylinder by name, as a file would have them."""
+    barrel, rod = f'{name}_barrel', f'{name}_rod'
+    with at('between'):
+        pair = listed(values['between'], 'a list of the names of 2 bodies')
+        if len(pair) != 2 or pair[0] == pair[1]:
+            raise FieldError('a list of the names of 2 different bodies', shown(pair))
+    with at('points'):
+        points = listed(parameters.evaluated(values['points']), 'a list of 2 places')
+        if len(points) != 2:
+            raise FieldError('a list of 2 places, in the frames of both bodies', shown(points))
+        places = []
+        for index, point in enumerate(points):
+            with at(index):
+                places.append(list(vector2(point)))
+    numbers = {}
+    for key in ('mass', 'length'):
+        with at(key):
+            numbers[key] = positive(parameters.evaluated(values[key]))
+    with at('actuated'):
+        actuated = boolean(values.get('actuated', False))
+    mass, length = 0.5 * numbers['mass'], numbers['length']
+    bar = {'mass': mass, 'inertia': mass * length ** 2 / 12.0}
+    pin = {'type': 'revolute', 'cut': False}
+    return {
+        barrel: {**bar, 'center_of_mass': [0.5 * length, 0.0]},
+        rod: {**bar, 'center_of_mass': [-0.5 * length, 0.0]}}, {
+        f'{name}_foot': {**pin, 'between': [pair[0], barrel], 'points': [places[0], [0.0, 0.0]]},
+        name: {'type': 'prismatic', 'between': [barrel, rod], 'points': [[0.0, 0.0], [0.0, 0.0]],
+               'cut': False, 'actuated': actuated},
+        f'{name}_head': {**pin, 'between': [pair[1], rod], 'points': [places[1], [0.0, 0.0]],
+                         'cut': True}}
