@@ -133,6 +133,14 @@ class MechanismVectorEnv(VectorEnv):
         return self._period
 
     @property
+    def observation_names(self):
+        """Return what the columns of observations are, by joint: tuple of str."""
+        names = self._model.coordinates
+        return tuple(columns[place] for kind, places in zip(
+            ('position', 'velocity'), self._places)
+            for columns in [names.columns(kind)] for place in places)
+
+    @property
     def states(self):
         """Where all sub-environments are, a ``State``."""
         return self._states
@@ -311,6 +319,11 @@ class MechanismEnv(Env):
     def period(self):
         """Time from one action to the next [s]."""
         return self._one.period
+
+    @property
+    def observation_names(self):
+        """Return what the numbers of observations are, by joint: tuple of str."""
+        return self._one.observation_names
 
     @property
     def state(self):

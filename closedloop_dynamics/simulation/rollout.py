@@ -16,12 +16,13 @@ from .errors import SimulationError
 from .key_paths import changed, resolve
 from .named_array import by_shapes, reals
 from .rollout_run import (
-    checked_quantities, FEWEST, fits_simd, InitialState, MOST, nothing, record, record_all,
-    SimdRuns, starts_as_given, STATE, TimeGrid)
+    checked_quantities, FEWEST, finding_of, fits_simd, InitialState, MOST, nothing, record,
+    record_all, SimdRuns, starts_as_given, STATE, TimeGrid)
 from .scene_records import require_no_budget
+from ..integration.control import DONE
 from ..integration.stop_flag import StopFlag
 
-# Runs that are made in one call, at most.
+# Runs, or vectors of them, that are made in one call, at most.
 MOST_AT_ONCE = 64
 
 
@@ -199,35 +200,66 @@ class _BatchRunner:
     def portions(self, threads):
         """Return the numbers of all samples, those together that may be run together."""
         count, size = self._given.samples, 1
-        if self._fits_simd:
-            size = MOST
-        elif self._again:
+        if self._again:
             # Two for each thread, as some take longer.
-            size = max(1, min(MOST_AT_ONCE, -(-count // (2 * threads if threads > 1 else 1))))
+            most = MOST_AT_ONCE * (MOST if self._fits_simd else 1)
+            size = max(1, min(most, -(-count // (2 * threads if threads > 1 else 1))))
+        if self._fits_simd:
+            size = MOST * -(-size // MOST)
         return [range(first, min(first + size, count)) for first in range(0, count, size)]
 
     def run(self, samples, results):
         """Return for each of some samples its number, results and why it ended early or None."""
-        done = {}
-        if self._fits_simd and len(samples) >= FEWEST:
-            done = self._in_lanes(samples, results)
-        if not done and len(samples) > 1 and self._again:
-            done = self._in_batch(samples)
-        for sample in samples:
-            record = done.get(sample)
-            yield sample, self._singly(sample) if record is None else self._result(record)
+        alike = self._in_whole_vectors(samples, results)
+        yield from alike.items()
+        samples = [sample for sample in samples if sample not in alike]
+        starts = self._starts(samples) if self._fits_simd and len(samples) >= FEWEST else {}
+        size = MOST if starts else max(1, len(samples))
+        groups = [samples[first:first + size] for first in range(0, len(samples), size)]
+        # All in lanes before any other, which would move the simulation that they share.
+        in_lanes = [self._in_lanes(group, results, {
+            sample: starts[sample] for sample in group if sample in starts})
+            for group in groups if starts] or len(groups) * [{}]
+        for group, done in zip(groups, in_lanes):
+            if not done and len(group) > 1 and self._again:
+                done = self._in_batch(group)
+            for sample in group:
+                record = done.get(sample)
+                yield sample, self._singly(sample) if record is None else self._result(record)
 
-    def _in_lanes(self, samples, results):
+    def _in_whole_vectors(self, samples, results):
+        """Make samples in vectors of as many, straight into the results; findings by number."""
+        given, count = self._given, len(samples) // MOST * MOST
+        if not (self._fits_simd and self._again and count and set(results) == set(STATE)):
+            return {}
+        begun = self._states_alike(samples[:count])
+        if begun is None or not fits_simd(begun[0], self._schedule):
+            return {}
+        simulation, states, fine = begun
+        part = slice(samples[0], samples[0] + count)
+        torques = given.torques[part] if given.torques.ndim == 3 else np.broadcast_to(
+            given.torques, (count, *given.torques.shape))
+        states, torques, *room = (one.reshape(-1, MOST, *one.shape[1:]) for one in (
+            states, torques, *(results[name][part] for name in STATE)))
+        groups = np.flatnonzero(np.asarray(fine).reshape(-1, MOST).all(axis=1))
+        ended, found = self._together().record_alike(simulation, states, torques, room, groups)
+        return {int(samples[place]): ({}, finding_of(simulation, energy))
+                for place, energy in zip(np.flatnonzero(ended == DONE), found[ended == DONE])}
+
+    def _in_lanes(self, samples, results, starts):
         """Return records of samples run in the lanes of a vector, by number; none where not."""
-        starts = self._starts(samples)
         # One simulation may make all of them.
         simulations = {id(start.simulation): start.simulation for start in starts.values()}
         if not starts or not all(
                 fits_simd(one, self._schedule) for one in simulations.values()):
             return {}
+        if self._again:
+            # Readings of the group before have moved it.
+            self._simulation(samples[0])
         together = self._together()
         room = None
-        if len(starts) == MOST and all(name in results for name in STATE):
+        if len(starts) == MOST == samples[-1] - samples[0] + 1 and all(
+                name in results for name in STATE):
             room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
         return dict(zip(starts, together.record(list(starts.values()), room) or ()))
 
@@ -255,26 +287,34 @@ class _BatchRunner:
 
     def _starts_alike(self, samples):
         """Return starts of this thread's simulation that need no assembly, by number."""
-        given, states = self._given, None
-        if self._moved and (self._hold or given.position is None):
+        begun = self._states_alike(samples)
+        if begun is None:
             return {}
+        simulation, states, fine = begun
+        return {sample: InitialState(simulation, state, self._given.torques_of(sample))
+                for sample, state, good in zip(samples, states, fine) if good}
+
+    def _states_alike(self, samples):
+        """Return this thread's simulation, states to start from, and which need no assembly."""
+        given = self._given
+        if self._moved and (self._hold or given.position is None):
+            return None
         try:
             simulation = self._start(samples[0]).simulation if not self._moved else (
                 self._simulation(samples[0]))
         except (SimulationError, ValueError):
             # Run alone, they will say why.
-            return {}
-        if self._moved:
-            positions, velocities = (np.array(each) for each in zip(*map(
-                given.state_of, samples)))
-            if given.velocity is None:
-                velocities = np.zeros((len(samples), simulation.coordinates.nv))
-            states, fine = starts_as_given(simulation, positions, velocities)
-        else:
-            states = [simulation.data.integrated.copy()] * len(samples)
-            fine = [True] * len(samples)
-        return {sample: InitialState(simulation, state, given.torques_of(sample))
-                for sample, state, good in zip(samples, states, fine) if good}
+            return None
+        if not self._moved:
+            states = np.tile(simulation.data.integrated, (len(samples), 1))
+            return simulation, states, np.ones(len(samples), dtype=bool)
+        places = np.array(samples)
+        positions, velocities = (
+            None if each is None else np.array(np.broadcast_to(each, (len(places), each.size)))
+            if each.ndim == 1 else each[places] for each in (given.position, given.velocity))
+        if velocities is None:
+            velocities = np.zeros((len(samples), simulation.coordinates.nv))
+        return simulation, *starts_as_given(simulation, positions, velocities)
 
     def _result(self, record):
         return record.values, record.failure

@@ -22,7 +22,7 @@ from .guards import (
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, find_energies, fits, Lane
-from ..integration.control import DONE, INTERRUPTED
+from ..integration.control import DONE, INTERRUPTED, NOT_FINITE
 from ..integration.recorded_run import (
     allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
 from ..integration.registry import EXPLICIT, FIXED, INTEGRATORS, STABILISATIONS
@@ -205,11 +205,11 @@ def record_all(simulation, torques, schedule, quantities, starts=None):
     for k in np.flatnonzero(status == DONE).tolist():
         records[admissible[k]] = RunResult(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
-            _finding(simulation, found[k]))
+            finding_of(simulation, found[k]))
     return records
 
 
-def _finding(simulation, found):
+def finding_of(simulation, found):
     """Return the error of a run's energy balance in words; None where it holds."""
     if found[SHARE] <= ENERGY_WARN:
         return None
@@ -368,9 +368,7 @@ class SimdRuns:
         if pack is None:
             return None
         steps = schedule.steps(first.step_size)
-        *calls, _ = schedule.in_steps(steps)
-        if first.stepping.run.watch.call <= min(calls) <= OFTEN:
-            find_energies(pack, first.data.system)
+        self._prepare(pack, first)
         torques = np.array(filled([start.torques for start in starts]))
         if np.abs(torques).max(initial=0.0) > USUAL_TORQUE:
             return None
@@ -395,8 +393,64 @@ class SimdRuns:
             return None
         return [None if how != DONE else RunResult(
             _values_of_motion(start.simulation, one, schedule, steps, self.quantities, *motion),
-            _finding(start.simulation, energy))
+            finding_of(start.simulation, energy))
             for start, one, how, energy, *motion in zip(starts, torques, ended, found, *room)]
+
+    def record_alike(self, simulation, states, torques, room, some):
+        """
+        Make runs of one simulation, in whole vectors, of positions and velocities alone.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            With ``fits_simd``.
+        states : ndarray, shape (groups, MOST, ns)
+            Where they begin.
+        torques : ndarray, shape (groups, MOST, rows, number of actuated joints)
+            [N m or N].
+        room : tuple of 2 ndarrays, shapes (groups, MOST, instants, nq), (..., nv)
+            Where positions and velocities go.
+        some : ndarray of int
+            Groups that are to be made.
+
+        Returns
+        -------
+        ended : ndarray of int, shape (groups, MOST)
+            Statuses; what is not DONE is to be made otherwise.
+        found : ndarray, shape (groups, MOST, 4)
+            Energy balances.
+
+        """
+        data, schedule, groups = simulation.data, self.schedule, len(states)
+        ended = np.full((groups, MOST), NOT_FINITE)
+        found = np.zeros((groups, MOST, 4))
+        pack = self._pack_of([data.system] * MOST)
+        if pack is None:
+            return ended, found
+        self._prepare(pack, simulation)
+        efforts = np.zeros((groups, torques.shape[2], len(simulation.torque_names), MOST))
+        efforts[:, :, data.actuated] = np.moveaxis(torques, 1, -1)
+        begun = np.ascontiguousarray(np.moveaxis(states, 1, -1)).reshape(groups, -1)
+        lane = Lane(data.system.native, simulation.stepping.run.native)
+        arguments = tuple(pack)[:-1], (lane,) * MOST
+        lengths = schedule.in_steps(schedule.steps(simulation.step_size))
+        usual = np.abs(torques).max(axis=(1, 2, 3), initial=0.0) <= USUAL_TORQUE
+        for number in some[usual[some]]:
+            status = native.run_batch(
+                *arguments, begun[number], efforts[number].reshape(len(efforts[number]), -1),
+                *lengths, *(one[number] for one in room), ended[number], found[number])
+            if status == INTERRUPTED:
+                # Another thread was.
+                raise KeyboardInterrupt
+            if status != DONE:
+                ended[number] = status
+        return ended, found
+
+    def _prepare(self, pack, simulation):
+        """Have the energies of all lanes found together where they are asked for often."""
+        *calls, _ = self.schedule.in_steps(self.schedule.steps(simulation.step_size))
+        if simulation.stepping.run.watch.call <= min(calls) <= OFTEN:
+            find_energies(pack, simulation.data.system)
 
     def _pack_of(self, systems):
         """Return a pack of systems, the last one where they are still the same."""

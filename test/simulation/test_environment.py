@@ -37,6 +37,19 @@ def torques(count, seed=0):
     return np.random.default_rng(seed).uniform(-4.0, 4.0, (count, 3)).astype(np.float32)
 
 
+@pytest.mark.parametrize('observed', (None, ('theta_7', 'theta_1')))
+def test_observations_are_named(model, observed):
+    single = environment.MechanismEnv(model, **settings(model, observed=observed))
+    single.reset(seed=3)
+    seen, *_ = single.step(torques(1)[0])
+    names = observed or model.joint_names
+    by_name = dict(zip(single.observation_names, seen))
+    assert len(by_name) == len(seen) == 2 * len(names)
+    for name in names:
+        assert by_name[f'position.{name}'] == single.state.position[name]
+        assert by_name[f'velocity.{name}'] == single.state.velocity[name]
+
+
 def test_gymnasium_finds_nothing_wrong(model):
     from gymnasium.utils.env_checker import check_env
     gymnasium.register('closedloop/Reach-v0', lambda: environment.MechanismEnv(
