@@ -105,7 +105,7 @@ bool find_beside(BranchEquations & equations, const BranchPoint & point, double 
       return false;
     }
     equations.count_moving(part);
-    equations.follow(part, point.q, point.rate, point.bend);
+    equations.follow(part, point.q, point.rate, point.path_acceleration);
     equations.add_tangents(part, point.tangent, 1.0);
   }
   return true;
@@ -152,7 +152,7 @@ bool find_through(
   for (const Component & part : equations.components) {
     if (part.pivot > REGULAR) {
       equations.factor(part);
-      equations.bend(part, point.bend);
+      equations.find_path_acceleration(part, point.path_acceleration);
       equations.add_tangents(part, point.tangent, 1.0);
     }
   }
@@ -179,7 +179,7 @@ double choose_dependent(BranchEquations & equations, Values q, Values qd)
 /// there are none, at the branch beside it. Beside it rounding is divided three times by the
 /// smallest singular value, which is several times as large at those places.
 bool accelerate_by_factors(
-  BranchEquations & equations, Values q, Values qd, Table added, double pivot, Wanted wanted)
+  BranchEquations & equations, Values q, Values qd, Table added, double pivot, Outputs outputs)
 {
   const System & system = equations.system;
   Scratch<double, ROOM> scratch(q.size + qd.size * (2 + qd.size));
@@ -189,10 +189,10 @@ bool accelerate_by_factors(
   const auto begin = [&]() {
       copy(q, point.q);
       copy(qd, point.rate);
-      point.bend.fill(0.0);
+      point.path_acceleration.fill(0.0);
       point.tangent.fill(0.0);
     };
-  const bool multipliers = wanted >= Wanted::FORCES;
+  const bool multipliers = outputs >= Outputs::FORCES;
   begin();
   // Driven motions are elsewhere at other places.
   const bool driven = system.has_effects() && system.effects.motions.rows > 0;
@@ -210,7 +210,7 @@ bool accelerate_by_factors(
 }  // namespace
 
 bool accelerate_on_branch(
-  const System & system, Values q, Values qd, bool singular, Wanted wanted)
+  const System & system, Values q, Values qd, bool singular, Outputs outputs)
 {
   const Workspace & work = system.work;
   const Values & health = work.health;
@@ -246,13 +246,13 @@ bool accelerate_on_branch(
   }
   if (!(beside ? accelerate_by_loops(
       system, scratch.copy_of(q), scratch.copy_of(qd), added, pivot) :
-    accelerate_by_factors(equations, q, qd, added, pivot, wanted)))
+    accelerate_by_factors(equations, q, qd, added, pivot, outputs)))
   {
     return false;
   }
   health[health::RANK_REVEALING_COUNT] += 1.0;
   health[health::SINGULAR_COUNT] += 1.0;
-  if (wanted == Wanted::POSES) {
+  if (outputs == Outputs::POSES) {
     place_bodies(system, q, qd);
     add_forces(work, added);
     update(system.model, work, Responses::NONE);

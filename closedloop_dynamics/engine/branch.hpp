@@ -19,7 +19,7 @@ namespace closedloop
 /// `accelerate_refined` has found a small pivot of the geometry; otherwise false where there are many
 /// equations, or where a generated routine does not show them to be nearly dependent. False where they may be dependent
 /// everywhere, too: use `accelerate_rank_revealing` then.
-bool accelerate_on_branch(const System &, Values q, Values qd, bool singular, Wanted);
+bool accelerate_on_branch(const System &, Values q, Values qd, bool singular, Outputs);
 
 }  // namespace closedloop
 

@@ -283,7 +283,8 @@ bool BranchEquations::settle(const Component & part, Values q, Values rates)
   }
 }
 
-void BranchEquations::follow(const Component & part, Values q, Values rates, Values bends)
+void BranchEquations::follow(
+  const Component & part, Values q, Values rates, Values path_acceleration)
 {
   for (Index i = 0; i < part.rows; ++i) {
     double & total = right[row(part, i)];
@@ -294,10 +295,10 @@ void BranchEquations::follow(const Component & part, Values q, Values rates, Val
   }
   solve(part, rates);
   evaluate(q, rates);
-  bend(part, bends);
+  find_path_acceleration(part, path_acceleration);
 }
 
-void BranchEquations::bend(const Component & part, Values out)
+void BranchEquations::find_path_acceleration(const Component & part, Values out)
 {
   for (Index i = 0; i < part.rows; ++i) {
     right[row(part, i)] = -bias[row(part, i)];

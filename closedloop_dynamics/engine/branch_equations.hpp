@@ -30,7 +30,7 @@ struct Component
 struct BranchPoint
 {
   Values q, rate;
-  Values bend;  ///< Accelerations while independent coordinates go on evenly, shape (nv,)
+  Values path_acceleration;  ///< While independent coordinates go on evenly, shape (nv,)
   /// Derivatives of all coordinates by each independent one, shape (nv, nv): a row each.
   Table tangent;
 };
@@ -72,9 +72,9 @@ public:
   bool settle(const Component &, Values q, Values rates);
   /// Rates and accelerations of the dependent coordinates at the latest place, factored, from the
   /// rates of the independent ones; evaluates the equations with these rates.
-  void follow(const Component &, Values q, Values rates, Values bends);
+  void follow(const Component &, Values q, Values rates, Values path_acceleration);
   /// Accelerations of the dependent coordinates that keep the loops closed.
-  void bend(const Component &, Values out);
+  void find_path_acceleration(const Component &, Values out);
   /// Add a share of the derivatives of the dependent coordinates by the independent ones.
   void add_tangents(const Component &, Table out, double share);
 

@@ -24,7 +24,7 @@ constexpr Index NUMBERS = 1024, COUNTS = 64;
 /// as other forces would take infinite ones; and into the first rows of a table multipliers without
 /// any joint force. Return the rank of the equations.
 Index find_some_multipliers(
-  BranchEquations & equations, const Component & part, Values force, Table unfelt)
+  BranchEquations & equations, const Component & part, Values force, Table null_multipliers)
 {
   const Values & lam = equations.system.lam, & scale = equations.row_scale;
   Scratch<Index, COUNTS> counts(part.rows + part.columns);
@@ -34,7 +34,9 @@ Index find_some_multipliers(
   for (Index & each : order) {
     each = equations.row(part, each);
   }
-  fill_unfelt(factor, order, rank, {unfelt.data, part.rows - rank, unfelt.columns});
+  fill_null_multipliers(
+    factor, order, rank,
+    {null_multipliers.data, part.rows - rank, null_multipliers.columns});
   Scratch<double, NUMBERS> scratch(rank * (rank + 1) + part.columns);
   const Table products = scratch.take(rank, rank);
   const Values share = scratch.take(rank), wanted = scratch.take(part.columns);
@@ -60,7 +62,7 @@ Index find_some_multipliers(
     const Index i = order[k];
     lam[i] = k < rank ? share[k] * scale[i] : 0.0;
     for (Index n = 0; n < part.rows - rank; ++n) {
-      unfelt(n, i) *= scale[i];
+      null_multipliers(n, i) *= scale[i];
     }
   }
   return rank;
@@ -74,7 +76,7 @@ Index find_multipliers(BranchEquations & equations, Values force)
   const Model & model = system.model;
   const Workspace & work = system.work;
   Scratch<double, NUMBERS> scratch(equations.nc * equations.nc);
-  const Table unfelt = scratch.take(equations.nc, equations.nc);
+  const Table null_multipliers = scratch.take(equations.nc, equations.nc);
   Index rank = 0, idle = 0;
   for (const Component & part : equations.components) {
     if (part.pivot > 0.0) {
@@ -84,7 +86,8 @@ Index find_multipliers(BranchEquations & equations, Values force)
       equations.solve_transposed(part, force, system.lam);
       rank += part.rows;
     } else {
-      const Index found = find_some_multipliers(equations, part, force, unfelt.from(idle));
+      const Index found = find_some_multipliers(
+        equations, part, force, null_multipliers.from(idle));
       rank += found;
       idle += part.rows - found;
     }
@@ -97,7 +100,8 @@ Index find_multipliers(BranchEquations & equations, Values force)
       joint_wrenches(model, work, system.qdd, system.lam, work.force);
     }
     minimise_joint_wrenches(
-      system, joints, model, work, {unfelt.data, idle, equations.nc}, work.force, system.lam);
+      system, joints, model, work, {null_multipliers.data, idle, equations.nc}, work.force,
+      system.lam);
   }
   return rank;
 }
@@ -131,7 +135,7 @@ bool accelerate_along(
   place_bodies(system, point.q, point.rate);
   add_forces(work, added);
   generalized_inertia_matrix(model, work, gim);
-  tree_torque(model, work, point.bend, force);
+  tree_torque(model, work, point.path_acceleration, force);
   for (Index i = 0; i < nv; ++i) {
     force[i] -= system.applied[i];
   }
@@ -159,7 +163,7 @@ bool accelerate_along(
     return false;
   }
   solve_positive(inertia, push);
-  copy(point.bend, system.qdd);
+  copy(point.path_acceleration, system.qdd);
   for (Index k = 0; k < freedoms; ++k) {
     const Values tangent = point.tangent[independent[k]];
     for (Index i = 0; i < nv; ++i) {

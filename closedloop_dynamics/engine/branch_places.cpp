@@ -229,14 +229,15 @@ private:
     double fastest = 0.0, sharpest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
       const Index j = equations_.column(part, k);
-      double place = 0.0, rate = 0.0, bend = 0.0, fewer = 0.0;
+      double place = 0.0, rate = 0.0, second = 0.0, fewer = 0.0;
       for (Index n = 0; n < count_; ++n) {
         const double along = rates_(n, j), across = bends_(n, j);
         const double value = sloped ? VALUE_BY_SLOPES[n] : VALUE[n];
         const double slope = sloped ? SLOPE_FOR_VALUE[n] : 0.0;
         place += whole ? value * (places_(n, j) - q_[j]) + slope * along : 0.0;
         rate += value * along + slope * across;
-        bend += sloped ? VALUE_FOR_SLOPE[n] * along + SLOPE_BY_VALUES[n] * across : value * across;
+        second += sloped ? VALUE_FOR_SLOPE[n] * along + SLOPE_BY_VALUES[n] * across :
+          value * across;
         fewer += sloped ? FEWER_FOR_SLOPE[n] * along + FEWER_SLOPES[n] * across :
           FEWER_VALUES[n] * across;
         fastest = std::max(fastest, std::abs(along) / equations_.column_scale[j]);
@@ -245,9 +246,9 @@ private:
       longest = std::max(longest, 1.0 / equations_.column_scale[j]);
       point_.q[j] += place;
       point_.rate[j] = rate / step_;
-      point_.bend[j] = bend / (step_ * step_);
+      point_.path_acceleration[j] = second / (step_ * step_);
       change_[j] = place;
-      other_[j] = fewer - bend;
+      other_[j] = fewer - second;
       slower_[j] = rate - step_ * qd_[j];
     }
     return most(part, change_) <= BESIDE * fastest && most(part, slower_) <= OTHER_RATE * fastest &&

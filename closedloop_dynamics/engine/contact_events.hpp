@@ -88,7 +88,7 @@ public:
   /// Store the gaps of the evaluation at the start.
   void begin() const;
 
-  /// Whether the step to `out`, `size` long [s], passes a contact unfelt; its row is stored in
+  /// Whether the step to `out`, `size` long [s], misses a contact; its row is stored in
   /// Contacts.search. `state_at(share)` returns a state between.
   template<class StateAt>
   bool is_passed(Values out, double size, StateAt && state_at) const

@@ -137,7 +137,7 @@ bool has(const EffectTable & effects, Index row, const Needs & needs, bool plana
 }
 }  // namespace
 
-Sticking::Sticking(Index effects, Index most, Index width)
+StaticFriction::StaticFriction(Index effects, Index most, Index width)
 : rows(most + 1), hold(effects), response(most + 1, width), matrix(most, most), right(most),
   bound(most), move(most), factor(most, most), free(most), share(most), impulse(most) {}
 
@@ -206,7 +206,7 @@ EffectTable::EffectTable(
     each->is_constant = true;
   }
   values.is_constant = data.is_constant = true;
-  sticking = Sticking(
+  sticking = StaticFriction(
     count, sum_over(elements, [](const EffectElement & each) {return sticks(each.role) ? 1 : 0;}),
     applied.size + all.equations());
   cuts = CutCoordinates(model, cut_index, cut_values, own);

@@ -82,7 +82,7 @@ enum : Index
 }
 
 /// Joints stuck under dry friction in the latest evaluation, their holding forces; inertia.
-struct Sticking
+struct StaticFriction
 {
   /// Shape (nf + 1,): how many joints and tendons stick, and the rows of their effects; nf effects
   /// may stick. Reflected inertia always does so: its force, too, follows from accelerations.
@@ -105,9 +105,9 @@ struct Sticking
   Array<Values> share;
   Array<Values> impulse;
 
-  Sticking() = default;
+  StaticFriction() = default;
   /// `most`: nf; `width`: of a response.
-  Sticking(Index effects, Index most, Index width);
+  StaticFriction(Index effects, Index most, Index width);
 
   CLOSEDLOOP_ARRAYS(
     rows, hold, response, matrix, right, bound, move, factor, free, share, impulse)
@@ -244,7 +244,7 @@ struct EffectTable
   Array<Table> reaction;
   /// Numbers of all effects.
   Array<Values> data;
-  Sticking sticking;
+  StaticFriction sticking;
   Contacts contacts;
   /// Model.cut_point, whose rows the prescribed motions are set in; of no length where there are
   /// none.

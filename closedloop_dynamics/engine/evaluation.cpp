@@ -90,11 +90,11 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
 }
 
 /// Accelerations next to a singular position, or with equations that depend on others.
-void accelerate_near_singular(const System & system, Values q, Values qd, Wanted wanted)
+void accelerate_near_singular(const System & system, Values q, Values qd, Outputs outputs)
 {
   const double pivot = system.work.health[health::SMALLEST_PIVOT];
   if (good(system.model, pivot, POOR_PIVOT) ||
-    !accelerate_on_branch(system, q, qd, true, wanted))
+    !accelerate_on_branch(system, q, qd, true, outputs))
   {
     accelerate_with_all_equations(system, q, qd);
   }
@@ -115,7 +115,7 @@ Factors accelerate_by_loops(const System & system, Values q, Values qd)
   {
     return Factors::REFINED;
   }
-  accelerate_near_singular(system, q, qd, Wanted::POSES);
+  accelerate_near_singular(system, q, qd, Outputs::POSES);
   return Factors::NONE;
 }
 
@@ -129,13 +129,13 @@ void restore_forces(const System & system, Values q, Values qd)
 }
 
 /// Accelerations where the elimination alone does not suffice: by refinement or decompositions.
-void accelerate_beyond_elimination(const System & system, Values q, Values qd, Wanted wanted)
+void accelerate_beyond_elimination(const System & system, Values q, Values qd, Outputs outputs)
 {
   if (system.table[routine::REFINED_ACCELERATION] != 0) {
     if (call(system.table, routine::REFINED_ACCELERATION, q, qd)) {
       return;
     }
-  } else if (accelerate_on_branch(system, q, qd, false, wanted)) {
+  } else if (accelerate_on_branch(system, q, qd, false, outputs)) {
     restore_forces(system, q, qd);
     return;
   } else {
@@ -148,7 +148,7 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd, W
       return;
     }
   }
-  accelerate_near_singular(system, q, qd, wanted);
+  accelerate_near_singular(system, q, qd, outputs);
   restore_forces(system, q, qd);
 }
 
@@ -319,7 +319,7 @@ Factors evaluate_in_parts(const System & system, Values q, Values qd)
   if (call(system.table, routine::ACCELERATION, q, qd)) {
     written = system.has_cut_coordinates() ? 0.0 : 1.0;
   } else {
-    accelerate_beyond_elimination(system, q, qd, Wanted::POSES);
+    accelerate_beyond_elimination(system, q, qd, Outputs::POSES);
   }
   return Factors::NONE;
 }
@@ -358,8 +358,8 @@ bool is_regular(const System & system, Values q, Values qd)
   return call(system.table, routine::ACCELERATION, q, qd);
 }
 
-/// As `evaluate_state`, for what is wanted of it; with effects, all.
-static void evaluate_for(const System & system, Values state, Wanted wanted)
+/// As `evaluate_state`, for the outputs asked for; with effects, all.
+static void evaluate_for(const System & system, Values state, Outputs outputs)
 {
   const Values q = system.q(state), qd = system.qd(state);
   system.work.health[health::WRITTEN] = 0.0;
@@ -377,35 +377,35 @@ static void evaluate_for(const System & system, Values state, Wanted wanted)
     if (system.table[routine::REFINED_ACCELERATION] != 0) {
       call(system.table, routine::OUTWARD, q, qd);
     }
-    accelerate_beyond_elimination(system, q, qd, wanted);
+    accelerate_beyond_elimination(system, q, qd, outputs);
   }
 }
 
 void evaluate_state(const System & system, Values state)
 {
-  evaluate_for(system, state, Wanted::FORCES);
+  evaluate_for(system, state, Outputs::FORCES);
 }
 
 void evaluate_again(const System & system, Values state, Index count)
 {
   Interrupt interrupt(system.interrupted, system.nv());
   for (Index n = 0; n < count && !interrupt.after(1); ++n) {
-    evaluate_for(system, state, Wanted::MOTION);
+    evaluate_for(system, state, Outputs::MOTION);
     for (Index i = 0; i < system.nv(); ++i) {
       state[i] += 0.0 * system.qdd[i];
     }
   }
 }
 
-/// As `derivative`, for what is wanted of the evaluation.
-static void derivative_for(const System & system, Values state, Values out, Wanted wanted)
+/// As `derivative`, for the outputs asked for.
+static void derivative_for(const System & system, Values state, Values out, Outputs outputs)
 {
   if (system.is_independent()) {
     close_by_dependent(
       system.model, system.work, system.partition, system.manifold, system.q(state),
       system.qd(state), system.settings->closure_tolerance, false);
   }
-  evaluate_for(system, state, wanted);
+  evaluate_for(system, state, outputs);
   rates_of_coordinates(system.manifold, state, system.nv(), out);
   copy(system.qdd, out.part(system.nq(), system.nv()));
   if (system.has_effects()) {
@@ -416,12 +416,12 @@ static void derivative_for(const System & system, Values state, Values out, Want
 
 void derivative(const System & system, Values state, Values out)
 {
-  derivative_for(system, state, out, Wanted::MOTION);
+  derivative_for(system, state, out, Outputs::MOTION);
 }
 
 void derivative_with_multipliers(const System & system, Values state, Values out)
 {
-  derivative_for(system, state, out, Wanted::FORCES);
+  derivative_for(system, state, out, Outputs::FORCES);
 }
 
 void rates_with_cuts(const System & system, Values state, Values out)

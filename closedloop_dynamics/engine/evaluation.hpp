@@ -13,7 +13,7 @@ namespace closedloop
 
 /// The results of an evaluation that are read, each with those before: accelerations; multipliers;
 /// poses and closure errors.
-enum class Wanted {MOTION, FORCES, POSES};
+enum class Outputs {MOTION, FORCES, POSES};
 
 /// Accelerations and multipliers of a state into System.qdd and System.lam; System.work then has
 /// poses, velocities and closure errors. Effects' states are read from System.effects.

@@ -35,7 +35,7 @@ double time_to_corner(const System & system, Values state)
     system.effects, state.from(system.own())) : std::numeric_limits<double>::infinity();
 }
 
-bool Parts::shorten(const System & system, Values state, Values out)
+bool StepSplit::shorten(const System & system, Values state, Values out)
 {
   const double part =
     locate_stick_event(system, state, out, size, least_part(whole, cuts));
@@ -47,7 +47,7 @@ bool Parts::shorten(const System & system, Values state, Values out)
   return true;
 }
 
-void Parts::accept(const System & system, Values state, Values out)
+void StepSplit::accept(const System & system, Values state, Values out)
 {
   update_friction_modes(system, out);
   if (system.has_effects()) {

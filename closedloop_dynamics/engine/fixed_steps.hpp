@@ -30,14 +30,14 @@ void interpolate_parabola(
   Values between);
 
 /// A step made in parts, as joints come to rest or forces have corners within it.
-struct Parts
+struct StepSplit
 {
   double whole;  ///< Size of the step [s]
   double left;  ///< Remaining part [s]
   double size;  ///< The next part [s]
   int cuts = 0;
 
-  explicit Parts(double step_size)
+  explicit StepSplit(double step_size)
   : whole(step_size), left(step_size), size(step_size) {}
 
   /// Find whether the part from `state` to `out` must be shorter as a joint turns round within it.
@@ -67,16 +67,16 @@ std::pair<Status, Index> make_steps_in_parts(
   const auto [slope, out, start, between] = scratch;
   Interrupt interrupt(system.interrupted, system.nv());
   for (Index done = 0; done < steps; ++done) {
-    Parts parts(step_size);
+    StepSplit split(step_size);
     copy(state, start);
     // Once, but where a joint under dry friction comes to rest within the step, or a force over
     // time has a corner.
-    while (parts.left > 0.0) {
-      parts.size = std::min(parts.size, time_to_corner(system, state));
+    while (split.left > 0.0) {
+      split.size = std::min(split.size, time_to_corner(system, state));
       const ContactGuard contacts(system);
       derivative(system, state, slope);
       contacts.begin();
-      if (!attempt(parts.size, interrupt)) {
+      if (!attempt(split.size, interrupt)) {
         copy(start, state);
         return {Status::INTERRUPTED, done};
       }
@@ -87,11 +87,11 @@ std::pair<Status, Index> make_steps_in_parts(
         failure = stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE;
       } else if (!equations_suffice(system, stabilisation, out)) {
         failure = Status::POOR_EQUATIONS;
-      } else if (parts.shorten(system, state, out)) {
+      } else if (split.shorten(system, state, out)) {
         continue;
       } else if (contacts.is_passed(
-          out, parts.size, [&, slope = slope, out = out, between = between](double share) {
-            interpolate_parabola(system, state, slope, out, parts.size, share, between);
+          out, split.size, [&, slope = slope, out = out, between = between](double share) {
+            interpolate_parabola(system, state, slope, out, split.size, share, between);
             return between;
           }))
       {
@@ -101,7 +101,7 @@ std::pair<Status, Index> make_steps_in_parts(
         copy(start, state);
         return {failure, done};
       }
-      parts.accept(system, state, out);
+      split.accept(system, state, out);
     }
   }
   return {Status::DONE, steps};

@@ -115,7 +115,7 @@ void spread_multipliers(const System & system, Values lam)
   }
 }
 
-void fill_unfelt(Table factor, Indices order, Index rank, Table out)
+void fill_null_multipliers(Table factor, Indices order, Index rank, Table out)
 {
   out.fill(0.0);
   for (Index n = 0; n < out.rows; ++n) {
@@ -149,16 +149,16 @@ void minimise_joint_wrenches(
   copy(jac.all(), factor.all());
   const Index rank = std::min(
     independent, factorize_fully(factor, order, counts.take(jac.columns), REPEATED));
-  const Table unfelt = scratch.take(nc - rank, nc);
-  fill_unfelt(factor, order, rank, unfelt);
-  minimise_joint_wrenches(system, system.joints, model, work, unfelt, wrench, lam);
+  const Table null_multipliers = scratch.take(nc - rank, nc);
+  fill_null_multipliers(factor, order, rank, null_multipliers);
+  minimise_joint_wrenches(system, system.joints, model, work, null_multipliers, wrench, lam);
 }
 
 void minimise_joint_wrenches(
   const System & system, const JointPlaces & joints, const Model & model, const Workspace & work,
-  Table unfelt, Table wrench, Values lam)
+  Table null_multipliers, Table wrench, Values lam)
 {
-  const Index idle = unfelt.rows, nc = unfelt.columns, size = work.size();
+  const Index idle = null_multipliers.rows, nc = null_multipliers.columns, size = work.size();
   if (idle == 0) {
     return;
   }
@@ -176,9 +176,9 @@ void minimise_joint_wrenches(
   for (Index k = 0; k < idle; ++k) {
     const Table each{felt.row(k), rows, columns};
     if (joints.body.rows > 0) {
-      wrenches_of_multipliers(model, work, unfelt[k], each);
+      wrenches_of_multipliers(model, work, null_multipliers[k], each);
     }
-    fill_terms(joints, model, work, length, arms, each, unfelt[k], response[k]);
+    fill_terms(joints, model, work, length, arms, each, null_multipliers[k], response[k]);
     share[k] = -dot(response[k], now);
     // The rows are of one size and far from dependent: normal equations do, and cost less.
     for (Index m = 0; m <= k; ++m) {
@@ -192,7 +192,7 @@ void minimise_joint_wrenches(
   for (Index k = 0; k < idle; ++k) {
     const Table each{felt.row(k), rows, columns};
     for (Index i = 0; i < nc; ++i) {
-      lam[i] += share[k] * unfelt(k, i);
+      lam[i] += share[k] * null_multipliers(k, i);
     }
     for (Index i = 0; joints.body.rows > 0 && i < wrench.rows; ++i) {
       for (Index n = 0; n < size; ++n) {

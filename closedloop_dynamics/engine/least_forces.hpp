@@ -29,12 +29,12 @@ void minimise_joint_wrenches(
 /// The same with multipliers that give no joint forces, a row each. Without any joints: the least
 /// multipliers.
 void minimise_joint_wrenches(
-  const System &, const JointPlaces &, const Model &, const Workspace & work, Table unfelt,
+  const System &, const JointPlaces &, const Model &, const Workspace & work, Table null_multipliers,
   Table wrench, Values lam);
 
 /// Write multipliers that give no joint forces, a row each, from the factors of J by complete
 /// pivoting, of which so many rows are independent; `order` are the places of its rows.
-void fill_unfelt(Table factor, Indices order, Index rank, Table out);
+void fill_null_multipliers(Table factor, Indices order, Index rank, Table out);
 
 /// Multipliers of all equations, zero for those that the elimination omits.
 void spread_multipliers(const System &, Values lam);

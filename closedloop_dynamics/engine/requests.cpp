@@ -115,7 +115,7 @@ bool is_left_to(const System & system, Index which)
 /// Apply static friction at cut joints as in the latest evaluation.
 void hold_as_evaluated(const EffectTable & effects)
 {
-  const Sticking & sticking = effects.sticking;
+  const StaticFriction & sticking = effects.sticking;
   for (Index place = 1; place <= sticking.rows[0]; ++place) {
     sticking.hold[sticking.rows[place]] = effects.output(sticking.rows[place], 1);
   }

@@ -15,7 +15,7 @@ namespace
 /// List an effect among those whose force follows from accelerations, and apply its part of it.
 void hold(const EffectTable & table, Index row)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   sticking.rows[0] += 1;
   sticking.rows[sticking.rows[0]] = row;
   exert_along(table, row, sticking.hold[row]);

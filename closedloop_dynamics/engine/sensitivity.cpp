@@ -23,11 +23,11 @@ void add(Values from, double share, Values to)
   }
 }
 
-/// Walks along a tape, step by step.
-class Walk
+/// Replays a tape, step by step.
+class TapeReplay
 {
 public:
-  Walk(
+  TapeReplay(
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines)
   : system_(system), run_(run), scratch_(scratch), tape_(tape), routines_(routines),
@@ -99,13 +99,13 @@ protected:
 };
 
 /// Changes in one direction, from step to step.
-class Forward : Walk
+class Forward : TapeReplay
 {
 public:
   Forward(
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, const RunInputs & change)
-  : Walk(system, run, scratch, tape, routines), given_(change), now_(spare(0).part(0, nx())),
+  : TapeReplay(system, run, scratch, tape, routines), given_(change), now_(spare(0).part(0, nx())),
     stage_(spare(1).part(0, nx()))
   {
     copy(change.start, now_);
@@ -205,7 +205,7 @@ private:
 };
 
 /// Weights in reverse, from step to step; those of several costs side by side in lanes.
-class Reverse : Walk
+class Reverse : TapeReplay
 {
 public:
   Reverse(
@@ -217,8 +217,9 @@ public:
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, const LaneRoutines & beside, Table wide,
     const RunInputs & gradient, Index lanes)
-  : Walk(system, run, scratch, tape, routines), beside_(beside), wide_(wide), gradient_(gradient),
-    now_(gradient.start), before_(wide[run.stages()].part(0, nx() * lanes)), lanes_(lanes)
+  : TapeReplay(system, run, scratch, tape, routines), beside_(beside), wide_(wide),
+    gradient_(gradient), now_(gradient.start),
+    before_(wide[run.stages()].part(0, nx() * lanes)), lanes_(lanes)
   {
     now_.fill(0.0);
     gradient.torque.fill(0.0);

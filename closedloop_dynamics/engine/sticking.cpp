@@ -30,13 +30,13 @@ void clear(const EffectTable & table, Index place, Values joints)
 }
 
 /// Accelerations and multipliers without the friction of any joint at rest.
-Values free_response(const Sticking & sticking)
+Values free_response(const StaticFriction & sticking)
 {
   return sticking.response[sticking.response.rows - 1];
 }
 
 /// Move to the minimum in the free unknowns, by a factorization L D L^T.
-void compute_move(const Sticking & sticking, Index count, Values out)
+void compute_move(const StaticFriction & sticking, Index count, Values out)
 {
   const Table & matrix = sticking.matrix, & factor = sticking.factor;
   const Indices & free = sticking.free;
@@ -70,7 +70,7 @@ void compute_move(const Sticking & sticking, Index count, Values out)
 }
 
 /// Index of the bounded unknown with the steepest descent into the box; negative if none.
-Index steepest_bound(const Sticking & sticking, Index count, Values out)
+Index steepest_bound(const StaticFriction & sticking, Index count, Values out)
 {
   const Table & matrix = sticking.matrix;
   Index loose = -1;
@@ -96,7 +96,7 @@ Index steepest_bound(const Sticking & sticking, Index count, Values out)
 /// Whether a joint at rest stays there.
 bool stays_at_rest(const EffectTable & table, Index place)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   return table.role[sticking.rows[place + 1]] != effect::INERTIA &&
          std::fabs(sticking.share[place]) < 1.0 && sticking.matrix(place, place) > 0.0;
 }
@@ -104,7 +104,7 @@ bool stays_at_rest(const EffectTable & table, Index place)
 
 void minimise_in_box(const EffectTable & table, Index count, Values out)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   const Table & matrix = sticking.matrix;
   const Values & bound = sticking.bound, & move = sticking.move;
   const Indices & free = sticking.free;
@@ -154,7 +154,7 @@ void keep_frictionless(const EffectTable & table, Values qdd, Values lam)
 
 void keep_response(const EffectTable & table, Index place, Values qdd, Values lam)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   const Values base = free_response(sticking), response = sticking.response[place];
   const Index nv = qdd.size;
   for (Index i = 0; i < nv; ++i) {
@@ -175,7 +175,7 @@ Values response_to_hold(const EffectTable & table, Index place)
 
 void balance_friction(const EffectTable & table, Values qdd, Values lam)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   const Index nv = qdd.size, count = sticking.rows[0];
   const Table & response = sticking.response;
   const Values base = free_response(sticking);
@@ -221,7 +221,7 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
 
 void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   Index & count = sticking.rows[0];
   Index number = 0;
   count = 0;
@@ -247,7 +247,7 @@ void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
 
 void stop_sticking_joints(const EffectTable & table, Values qd)
 {
-  const Sticking & sticking = table.sticking;
+  const StaticFriction & sticking = table.sticking;
   const Index count = sticking.rows[0];
   for (Index a = 0; a < count; ++a) {
     const Index row = sticking.rows[a + 1];

@@ -37,7 +37,7 @@ constexpr double RATE_ROUNDING = 1e-12;
 void keep_frictionless(const EffectTable &, Values qdd, Values lam);
 
 /// Store the response to the limit of one friction, number `place` of the joints at rest, after an
-/// evaluation with that friction in Sticking.hold; take it back from there.
+/// evaluation with that friction in StaticFriction.hold; take it back from there.
 void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
 
 /// Where the response to it is stored; shape (nv + nc,).
@@ -48,14 +48,14 @@ Values response_to_hold(const EffectTable &, Index place);
 void balance_friction(const EffectTable &, Values qdd, Values lam);
 
 /// Do the same after the routine that writes the response to each friction and its limit, to
-/// Sticking.response and, in place of the right-hand side, Sticking.right.
+/// StaticFriction.response and, in place of the right-hand side, StaticFriction.right.
 void hold_by_responses(const EffectTable &, Values qdd, Values lam);
 
 /// Set the remaining rates of the joints at rest to zero, by an impulse; `qd` as `qdd`.
 void stop_sticking_joints(const EffectTable &, Values qd);
 
 /// Minimise x matrix x / 2 + right x in a box, with `count` unknowns, by the active-set method.
-/// Sticking.matrix is symmetric, positive semidefinite; `bound`: the largest magnitude of each
+/// StaticFriction.matrix is symmetric, positive semidefinite; `bound`: the largest magnitude of each
 /// unknown, zero leaves it out. Nocedal and Wright, Numerical Optimization, 2nd ed. (2006),
 /// section 16.5.
 void minimise_in_box(const EffectTable &, Index count, Values out);

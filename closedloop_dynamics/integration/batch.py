@@ -43,8 +43,8 @@ class Batch(NamedTuple):
     trials: np.ndarray
     # Shape (LANES * 3,): what ``find_energies`` finds; of no length without effects.
     energies: np.ndarray
-    # Of frictions, shape (LANES * nf * (nv + nc),) and (LANES * nf,): as ``Sticking.response``,
-    # but for the last row, and the limit, zero where the joint slides.
+    # Of frictions, shape (LANES * nf * (nv + nc),) and (LANES * nf,): ``StaticFriction.response``
+    # without its last row, and the limit, zero where the joint slides.
     response: np.ndarray
     friction: np.ndarray
     kept: tuple  # Tuple of ndarrays that only the routines read and write

@@ -57,7 +57,7 @@ ENUMS = {
     'closing': (equations, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Wanted', 'projection.cpp: Corrector',
+INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Outputs', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
          'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked', 'contact',
          'contact.Node', 'contact.Trial', 'contact.Search', 'present'}

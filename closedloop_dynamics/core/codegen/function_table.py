@@ -39,8 +39,8 @@ WRENCH, JOINT_POINT, LAM_OF_ALL = range(39, 42)
 BIAS, JACOBIAN = range(42, 44)
 # Address of results of ENERGIES.
 ENERGY = 44
-# Addresses of outputs of RESPONSES: accelerations and multipliers by each friction (``Sticking``),
-# and its limit, zero where the joint slides.
+# Addresses of outputs of RESPONSES: accelerations and multipliers by each friction
+# (``StaticFriction``), and its limit, zero where the joint slides.
 RESPONSE, LIMIT = range(45, 47)
 TABLE_COLUMNS = 47
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
