@@ -21,7 +21,7 @@ from ..mechanism.mechanism import (
 from ..mechanism.rotations import CONJUGATE, composed, quaternion_of_angles
 
 # A drawing is approximate: what lies farther from its place is an error [of the extent].
-FARTHEST = 0.1
+FARTHEST = 0.25
 # How much more an open loop counts than a place that is missed.
 CLOSED = 1e3
 # Starts of a search, which ends where all is reached so far [of the extent].

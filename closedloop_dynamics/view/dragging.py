@@ -20,6 +20,7 @@ import numpy as np
 from .body_frames import BodyFrames
 from ..mechanism.between import BETWEEN
 from ..mechanism.closure import closure_errors, coupling_errors
+from ..mechanism.cylinders import SECTION as CYLINDERS
 from ..mechanism.expressions import names_of, Parameters
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.kinematics import body_poses
@@ -94,6 +95,9 @@ class Words:
             for side in 'ab':
                 yield (name, values[f'body_{side}'],
                        (MECHANISM, 'cut_joints', name, f'point_{side}'))
+        for name, values in (self._data.get(CYLINDERS) or {}).items():
+            for side, (end, body) in enumerate(zip(('foot', 'head'), values[BETWEEN])):
+                yield f'{name}_{end}', body, (MECHANISM, CYLINDERS, name, 'points', str(side))
 
     def _points(self):
         for name, values in (self._data.get('points') or {}).items():
@@ -148,6 +152,9 @@ class Words:
             other = (frames.world(cut.body_b, cut.point_b) if kind.endswith('a')
                      else frames.world(cut.body_a, cut.point_a))
             values[MECHANISM, 'cut_joints', name, 'length'] = frames.apart(other, place)
+        drawn = 'initial', 'at', name
+        if self._at(drawn) is not None and not self._leaves(self._at(drawn)):
+            values.update(_keyed(drawn, place[:len(self._at(drawn))]))
         return self._written(values)
 
     def _shift(self, body):
@@ -192,6 +199,9 @@ class Words:
 
     def _number(self, keys):
         value = self._at(keys)
+        if isinstance(value, str) and not self._leaves(value):
+            # With a unit.
+            value = Parameters().evaluated(value)
         return float(value) if isinstance(value, (int, float)) else None
 
     # Lengths and masses.

@@ -92,7 +92,10 @@ def test_parameters_and_the_editor_reach_a_mechanism_with_cylinders(tmp_path):
     editor = Editor(scene)
     assert {'pivot', 'lift_foot', 'lift_head'} <= {one['name'] for one in editor.handles()}
     editor.set('mechanism.bodies.boom.mass', 4.0)
+    # Both ends of the pin that is dragged follow in the file, and where it is drawn at the start.
+    editor.move('joint', 'lift_foot', [0.32, 0.01, 0.0], Simulation(scene).position)
     text, kept = editor.text()
+    assert yaml.safe_load(text)['mechanism']['cylinders']['lift']['points'][0] == [0.32, 0.01]
     assert kept and 'cylinders' in yaml.safe_load(text)['mechanism']
     assert editor.scene.mechanism.bodies[0].mass == 4.0
 

@@ -695,3 +695,34 @@ def test_a_controller_is_fitted_beside_a_machine_that_moves(monkeypatch):
     edited.run(20)
     controls = json.loads(edited.runner.feed.controls)
     assert controls['drives']['theta_1']['mode'] == 'own' and controls['failure'] is None
+
+
+def test_a_pin_of_a_scene_that_is_drawn_takes_its_start_along(tmp_path):
+    path = tmp_path / 'drawn.yaml'
+    path.write_text("""\
+mechanism:
+  name: drawn
+  bodies:
+    crank: {mass: 1, center_of_mass: [20 mm, 0], inertia: 0.001}
+    coupler: {mass: 1, center_of_mass: [60 mm, 0], inertia: 0.001}
+    rocker: {mass: 1, center_of_mass: [40 mm, 0], inertia: 0.001}
+  joints:
+    A: {type: revolute, between: [ground, crank], points: [[0, 0], [0, 0]]}
+    B: {type: revolute, between: [crank, coupler], points: [[40 mm, 0], [0, 0]]}
+    C: {type: revolute, between: [coupler, rocker], points: [[120 mm, 0], [80 mm, 0]]}
+    D: {type: revolute, between: [ground, rocker], points: [[100 mm, 0], [0, 0]]}
+initial:
+  at: {B: [0, 40 mm], C: [113 mm, 79 mm]}  # as drawn
+""")
+    scene = load_scene(path)
+    editor = Editor(scene)
+    editor.move('joint', 'D', [0.16, 0.0, 0.0], Simulation(scene).position)
+    editor.move('joint', 'B', [0.0, 0.075, 0.0], Simulation(editor.scene).position)
+    text, kept = editor.text()
+    assert kept and '# as drawn' in text and 'C: [113 mm, 79 mm]' in text
+    assert 'B: [0, 0.075]' in text and 'points: [[0.16, 0], [' in text
+    simulation = Simulation(scene_of_yaml(text, path))
+    assert simulation.closure < 1e-12
+    frames = body_poses(simulation.mechanism, simulation.position)
+    pin = pose_of(simulation.mechanism, frames, 'coupler')[:2]
+    assert np.allclose(pin, [0.0, 0.075], atol=2e-3)
