@@ -72,6 +72,8 @@ extras = {
     'models': ['mujoco>=3.3', 'trimesh>=4.0', 'xacro>=2.0'],
     # Pictures and animations.
     'plot': ['matplotlib>=3.6', 'pillow>=10.2'],
+    # The solver of predictive control.
+    'predictive': ['piqp>=0.6'],
     # Documents and load spectra of closedloop report.
     'report': ['fpdf2>=2.7', 'rainflow>=3.1'],
     # For Pythons without a ROS installation: Jazzy from PyPI.

@@ -41,8 +41,10 @@ _MORE = {
     'fmu': 'simulation.fmu', 'identify': 'studies.identification',
     'jax_dynamics': 'simulation.jax_dynamics', 'jax_step': 'simulation.jax_step',
     'Linearisation': 'simulation.linearisation',
-    'LinearModel': 'simulation.linearisation', 'MechanismEnv': 'simulation.environment',
-    'MechanismVectorEnv': 'simulation.environment', 'torch_step': 'simulation.torch_step'}
+    'LinearModel': 'simulation.linearisation', 'LinearRegulator': 'control.optimal',
+    'MechanismEnv': 'simulation.environment',
+    'MechanismVectorEnv': 'simulation.environment',
+    'PredictiveController': 'control.optimal', 'torch_step': 'simulation.torch_step'}
 __all__ = sorted(_HOMES)
 __version__ = '1.1.0'
 

@@ -19,6 +19,7 @@ LIBRARIES = {
     'mcap': ('mcap', 'bags'),
     'mujoco': ('mujoco', 'models'),
     'netCDF4': ('netCDF4', 'sweep'),
+    'piqp': ('piqp', 'predictive'),
     'rainflow': ('rainflow', 'report'),
     'rosbags': ('rosbags', 'bags'),
     'torch': ('torch', 'torch'),

@@ -523,9 +523,15 @@ class Stepper:
 
         """
         own, (places, start) = self._chart.independent, (reals('q', q), reals('from_q', from_q))
-        apart = self._simulation.coordinates.apart
-        moved = np.array([apart(one, start)[own] for one in np.atleast_2d(places)])
-        moved = moved if places.ndim == 2 else moved[0]
+        coordinates = self._simulation.coordinates
+        single = coordinates.place[own]
+        if (single >= 0).all():
+            # The orientations of all others take most of the time.
+            moved = places[..., single] - start[single]
+        else:
+            moved = np.array([coordinates.apart(one, start)[own]
+                              for one in np.atleast_2d(places)])
+            moved = moved if places.ndim == 2 else moved[0]
         return np.concatenate((moved, (reals('qd', qd) - from_qd)[..., own]), axis=-1)
 
     def __repr__(self) -> str:
