@@ -21,6 +21,7 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.mechanism.rotations import of_quaternion
+from closedloop_dynamics.simulation.c_run import error_of_float32, step_cost
 from closedloop_dynamics.simulation.c_source import c_cost, c_source
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -236,6 +237,36 @@ def test_cost_counts_the_operations_of_the_source():
     assert cost.operations['evaluation'] == len(lines)
     assert cost.of_step(cost.operations) == 4 * len(lines) + 9 * cost.operations['correction']
     assert str(cost.of_step(cost.operations)) in header and 'MOST = 8' in source
+
+
+def test_commands_tell_what_the_code_costs(tmp_path, capsys):
+    assert main(['check', 'four_bar', '--c']) == 0
+    checked = capsys.readouterr().out
+    costs = list(c_cost(Simulation.from_scene('four_bar')).lines())
+    assert all(line in checked for line in costs)
+    assert main(['export', 'four_bar', '--output', str(tmp_path / 'four_bar.c')]) == 0
+    told = capsys.readouterr().out
+    assert all(line in told for line in costs) and 'steps of 0.001 s: in 1 s' in told
+    assert 'single precision' not in told
+    assert main(['export', 'four_bar', '--output', str(tmp_path / 'a.fmu'), '--float32']) == 2
+    assert '--float32: expected it with an output that ends with .c' in capsys.readouterr().err
+    assert main(['check', 'cam_follower', '--c']) == 1
+    assert 'effects.outline' in capsys.readouterr().err
+
+
+def test_what_a_step_size_costs_falls_with_the_order_of_the_method():
+    coarse, fine = (step_cost(Simulation.from_scene(
+        'three_rrr_vertical', integrator='rk4', step_size=size)) for size in (4e-3, 2e-3))
+    assert fine.duration == 2.0 and coarse.duration == 4.0
+    # A fourth-order method: 16 times less, over half the duration.
+    assert 0.0 < fine.apart < coarse.apart / 8.0 and 0.0 < fine.energy < coarse.energy / 8.0
+
+
+@compiled
+def test_the_error_of_single_precision_is_one_of_rounding():
+    error = error_of_float32(Simulation.from_scene('four_bar', integrator='rk4', step_size=1e-3))
+    # Above one rounding of an angle, below 1,000 that all add up with the motion's growth.
+    assert 1e-7 < error < 1e-2
 
 
 def library_of(folder, simulation, derivatives=False):
