@@ -166,7 +166,7 @@ class Effect:
     # Fields that are vectors: of two numbers in the plane, of three in space.
     VECTORS = ()
     # Whether steps must end where the effect's joint comes to rest, its first own state being the
-    # direction in which the joint slides (``engine/stick_slip.hpp``), or where its course over
+    # direction in which the joint slides (``engine/stick_slip.hpp``), or where its profile over
     # time has corners (``engine/time_events.hpp``).
     ENDS_STEPS = False
     # Whether the effect exerts the torque that a drive of its joint would be commanded.
@@ -300,7 +300,7 @@ class Effect:
         Returns
         -------
         tuple of floats, or None
-            The time, and, where it has a course, which piece of that is the present one
+            The time, and, where it has a profile, which piece of that is the present one
             (``engine/time_events.hpp``); None where the effect knows no time.
 
         """

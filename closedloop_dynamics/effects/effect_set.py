@@ -276,7 +276,7 @@ class EffectSet:
                                  f'loaded ({room})', f'{wanted}', 'load a scene that has it')
             room, wanted = (len(one.numbers) for one in (known, element))
             if wanted > room:
-                raise FieldError('a course or curve of no more pieces than it had when the scene '
+                raise FieldError('a profile or curve of no more pieces than it had when the scene '
                                  'was loaded', f'one that takes {wanted} numbers instead of '
                                  f'{room}', 'load a scene that has it')
 
@@ -310,7 +310,7 @@ class EffectSet:
         Return a function that undoes what is changed, and evaluated, from now on.
 
         To the last bit: what sensors and drives remember, where cables are wound and which piece
-        of a course was found last, too.
+        of a profile was found last, too.
         """
         attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}
         numbers, table = native.snapshot(self._system), self._table

@@ -44,7 +44,7 @@ class ForceElement(NamedTuple):
     bodies: Tuple[int, ...] = ()  # Their rows
     values: Tuple[float, ...] = ()  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
-    # Entries of numbers, such as pieces of a course or a curve, in the order the law reads them.
+    # Entries of numbers, such as pieces of a profile or a curve, in the order the law reads them.
     data: Tuple[Tuple[float, ...], ...] = ()
     # Whether the law acts along the sum of its joints, whose arms are the first entry.
     summed: bool = False

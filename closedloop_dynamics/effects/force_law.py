@@ -16,9 +16,9 @@ from typing import Callable, Optional
 
 # Roles, that is, what the engine knows of a law beside its routine: a force, and nothing else; one
 # of a drive, in the place of a command; a force, or the motion in a closure equation, over time,
-# whose data are a course; dry friction, which may hold at rest; inertia, whose force follows from
+# whose data are a profile; dry friction, which may hold at rest; inertia, whose force follows from
 # accelerations.
-FORCE, DRIVE, COURSE, MOTION, FRICTION, INERTIA = range(6)
+FORCE, DRIVE, PROFILE, MOTION, FRICTION, INERTIA = range(6)
 # What the gap of a law is, which ends steps where it opens or closes: there is none; the distance
 # from a boundary without end; from a body that a step may pass, about its point or as a curve; a
 # number of a user's law, which accounts for its energy otherwise.
@@ -69,7 +69,7 @@ class ForceLaw:
     @property
     def follows_time(self):
         """Whether, where the time is held, what it does is a number or depends on one."""
-        return self.role == COURSE
+        return self.role == PROFILE
 
     def parts(self, row):
         """Return what its routine depends on beside the numbers of joints and bodies."""
@@ -81,7 +81,7 @@ class ForceLaw:
 
         ``instant``: whether the time is held; ``along``: whether they are those of a motion.
         """
-        return None if instant and self.role == COURSE else self.engine_only
+        return None if instant and self.role == PROFILE else self.engine_only
 
     def __reduce__(self):
         """Return where it is found: it is one object in a process."""

@@ -8,7 +8,7 @@ They act where that code does not (``scene_code``). One routine serves all effec
 whatever terms they have: a change of these compiles nothing.
 """
 
-from .force_law import COURSE, INERTIA, MOTION
+from .force_law import INERTIA, MOTION, PROFILE
 from ..core.codegen import plane, space
 from ..core.codegen.function_table import VALUE_COLUMNS
 from ..core.codegen.law_routine import addresses_of_laws, RowTrace
@@ -44,7 +44,7 @@ def _coordinates(row):
 def _needs(row, spatial):
     """Return what a row that has the routine must have: ``engine/laws.hpp``."""
     law = row.law
-    read_one_by_one = 0 if law.listed or law.role in (COURSE, MOTION) else len(row.data)
+    read_one_by_one = 0 if law.listed or law.role in (PROFILE, MOTION) else len(row.data)
     return (_coordinates(row), len(row.bodies), row.states, read_one_by_one, law.listed, spatial)
 
 

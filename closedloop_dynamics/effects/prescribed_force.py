@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A torque or force in a joint, or a force at a point, whose course over time is given.
+A torque or force in a joint, or a force at a point, whose profile over time is given.
 
     tau = y(t)          in a joint
     F = y(t) e          at a named point, along a direction e in world axes or in the body's
 
-work done on the mechanism: the integral of tau qd, or of F . v. Courses y(t): ``course``. In a
+work done on the mechanism: the integral of tau qd, or of F . v. Profiles y(t): ``profile``. In a
 joint it acts beside what is commanded, behind the drive. When: a press or a cutter with a known
 force, a motor with a known torque, a shaker, a measured load.
 """
@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import math
 from typing import Optional, Tuple
 
-from . import course, expression
+from . import expression, profile
 from .effect import BODY, Effect, WORLD
 from .element import ForceElement, OWN, State, WORK
-from .force_law import COURSE, force_law
+from .force_law import force_law, PROFILE
 from .points import of_body_or_world
 from ..core.codegen.vectors import dot, scale
 from ..mechanism.checks import (
@@ -76,11 +76,11 @@ class PrescribedForce(Effect):
 
     CHECKS = {
         'joint': freedom, 'point': name, 'direction': vector,
-        'shape': one_of(tuple(course.SHAPES)),
+        'shape': one_of(tuple(profile.SHAPES)),
         'axes': one_of((WORLD, BODY)), 'amplitude': number, 'offset': number,
         'frequency': positive, 'phase': number, 'start': not_negative, 'rise': not_negative,
         'hold': not_negative, 'fall': not_negative, 'period': positive, 'times': list_of(number),
-        'values': list_of(number), 'interpolation': one_of(course.INTERPOLATIONS),
+        'values': list_of(number), 'interpolation': one_of(profile.INTERPOLATIONS),
         'expression': text}
     FILES = {'file': ('times', 'values')}
     VECTORS = ('direction',)
@@ -107,19 +107,19 @@ class PrescribedForce(Effect):
     expression: Optional[str] = None
 
     def __post_init__(self):
-        """Refuse a force in no place or in two, and invalid courses."""
+        """Refuse a force in no place or in two, and invalid profiles."""
         super().__post_init__()
-        course.require_joint_or_point(
+        profile.require_joint_or_point(
             self, 'a direction for a force at a point, and for no other')
         if self.axes is not None and self.point is None:
             raise FieldError('this key only beside point', shown(self.axes), path=('axes',))
-        course.require_keys(self)
-        object.__setattr__(self, '_data', self._course())
+        profile.require_keys(self)
+        object.__setattr__(self, '_data', self._profile())
 
-    def _course(self):
+    def _profile(self):
         """Return the entries of the table: pieces, or an expression."""
         if self.shape != 'expression':
-            return course.pieces(self)
+            return profile.pieces(self)
         with at('expression'):
             return (expression.program(self.expression),)
 
@@ -130,12 +130,12 @@ class PrescribedForce(Effect):
 
     @property
     def ENDS_STEPS(self):  # noqa: N802
-        """Whether the course has corners."""
+        """Whether the profile has corners."""
         return len(self._data) > 1 or self.period is not None
 
     def clock(self, time):
-        """Return the time, and which piece of the course is the present one."""
-        return time, course.present(self._data, self.period, time)
+        """Return the time, and which piece of the profile is the present one."""
+        return time, profile.present(self._data, self.period, time)
 
     def element(self, machine):
         """Return the effect as a row of the table."""
@@ -159,21 +159,21 @@ class PrescribedForce(Effect):
 FOLLOWS_TIME = 'it follows the time'
 
 
-@force_law(role=COURSE, terms=course.terms, engine_only=FOLLOWS_TIME,
+@force_law(role=PROFILE, terms=profile.terms, engine_only=FOLLOWS_TIME,
            in_lanes=False, in_balls=True)
 def torque_over_time(forces):
-    torque = course.value(forces)
+    torque = profile.value(forces)
     forces.joint.push(torque)
     power = torque * forces.joint.rate
     forces.flow(1.0, 0.0, power)
     forces.read(torque, power)
 
 
-@force_law(role=COURSE, terms=course.terms, engine_only=FOLLOWS_TIME,
+@force_law(role=PROFILE, terms=profile.terms, engine_only=FOLLOWS_TIME,
            in_lanes=False)
 def force_over_time(forces):
     (body,), size, values = forces.bodies, forces.size, forces.values
-    force = course.value(forces)
+    force = profile.value(forces)
     offset = forces.turned(body, values[2:2 + size])
     direction = of_body_or_world(
         forces, body, values[2 + size:2 + 2 * size], values[2 + 2 * size])

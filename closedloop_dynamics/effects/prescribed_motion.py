@@ -20,7 +20,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from . import course, expression
+from . import expression, profile
 from .effect import Effect
 from .element import ForceElement, OWN, State, WORK
 from .force_law import force_law, MOTION
@@ -32,7 +32,7 @@ from ..mechanism.mechanism import DrivingConstraint, GROUND, Vector
 REST, MOVING = 'rest', 'moving'
 COMMANDED = 'commanded'
 RATES = ('values', 'rates', 'accelerations')
-# Most points of a course that is commanded, where a scene does not say.
+# Most points of a profile that is commanded, where a scene does not say.
 ROOM = 200
 # Jumps of f and f', against the largest value and rate, that are rounding.
 NO_JUMP = 1e-9
@@ -40,8 +40,8 @@ SHAPES = {
     'constant': ((), ('offset',)),
     'constant_speed': (('speed',), ('offset',)),
     'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
-    'trapezoid': (course.RAMPS[0], (*course.RAMPS[1], 'ramp')),
-    'cycloid': course.RAMPS,
+    'trapezoid': (profile.RAMPS[0], (*profile.RAMPS[1], 'ramp')),
+    'cycloid': profile.RAMPS,
     'table': (('times', 'values'), ('ends', 'period')),
     'expression': (('expression',), ()),
     COMMANDED: ((), ('times', 'values', 'rates', 'accelerations', 'ends', 'room'))}
@@ -88,17 +88,17 @@ class PrescribedMotion(Effect):
     period : float or None
         After which a trapezoid, cycloid or table repeats, positive [s]; never when not given.
     times : tuple of floats or None
-        Of a table or a course that was commanded, growing [s].
+        Of a table or a profile that was commanded, growing [s].
     values : tuple of floats or None
         At these times [rad; m]; through a table a cubic spline leads.
     rates, accelerations : tuple of floats or None
-        Of a course that was commanded, at these times [rad/s; m/s], [rad/s^2; m/s^2]: polynomials
+        Of a profile that was commanded, at these times [rad/s; m/s], [rad/s^2; m/s^2]: polynomials
         of the third degree, with accelerations of the fifth.
     ends : str or None
         Of a table: ``rest`` (when not given), where it rests before and after, or ``moving``,
-        where it goes on at the speed that it has there. So does a commanded course after its end.
+        where it goes on at the speed that it has there. So does a commanded profile after its end.
     room : int or None
-        Most points of a course that is commanded, one or more; 200 when not given.
+        Most points of a profile that is commanded, one or more; 200 when not given.
     expression : str or None
         Of the time ``t`` [s], such as ``4.7124*t`` [rad; m].
 
@@ -142,11 +142,11 @@ class PrescribedMotion(Effect):
     def __post_init__(self):
         """Refuse a motion of nothing or of two things, and one that jumps."""
         super().__post_init__()
-        course.require_joint_or_point(self, 'a direction for a point, and for no joint')
-        course.require_keys(self, SHAPES)
-        object.__setattr__(self, '_data', self._course())
+        profile.require_joint_or_point(self, 'a direction for a point, and for no joint')
+        profile.require_keys(self, SHAPES)
+        object.__setattr__(self, '_data', self._profile())
         if self.expression is None:
-            # What was commanded begins where the course before it was.
+            # What was commanded begins where the profile before it was.
             _require_smooth([piece for piece in self._data if piece[0] < math.inf][
                 self.shape == COMMANDED and self.times is not None:], self.period)
         elif not np.isfinite(self.at(0.0)).all():
@@ -157,29 +157,29 @@ class PrescribedMotion(Effect):
 
     @property
     def from_start(self):
-        """Whether the motion starts where the scene does: no offset, or no course, is given."""
+        """Whether the motion starts where the scene does: no offset, or no profile, is given."""
         if self.shape == COMMANDED:
             return self.times is None
         return self.offset is None and 'offset' in SHAPES[self.shape][1]
 
-    def _course(self):
+    def _profile(self):
         """Return the entries of the table: pieces, from 0 on, or expression and derivatives."""
         if self.shape == 'expression':
             with at('expression'):
                 return expression.programs(self.expression)
         if self.shape == 'constant':
-            return (course.piece(0.0, 0.0, 0.0),)
+            return (profile.piece(0.0, 0.0, 0.0),)
         if self.shape == 'constant_speed':
-            return (course.piece(0.0, 0.0, self.speed),)
+            return (profile.piece(0.0, 0.0, self.speed),)
         if self.shape == 'table':
             return _of_table(self)
         if self.shape == COMMANDED:
             return _commanded(self)
         if self.shape == 'trapezoid':
-            return course.ramps(self, 0.0, self._trapezoid)
+            return profile.ramps(self, 0.0, self._trapezoid)
         if self.shape == 'cycloid':
-            return course.ramps(self, 0.0, partial(course.ramp, shape='cycloid'))
-        return (course.piece(0.0, 0.0, wave=course.wave(self)),)
+            return profile.ramps(self, 0.0, partial(profile.ramp, shape='cycloid'))
+        return (profile.piece(0.0, 0.0, wave=profile.wave(self)),)
 
     def _trapezoid(self, start, duration, level, height):
         """Return the pieces of a rise with a trapezoidal speed."""
@@ -189,13 +189,13 @@ class PrescribedMotion(Effect):
                              f'({0.5 * duration:g} s)', f'{ramp:g}', path=('ramp',))
         speed = height / (duration - ramp)
         curve, climbed = 0.5 * speed / ramp, 0.5 * speed * ramp
-        return [course.piece(start, level, 0.0, curve),
-                course.piece(start + ramp, level + climbed, speed),
-                course.piece(start + duration - ramp, level + height - climbed, speed, -curve)]
+        return [profile.piece(start, level, 0.0, curve),
+                profile.piece(start + ramp, level + climbed, speed),
+                profile.piece(start + duration - ramp, level + height - climbed, speed, -curve)]
 
     @property
     def ENDS_STEPS(self):  # noqa: N802
-        """Whether the course has corners."""
+        """Whether the profile has corners."""
         return self.expression is None and (len(self._data) > 1 or self.period is not None)
 
     def fit(self, mechanism):
@@ -216,7 +216,7 @@ class PrescribedMotion(Effect):
 
     def commanded(self, now, start, times, values, rates=None, accelerations=None):
         """
-        Return the keys of another course, from the present state on through points.
+        Return the keys of another profile, from the present state on through points.
 
         ``now``: the time [s]; ``start``: where the joint or point starts in the scene; ``times``,
         ``values``: of the points, the first not before now, and growing [s], [rad; m]; rates and
@@ -238,7 +238,7 @@ class PrescribedMotion(Effect):
                 raise FieldError(f'{len(given["times"]) or "one or more"} numbers',
                                  f'{len(numbers)}', path=(key,))
         knots = np.array([given[key] for key in RATES if key in given])
-        times, same = np.array(given['times']), course.SAME_TIME * max(1.0, abs(now))
+        times, same = np.array(given['times']), profile.SAME_TIME * max(1.0, abs(now))
         present = self.at(now, start)
         if times[0] < now - same:
             raise FieldError(f'times from now on, which is {now:.9g} s', f'{times[0]:.9g} s',
@@ -246,7 +246,7 @@ class PrescribedMotion(Effect):
         if times[0] <= now + same:
             for what, one, other in zip(('position', 'rate'), present, knots[:, 0]):
                 if not abs(other - one) <= NO_JUMP * max(1.0, abs(one)):
-                    raise FieldError(f'a course that begins at the present {what}, {one:.9g}',
+                    raise FieldError(f'a profile that begins at the present {what}, {one:.9g}',
                                      f'a jump to {other:.9g}', path=(what,))
             present[2] = knots[2, 0] if len(knots) > 2 else present[2]
             times, knots = times[1:], knots[:, 1:]
@@ -259,9 +259,9 @@ class PrescribedMotion(Effect):
                 for key in RATES} | {'times': tuple(map(float, times))}
 
     def clock(self, time):
-        """Return the time, and which piece of the course is the present one."""
+        """Return the time, and which piece of the profile is the present one."""
         pieces = ((0.0,),) if self.expression is not None else self._data
-        return time, course.present(pieces, self.period, time)
+        return time, profile.present(pieces, self.period, time)
 
     def at(self, time, start=0.0):
         """
@@ -270,7 +270,7 @@ class PrescribedMotion(Effect):
         ``start``: where the joint or point starts in the scene [rad; m].
         """
         found = [expression.value_at(entry, time) for entry in self._data] if (
-            self.expression is not None) else course.values_at(self._data, self.period, time)
+            self.expression is not None) else profile.values_at(self._data, self.period, time)
         return np.array(found) + [self._offset(start), 0.0, 0.0]
 
     def _offset(self, start):
@@ -289,60 +289,60 @@ class PrescribedMotion(Effect):
             data=self._data)
 
 
-@force_law(role=MOTION, terms=course.terms, in_lanes=False,
+@force_law(role=MOTION, terms=profile.terms, in_lanes=False,
            engine_only='it follows the time')
 def motion_over_time(forces):
-    position, rate, change = course.present_values(forces)
+    position, rate, change = profile.present_values(forces)
     forces.drive(forces.values[2] + position, rate, change)
 
 
 def _of_table(record):
     """Return the pieces of a cubic spline through a table."""
-    times, values, period = course.require_table(record)
+    times, values, period = profile.require_table(record)
     moving = record.ends == MOVING
     if period is not None:
-        course.require_closed(values)
+        profile.require_closed(values)
         if record.ends is not None:
             raise FieldError('this key only without period', shown(record.ends), path=('ends',))
     # Not before it is wanted: it takes a third of the time that loading the package would.
     from scipy.interpolate import CubicSpline
     spline = CubicSpline(times, values, bc_type='periodic' if period is not None else (
         'not-a-knot' if moving else 'clamped'))
-    rows = [course.piece(start, *spline.c[::-1, k]) for k, start in enumerate(times[:-1])]
+    rows = [profile.piece(start, *spline.c[::-1, k]) for k, start in enumerate(times[:-1])]
     if period is None:
         slopes = spline(times[[0, -1]], 1) * moving
-        rows = [course.piece(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
-                course.piece(times[-1], values[-1], slopes[1])]
+        rows = [profile.piece(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
+                profile.piece(times[-1], values[-1], slopes[1])]
     return tuple(tuple(map(float, row)) for row in rows)
 
 
 def _commanded(record):
-    """Return the pieces of a course that was commanded, and room for those of others."""
+    """Return the pieces of a profile that was commanded, and room for those of others."""
     room = record.room or ROOM
     if record.times is None:
         for key in RATES:
             if getattr(record, key) is not None:
                 raise FieldError('this key beside times', 'it alone', path=(key,))
-        rows = [course.piece(0.0, 0.0)]
+        rows = [profile.piece(0.0, 0.0)]
     else:
         rows = _through(record)
     if len(rows) > room + 2:
         raise FieldError(f'at most {room} points, which there is room for',
                          f'{len(rows) - 2}', 'give it more `room` in the scene', ('times',))
     # Pieces that never begin.
-    rows += (room + 2 - len(rows)) * [course.piece(math.inf)]
+    rows += (room + 2 - len(rows)) * [profile.piece(math.inf)]
     return tuple(tuple(map(float, row)) for row in rows)
 
 
 def _through(record):
-    """Return polynomials through the points of a commanded course, at rest before the first."""
+    """Return polynomials through the points of a commanded profile, at rest before the first."""
     given = [(key, getattr(record, key)) for key in RATES]
     for key, numbers in given[:2] + [one for one in given[2:] if one[1] is not None]:
         if numbers is None or len(numbers) != len(record.times):
             raise FieldError(f'{len(record.times)} numbers, one for each time',
                              'none' if numbers is None else f'{len(numbers)}', path=(key,))
     times = np.array(record.times)
-    if len(times) < 1 or not (np.diff(times) > course.SAME_TIME * np.maximum(
+    if len(times) < 1 or not (np.diff(times) > profile.SAME_TIME * np.maximum(
             1.0, np.abs(times[1:]))).all():
         raise FieldError('one time or more, growing', shown(record.times), path=('times',))
     knots = np.array([numbers for _, numbers in given if numbers is not None]).T
@@ -350,15 +350,15 @@ def _through(record):
     if record.ends != MOVING and last_rate != 0.0:
         raise FieldError('rest at the end (a rate of 0)', f'a rate of {last_rate:g}',
                          'or `ends: moving` in the scene', ('rates', len(times) - 1))
-    rows = [course.piece(times[0] - 1.0, knots[0, 0])]
+    rows = [profile.piece(times[0] - 1.0, knots[0, 0])]
     with np.errstate(all='ignore'):
         for start, duration, one, other in zip(times, np.diff(times), knots, knots[1:]):
-            row = course.piece(start, *_polynomial(duration, one, other))
+            row = profile.piece(start, *_polynomial(duration, one, other))
             if not np.isfinite(row).all():
-                raise FieldError('a course that can be followed',
+                raise FieldError('a profile that can be followed',
                                  f'rates or accelerations beyond all bounds at t = {start:.6g} s')
             rows.append(row)
-    return [*rows, course.piece(times[-1], knots[-1, 0], last_rate)]
+    return [*rows, profile.piece(times[-1], knots[-1, 0], last_rate)]
 
 
 def _slopes(times, values, rate):
@@ -391,7 +391,7 @@ def _polynomial(duration, one, other):
 def _require_smooth(pieces, period):
     """Refuse pieces where position or speed jumps from one to the next."""
     ends = [*(piece[0] for piece in pieces[1:]), *([] if period is None else [period])]
-    # Once around, where the course begins again.
+    # Once around, where the profile begins again.
     following = [*pieces[1:], *([] if period is None else [pieces[0]])]
     met = [(*_at(one, end - one[0]), *_at(other, 0.0), end)
            for one, other, end in zip(pieces, following, ends)]
@@ -409,4 +409,4 @@ def _require_smooth(pieces, period):
 
 def _at(piece, u):
     """Return value and rate of a piece after some time."""
-    return course.values_of_piece(piece[1:], u)[:2]
+    return profile.values_of_piece(piece[1:], u)[:2]

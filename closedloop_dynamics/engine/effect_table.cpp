@@ -10,9 +10,9 @@
 #include <utility>
 
 #include "bounds.hpp"
-#include "course.hpp"
 #include "curve.hpp"
 #include "laws.hpp"
+#include "profile.hpp"
 
 namespace closedloop
 {
@@ -75,14 +75,14 @@ bool is_expression(Values data, Index at)
 
 namespace
 {
-/// Whether an effect over time has its course: pieces, or expressions.
-bool has_course(const EffectTable & effects, Index row)
+/// Whether an effect over time has its profile: pieces, or expressions.
+bool has_profile(const EffectTable & effects, Index row)
 {
   const Index at = effects.first_number[row], entries = effects.entries[row];
   const Index left = effects.data.size - at;
   const Values values = effects.values[row];
   if (values[1] != 1.0) {
-    return entries >= 1 && entries <= left / course::COLUMNS;
+    return entries >= 1 && entries <= left / profile::COLUMNS;
   }
   if (effects.role[row] != effect::MOTION) {
     return is_expression(effects.data, at);
@@ -111,7 +111,7 @@ Needs needs_of_role(const EffectTable & effects, Index row, bool planar)
     case effect::INERTIA: return {1, 0, 0, 0, 0, !planar};
     case effect::FRICTION:
       return {1, effects.feels[row] == 1 ? 1 : 0, 3, 0, 0, !planar};
-    case effect::COURSE:
+    case effect::PROFILE:
     case effect::MOTION:
       return {0, 0, 3, 0, 0, !planar};
     case effect::DRIVE: return {1, 0, 2, 0, 0, !planar};
@@ -321,7 +321,7 @@ const char * EffectTable::lacks(Index row) const
     (alone || has(effects, row, *needs, planar)) &&
     (role[row] != effect::DRIVE || !is_sum) &&
     (feels[row] == 0 || (role[row] == effect::FRICTION && !is_sum)) &&
-    ((role[row] != effect::COURSE && role[row] != effect::MOTION) || has_course(effects, row)) &&
+    ((role[row] != effect::PROFILE && role[row] != effect::MOTION) || has_profile(effects, row)) &&
     (role[row] != effect::MOTION || has_equation(effects, row)) &&
     (gap[row] != effect::OUTLINE ||
     has(effects, row, {0, 0, 0, 0, curve::COLUMNS, !planar}, planar));

@@ -21,7 +21,7 @@ namespace effect
 enum Column : Index {STORED = 0, LOAD_TIME = 11};
 /// Roles of laws: a force; one in the place of a command; force or motion over time; dry friction;
 /// inertia whose force follows from accelerations.
-enum Role : Index {FORCE, DRIVE, COURSE, MOTION, FRICTION, INERTIA};
+enum Role : Index {FORCE, DRIVE, PROFILE, MOTION, FRICTION, INERTIA};
 /// Gap: none; from a boundary without end; from a body that may be passed, about its point or as a
 /// curve; of a user's law.
 enum Gap : Index {NO_GAP, BOUNDARY, ROUND, OUTLINE, EVENT};
@@ -70,7 +70,7 @@ enum Value : Index
 };
 }
 
-/// Columns of SceneCode.present: the number of the piece of a course that it holds, NaN where none
+/// Columns of SceneCode.present: the number of the piece of a profile that it holds, NaN where none
 /// is known; when the present period and, in it, the piece began [s]; its coefficients c0 to c5, a,
 /// w and p, of an expression its value and its derivatives. Of a curve: curve.hpp.
 namespace present
@@ -165,7 +165,7 @@ struct SceneCode
   /// Shape (1,): whether the evaluation that was generated has the laws of all effects, as they are
   /// but for numbers that it reads.
   Array<Indices> fits;
-  /// Shape (ne, PRESENT_COLUMNS): pieces of courses that are in force.
+  /// Shape (ne, PRESENT_COLUMNS): pieces of profiles that are in force.
   Array<Table> present;
   /// Shape (ne,): modes of contacts.
   Array<Values> sides;
@@ -184,7 +184,7 @@ struct EffectElement
   Indices joints;
   Indices bodies;
   Indices equation;
-  /// Parameters, and numbers of entries such as pieces of a course, in the order the law reads them.
+  /// Parameters, and numbers of entries such as pieces of a profile, in the order the law reads them.
   Values values;
   Values numbers;
   Index entries;
@@ -286,7 +286,7 @@ private:
   const char * lacks(Index row) const;
 };
 
-/// Whether an expression (course.hpp) has a result, and every operation its operands.
+/// Whether an expression (profile.hpp) has a result, and every operation its operands.
 bool is_expression(Values data, Index at);
 
 }  // namespace closedloop

@@ -7,14 +7,14 @@
 #include <cmath>
 
 #include "columns.hpp"
-#include "course.hpp"
+#include "profile.hpp"
 
 namespace closedloop
 {
 
 namespace
 {
-/// Bring the present piece of a course up to the time.
+/// Bring the present piece of a profile up to the time.
 void take_piece(const EffectTable & table, Index row)
 {
   const Values values = table.values[row], held = table.code.present[row];
@@ -34,7 +34,7 @@ void take_piece(const EffectTable & table, Index row)
     const PresentPiece found = present_piece(table, row, values[0]);
     held[present::NUMBER] = table.states[state + 1];
     held[present::PERIOD_START] = found.period_start;
-    std::copy(found.piece, found.piece + course::COLUMNS, &held[present::PIECE_START]);
+    std::copy(found.piece, found.piece + profile::COLUMNS, &held[present::PIECE_START]);
   }
 }
 }  // namespace
@@ -49,7 +49,7 @@ void store_sides(const EffectTable & table)
 void take_pieces(const EffectTable & table)
 {
   for (Index row = 0; row < table.count(); ++row) {
-    if (table.role[row] == effect::COURSE || table.role[row] == effect::MOTION) {
+    if (table.role[row] == effect::PROFILE || table.role[row] == effect::MOTION) {
       take_piece(table, row);
     }
   }

@@ -7,7 +7,7 @@
 #include <cmath>
 #include <limits>
 
-#include "course.hpp"
+#include "profile.hpp"
 
 namespace closedloop
 {
@@ -18,7 +18,7 @@ namespace
 bool follows_time(const EffectTable & effects, Index row)
 {
   const Index role = effects.role[row];
-  return effects.enabled[row] == 1 && (role == effect::COURSE ||
+  return effects.enabled[row] == 1 && (role == effect::PROFILE ||
          (role == effect::MOTION && effects.values(row, 1) == 0.0));
 }
 

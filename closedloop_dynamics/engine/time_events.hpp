@@ -6,7 +6,7 @@
 
 #include "effect_table.hpp"
 
-// The instants at which the course of a force or motion over time has a corner. Every step ends
+// The instants at which the profile of a force or motion over time has a corner. Every step ends
 // where the next corner is, so that within a step the force is one smooth function and every
 // method keeps its order.
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Courses of prescribed motions from outside, checked on arrival."""
+"""Profiles of prescribed motions from outside, checked on arrival."""
 
 from closedloop_dynamics.control.references import TrajectoryError
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
@@ -41,7 +41,7 @@ class MotionCommand:
             raise CommandError(
                 (f"'{unknown[0]}' is not commanded" if unknown else 'it names no joint')
                 + f'; what may be named: {", ".join(known)}')
-        # Whether a course may go on after its last point depends on what it moves.
+        # Whether a profile may go on after its last point depends on what it moves.
         points = points_of(message, list(dict.fromkeys(names)), held=False)
         stamp = stamp_of(message)
         begin = self._simulated(stamp) if stamp else self._simulation.time

@@ -298,7 +298,7 @@ class Data:
         return not self.mechanism.planar or method.stabilisation in CLOSING
 
     def _prescribe(self, scene: Scene) -> None:
-        """Find the equations of prescribed motions, and start their courses."""
+        """Find the equations of prescribed motions, and start their profiles."""
         self.motions = DrivingConstraints(
             scene, self.mechanism, self.loop_model.model, self.place, self._cut_place)
         self.motions.set_time(0.0)

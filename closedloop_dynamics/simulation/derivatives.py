@@ -111,7 +111,7 @@ class Differentiator:
 
     Notes
     -----
-    Forces over time are those of the simulation's present time; the numbers of their courses are
+    Forces over time are those of the simulation's present time; the numbers of their profiles are
     no parameters. The residuals of motion and closure are differentiated, and solved by the
     factors of the articulated inertias and of the constraint matrix
     (``core.codegen.derivatives``). Coordinates
@@ -129,7 +129,7 @@ class Differentiator:
         for key in parameters:
             if re.fullmatch(r'effects\..*\.period', key):
                 raise ValueError(f'{key}: expected a number that forces at an instant follow, '
-                                 'got that of a course over time')
+                                 'got that of a profile over time')
         self._scene = TracedScene(data, instant=True)
         self._steps = StepDerivatives(data, parameter_arrays(data, parameters), self._scene)
         self._enabled, self._laws = dict(data.effect_set.enabled), structure(data)

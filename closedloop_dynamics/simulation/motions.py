@@ -218,22 +218,22 @@ class DrivingConstraints:
     @property
     def commanded(self):
         """
-        Effects whose course is commanded at runtime, by their names in commands.
+        Effects whose profile is commanded at runtime, by their names in commands.
 
         That is the joint that moves, or the effect's own name where a point moves.
         """
         return {motion.freedom or motion.name: motion.name for motion in self.mechanism.motions
                 if self.records[motion.name].shape == COMMANDED}
 
-    def courses(self, commands, time):
+    def profiles(self, commands, time):
         """
-        Return the courses of commands, keys by effect, as arguments of ``Simulation.set_effect``.
+        Return the profiles of commands, keys by effect, as arguments of ``Simulation.set_effect``.
 
         ``commands`` are as for ``Simulation.command_motion``. FieldError.
         """
         found, known = {}, self.commanded
         for key, points in commands.items():
-            one_of(tuple(known), 'one of the joints, or effects that move a point, whose course '
+            one_of(tuple(known), 'one of the joints, or effects that move a point, whose profile '
                                  'is commanded')(key)
             record = self.records[known[key]]
             with at(key):

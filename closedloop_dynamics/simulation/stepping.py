@@ -689,8 +689,8 @@ class Stepping:
 
     def command_motion(self, commands: Mapping[str, Tuple[Any, ...]]) -> None:
         """As ``Simulation.command_motion``."""
-        courses = self.data.motions.courses(commands, self.data.time)
-        for name, keys in courses.items():
+        profiles = self.data.motions.profiles(commands, self.data.time)
+        for name, keys in profiles.items():
             record = self._effects.checked(name, None, keys)
             fastest = max(abs(record.at(time)[1]) for time in instants(keys['times']))
             if not fastest * self.step_size <= LARGEST_MOTION:
@@ -698,7 +698,7 @@ class Stepping:
                     raise FieldError(
                         f'a rate of at most {LARGEST_MOTION / self.step_size:g} rad/s or m/s',
                         f'{fastest:.3g}', path=('rates',))
-        for name, keys in courses.items():
+        for name, keys in profiles.items():
             self.set_effect(name, **keys)
 
     def set_step_size(self, step_size: float) -> None:

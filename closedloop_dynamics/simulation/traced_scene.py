@@ -8,7 +8,7 @@ import numpy as np
 from .errors import SimulationError
 from ..core.codegen import function_table as calls
 from ..core.codegen.function_table import VALUE_COLUMNS
-from ..effects.force_law import COURSE
+from ..effects.force_law import PROFILE
 from ..effects.traced_laws import act, refused
 
 
@@ -69,7 +69,7 @@ class TracedScene:
         present = self.values[count:].reshape(-1)
         present[:] = data.time
         for row, name in enumerate(data.effect_set.by_name):
-            if self._effects.enabled[row] and self._effects.role[row] == COURSE:
+            if self._effects.enabled[row] and self._effects.role[row] == PROFILE:
                 present[row] = data.effect_readings(name)['force']
 
     def act(self, forces):
@@ -96,7 +96,7 @@ def structure(data):
     rows = () if table is None else table.enabled_rows
     return tuple((
         row.number, row.law.name, *row.law.parts(row), *row.joints, *row.bodies,
-        # Of a course the force is a number.
-        *(() if row.law.role == COURSE else (
+        # Of a profile the force is a number.
+        *(() if row.law.role == PROFILE else (
             *row.law.terms(row), *row.arms.tolist(), *row.data.tolist())))
         for row in rows)

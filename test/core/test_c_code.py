@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 pytestmark = pytest.mark.skipif(not c_code.compiler(), reason='no C compiler is installed')
-# Laws with searches of the engine (curves, courses), a tree without code for all its bodies, loops
-# in space and in the plane; of the first the states side by side, and derivatives, too.
+# Laws with searches of the engine (curves, profiles), a tree without code for all its bodies, and
+# loops in space and in the plane; of the first the states side by side, and derivatives, too.
 SCENES = ('four_bar', 'cam_follower', 'geneva_drive')
 WITHOUT_LLVM = 'import sys; sys.modules["llvmlite"] = None; '
 PRINT = (WITHOUT_LLVM + 'import json; from test.core.test_c_code import SCENES, numbers; '

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Motions that are commanded while they run: courses, forces, work, refusals."""
+"""Motions that are commanded while they run: profiles, forces, work, refusals."""
 
 import math
 
@@ -36,7 +36,7 @@ def test_it_rests_until_it_is_told(sliding):
 
 @pytest.mark.parametrize('degree', [3, 5])
 def test_polynomials_through_points_are_met(sliding, degree):
-    # A polynomial of the degree that the points allow is itself the course.
+    # A polynomial of the degree that the points allow is itself the profile.
     rng = np.random.default_rng(degree)
     wanted = np.polynomial.Polynomial(rng.uniform(-1.0, 1.0, degree + 1))
     wanted -= wanted(0.0) - 0.3
@@ -62,7 +62,7 @@ def test_polynomials_through_points_are_met(sliding, degree):
     assert_balanced(sliding, 1e-9)
 
 
-def test_another_course_begins_where_the_one_before_is(sliding):
+def test_another_profile_begins_where_the_one_before_is(sliding):
     sliding.command_motion({'slide': ([0.6], [1.0])})
     sliding.step(duration=0.2)
     before = sliding.position[0], sliding.velocity[0]
@@ -78,7 +78,7 @@ def test_another_course_begins_where_the_one_before_is(sliding):
     assert sliding.position[0] == 0.3
 
 
-@pytest.mark.parametrize('name, course, match', [
+@pytest.mark.parametrize('name, profile, match', [
     ('slide', ([0.05], [0.4]), 'from now on, which is 0.1 s'),
     ('slide', ([0.1], [0.4]), 'present position, 0.3, got a jump to 0.4'),
     ('slide', ([0.1, 0.2], [0.3, 0.4], [0.1, 0.0]), 'present rate, 0, got a jump to 0.1'),
@@ -94,10 +94,10 @@ def test_another_course_begins_where_the_one_before_is(sliding):
     ('slide', ([0.2], [1e308], [1e308]), 'beyond all bounds|a rate of at most'),
     ('slide', (np.linspace(0.2, 1.0, 201), np.zeros(201)), 'at most 200 points'),
     ('slyde', ([0.2], [0.4]), 'did you mean|one of the joints')])
-def test_what_cannot_be_followed_is_refused_and_changes_nothing(sliding, name, course, match):
+def test_what_cannot_be_followed_is_refused_and_changes_nothing(sliding, name, profile, match):
     state, effects = sliding.state, sliding.effects
     with pytest.raises(FieldError, match=match):
-        sliding.command_motion({name: course})
+        sliding.command_motion({name: profile})
     # Not even what could be followed.
     with pytest.raises(FieldError):
         sliding.command_motion({'slide': ([0.2], [0.4]), 'slyde': ([0.2], [0.4])})
@@ -105,7 +105,7 @@ def test_what_cannot_be_followed_is_refused_and_changes_nothing(sliding, name, c
     assert sliding.effects == effects
 
 
-def test_a_course_that_must_end_at_rest_does():
+def test_a_profile_that_must_end_at_rest_does():
     simulation = simulated(block(), {'drive': PrescribedMotion(
         'commanded', joint='slide', room=2)}, [0.0])
     with pytest.raises(FieldError, match='rest at the end'):

@@ -254,8 +254,8 @@ def geared(directory, pins, joint, cut, spatial, motion=None):
 
 def driven(directory, pins, joint, spatial, moved, duration=0.4, instants=5):
     """Return motions and simulations of such a machine, its joint cut and in the tree."""
-    course = '0.29 + 0.02*sin(4*t)' if joint == 'slide' else '0.9 + 0.3*sin(4*t)'
-    sims = [geared(directory, pins, joint, cut, spatial, course if moved else None)
+    profile = '0.29 + 0.02*sin(4*t)' if joint == 'slide' else '0.9 + 0.3*sin(4*t)'
+    sims = [geared(directory, pins, joint, cut, spatial, profile if moved else None)
             for cut in (joint, 'far' if joint == 'slide' else 'rocker_joint')]
     return [motion(sim, None if moved else {'crank_joint': 0.5}, duration, instants)
             for sim in sims], sims

@@ -220,9 +220,9 @@ def test_a_moved_joint_takes_no_torque():
 @pytest.mark.parametrize('integrator', ['auto', 'rk4'])
 def test_a_slider_that_ends_at_its_dead_centre_is_told_so(integrator):
     # Crank 0.1 m, rod 0.3 m: at 0.4 m both lie in line, and the crank would need any rate.
-    course = PrescribedMotion('table', joint='slider_joint', times=(0.0, 0.5, 1.0),
-                              values=(0.337228, 0.37, 0.4))
-    simulation = Simulation.from_scene('slider_crank', motion={'slider_joint': course},
+    profile = PrescribedMotion('table', joint='slider_joint', times=(0.0, 0.5, 1.0),
+                               values=(0.337228, 0.37, 0.4))
+    simulation = Simulation.from_scene('slider_crank', motion={'slider_joint': profile},
                                        integrator=integrator)
     with pytest.raises(MotionError, match='has led to a limit of the mechanism, such as a dead '
                                           'centre, where slider_joint can go no further'):

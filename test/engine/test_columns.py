@@ -11,7 +11,7 @@ from closedloop_dynamics.core import equations, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
-    course, curve, effect_table, element, expression, force_law, traced_effect)
+    curve, effect_table, element, expression, force_law, profile, traced_effect)
 from closedloop_dynamics.integration import (
     batch, control, evaluation, recorded_run, registry, run, stepped_run, system, tableau)
 from closedloop_dynamics.simulation import guards
@@ -44,7 +44,7 @@ ENUMS = {
     'library.Function': (function_table, {}),
     'law_routine': (function_table, {}),
     'cut_coordinate.Value': (element, {}),
-    'course.cpp: Operation': (expression, {}),
+    'profile.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (system, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
     'Outcome': (run, {}),
@@ -71,7 +71,7 @@ CONSTANTS = {
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
     'manifold.cpp': (manifold, ('HALF',)),
-    'course.hpp': (course, ('SAME_TIME', 'COLUMNS')),
+    'profile.hpp': (profile, ('SAME_TIME', 'COLUMNS')),
     'curve.hpp': (curve, ('COLUMNS',)),
     'laws.hpp': (traced_effect, ('MOST_COORDINATES',)),
     'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),

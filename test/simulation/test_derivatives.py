@@ -305,7 +305,7 @@ def test_forces_over_time_have_no_derivatives_along_a_motion():
     simulation = Simulation.from_scene(scene)
     with pytest.raises(SimulationError, match='follow the time'):
         Linearisation(simulation).discrete_model(0.01)
-    with pytest.raises(ValueError, match='course over time'):
+    with pytest.raises(ValueError, match='profile over time'):
         Differentiator(simulation, ['effects.turn.period'])
 
 

@@ -258,7 +258,7 @@ class LiveForces(Forces):
         """Keep a number for readings among the entries; no step does."""
 
     def present_piece(self):
-        """Return when the period and the piece of a course began, and its coefficients."""
+        """Return when the period and the piece of a profile began, and its coefficients."""
         return [self.trace.at(PRESENT, self.row, n) for n in range(1, PRESENT_COLUMNS)]
 
     def drive(self, position, rate, change):

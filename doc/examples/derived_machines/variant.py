@@ -22,8 +22,8 @@ from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.simulation.scene_records import Scene
 
-# Numbers of a course over time that change sign with the coordinate.
-COURSE = ('offset', 'speed', 'amplitude', 'values', 'rates', 'accelerations')
+# Numbers of a profile over time that change sign with the coordinate.
+PROFILE = ('offset', 'speed', 'amplitude', 'values', 'rates', 'accelerations')
 
 
 class Variant(NamedTuple):
@@ -113,9 +113,9 @@ def _turned(value):
 
 
 def _negated(effect):
-    """Return a course of which all values have the other sign."""
+    """Return a profile of which all values have the other sign."""
     changes = {}
-    for key in COURSE:
+    for key in PROFILE:
         value = getattr(effect, key, None)
         if value is not None:
             changes[key] = tuple(-each for each in value) if isinstance(value, tuple) else -value

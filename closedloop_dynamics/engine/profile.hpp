@@ -1,8 +1,8 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_
-#define CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__PROFILE_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__PROFILE_HPP_
 
 #include "effect_table.hpp"
 
@@ -19,27 +19,27 @@ namespace closedloop
 /// Times closer than this, relative to their size, are the same.
 constexpr double SAME_TIME = 1e-12;
 
-namespace course
+namespace profile
 {
 /// Numbers of a piece: its start [s], c0 to c5, a, w, p.
 constexpr Index COLUMNS = 10;
 }
 
-/// The present piece of a course, and when its period began [s].
+/// The present piece of a profile, and when its period began [s].
 struct PresentPiece
 {
   const double * piece;
   double period_start;
 };
 
-/// The present piece of an effect's course, by its states; `period` [s]: zero if not periodic.
+/// The present piece of an effect's profile, by its states; `period` [s]: zero if not periodic.
 PresentPiece present_piece(const EffectTable &, Index row, double period);
 
 /// Number of a piece from the state that counts them: whole but for the differences that stiff
 /// methods take.
 Index piece_number(double state);
 
-/// When a piece of a course ends [s]; infinity where it is the last one.
+/// When a piece of a profile ends [s]; infinity where it is the last one.
 double end_of_piece(const EffectTable &, Index row, double period, Index piece);
 
 /// Value at a time of the expression whose entry begins at a place of the data, with the room for its
@@ -48,4 +48,4 @@ double expression_value(Values data, Index at, double time);
 
 }  // namespace closedloop
 
-#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__PROFILE_HPP_

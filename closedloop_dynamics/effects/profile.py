@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Courses over time: a quantity as a chain of pieces, each a polynomial and a sine.
+Profiles over time: a quantity as a chain of pieces, each a polynomial and a sine.
 
     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece)
 
@@ -54,7 +54,7 @@ def require_joint_or_point(record, wanted):
 
 def require_keys(record, shapes=SHAPES):
     """
-    Refuse keys that the shape of a course does not have, and miss those that it needs.
+    Refuse keys that the shape of a profile does not have, and miss those that it needs.
 
     Of a record with the keys of all shapes as attributes, None where not given; ``shapes``:
     required and optional keys by shape. FieldError.
@@ -72,7 +72,7 @@ def require_keys(record, shapes=SHAPES):
 
 def pieces(record):
     """
-    Return the pieces of a course, rows of COLUMNS floats, of a record with its shape and keys.
+    Return the pieces of a profile, rows of COLUMNS floats, of a record with its shape and keys.
 
     FieldError.
     """
@@ -196,7 +196,7 @@ def present(found, period, time):
 
 
 def terms(row):
-    """Return which terms the course of a row of the table has, for the code of a scene."""
+    """Return which terms the profile of a row of the table has, for the code of a scene."""
     if row.values[1] == 1.0:
         return 'expression',
     pieces = row.data[:COLUMNS * row.count].reshape(-1, COLUMNS)
@@ -235,7 +235,7 @@ def values_of_piece(c, u, high=True, turns=True):
 
 def present_values(forces):
     """
-    Return the value of the course of an effect at the present time, its rate and its change.
+    Return the value of the profile of an effect at the present time, its rate and its change.
 
     The engine has looked up the piece, or evaluated the expression and its derivatives.
     """
@@ -250,12 +250,12 @@ def present_values(forces):
 
 
 def value(forces):
-    """Return the value of the course of an effect at the present time, or the one that is held."""
+    """Return the value of the profile of an effect at the present time, or the held one."""
     return present_values(forces)[0] if forces.held is None else forces.held
 
 
 def values_at(pieces, period, time):
-    """Return the value of a course at a time [s], its rate and its change."""
+    """Return the value of a profile at a time [s], its rate and its change."""
     count = len(pieces)
     number = int(present(pieces, period, time))
     cycle = 0 if period is None else number // count

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-#include "course.hpp"
+#include "profile.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -83,7 +83,7 @@ PresentPiece present_piece(const EffectTable & table, Index row, double period)
     // A state that has diverged must not read beyond the pieces.
     number = std::max<Index>(0, std::min(number, count - 1));
   }
-  const Index at = table.first_number[row] + course::COLUMNS * (number - cycle * count);
+  const Index at = table.first_number[row] + profile::COLUMNS * (number - cycle * count);
   return {table.data.data + at, period > 0.0 ? cycle * period : 0.0};
 }
 
@@ -96,7 +96,7 @@ double end_of_piece(const EffectTable & table, Index row, double period, Index p
   } else if (following >= count) {
     return std::numeric_limits<double>::infinity();
   }
-  const Index at = table.first_number[row] + course::COLUMNS * (following - cycle * count);
+  const Index at = table.first_number[row] + profile::COLUMNS * (following - cycle * count);
   return table.data[at] + cycle * period;
 }
 
