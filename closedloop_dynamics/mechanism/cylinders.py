@@ -14,6 +14,8 @@ from .checks import boolean, listed, positive, vector2
 from .fields import at, FieldError, mapping, shown
 
 SECTION = 'cylinders'
+# Length of a barrel as it is drawn, in its radii.
+THINNESS = 14.0
 KEYS = ('between', 'points', 'mass', 'length'), ('actuated',)
 
 
@@ -67,10 +69,13 @@ def _parts(name, values, parameters):
         actuated = boolean(values.get('actuated', False))
     mass, length = 0.5 * numbers['mass'], numbers['length']
     bar = {'mass': mass, 'inertia': mass * length ** 2 / 12.0}
+    thick = length / THINNESS
     pin = {'type': 'revolute', 'cut': False}
     return {
-        barrel: {**bar, 'center_of_mass': [0.5 * length, 0.0]},
-        rod: {**bar, 'center_of_mass': [-0.5 * length, 0.0]}}, {
+        barrel: {**bar, 'center_of_mass': [0.5 * length, 0.0],
+                 'visual': [{'rod': {'to': [length, 0.0], 'radius': thick}}]},
+        rod: {**bar, 'center_of_mass': [-0.5 * length, 0.0],
+              'visual': [{'rod': {'to': [-length, 0.0], 'radius': 0.5 * thick}}]}}, {
         f'{name}_foot': {**pin, 'between': [pair[0], barrel], 'points': [places[0], [0.0, 0.0]]},
         name: {'type': 'prismatic', 'between': [barrel, rod], 'points': [[0.0, 0.0], [0.0, 0.0]],
                'cut': False, 'actuated': actuated},

@@ -24,6 +24,9 @@ from ..mechanism.rotations import CONJUGATE, composed, quaternion_of_angles
 FARTHEST = 0.25
 # How much more an open loop counts than a place that is missed.
 CLOSED = 1e3
+# How much a change of a coordinate counts beside a place that is missed: its square, by which the
+# place is missed then, is rounding.
+STILL = 1e-5
 # Starts of a search, which ends where all is reached so far [of the extent].
 STARTS, REACHED = 8, 1e-6
 # Joints that carry a body along: their place is that of the body alone.
@@ -62,19 +65,23 @@ def drawn_position(mechanism, places, poses, start):
             q, own = _carried(mechanism, drawn, joint, q, size)
             loose[own] = 0.0
 
-    def errors(position):
+    def errors(position, closed=CLOSED):
         bodies = body_poses(mechanism, position)
-        return np.array([*drawn.errors(bodies, size), *(CLOSED * np.array([
+        return np.array([*drawn.errors(bodies, size), *(closed * np.array([
             *closure_errors(mechanism, bodies), *coupling_errors(mechanism, position)]))])
+
+    def missed(position):
+        return np.abs(errors(position, 1.0)).max(initial=0.0) / size
 
     rng, found = np.random.default_rng(0), []
     for k in range(STARTS if loose.any() else 1):
         change = loose * rng.uniform(-1.0, 1.0, coordinates.nv) * (k > 0)
-        found.append(_least(mechanism, errors, _with_whole_turns(mechanism, coordinates.moved(
-            q, change)), np.arange(coordinates.nv)))
-        if np.abs(errors(found[-1])).max(initial=0.0) < REACHED * size:
+        begun = _with_whole_turns(mechanism, coordinates.moved(q, change))
+        found.append(_least(mechanism, size, errors, begun, np.arange(coordinates.nv)))
+        if missed(found[-1]) < REACHED:
             break
-    q = min(found, key=lambda one: np.abs(errors(one)).sum())
+    # The first of those that are as good, from where the start says.
+    q = min(found, key=lambda one: round(missed(one) / REACHED))
     drawn.require_near(body_poses(mechanism, q), size)
     return q
 
@@ -194,7 +201,7 @@ def _carried(mechanism, drawn, joint, q, size):
     best = None
     for k in range(STARTS * len(own) if turning.any() else 1):
         change = turning * rng.uniform(-1.0, 1.0, coordinates.nv) * (k > 0)
-        found = _least(mechanism, errors, coordinates.moved(q, change), own)
+        found = _least(mechanism, size, errors, coordinates.moved(q, change), own)
         if best is None or cost(found) < cost(best):
             best = found
         if cost(best) == (0.0, 0):
@@ -234,7 +241,7 @@ def _with_whole_turns(mechanism, q):
     return q
 
 
-def _least(mechanism, errors, start, own):
+def _least(mechanism, size, errors, start, own):
     """Return the position with the least errors that some freedoms lead to from a start."""
     # Here, as most scenes start from joint coordinates.
     from scipy.optimize import least_squares
@@ -245,5 +252,7 @@ def _least(mechanism, errors, start, own):
         whole[own] = change
         return moved(start, whole)
 
-    return position(least_squares(lambda change: errors(position(change)), np.zeros(len(own)),
-                                  xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+    # What nothing of the drawing is about stays.
+    return position(least_squares(
+        lambda change: np.concatenate([errors(position(change)), STILL * size * change]),
+        np.zeros(len(own)), xtol=1e-15, ftol=1e-15, gtol=1e-15).x)

@@ -311,6 +311,9 @@ def test_other_elements_are_drawn(hand):
     simulation = Simulation(scene)
     names = simulation.coordinates.names
     begun = dict(zip(names, simulation.position))
+    # What nothing of the drawing turns is not turned.
+    assert max(abs(begun[name]) for name, at in hand.nodes().items()
+               if at in (0.07j, 0.06 + 0.07j, -0.02 + 0.01j)) < 1e-9
     # The rod is as far out as it is drawn, and its motor lengthens it.
     assert begun['cylinder_1'] == pytest.approx(math.hypot(0.04, 0.06), abs=1e-9)
     simulation.step(duration=0.1)
