@@ -150,8 +150,9 @@ class ComputedTorque:
 
     def torque(self, time, position, velocity):
         """Return the torques, shape (n,), for a state, shapes (nq,), (nv,), at a time [s]."""
-        lead = self._lead(time)
         position, velocity = self._simulation.closed(position, velocity)
+        # A state that closes no loops changes nothing.
+        lead = self._lead(time)
         acceleration, _ = self._simulation.forward_dynamics(position, velocity, self._torque)
         if len(self._coordinates.balls):
             position = self._coordinates.moved(

@@ -51,6 +51,8 @@ class Streams:
     ----------
     topics : dict of str to str
         Types of messages by the topics that they come on.
+    sensors : dict of str to list of sensors.Sensor
+        Those that are read from a topic.
 
     """
 
@@ -59,13 +61,13 @@ class Streams:
         self._driven = frozenset(mechanism.actuated_joints)
         self._turning = frozenset(joint.name for joint in (
             *mechanism.joints, *mechanism.cut_joints) if joint.type == REVOLUTE)
-        self._sensors, self.topics, topics = {}, {STATES: STATE}, topics_of(setup)
+        self.sensors, self.topics, topics = {}, {STATES: STATE}, topics_of(setup)
         for sensor in setup.sensors:
             topic, kind = topics[sensor.name], MESSAGES[type(sensor)]
             if not topic.strip('/') or self.topics.get(topic, kind) != kind:
                 raise FieldError(f'a topic of {kind} alone', repr(topic), '',
                                  ('topics', sensor.name))
-            self._sensors.setdefault(topic, []).append(sensor)
+            self.sensors.setdefault(topic, []).append(sensor)
             self.topics[topic] = kind
         self._latest, self._angles = {}, {}
 
@@ -77,19 +79,33 @@ class Streams:
         """
         Return names of sensors and their values in a message, as ``Estimator.measure`` takes them.
 
-        What is NaN was not measured; of a message that comes again with its stamp there is
-        nothing. StreamError where the message makes no sense.
+        Of a message that comes again with its stamp there is nothing. StreamError where the
+        message makes no sense.
         """
-        sensors, stamp = self._sensors.get(topic, ()), stamp_of(message)
-        if self._latest.get(topic) == stamp:
-            return []
+        return self.taken(topic, stamp_of(message), self.readings(topic, message))
+
+    def readings(self, topic, message):
+        """
+        Return sensors and their values in a message, which changes nothing yet.
+
+        What is NaN was not measured. StreamError where the message makes no sense.
+        """
+        sensors = self.sensors.get(topic, ())
         if self.topics[topic] == STATE:
             found = self._of_joints(sensors, message)
         else:
-            found = [(sensor.name, self._finite(sensor, READERS[type(sensor)](
+            found = [(sensor, self._finite(sensor, READERS[type(sensor)](
                 message, self._planar))) for sensor in sensors]
+        return [(sensor, values) for sensor, values in found if not any(map(math.isnan, values))]
+
+    def taken(self, topic, stamp, readings):
+        """Return names and values of readings with a stamp, as ``measurements`` does."""
+        if not readings or self._latest.get(topic) == stamp:
+            return []
         self._latest[topic] = stamp
-        return [(name, values) for name, values in found if not any(map(math.isnan, values))]
+        return [(sensor.name, self.unwound(sensor, *values) if isinstance(
+            sensor, JointSensor) else values)
+                for sensor, values in readings]
 
     def _of_joints(self, sensors, message):
         places = self._places(message)
@@ -102,11 +118,11 @@ class Streams:
             values = getattr(message, FIELDS[sensor.quantity])
             if sensor.joint in places and len(values):
                 found.append((sensor, self._finite(sensor, (values[places[sensor.joint]],))))
-        return [(sensor.name, self.unwound(sensor, *values)) for sensor, values in found]
+        return found
 
     def unwound(self, sensor, value):
         """Return a reading of a joint; of an angle what is next to the reading before."""
-        if sensor.quantity != POSITION or sensor.joint not in self._turning or math.isnan(value):
+        if sensor.quantity != POSITION or sensor.joint not in self._turning:
             return (value,)
         before = self._angles.get(sensor.joint, value)
         value -= TURN * round((value - before) / TURN)

@@ -270,6 +270,16 @@ class EstimatorNode(Node):
         if self.paused:
             return
         stamp = stamp_of(message)
+        # Before anything is changed by it.
+        try:
+            readings = self._streams.readings(topic, message)
+            torques = self._streams.torques(message) if topic == STATES else {}
+        except StreamError as error:
+            self._complain(NOT_USABLE, f'{topic} not usable: {error}')
+            return
+        if not readings and not torques and topic in self._streams.sensors:
+            # It measures nothing: its stamp is not that of a reading.
+            return
         follows = self._timeline.follows(1e-9 * stamp)
         if follows is False:
             self._complain(ODD, f'{topic}: a stamp of {1e-9 * stamp:.3f} s is not used: the '
@@ -278,12 +288,7 @@ class EstimatorNode(Node):
         if follows is None:
             self.get_logger().warning(f'time has jumped to {1e-9 * stamp:.3f} s: starting again')
             self._restart()
-        try:
-            found = self._streams.measurements(topic, message)
-            torques = self._streams.torques(message) if topic == STATES else {}
-        except StreamError as error:
-            self._complain(NOT_USABLE, f'{topic} not usable: {error}')
-            return
+        found = self._streams.taken(topic, stamp, readings)
         if self._origin is None:
             self._origin = stamp
         time = 1e-9 * (stamp - self._origin)

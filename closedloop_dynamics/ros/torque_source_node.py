@@ -37,8 +37,11 @@ from trajectory_msgs.msg import JointTrajectory
 NAME = 'closedloop_torque_source'
 QUEUE_DEPTH = 10
 # Only the newest state is worth an answer: those that waited behind others while this process was
-# held up would be answered too late, which can make a control loop unstable.
-STATE_DEPTH = 1
+# held up would be answered too late, which can make a control loop unstable. Several may wait all
+# the same: one of another publisher, which is not usable, must not take the place of the newest.
+STATE_DEPTH = 10
+# Of orientations each is kept until its state has come.
+ORIENTATION_DEPTH = 1
 # Period of the search for the simulator [s].
 QUESTION_PERIOD = 0.1
 # A question without an answer for so long is asked again: the node asked may
@@ -134,7 +137,7 @@ class TorqueSourceNode(Node):
     Publish torques for the actuated joints of a simulator.
 
     ``exit_code``: None while the node wants to go on; ``joints``: empty until known;
-    ``published``: commands so far.
+    ``published``: commands so far; ``states``: subscription of modes with feedback.
     """
 
     def __init__(self, **options):
@@ -168,37 +171,49 @@ class TorqueSourceNode(Node):
             self._question = JointQuestion(self, self.values['simulator'])
             self._every(QUESTION_PERIOD, self._request_joints)
 
+    def on_waiting_states(self, message):
+        """Answer the newest usable one of a state and those that wait behind it."""
+        waiting, states = [message], self.states
+        with states.handle:
+            while taken := states.handle.take_message(states.msg_type, states.raw):
+                waiting.append(taken[0])
+        for state in reversed(waiting):
+            if self.on_joint_states(state):
+                return
+
     def on_joint_states(self, message):
-        """Answer a state with a command, when all of it has come."""
-        if self._orientations is not None and not self._orientations.complete(message):
-            return
-        if not self._is_heard() or self._is_answered(message.header.stamp):
-            return
+        """Answer a state with a command, when all of it has come; return whether it is usable."""
         problem = self._read(message)
         if problem:
             if self._complaint.ready():
                 self.get_logger().warning(f'joint_states not usable: {problem}')
-            return
+            return False
+        if self._orientations is not None and not self._orientations.complete(message):
+            return True
+        if not self._is_heard() or self._is_answered(message.header.stamp):
+            return True
         state = [np.array(values)[self._read_indices]
                  for values in (message.position, message.velocity)]
         if self._orientations is not None:
             state = self._orientations.whole(*state)
         time_of_state = stamp_of(message) * 1e-9
         if self._is_on_its_way(time_of_state, message.effort):
-            return
+            return True
         try:
             torque = self.law.torque(time_of_state, *state)
         except AssemblyError as error:
             if self._complaint.ready():
                 self.get_logger().warning(f'joint_states not usable: {error}')
-            return
+            return False
         self._publish(torque, message.header.stamp)
+        self._answered = message.header.stamp, time.monotonic()
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
         if self._action is not None:
             self._action.on_state(time_of_state, self.law.desired(time_of_state), np.array(
                 [message.position, message.velocity])[:, self._driven_indices])
         if self._points is not None:
             self._begin_trajectory(time_of_state, *state)
+        return True
 
     def on_orientations(self, message):
         """Store the orientations of a state; answer it if the rest of it waits for them."""
@@ -270,13 +285,9 @@ class TorqueSourceNode(Node):
         return True
 
     def _is_answered(self, stamp):
-        """Return whether a state with this stamp was answered just now; if not, it will be."""
-        stamp, now = (stamp.sec, stamp.nanosec), time.monotonic()
-        if self._answered is not None and self._answered[0] == stamp and (
-                now - self._answered[1] < LOST):
-            return True
-        self._answered = stamp, now
-        return False
+        """Return whether a state with this stamp was answered just now."""
+        return self._answered is not None and self._answered[0] == stamp and (
+            time.monotonic() - self._answered[1] < LOST)
 
     def close(self):
         """Log a summary."""
@@ -311,9 +322,9 @@ class TorqueSourceNode(Node):
                     self._orientations = Orientations(self.simulation.mechanism)
                     self.create_subscription(
                         MultiDOFJointState, 'multi_dof_joint_states', self.on_orientations,
-                        STATE_DEPTH)
-            self.create_subscription(
-                JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
+                        ORIENTATION_DEPTH)
+            self.states = self.create_subscription(
+                JointState, 'joint_states', self.on_waiting_states, STATE_DEPTH)
             if self.values['mode'] == 'computed_torque':
                 self.create_subscription(
                     JointTrajectory, 'joint_trajectory', self.on_trajectory, QUEUE_DEPTH)

@@ -3,12 +3,14 @@
 
 """The node that estimates: by its callbacks, and beside a simulator as a process."""
 
+from copy import copy
 import math
 import signal
 from test.estimation.recorded import MACHINE, SENSORS, states
 from types import SimpleNamespace
 
 from closedloop_dynamics.estimation.results import Alarm, Estimated
+from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.estimator_node import (
     EstimatorNode, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, Timeline, USED)
 from closedloop_dynamics.ros.process import StartError
@@ -18,7 +20,7 @@ import numpy as np
 import pytest
 from rclpy.time import Time
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
@@ -128,11 +130,17 @@ def test_bad_messages_are_counted_and_change_nothing(build):
         node.on_measurement('joint_states', measured(k, names=DRIVEN))
         other.on_measurement('joint_states', measured(k, names=DRIVEN))
         for change in BAD:
+            # With the stamp of the next good one, a while ahead, and far away, again and again.
+            for begin in BEGIN + 10 ** 7, BEGIN + 9 * 10 ** 8, BEGIN + 10 ** 12:
+                other.on_measurement('joint_states', measured(
+                    k, names=DRIVEN, begin=begin, **change))
+        for begin in BEGIN + 10 ** 7, BEGIN + 9 * 10 ** 8:
             other.on_measurement('joint_states', measured(
-                k, names=DRIVEN, begin=BEGIN + 10 ** 6, **change))
+                k, names=DRIVEN, begin=begin, **dict.fromkeys(
+                    ('position', 'velocity', 'effort'), 3 * [math.nan])))
         other.on_measurement('joint_states', measured(k, names=DRIVEN, begin=BEGIN + 10 ** 12))
         other.on_measurement('joint_states', measured(k, names=DRIVEN, begin=0))
-    assert other.counts == {USED: 20, NOT_USABLE: 20 * len(BAD), ODD: 40, RESTARTS: 1}
+    assert other.counts == {USED: 20, NOT_USABLE: 60 * len(BAD), ODD: 40, RESTARTS: 1}
     for one, two in zip(node.seen, other.seen):
         assert (one[1] == two[1]).all() and (one[2] == two[2]).all()
     assert len(node.seen) == len(other.seen)
@@ -362,8 +370,25 @@ def test_killed_in_mid_motion_another_process_goes_on_and_bears_nonsense(
                    for one in findings for status in one.status)
 
     listener.send(publisher, message, told, 'a finding')
+    # In lockstep the torque source, which reads the same topic, must not leave a state without an
+    # answer.
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: states, 'a state')
+    publisher = listener.publisher('joint_states', JointState)
+    for change in (*BAD, {'position': [math.nan] * 9}, {'begin': 10 ** 12}, {'begin': 1}):
+        newest, change = states[-1], dict(change)
+        begin = change.pop('begin', 0)
+        nonsense = copy(newest)
+        nonsense.header = Header(stamp=Time(nanoseconds=begin + (
+            0 if begin else stamp_of(newest))).to_msg())
+        for key, value in change.items():
+            setattr(nonsense, key, value)
+        publisher.publish(nonsense)
+    listener.wait(lambda: any(
+        'joint_states not usable' in status.message or 'is not used' in status.message
+        for one in findings for status in one.status), 'a finding on joint_states')
     unknown.clear()
-    listener.wait(found, 'an estimate after nonsense')
+    listener.wait(lambda: len(unknown) > 100 and found(), 'estimates after nonsense')
     *_, mass, deviation = unknown[-1].data
     assert abs(mass - 5.0) < 5.0 * deviation
     assert another.stop() == 0

@@ -3,7 +3,9 @@
 
 """Tests of the torque source by calling its callbacks; nothing spins."""
 
+from contextlib import nullcontext
 import math
+from types import SimpleNamespace
 
 from builtin_interfaces.msg import Duration
 from closedloop_dynamics import Simulation
@@ -124,6 +126,13 @@ def test_answer_by_name_carries_the_stamp_of_the_state(make_source, monkeypatch)
     assert (stamp.sec, stamp.nanosec) == (12, 500_000_000)
 
 
+class Waiting(nullcontext):
+    """A subscription's handle with messages that wait."""
+
+    def take_message(self, kind, raw):
+        return (self.enter_result.pop(0), {}) if self.enter_result else None
+
+
 @pytest.mark.parametrize('message', [
     state(0.0, [1.0], [1.0], names=['b']),
     state(0.0, [1.0], [], names=['a']),
@@ -132,12 +141,31 @@ def test_answer_by_name_carries_the_stamp_of_the_state(make_source, monkeypatch)
     state(0.0, [1.0], [math.inf], names=['a']),
     JointState(),
 ])
-def test_states_that_cannot_be_used_are_not_answered(make_source, message):
+def test_states_that_cannot_be_used_are_not_answered(make_source, monkeypatch, message):
     source = make_source(mode='pd', joints=['a'], kp=[10.0])
     source.on_joint_states(message)
     assert source.sent == []
-    source.on_joint_states(state(1.0, [0.7], [0.0], names=['a']))
+    # Another one with its stamp is.
+    source.on_joint_states(state(0.0, [0.7], [0.0], names=['a']))
     assert source.sent == [[0.0]]
+    # Waiting in a queue they do not take the place of a state before them.
+    waiting = [state(0.5, [0.6], [0.0], names=['a']), state(1.0, [0.8], [0.0], names=['a']),
+               message]
+    monkeypatch.setattr(source, 'states', SimpleNamespace(
+        handle=Waiting(waiting[1:]), msg_type=JointState, raw=False))
+    source.on_waiting_states(waiting[0])
+    assert source.sent[1:] == [[pytest.approx(-1.0)]]
+
+
+def test_state_that_closes_no_loops_changes_nothing(make_source):
+    source = make_source(mode='computed_torque', scene='three_rrr', kp=[100.0], kd=[20.0])
+    start = source.simulation
+    names, rest = start.joint_names, start.velocity
+    source.on_joint_states(state(1.0, start.position, rest, names))
+    torque = source.sent[0]
+    assert not source.on_joint_states(state(1.01, start.position + 3.0, rest, names))
+    source.on_joint_states(state(1.01, start.position, rest, names))
+    assert source.sent == [torque, pytest.approx(torque, rel=1e-6)]
 
 
 def test_computed_torque_drives_all_actuated_joints_of_its_scene(make_source):
