@@ -38,7 +38,11 @@ def _run(arguments):
             model = Model(scene)
             start, events = begun(events, Beginning(setup, model))
             record = record_of(events, setup, scene.mechanism, start.time)
-        found = (_filtered if arguments.filter else _smoothed)(setup, model, record, start)
+        # Forces, points and their deviations take as long as the filter.
+        each = arguments.output is not None or arguments.picture is not None
+        wanted = range(0 if each else len(record.times) - 1, len(record.times))
+        found = (_filtered if arguments.filter else _smoothed)(
+            setup, model, record, start, wanted)
         return _report(arguments, scene, setup, events, record, *found)
     except EstimationError as error:
         return complain(arguments, error)
@@ -46,17 +50,17 @@ def _run(arguments):
         raise UsageError(str(error)) from None
 
 
-def _smoothed(setup, model, record, start):
-    """Return estimates at all times from the whole record, consistency and alarms."""
+def _smoothed(setup, model, record, start, wanted):
+    """Return estimates at some times from the whole record, by index, consistency and alarms."""
     from ..estimation.smoothing import smooth
     with progress_bar(1.0, 'of the record', 'smoothing') as bar:
         found = smooth(model, setup.sensors, record, setup.unknowns, setup.noise, start,
                        method=setup.method, suspects=setup.suspects,
                        progress=lambda done: bar.update(done - bar.n))
-    return map(found.estimate, range(len(record.times))), found.consistency, found.alarms
+    return zip(wanted, map(found.estimate, wanted)), found.consistency, found.alarms
 
 
-def _filtered(setup, model, record, start):
+def _filtered(setup, model, record, start, wanted):
     """Return the same from what was measured up to each time, as the node estimates."""
     from ..estimation.estimator import Estimator
     estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method,
@@ -70,7 +74,8 @@ def _filtered(setup, model, record, start):
             estimator.advance(time)
             # From now on.
             estimator.command(time, record.torques[k])
-            estimates.append(estimator.estimate())
+            if k in wanted:
+                estimates.append((k, estimator.estimate()))
             bar.update()
     return estimates, estimator.consistency, estimator.alarms
 
@@ -82,12 +87,12 @@ def _report(arguments, scene, setup, events, record, estimates, consistency, ala
     to_bag = arguments.output is not None and arguments.output.suffix != '.csv'
     with EstimateBag(arguments.output, scene.mechanism, setup.unknowns) if to_bag else (
             nullcontext()) as bag, progress_bar(len(record.times), 'instants', scene.name) as bar:
-        for time, estimate in zip(record.times, estimates):
+        for k, estimate in estimates:
             names, *numbers = columns(estimate, scene.mechanism)
             rows.append(numbers)
             if to_bag:
-                bag.write(events.begin + round(1e9 * time), estimate)
-            bar.update()
+                bag.write(events.begin + round(1e9 * record.times[k]), estimate)
+            bar.update(k + 1 - bar.n)
     if arguments.output is not None and not to_bag:
         write_csv(arguments.output, ['time', *names, *(name + DEVIATION for name in names)], [
             [float(value) for value in (time, *np.ravel(numbers))]
@@ -103,7 +108,7 @@ def _report(arguments, scene, setup, events, record, estimates, consistency, ala
     for alarm in alarms:
         print(f'at {alarm.time:.4g} s: {alarm.message}')
     if arguments.picture is not None:
-        _draw(arguments, scene, record.times, names, np.array(rows), len(estimate.unknowns.names))
+        _draw(arguments, scene, setup.unknowns, record.times, names, np.array(rows))
         print(f'picture in {arguments.picture}')
     if arguments.output is not None:
         print(f'estimates in {arguments.output}')
@@ -118,10 +123,10 @@ def _report(arguments, scene, setup, events, record, estimates, consistency, ala
     return 0
 
 
-def _draw(arguments, scene, times, names, rows, unknowns):
+def _draw(arguments, scene, unknowns, times, names, rows):
     # Only here, as it takes long to load.
     from ..visual.pictures import bands
-    curves = {name: [name] for name in names[len(names) - unknowns:]}
+    curves = {f'{name} [{one.UNIT}]': [name] for one in unknowns for name in one.components}
     driven = scene.mechanism.actuated_joints
     cuts = tuple(f'force.{cut.name}.' for cut in scene.mechanism.cut_joints)
     curves['rates of the drives [rad/s, m/s]'] = [

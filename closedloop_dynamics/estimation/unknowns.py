@@ -41,6 +41,8 @@ class Unknown:
 
     #: Of which kind it is, for alarms: ``load``, ``friction``, ``length``, ``sensor``, ...
     KIND: ClassVar[str] = 'number'
+    #: Of its numbers, for pictures.
+    UNIT: ClassVar[str] = 'SI unit'
 
     name: str
 
@@ -108,7 +110,7 @@ class Wrench(Unknown):
 
     """
 
-    KIND = 'load'
+    KIND, UNIT = 'load', 'N, N m'
 
     body: str = ''
     deviation: float = 0.0
@@ -188,7 +190,7 @@ class JointTorque(Unknown):
 
     """
 
-    KIND = 'load'
+    KIND, UNIT = 'load', 'N m or N'
 
     joint: str = ''
     deviation: float = 0.0
@@ -230,7 +232,7 @@ class Payload(Unknown):
 
     """
 
-    KIND = 'load'
+    KIND, UNIT = 'load', 'kg'
 
     body: str = ''
     deviation: float = 0.0
@@ -322,7 +324,7 @@ class GravityDirection(Unknown):
 
     """
 
-    KIND = 'gravity'
+    KIND, UNIT = 'gravity', 'rad'
 
     deviation: float = 0.0
     density: float = 0.0
@@ -401,6 +403,8 @@ class Bias(Unknown):
 @dataclass(frozen=True)
 class Scale(Bias):
     """By how much the scale of a sensor is greater than 1: y = (1 + s) h + noise."""
+
+    UNIT = '1'
 
 
 AnyUnknown = Union[Wrench, JointTorque, Payload, Number, GravityDirection, Bias, Scale]
