@@ -56,7 +56,7 @@ def _smoothed(setup, model, record, start, wanted):
     with progress_bar(1.0, 'of the record', 'smoothing') as bar:
         found = smooth(model, setup.sensors, record, setup.unknowns, setup.noise, start,
                        method=setup.method, suspects=setup.suspects,
-                       progress=lambda done: bar.update(done - bar.n))
+                       gate=setup.gate, progress=lambda done: bar.update(done - bar.n))
     return zip(wanted, map(found.estimate, wanted)), found.consistency, found.alarms
 
 
@@ -64,7 +64,7 @@ def _filtered(setup, model, record, start, wanted):
     """Return the same from what was measured up to each time, as the node estimates."""
     from ..estimation.estimator import Estimator
     estimator = Estimator(model, setup.sensors, setup.unknowns, setup.noise, start, setup.method,
-                          suspects=setup.suspects)
+                          suspects=setup.suspects, gate=setup.gate)
     estimates = []
     with progress_bar(len(record.times), 'instants', 'filtering') as bar:
         for k, time in enumerate(record.times):

@@ -25,13 +25,15 @@ from .plant import Plant, PointsPlant
 from .results import Alarm, Belief, Consistency, Estimate, Innovation, Observability
 from .sensors import AnySensor, LONGEST_DELAY
 from .unknowns import AnyUnknown
-from ..mechanism.checks import not_negative, one_of, positive
-from ..mechanism.fields import among, at, FieldError, nearest, normalise
+from ..mechanism.checks import not_negative, one_of, positive, probability
+from ..mechanism.fields import among, at, nearest, normalise
 from ..simulation.model import Model
 from ..simulation.scene_records import Method
 from ..simulation.state import State
 
 EXTENDED, SIGMA_POINTS = 'extended', 'sigma_points'
+# Of good readings so many are used.
+GATE = 0.9999
 
 
 @dataclass(frozen=True)
@@ -148,15 +150,15 @@ class Estimator:
     def __init__(self, model: Model, sensors: Sequence[AnySensor],
                  unknowns: Sequence[AnyUnknown] = (), noise: Noise = Noise(),
                  start: Union[None, Start, State, Belief] = None, method: str = EXTENDED, *,
-                 suspects: Sequence[AnyUnknown] = (), gate: float = 0.9999,
+                 suspects: Sequence[AnyUnknown] = (), gate: float = GATE,
                  integrator: Union[str, Mapping[str, Any], Method] = 'rk4') -> None:
         if not isinstance(model, Model):
             raise TypeError(f'Estimator: expected a Model, as Model.from_scene returns it, got '
                             f'{model!r}')
         self.method = one_of((EXTENDED, SIGMA_POINTS))(method)
         by_points = method == SIGMA_POINTS
-        if not 0.0 < gate < 1.0:
-            raise FieldError('a probability between 0 and 1', repr(gate), '', ('gate',))
+        with at('gate'):
+            gate = probability(gate)
         self.sensors, self.unknowns, self.noise = tuple(sensors), tuple(unknowns), noise
         columns = Columns(unknowns, suspects)
         self._plant = plant = (PointsPlant if by_points else Plant)(

@@ -16,6 +16,7 @@ What an estimator is told, from a YAML file: sensors, unknowns and noise, and wh
     topics: {hand: /hand/imu}
     names: {motor_1: theta_1}
     torques: effort
+    gate: 0.9999
 
 Every error names file, line, key, what was expected and what was got.
 """
@@ -24,13 +25,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Dict, Iterator, Mapping, NamedTuple, Tuple, Type, Union
 
-from .estimator import EXTENDED, Noise, SIGMA_POINTS, Start
+from .estimator import EXTENDED, GATE, Noise, SIGMA_POINTS, Start
 from .sensors import (
     AnySensor, ForceSensor, ImuSensor, JointSensor, PointSensor, PoseSensor, Sensor, WrenchSensor)
 from .unknowns import (
     AnyUnknown, Bias, GravityDirection, JointTorque, Number, Payload, Scale, Unknown, Wrench)
 from ..effects.effect import require_body, require_point
-from ..mechanism.checks import one_of, text
+from ..mechanism.checks import one_of, probability, text
 from ..mechanism.document import Document, plain
 from ..mechanism.fields import at, FieldError, keys_of, mapping, shown
 from ..mechanism.mechanism import MechanismError
@@ -45,7 +46,7 @@ UNKNOWNS: Dict[str, Type[Unknown]] = {
 # Where torques come from: efforts in joint_states, or commands.
 EFFORT, COMMAND = 'effort', 'command'
 METHODS = EXTENDED, SIGMA_POINTS
-SECTIONS = 'unknowns', 'suspects', 'noise', 'start', 'topics', 'names', 'torques', 'method'
+SECTIONS = 'unknowns', 'suspects', 'noise', 'start', 'topics', 'names', 'torques', 'method', 'gate'
 
 
 class SetupError(ValueError):
@@ -71,6 +72,8 @@ class Setup(NamedTuple):
     torques : str
         ``EFFORT``: what drives the joints are efforts in ``joint_states``; ``COMMAND``: commands.
     method : str
+    gate : float
+        Probability with which a good reading is used; others are outliers.
 
     """
 
@@ -83,6 +86,7 @@ class Setup(NamedTuple):
     names: Dict[str, str]
     torques: str
     method: str
+    gate: float
 
 
 def read_setup(source: Union[str, Path, Mapping[str, Any]], scene: Scene) -> Setup:
@@ -145,7 +149,10 @@ def _setup(data: Any, scene: Scene) -> Setup:
         method = one_of(METHODS)(given.get('method', METHODS[0]))
     noise, start = (_numbers(given, section, kind) for section, kind in (
         ('noise', Noise), ('start', Start)))
-    return Setup(sensors, unknowns, suspects, noise, start, topics, names, torques, method)
+    with at('gate'):
+        gate = probability(given.get('gate', GATE))
+    return Setup(
+        sensors, unknowns, suspects, noise, start, topics, names, torques, method, gate)
 
 
 def _numbers(given: Any, section: str, kind: Any) -> Any:

@@ -46,6 +46,15 @@ def not_negative(value):
     return result
 
 
+def probability(value):
+    """Return ``value`` as float; refuse what is not between 0 and 1."""
+    expected = 'a probability between 0 and 1'
+    result = number(value, expected)
+    if not 0.0 < result < 1.0:
+        raise FieldError(expected, shown(value))
+    return result
+
+
 def count(value):
     """Return ``value``; raise unless it is a positive whole number."""
     if type(value) is not int or value < 1:

@@ -181,7 +181,8 @@ class EstimatorNode(Node):
         try:
             with leaving_at_once():
                 estimator = Estimator(self._model, setup.sensors, setup.unknowns, setup.noise,
-                                      start, setup.method, suspects=setup.suspects)
+                                      start, setup.method, suspects=setup.suspects,
+                                      gate=setup.gate)
                 estimator.estimate()
                 return estimator
         except (ValueError, EstimationError, SimulationError) as error:

@@ -34,6 +34,7 @@ start: {position: 0.001, rate: 0.1}
 topics: {hand: /hand/imu}
 names: {motor_1: theta_1}
 torques: command
+gate: 0.99
 suspects:
   mass: {type: number, key: mechanism.bodies.platform.mass, deviation: 1.0}
   offset: {type: bias, sensor: encoder, deviation: 0.01}
@@ -69,6 +70,7 @@ def test_all_that_a_file_says_is_taken_over(read):
     assert (setup.start.position, setup.start.rate) == (0.001, 0.1)
     assert (setup.topics, setup.names) == ({'hand': '/hand/imu'}, {'motor_1': 'theta_1'})
     assert setup.torques == COMMAND and setup.method == 'extended'
+    assert setup.gate == 0.99
 
 
 def test_in_space_places_have_three_numbers():
@@ -107,6 +109,8 @@ def test_in_space_places_have_three_numbers():
     ('motor_1: theta_1', 'motor_1: elbow', 18, 'names.motor_1: .*one of the joints'),
     ('{motor_1: theta_1}', '{a: theta_1, b: theta_1}', 18, 'names.b: .*no other name'),
     ('torques: command', 'torques: both', 19, 'torques: expected one of effort, command'),
+    ('gate: 0.99', 'gate: 1', 20, 'gate: expected a probability between 0 and 1, got 1'),
+    ('gate: 0.99', 'gate: often', 20, "gate: expected a probability .*'often'"),
     ('sensors:', 'sensor:', 1, "sensor: .*'sensors'")])
 def test_what_does_not_fit_is_named_by_line_and_key(read, old, new, line, problem):
     assert old in TEXT
