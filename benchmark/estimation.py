@@ -63,7 +63,8 @@ class Case:
     """A machine whose driven joints swing about the start, and its sensors."""
 
     def __init__(self, scene, seed=0):
-        self.model, self.rng = model_of(scene), np.random.default_rng(seed)
+        # Machines do not share draws.
+        self.model, self.rng = model_of(scene), np.random.default_rng((seed, *scene.encode()))
         self.driven = self.model.actuated_joints
         self.sensors = [JointSensor(name, joint=name, deviation=DEVIATION)
                         for name in self.driven]
