@@ -117,7 +117,7 @@ FAULTS = {
     'section_unknown': (
         'points:', 'point:', 12, 'point',
         'one of the keys name, bodies, joints, cut_joints, points, description, couplings, '
-        'parameters, ground_visual, tolerance',
+        'parameters, ground_visual, tolerance, cylinders',
         "the unknown key 'point'", "did you mean 'points'?"),
     'name_missing': (
         'name: four_bar\n', '', 1, 'name', 'this required key', 'none', ''),
