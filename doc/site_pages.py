@@ -18,8 +18,8 @@ from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.view.library import picture
 from closedloop_dynamics.view.own_motion import own_motion
-from closedloop_dynamics.view.page import standalone_page
-from closedloop_dynamics.view.standalone import standalone
+from closedloop_dynamics.view.page import editor_page, standalone_page
+from closedloop_dynamics.view.standalone import METHOD, standalone
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,12 +27,14 @@ ROOT = Path(__file__).resolve().parents[1]
 BORROWED = {'README.md': 'index.md', 'CONTRIBUTING.md': 'contributing.md',
             'benchmark/README.md': 'benchmarks.md'}
 # Where the gallery is, and the pages of machines that are simulated in the browser.
-GALLERY, LIVE, MACHINES = 'live.md', 'live', '<!-- live machines -->'
+GALLERY, LIVE, EDITOR, MACHINES = 'live.md', 'live', 'editor', '<!-- live machines -->'
 LINK = re.compile(r'(\]\()([^)\s#:]+\.\w+)(?=[)#])')
 
 
 def on_files(files, config):
     """Add the borrowed pages, and those of live machines with their pictures."""
+    files.append(File.generated(
+        config, f'{LIVE}/{EDITOR}.html', content=editor_page('Draw and simulate', METHOD)))
     for name in scene_names():
         scene = load_scene(name)
         try:

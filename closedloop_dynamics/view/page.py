@@ -12,7 +12,8 @@ import numpy as np
 PARTS = ('algebra.js', 'history.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js',
          'arrows.js', 'overlay.js', 'camera.js', 'scene.js', 'plot.js', 'plots.js', 'panels.js',
          'timeline.js', 'compare.js', 'vector.js', 'export.js', 'edit.js', 'drawing.js',
-         'board.js', 'expression.js', 'machine.js', 'standalone.js', 'page.js')
+         'board.js', 'expression.js', 'machine.js', 'standalone.js', 'planar.js',
+         'editor.js', 'page.js')
 STYLES = ('page.css', 'edit.css', 'board.css', 'time.css')
 
 
@@ -44,6 +45,15 @@ def standalone_page(title, description, machine):
     ``description`` and ``machine`` are by ``standalone.standalone``.
     """
     return _page(title, {'description': description, 'machine': machine})
+
+
+def editor_page(title, method):
+    """
+    Return a page, HTML, to draw machines in the plane and simulate them; it needs nothing else.
+
+    ``method`` is ``standalone.METHOD``.
+    """
+    return _page(title, {'editor': method})
 
 
 def packed(values, kind):

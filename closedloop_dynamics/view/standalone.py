@@ -91,13 +91,13 @@ def standalone(scene, motion):
         'place': list(range(names.nv)) if manifold is None else manifold.place.tolist(),
         'closure_tolerance': float(settings.closure_tolerance),
         'closure_limit': float(settings.closure_limit),
-        'tableau': _tableau(), 'step_size': simulation.step_size,
+        **METHOD, 'step_size': simulation.step_size,
         'unique': not simulation.data.has_redundant_constraints,
         'bodies': [_placed(places[body.name]) for body in mechanism.bodies],
         'points': [[row, *place] for row, place in zip(rows.tolist(), points.tolist())],
         'position': names.place.tolist(), 'actuated': list(names.actuated),
         'turns': np.setdiff1d(np.arange(names.nq), names.place[names.place >= 0]).tolist(),
-        'drives': _drives(driving, names), 'rate': DRIVE_RATE,
+        'drives': _drives(driving, names),
         'own': _recording(driving, simulation),
         'hand': [stiffness, DAMPING * math.sqrt(stiffness * mass)],
         'effects': _effects(scene, simulation, gravity),
@@ -126,6 +126,10 @@ def _tableau():
     return {'a': a.tolist(), 'b': DOP853.b.tolist(), 'c': a.sum(axis=1).tolist(),
             'error': DOP853.error[:, :count].tolist(), 'order': DOP853.error_order + 1,
             'tolerance': TOLERANCE}
+
+
+# What all machines have in common: how steps are made, and the rate of drives.
+METHOD = {'tableau': _tableau(), 'rate': DRIVE_RATE}
 
 
 def _placed(placement):

@@ -152,7 +152,8 @@ class Drawing {
         // Half of the mass each, as long as half of what is drawn.
         const half = 0.5 * Math.hypot(...difference(b, a)), mass = 0.5 * (one.mass ?? 2 * BAR_DENSITY * half);
         found[`${name}_barrel`] = {...this.#bar(half, mass), at: a, angle, nodes: [ends[0]], end: `${name}_foot`};
-        found[`${name}_rod`] = {...this.#bar(half, mass), at: b, angle, nodes: [ends[1]], end: `${name}_head`};
+        found[`${name}_rod`] = {...this.#bar(half, mass), at: b, angle, nodes: [ends[1]], end: `${name}_head`,
+                                center: [-0.5 * half, 0]};
       } else if (one.kind === 'cam') {
         found[name] = disc(this.place(one.node), Math.max(...one.radii), [one.node], one.mass);
       } else if (one.kind === 'geneva') {
@@ -290,7 +291,13 @@ class Drawing {
         ends.map(({between: [body], at}) => (body in bodies ? local(body, at) : pair(at))).join(', ')}], mass: ${
         brief(2 * mass)}, length: ${length(2 * half)}${actuated.has(name) ? ', actuated: true' : ''}}`);
     }
-    lines.push(...this.#couplings(bodies, joints, length));
+    const couplings = this.couplings(bodies, joints);
+    if (couplings.length) lines.push('  couplings:');
+    for (const {name, joints: factors, offset, radius} of couplings) {
+      const written = Object.entries(factors).map(([joint, factor]) => `${joint}: ${brief(factor, 12)}`);
+      lines.push(`    ${name}: {joints: {${written.join(', ')}}${
+        Math.abs(offset) > 1e-9 ? `, offset: ${brief(offset, 12)}` : ''}${radius ? `, radius: ${length(radius)}` : ''}}`);
+    }
     const [effects, points] = this.#effects(bodies, joints, motors);
     for (const [node, {trace}] of Object.entries(this.nodes)) {
       const here = Object.keys(bodies).filter((body) => bodies[body].nodes.includes(node));
@@ -334,7 +341,8 @@ class Drawing {
             angle: (value) => `${Number((value / DEGREE).toPrecision(13))} deg`};
   }
 
-  #couplings(bodies, joints, length) {
+  // Couplings of gears, belts and racks: factors by joint.
+  couplings(bodies, joints) {
     const found = [];
     const put = (name, terms, offset, radius) => {
       const sum = {};
@@ -342,10 +350,8 @@ class Drawing {
         // The gear's own joint first, which has the radius.
         for (const [joint, sign] of Object.entries(turn ?? {}).reverse()) sum[joint] = (sum[joint] ?? 0) + factor * sign;
       }
-      const written = Object.entries(sum).filter(([, factor]) => factor).map(([joint, factor]) => (
-        `${joint}: ${brief(factor, 12)}`));
-      found.push(`    ${name}: {joints: {${written.join(', ')}}${
-        Math.abs(offset) > 1e-9 ? `, offset: ${brief(offset, 12)}` : ''}${radius ? `, radius: ${length(radius)}` : ''}}`);
+      found.push({name, offset, radius, joints: Object.fromEntries(
+        Object.entries(sum).filter(([, factor]) => factor))});
     };
     for (const [name, {kind, a, b}] of this.of('mesh', 'belt')) {
       const carrier = this.#carrier(a, b, bodies), [one, other] = [a, b].map((gear) => this.#gearBody(gear));
@@ -361,7 +367,7 @@ class Drawing {
       const turn = Drawing.turn(joints, GROUND_BODY, this.#gearBody(gear)), radius = this.radius(gear);
       put(`${name}_mesh`, [[1, {[`${name}_guide`]: 1}], [-radius, turn]], 0);
     }
-    return found.length ? ['  couplings:', ...found] : [];
+    return found;
   }
 
   #effects(bodies, joints, motors) {

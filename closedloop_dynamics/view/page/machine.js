@@ -3,9 +3,9 @@
 
 // Hairer's choices, as the engine's: safety, largest growth and cut of a step.
 const STEP_SAFETY = 0.9, LARGEST_GROWTH = 6, LARGEST_CUT = 0.2;
-// Smallest step, which is made whatever its error, as where a force jumps, and first step [s];
-// corrections of coordinates at most.
-const SMALLEST_STEP = 1e-8, FIRST_STEP = 1e-4, CORRECTIONS = 8;
+// Smallest step, which is made whatever its error, as where a force jumps, so often in a row at most;
+// first step [s]; corrections of coordinates at most.
+const SMALLEST_STEP = 1e-8, MOST_SMALLEST = 100, FIRST_STEP = 1e-4, CORRECTIONS = 8;
 // Numbers of a body's motion: its origin, its axes row by row, velocity, angular velocity.
 const MOTION_COLUMNS = 18;
 // Energy that the balance misses, relative to the energy exchanged, at which the page warns and
@@ -47,7 +47,8 @@ class Machine {
 
   reset() {
     this.state = this.start.slice();
-    [this.time, this.step, this.evaluations, this.finding] = [0, FIRST_STEP, 0, ''];
+    [this.time, this.step, this.smallest] = [0, FIRST_STEP, 0];
+    [this.evaluations, this.finding] = [0, ''];
     this.account();
   }
 
@@ -161,9 +162,10 @@ class Machine {
       }
       const factor = Number.isFinite(error)
         ? Math.min(LARGEST_GROWTH, Math.max(LARGEST_CUT, STEP_SAFETY * error ** (-1 / order))) : LARGEST_CUT;
-      const least = size <= SMALLEST_STEP && Number.isFinite(error);
+      const least = size <= SMALLEST_STEP && Number.isFinite(error) && this.smallest < MOST_SMALLEST;
       if ((error <= 1 || least) && this.close(after)) {
         state.set(after);
+        this.smallest = error <= 1 ? 0 : this.smallest + 1;
         this.time = last ? end : this.time + size;
         this.step = last ? Math.max(this.step, factor * size) : factor * size;
         this.check();

@@ -48,6 +48,7 @@ class Page {
     this.others();
     if (data.scene) this.startRecorded();
     else if (data.machine) this.startStandalone();
+    else if (data.editor) this.startEditor();
     else this.connect();
     requestAnimationFrame(() => this.tick());
   }
@@ -410,6 +411,13 @@ class Page {
 
   // Out of itself.
 
+  // Machines that are drawn here.
+  startEditor() {
+    this.live = true;
+    byId('count').hidden = false;
+    this.editor = new EditorPage(this, this.data.editor);
+  }
+
   // A machine that is simulated in the page: it answers as a server does.
   async startStandalone() {
     this.live = true;
@@ -609,7 +617,9 @@ class Page {
     play.setAttribute('aria-label', this.playing ? 'pause' : 'play');
     byId('clock').textContent = `${this.now.toFixed(this.speed < 0.1 ? 4 : 3)} s`;
     const {columns} = this.scene, loose = byId('direction');
-    if (loose) loose.hidden = !Number.isFinite(this.shownRow[columns.direction]);
+    // Not every machine has the columns of that direction.
+    const near = columns.direction !== columns.plots && Number.isFinite(this.shownRow[columns.direction]);
+    if (loose) loose.hidden = !near;
     const now = performance.now();
     if (now - (this.counted ?? 0) < 500) return;
     const parts = [], controls = this.controls;
@@ -625,8 +635,7 @@ class Page {
       }
       const slow = this.playing && controls?.achieved !== null && controls?.achieved < LAGS * controls?.speed;
       if (slow) {
-        parts.push(`<span class="bad">${Number.isFinite(this.shownRow[columns.direction])
-          ? 'near singular, ' : 'slow, '}${short(controls.achieved, 2)} × real time</span>`);
+        parts.push(`<span class="bad">${near ? 'near singular, ' : 'slow, '}${short(controls.achieved, 2)} × real time</span>`);
       }
       if (this.playing && controls?.every > 1) {
         parts.push(`<span title="peaks of forces between them are not seen: a slower speed shows more">1 of <b>${

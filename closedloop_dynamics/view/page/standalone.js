@@ -42,6 +42,8 @@ class Standalone {
     this.last = performance.now();
     this.do({do: 'play'});
     const tick = () => {
+      // Another machine has taken its place.
+      if (this.page.socket !== this) return;
       requestAnimationFrame(tick);
       this.tick(performance.now());
     };

@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The page that draws and simulates machines by itself: in a real browser, from disk."""
+
+from dataclasses import replace
+import json
+from test.view.browser import browser, program
+
+from closedloop_dynamics.simulation.scene import scene_of_yaml
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.page import editor_page
+from closedloop_dynamics.view.standalone import METHOD
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.skipif(
+    program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
+READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.controls)'
+MACHINE = 'page.socket.machine'
+
+
+def drawing(nodes, **elements):
+    """Return a drawing: nodes by name (x, y, and ``ground`` or ``trace``) [m], and elements."""
+    return {'name': 'drawn', 'nodes': {
+        name: {'x': x, 'y': y, **dict.fromkeys(marks, True)}
+        for name, (x, y, *marks) in nodes.items()}, 'elements': elements}
+
+
+def link(*nodes):
+    return {'kind': 'link', 'nodes': list(nodes)}
+
+
+FOUR_BAR = drawing(
+    {'A': (0.0, 0.0, 'ground'), 'B': (0.02, 0.03), 'C': (0.1, 0.07), 'D': (0.1, 0.0, 'ground'),
+     'E': (0.05, 0.09, 'trace')},
+    link_1=link('A', 'B'), link_2=link('B', 'C', 'E'), link_3=link('C', 'D'))
+DRAWINGS = {
+    'four_bar': FOUR_BAR,
+    # A block on the ground, a spring, a damper, a force and a torque.
+    'slider_crank': drawing(
+        {'A': (0.0, 0.0, 'ground'), 'B': (0.03, 0.02, 'trace'), 'C': (0.12, 0.01, 'trace'),
+         'D': (0.1, 0.08, 'ground')},
+        link_1=link('A', 'B'), link_2=link('B', 'C'),
+        slider_1={'kind': 'slider', 'node': 'C', 'on': None, 'angle': 0.1, 'block': True},
+        spring_1={'kind': 'spring', 'a': 'D', 'b': 'B', 'stiffness': 20.0, 'damping': 0.1},
+        force_1={'kind': 'force', 'node': 'C', 'x': -0.2, 'y': 0.1},
+        motor_1={'kind': 'motor', 'node': 'A', 'law': 'torque', 'value': 0.01}),
+    # A pin in a slot of a lever.
+    'whitworth': drawing(
+        {'A': (0.0, 0.0, 'ground'), 'B': (0.0, -0.05, 'ground'), 'C': (0.03, 0.01, 'trace'),
+         'D': (0.05, 0.1, 'trace')},
+        link_1=link('A', 'C'), link_2=link('B', 'D'),
+        slider_1={'kind': 'slider', 'node': 'C', 'on': 'link_2', 'angle': 1.1071487177940904,
+                  'block': False}),
+    # A rod of variable length beneath a lever; both fall.
+    'cylinder': drawing(
+        {'A': (0.0, 0.0, 'ground'), 'B': (0.08, -0.02, 'ground'), 'C': (0.06, 0.05, 'trace'),
+         'D': (0.1, 0.08, 'trace')},
+        link_1=link('A', 'C', 'D'), cylinder_1={'kind': 'cylinder', 'a': 'B', 'b': 'C'}),
+    # Two gears, with a bar on one that falls.
+    'gears': drawing(
+        {'A': (0.0, 0.0, 'ground'), 'B': (0.045, 0.0, 'ground'), 'C': (0.045, 0.1, 'trace'),
+         'D': (0.03, 0.12, 'trace')},
+        link_1=link('B', 'C', 'D'),
+        gear_1={'kind': 'gear', 'node': 'A', 'teeth': 20, 'module': 0.003, 'ring': False,
+                'fixed': None},
+        gear_2={'kind': 'gear', 'node': 'B', 'teeth': 10, 'module': 0.003, 'ring': False,
+                'fixed': 'link_1'},
+        mesh_1={'kind': 'mesh', 'a': 'gear_1', 'b': 'gear_2'}),
+    # A parallelogram with a third crank, whose equations repeat others.
+    'redundant': drawing(
+        {'A': (0.0, 0.0, 'ground'), 'B': (0.1, 0.0, 'ground'), 'C': (0.2, 0.0, 'ground'),
+         'D': (0.03, 0.05, 'trace'), 'E': (0.13, 0.05), 'F': (0.23, 0.05, 'trace')},
+        link_1=link('A', 'D'), link_2=link('B', 'E'), link_3=link('C', 'F'),
+        link_4=link('D', 'E', 'F'))}
+
+
+@pytest.fixture(scope='module')
+def page_of_editor(tmp_path_factory):
+    path = tmp_path_factory.mktemp('editor') / 'editor.html'
+    path.write_text(editor_page('Draw and simulate', METHOD), encoding='utf-8')
+    return path
+
+
+@pytest.fixture(scope='module')
+def open_page():
+    with browser() as open_page:
+        yield open_page
+
+
+@pytest.fixture(scope='module')
+def tab(open_page, page_of_editor):
+    tab = open_page(page_of_editor.as_uri())
+    tab.wait(READY)
+    yield tab
+    assert not tab.errors
+    tab.close()
+
+
+def show(tab, drawn):
+    """Simulate a drawing from its start, paused."""
+    tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(drawn)});'
+            'page.editor.show(); page.ask("reset")')
+
+
+def simulation_of(tab):
+    """Return the simulation of the YAML that the page writes for its drawing."""
+    scene = scene_of_yaml(tab.ask('page.editor.board.drawing.text()'), 'drawn.yaml')
+    return Simulation.from_scene(replace(scene, method=replace(
+        scene.method, integrator='dop853', tolerance=1e-13)))
+
+
+@pytest.mark.parametrize('name', DRAWINGS)
+def test_a_drawing_moves_as_its_scene(name, tab):
+    show(tab, DRAWINGS[name])
+    simulation = simulation_of(tab)
+    if any(one['kind'] == 'motor' for one in DRAWINGS[name]['elements'].values()):
+        # Both have its torque.
+        assert tab.ask('page.controls.motion') == 'own'
+    tab.ask(f'page.socket.until(0.25); {MACHINE}.evaluate()')
+    assert tab.ask('page.socket.failure') is None
+    assert tab.ask(f'{MACHINE}.time') == pytest.approx(0.25, abs=1e-12)
+    before = simulation.points
+    simulation.step({}, 0.25)
+    for point in (one.name for one in simulation.mechanism.points):
+        found = tab.ask(f"""(() => {{
+            const at = page.scene.points.findIndex((one) => one.name === "{point}");
+            const [row, x, y] = {MACHINE}.described.points[at];
+            return {MACHINE}.pointOf(row, [x, y, 0])[0].slice(0, 2); }})()""")
+        np.testing.assert_allclose(found, simulation.point(point), rtol=0, atol=1e-9)
+    assert np.abs(simulation.points - before).max() > 1e-3
+    assert abs(tab.ask(f'{MACHINE}.residual')) < 1e-9
+
+
+@pytest.mark.parametrize('name, freedoms', (('four_bar', 1), ('redundant', 1), ('gears', 1)))
+def test_degrees_of_freedom_are_told(name, freedoms, tab):
+    tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(DRAWINGS[name])})')
+    told = tab.ask('page.editor.made().told()')
+    assert told['error'] is None and told['freedoms'] == freedoms
+    assert ('repeat' in ' '.join(told['words'])) == (name == 'redundant')
+
+
+def chain(count):
+    places = {f'P{k}': (0.02 * k, 0.0) for k in range(count + 1)}
+    places['P0'] = (0.0, 0.0, 'ground')
+    return drawing(places, **{f'link_{k}': link(f'P{k - 1}', f'P{k}')
+                              for k in range(1, count + 1)})
+
+
+@pytest.mark.parametrize('drawn, expected', (
+    (chain(13), 'expected 12 links at most on this page, got 13'),
+    (drawing({'A': (0.0, 0.0), 'B': (0.1, 0.0)}, link_1=link('A', 'B')),
+     'expected joints that lead to the ground'),
+    (drawing({'A': (0.0, 0.0, 'ground'), 'B': (0.1, 0.0)}, cam_1={
+        'kind': 'cam', 'node': 'A', 'roller': 'B', 'radius': 0.01, 'radii': [0.02]}),
+     'outlines that touch are not simulated on this page')))
+def test_what_cannot_be_simulated_here_is_said(drawn, expected, tab):
+    tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(drawn)}); page.editor.show()')
+    assert expected in tab.ask('document.getElementById("message").textContent')
+
+
+def test_a_drawing_is_simulated_and_shared_by_its_address(open_page, page_of_editor):
+    tab = open_page(page_of_editor.as_uri())
+    tab.wait(READY)
+    tab.wait('page.playing && page.now > 0.1')
+    assert tab.ask('page.scene.title') == 'four_bar'
+    assert tab.ask('page.controls.drives.A.mode') == 'speed'
+    tab.click('#new')
+    tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(DRAWINGS["slider_crank"])});'
+            'page.editor.board.changed()')
+    tab.wait('page.editor.board.status.textContent.startsWith("1 degree")')
+    tab.click('#board [data-do="simulate"]')
+    tab.wait('page.scene.title === "drawn" && page.playing && page.now > 0.1')
+    address = tab.ask('location.href')
+    assert '#' in address and len(address) < 2000
+    # The scene as YAML, for closedloop.
+    assert Simulation.from_scene(scene_of_yaml(
+        tab.ask('fetch(page.editor.board.link.href).then((answer) => answer.text())'),
+        'drawn.yaml')).actuated_joints
+    other = open_page(address)
+    other.wait(READY)
+    assert other.ask('page.scene.title') == 'drawn'
+    assert other.ask('page.editor.board.drawing.text()') == tab.ask(
+        'page.editor.board.drawing.text()')
+    for one in (tab, other):
+        assert not one.errors
+        one.close()
+
+
+def test_an_address_that_is_damaged_is_said(open_page, page_of_editor):
+    tab = open_page(page_of_editor.as_uri() + '#%7Bnonsense')
+    tab.wait('typeof page !== "undefined" && !document.getElementById("message").hidden')
+    assert 'no drawing' in tab.ask('document.getElementById("message").textContent')
+    tab.close()
+
+
+def test_without_scripts_it_says_what_is_missing(open_page, page_of_editor):
+    tab = open_page(page_of_editor.as_uri(), scripts=False)
+    tab.wait('document.readyState === "complete" && Boolean(document.querySelector("noscript p"))')
+    assert 'Allow scripts' in tab.ask('document.querySelector("noscript p").innerText')
+    tab.close()
