@@ -384,6 +384,11 @@ def test_numbers_are_typed_with_units_undone_and_nudged_by_keys(hand):
     assert 'B: [0, 2 inch]' in hand.ask('text')
     hand.tab.ask(set_field.format('length', 'long'))
     assert abs(hand.nodes()['B'] - 0.0508j) < 1e-12
+    named = 'document.querySelector("#board .name")'
+    for name in ('my machine', 'my_machine'):
+        hand.tab.ask(f'{named}.value = "{name}"; {named}.oninput({{target: {named}}})')
+        assert hand.ask('drawing.name') == (name if '_' in name else 'drawing')
+        assert hand.tab.ask(f'{named}.classList.contains("bad")') == ('_' not in name)
     hand.click('select', (0, 0.0508))
     key = """page.edit.board.canvas.dispatchEvent(
         new KeyboardEvent("keydown", {{key: "{}", ctrlKey: {}, bubbles: true}}))"""

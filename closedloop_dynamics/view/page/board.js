@@ -75,7 +75,14 @@ class Board {
     [this.canvas, this.fields, this.pre, this.link, this.status] = [
       find('canvas'), find('.fields'), find('pre'), find('a'), find('.told')];
     this.pen = this.canvas.getContext('2d');
-    find('.name').oninput = ({target}) => { this.drawing.name = target.value; this.changed(); };
+    find('.name').oninput = ({target}) => {
+      const good = /^[A-Za-z]\w*$/.test(target.value);
+      target.classList.toggle('bad', !good);
+      if (good) {
+        this.drawing.name = target.value;
+        this.changed();
+      }
+    };
     const act = {undo: () => this.step(this.done, this.undone), redo: () => this.step(this.undone, this.done),
                  clear: () => this.edit(() => { this.drawing = new Drawing({unit: this.drawing.unit}); }),
                  fit: () => this.fit(), simulate: () => this.simulate(), close: () => this.element.close()};

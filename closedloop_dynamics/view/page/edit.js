@@ -90,7 +90,8 @@ class Editing {
 
   // What checks and simulates a drawing: the server.
   host() {
-    let number = 0;
+    // Answers go to all pages: of each page they have numbers of their own.
+    let number = Math.floor(1e9 * Math.random());
     this.waiting = {};
     return {
       check: (name, text) => new Promise((done) => {
