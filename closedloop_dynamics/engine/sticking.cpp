@@ -35,36 +35,58 @@ Values free_response(const StaticFriction & sticking)
   return sticking.response[sticking.response.rows - 1];
 }
 
-/// Move to the minimum in the free unknowns, by a factorization L D L^T.
+/// Factor the matrix of the free unknowns, L D L^T, from the first one on that has changed. L^T is
+/// stored above D: what follows a number is beside it in memory.
+void factor_free(const StaticFriction & sticking, Index count, Index first)
+{
+  const Table & factor = sticking.factor;
+  const Values & row = sticking.move;
+  for (Index a = first; a < count; ++a) {
+    factor(a, a) = 0.0;
+    for (Index b = 0; b < a; ++b) {
+      factor(b, a) = 0.0;
+    }
+    if (sticking.free[a] == 0) {
+      continue;
+    }
+    double pivot = sticking.matrix(a, a);
+    copy(sticking.matrix[a].part(0, a), row.part(0, a));
+    for (Index b = 0; b < a; ++b) {
+      if (factor(b, b) > 0.0) {
+        const double before = row[b], share = before / factor(b, b);
+        const double * beside = &factor(b, 0);
+        for (Index c = b + 1; c < a; ++c) {
+          row[c] -= before * beside[c];
+        }
+        pivot -= before * share;
+        factor(b, a) = share;
+      }
+    }
+    factor(a, a) = pivot > DEPENDENT * sticking.matrix(a, a) ? pivot : 0.0;
+  }
+}
+
+/// Move to the minimum in the free unknowns, factored before.
 void compute_move(const StaticFriction & sticking, Index count, Values out)
 {
   const Table & matrix = sticking.matrix, & factor = sticking.factor;
-  const Indices & free = sticking.free;
   const Values & move = sticking.move;
   for (Index a = 0; a < count; ++a) {
-    move[a] = -sticking.right[a] * free[a];
-    for (Index b = 0; b < count; ++b) {
-      move[a] -= matrix(a, b) * out[b] * free[a];
+    move[a] = 0.0;
+    for (Index b = 0; b < count && factor(a, a) > 0.0; ++b) {
+      move[a] -= matrix(a, b) * out[b];
     }
-    for (Index b = 0; b < a + 1; ++b) {
-      double entry = matrix(a, b) * free[a] * free[b];
-      for (Index c = 0; c < b; ++c) {
-        entry -= factor(a, c) * factor(b, c) * factor(c, c);
-      }
-      if (b == a) {
-        factor(a, a) = entry > DEPENDENT * matrix(a, a) ? entry : 0.0;
-      } else {
-        factor(a, b) = factor(b, b) > 0.0 ? entry / factor(b, b) : 0.0;
-      }
-    }
-    for (Index b = 0; b < a; ++b) {
-      move[a] -= factor(a, b) * move[b];
+    move[a] -= factor(a, a) > 0.0 ? sticking.right[a] : 0.0;
+  }
+  for (Index a = 0; a < count; ++a) {
+    for (Index b = a + 1; b < count; ++b) {
+      move[b] -= factor(a, b) * move[a];
     }
   }
   for (Index a = count - 1; a >= 0; --a) {
     move[a] = factor(a, a) > 0.0 ? move[a] / factor(a, a) : 0.0;
     for (Index b = a + 1; b < count; ++b) {
-      move[a] -= factor(b, a) * move[b];
+      move[a] -= factor(a, b) * move[b];
     }
   }
 }
@@ -112,7 +134,9 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
     out[a] = 0.0;
     free[a] = bound[a] > 0.0 && matrix(a, a) > 0.0 ? 1 : 0;
   }
+  Index changed = 0;
   for (Index change = 0; change < MOST_CHANGES * (count + 1); ++change) {
+    factor_free(sticking, count, changed);
     compute_move(sticking, count, out);
     double share = 1.0;
     Index blocking = -1;
@@ -128,6 +152,7 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
     for (Index a = 0; a < count; ++a) {
       out[a] += share * move[a];
     }
+    changed = blocking;
     if (blocking >= 0) {
       free[blocking] = 0;
       out[blocking] = std::copysign(bound[blocking], move[blocking]);
@@ -137,6 +162,7 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
         return;
       }
       free[loose] = 1;
+      changed = loose;
     }
   }
 }
