@@ -10,6 +10,12 @@ body, as that of all bodies beyond it is. So loops of different legs never meet 
 Loops that share a joint are eliminated together; those that close on the ground are left to the
 end.
 
+A rotor's inertia, seen at its joint, is many times that of the links: it leaves one direction of a
+cut point thousands of times less mobile than the other, which is no sign of a singular position.
+So where a loop has rotors, the second equation of its cut point is made orthogonal to the first
+one joint by joint (modified Gram-Schmidt: its small pivot keeps its digits), and the pivot is
+compared with the one that perpendicular levers of all joints would give.
+
 The methods take the places of those of ``forward_dynamics``.
 """
 
@@ -18,8 +24,8 @@ from .expression_graph import chosen
 from .forward_dynamics import to_user_order
 from .vectors import add, dot, scale, ZERO
 from ..types import (
-    BODY_A, BODY_B, DINV, EVALUATIONS, NO_RESPONSES, PARENT, PATH_A, PATH_COMMON,
-    PATH_END, RHS, ROW)
+    BODY_A, BODY_B, CUT_PRISMATIC, CUT_TYPE, DINV, EVALUATIONS, LENGTHS, NO_RESPONSES, PARENT,
+    PATH_A, PATH_COMMON, PATH_END, RHS, ROW)
 
 
 def closing_bodies(recursion, model):
@@ -94,13 +100,17 @@ class _Loops:
         """Factor the constraint matrix of these loops; return its smallest relative pivot."""
         found = [self._respond(equation, a, b) for _, equation, a, b in self.rows]
         self.shares = [shares for shares, _ in found]
+        wrenches, self.wrenches = [wrench for _, wrench in found], []
         count, self.lower, self.inverse = len(found), [], []
+        perpendicular = self._make_orthogonal(wrenches)
         left = [[sum((self.shares[k][i][0] * self.shares[n][i][1]
                       for i in self.shares[k] if i in self.shares[n]), 0.0)
                  for n in range(k + 1)] for k in range(count)]
         scales = self._scales([left[k][k] for k in range(count)])
+        for first, scale_of_second in perpendicular.items():
+            left[first + 1][first], scales[first] = 0.0, left[first][first]
+            scales[first + 1] = scale_of_second
         # Columns of L, times D, and what is left of the unit multipliers' wrenches.
-        wrenches, self.wrenches = [wrench for _, wrench in found], []
         for k in range(count):
             ratio, inverse = elimination.compared(left[k][k], scales[k])
             # Written so that a NaN counts as poor, as in ``elimination``.
@@ -117,6 +127,35 @@ class _Loops:
             self.inverse.append(inverse)
         self.wrenches = wrenches
         return self.smallest
+
+    def _make_orthogonal(self, wrenches):
+        """
+        Make second equations of cut points orthogonal to the first ones, where there are rotors.
+
+        ``wrenches`` of the equations on the closing body are written. Returns reference values of
+        the second ones' pivots by the places of the first ones.
+        """
+        found, self.taken = {}, {}
+        places, bodies = [place for place, _, _, _ in self.rows], self.recursion.bodies
+        for cut in self.model.cut:
+            first = places.index(cut[ROW]) if cut[ROW] in places else 0
+            one, other = (self.shares[first:first + 2] + [{}, {}])[:2]
+            if not (cut[ROW] in places and cut[LENGTHS] == 2 and cut[CUT_TYPE] != CUT_PRISMATIC
+                    and any(bodies[i].armature is not None for i in one)):
+                continue
+            own, sizes, products = 0.0, 0.0, 0.0
+            for i, (force, scaled) in one.items():
+                size = force * scaled + other[i][0] * other[i][1]
+                # Without a difference: sizes are of many decades.
+                products, sizes = products + size * sizes, sizes + size
+                own = own + force * scaled
+            found[first] = products / own
+            share = sum(other[i][0] * scaled for i, (_, scaled) in one.items()) / own
+            self.taken[first] = share
+            self.shares[first + 1] = {i: tuple(
+                value - share * before for value, before in zip(other[i], one[i])) for i in one}
+            wrenches[first + 1] = add(wrenches[first + 1], scale(wrenches[first], 0.0 - share))
+        return found
 
     def _scales(self, diagonal):
         """Return the reference values of the pivots, as in ``elimination.assemble``."""
@@ -138,6 +177,9 @@ class _Loops:
 
         """
         body, recursion = self.work.body, self.recursion
+        right = list(right)
+        for first, share in self.taken.items():
+            right[first + 1] = right[first + 1] - share * right[first]
         left = [value + sum((scaled * body[i, RHS] for i, (_, scaled) in shares.items()), 0.0)
                 for value, shares in zip(right, self.shares)]
         for k, column in enumerate(self.lower):
@@ -172,6 +214,8 @@ class _Loops:
         for value, shares in zip(lam, self.shares):
             for i, (force, _) in shares.items():
                 body[i, RHS] = body[i, RHS] + force * value
+        for first, share in self.taken.items():
+            lam[first] = lam[first] - share * lam[first + 1]
         for value, (place, _, _, _) in zip(lam, self.rows):
             self.work.right[place] = value
 
