@@ -573,6 +573,11 @@ class Data:
         self.effect_set.use_equations(model)
         self.exchanges += 1
 
+    @property
+    def exchange_is_cheap(self) -> bool:
+        """Whether evaluations take no longer with other closure equations than with these."""
+        return not self.system.is_unrolled or len(self.loop_model.choices(self.initial[0])) > 0
+
     def choose_equations(self, q: np.ndarray) -> None:
         """Work on equations that serve at a position, if the present ones do not."""
         if self.has_redundant_constraints and not self.loop_model.is_valid(q):

@@ -224,8 +224,8 @@ class LoopModel:
         return found
 
     def has_code(self, model, q):
-        """Return whether a model that was made here is of one of ``choices``."""
-        return any(model is self.model_of(kept)[0] for kept in self.choices(q))
+        """Return whether a model that was made here is the first, or one of ``choices``."""
+        return any(model is self.model_of(kept)[0] for kept in (self._first, *self.choices(q)))
 
     def _jacobian(self, q):
         """Return J of all equations, without units, at or near a position that is singular."""

@@ -45,8 +45,9 @@ from ..mechanism.fields import at, FieldError
 
 # How often equations are exchanged while the motion goes on by less than a share of a step.
 MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
-# Other equations replace those in use where they are further from dependent by this factor.
-BETTER = 3.0
+# Other equations replace those in use where they are further from dependent by the first factor;
+# by the second one where code is for those in use alone, as loops over bodies take longer.
+BETTER, WORTH_LOOPS = 3.0, 10.0
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
 
@@ -456,7 +457,8 @@ class Stepping:
         whole: Any = self.data.system.whole
         numbers = whole.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
-        model = self.data.loop_model.reselected(self._q, BETTER, opened)
+        better = BETTER if opened or self.data.exchange_is_cheap else WORTH_LOOPS
+        model = self.data.loop_model.reselected(self._q, better, opened)
         if model is None:
             if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
                     opened and not self.data.loop_model.is_valid(self._q)):
