@@ -256,7 +256,10 @@ class EditorPage {
     const open = byId('new');
     open.hidden = false;
     open.textContent = 'draw …';
-    open.onclick = () => this.board.open();
+    open.onclick = () => {
+      this.board.open();
+      this.board.fit();
+    };
     this.board = new Board({
       check: async () => {
         try {
