@@ -53,7 +53,8 @@ def shipped_drives():
 
 def _controllers():
     """Return the files of the shipped controllers, by the name of their scene."""
-    paths = [shipped_path('controllers', name) for name in shipped_names('controllers')]
+    # Of several for a scene, the first one.
+    paths = [shipped_path('controllers', name) for name in reversed(shipped_names('controllers'))]
     return {_values(path, SIMULATOR)['scene']: path for path in paths}
 
 

@@ -10,9 +10,14 @@ import numpy as np
 from .errors import StartError
 from .impedance import Impedance
 from .references import CircularPath, PathError, PointToPointPath, Reference, Wave
-from .settings import IMPEDANCE
+from .settings import IMPEDANCE, OPTIMAL_MODES
 from .torque_laws import ComputedTorque, ProportionalDerivative
 from ..effects.actuator import Actuator
+from ..mechanism.extras import MissingLibraryError
+from ..simulation.errors import SimulationError
+
+# What regulators do not follow.
+_NOT_OPTIMAL = 'circle_point', 'target_velocity', 'move_amplitude', 'feedforward'
 
 
 def open_loop(values, joints):
@@ -34,6 +39,8 @@ def closed_loop(values, joints, simulation=None):
     if values['mode'] == IMPEDANCE:
         return Impedance(simulation, values['impedance_point'], *tuning)
     *own, feedforward, limit = tuning
+    if values['mode'] in OPTIMAL_MODES:
+        return _optimal(values, joints, simulation, limit)
     wanted = reference(values, joints, simulation)
     if simulation is None:
         return ProportionalDerivative(wanted, *tuning)
@@ -42,19 +49,38 @@ def closed_loop(values, joints, simulation=None):
     return ComputedTorque(simulation, controller, feedforward, limit)
 
 
+def _optimal(values, joints, simulation, limit):
+    # A quarter of a node's start-up time, which other modes do without.
+    from .optimal_law import OptimalLaw
+    path = reference(values, joints, simulation) if values['path_point'] else None
+    try:
+        return OptimalLaw(
+            simulation, values, _spread(values, 'target_position', joints, nan_allowed=True),
+            _not_negative(values, 'torque_cost', joints), limit, path)
+    except (MissingLibraryError, SimulationError, ValueError) as error:
+        raise StartError(f"mode '{values['mode']}': {error}") from None
+
+
 def gains(values, joints, simulation=None):
     """
     Return the tunable values of a law: gains, feedforward and limit, shape (n,).
 
-    Gains are kp, kd and ki, of shape (n,), or stiffness and damping, one per direction.
+    Gains are kp, kd and ki, of shape (n,), or stiffness and damping, one per direction; of
+    regulators there are none.
     """
     names, places = ('kp', 'kd', 'ki'), joints
     if values['mode'] == IMPEDANCE:
         names = 'stiffness', 'damping'
         places = ('x', 'y', 'turn') if simulation.mechanism.planar else (
             'x', 'y', 'z', 'turn_x', 'turn_y', 'turn_z')
+    elif values['mode'] in OPTIMAL_MODES:
+        names = ()
+        for name in _NOT_OPTIMAL:
+            if any(values[name]):
+                raise StartError(f"parameter '{name}': expected none in mode '{values['mode']}', "
+                                 'which keeps to target_position or the path of path_point')
     spread = [_not_negative(values, name, places) for name in names]
-    if not np.any(spread):
+    if names and not np.any(spread):
         raise StartError(f"mode '{values['mode']}' needs a gain: {', '.join(names)} are all zero")
     limit = _not_negative(values, 'torque_limit', joints)
     drives = {} if simulation is None else {

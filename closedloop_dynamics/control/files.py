@@ -10,7 +10,7 @@ from .settings import FEEDBACK_MODES, SETTINGS
 from ..mechanism.checks import list_of, number, one_of, text
 from ..mechanism.config import shipped_names, shipped_path
 from ..mechanism.document import Document
-from ..mechanism.fields import at, FieldError, mapping
+from ..mechanism.fields import at, FieldError, mapping, shown
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
@@ -126,7 +126,12 @@ def _checked(setting, value):
         return one_of(setting.choices)(value) if setting.choices else text(value)
     if isinstance(setting.default, list):
         return list(list_of(text if isinstance(setting.default[0], str) else number)(value))
-    return number(value)
+    if isinstance(setting.default, int) and type(value) is not int:
+        raise FieldError('a whole number', shown(value))
+    value = value if isinstance(setting.default, int) else number(value)
+    if setting.limits and not setting.limits[0] <= value <= setting.limits[1]:
+        raise FieldError('{:g} to {:g}'.format(*setting.limits), f'{value:g}')
+    return value
 
 
 def shipped_controller(scene, model=None):
@@ -139,14 +144,14 @@ def shipped_controller(scene, model=None):
     """
     if not scene.mechanism.actuated_joints:
         return None
-    fitting = []
+    fitting, others = [], []
     for name in shipped_names(KIND):
         values = read_controller(shipped_path(KIND, name))
         if values['scene'] == scene.name:
-            fitting.insert(0, (name, values))
-        elif _mechanism_of(values['scene']) == scene.mechanism.name:
             fitting.append((name, values))
-    for name, values in fitting:
+        elif _mechanism_of(values['scene']) == scene.mechanism.name:
+            others.append((name, values))
+    for name, values in fitting + others:
         try:
             return Controller(name, values, scene if model is None else model)
         except (StartError, PathError, SimulationError):

@@ -7,8 +7,10 @@ from typing import Any, NamedTuple, Optional, Tuple
 
 # Modes that answer states.
 IMPEDANCE = 'impedance'
+LINEAR_REGULATOR, PREDICTIVE = 'linear_regulator', 'predictive'
+OPTIMAL_MODES = LINEAR_REGULATOR, PREDICTIVE
 # Those with the model of a scene.
-MODEL_MODES = ('computed_torque', IMPEDANCE)
+MODEL_MODES = ('computed_torque', IMPEDANCE, *OPTIMAL_MODES)
 FEEDBACK_MODES = ('pd', *MODEL_MODES)
 _PER_JOINT = 'One value for all joints, or one per joint.'
 
@@ -35,17 +37,19 @@ SETTINGS = (
         'mode', 'constant',
         'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
         'along a reference, from joint_states. computed_torque: the same through the model of '
-        'a scene. impedance: a point is held by springs and dampers, through the model.',
+        'a scene. impedance: a point is held by springs and dampers, through the model. '
+        'linear_regulator: a pose or path is kept to at the least cost. predictive: likewise '
+        'within the limits of the torques, as predicted over a horizon.',
         choices=('constant', 'sine', *FEEDBACK_MODES)),
     Setting(
         'scene', '',
-        'computed_torque, impedance: the scene simulated, by name or path; the gains kp [1/s^2], '
-        'kd [1/s], ki [1/s^3 or 1/s^2] then ask for accelerations.'),
+        'computed_torque, impedance, linear_regulator, predictive: the scene simulated, by name '
+        'or path. In computed_torque the gains kp [1/s^2], kd [1/s], ki [1/s^3 or 1/s^2] ask for '
+        'accelerations.'),
     Setting(
         'joints', [''],
         'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '
-        'the order the simulator (computed_torque, impedance: the scene) gives, through '
-        'torque_command.'),
+        'the order the simulator (modes with a scene: the scene) gives, through torque_command.'),
     Setting(
         'simulator', 'closedloop_simulator',
         'Name of the simulator node to ask for its actuated_joints, relative to the namespace.'),
@@ -73,7 +77,8 @@ SETTINGS = (
             f'joint with kp = 0 of the velocity error [N m/rad]. {_PER_JOINT}',
             read_only=False),
     Setting('target_position', [float('nan')], 'pd: where the reference begins [rad or m]; '
-            f'nan: where the joint is when the first state arrives. {_PER_JOINT}'),
+            'nan: where the joint is when the first state arrives. linear_regulator, predictive: '
+            f'the pose; nan: where the joint is when the scene begins. {_PER_JOINT}'),
     Setting('target_velocity', [0.0],
             f'pd: velocity of the reference [rad/s or m/s]. {_PER_JOINT}'),
     Setting('move_amplitude', [0.0], 'pd: amplitude of a sinusoidal motion of the reference '
@@ -93,9 +98,9 @@ SETTINGS = (
     Setting('circle_tilt', 0.0, 'Angle of the cone that the axes of the body go round with the '
             'point, from where they begin [rad]; in space, with six degrees of freedom.',
             (-1.0, 1.0)),
-    Setting('path_point', '', 'computed_torque: named point that goes straight from place to '
-            'place, from rest to rest, and back to where the scene begins, again and again; in '
-            'place of target_*, move_* and circle_*.'),
+    Setting('path_point', '', 'computed_torque, linear_regulator, predictive: named point that '
+            'goes straight from place to place, from rest to rest, and back to where the scene '
+            'begins, again and again; in place of target_*, move_* and circle_*.'),
     Setting('path_places', [0.0], 'The places, one after the other, seen from where it begins '
             '[m]: x, y, in space x, y, z of each.'),
     Setting('path_durations', [1.0], 'Of the way to each place, and back [s].'),
@@ -106,11 +111,19 @@ SETTINGS = (
             'or one per direction.', read_only=False),
     Setting('damping', [0.0], 'impedance: of the dampers [N s/m, N m s/rad], as stiffness.',
             read_only=False),
+    Setting('period', 0.01, 'linear_regulator: between two states; predictive: of the prediction, '
+            'at least that between two states [s]. Torques are held for it.', (1e-5, 10.0)),
+    Setting('horizon', 5, 'predictive: how many periods are looked ahead [1].', (1, 1000)),
+    Setting('state_cost', [1.0, 0.0], 'linear_regulator, predictive: weights of the squared '
+            'errors of the independent coordinates, then of their rates: two values, or one for '
+            'each.'),
+    Setting('torque_cost', [1.0], 'linear_regulator, predictive: weights of the squared '
+            f'differences of the torques to those of the reference. {_PER_JOINT}'),
     Setting('feedforward', [0.0],
             f'pd, computed_torque, impedance: torque added always [N m or N]. {_PER_JOINT}',
             read_only=False),
     Setting('torque_limit', [0.0],
-            'pd, computed_torque, impedance: largest magnitude of the torque [N m or N]; 0: '
+            'Modes that answer states: largest magnitude of the torque [N m or N]; 0: '
             "that of the joint's actuator in the scene, else none. "
             f'{_PER_JOINT}', read_only=False),
 )

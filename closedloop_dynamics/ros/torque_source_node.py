@@ -20,7 +20,7 @@ from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
@@ -201,7 +201,7 @@ class TorqueSourceNode(Node):
             return True
         try:
             torque = self.law.torque(time_of_state, *state)
-        except AssemblyError as error:
+        except SimulationError as error:
             if self._complaint.ready():
                 self.get_logger().warning(f'joint_states not usable: {error}')
             return False

@@ -3,9 +3,11 @@
 
 """The controllers to start from: how well they track, in one process and in lockstep."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from closedloop_dynamics.control.controller import closed_loop
+from closedloop_dynamics.control.files import read_controller
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -69,7 +71,7 @@ def test_crank_keeps_its_speed(rate, largest):
     assert np.abs(velocity[time > 1.5, 0] - SPEED).max() < largest
 
 
-def run_processes(processes, listener, name, mode, count):
+def run_processes(processes, listener, name, mode, count, of_source=None):
     """Return what the nodes publish in a run: stamps [s], positions, velocities."""
     states = []
     listener.node.create_subscription(
@@ -78,7 +80,7 @@ def run_processes(processes, listener, name, mode, count):
     simulator = processes.start(SIMULATOR, arguments=arguments, mode=mode)
     simulator.wait_until_ready()
     listener.wait(lambda: states, 'the first state')
-    source = processes.start(SOURCE, arguments=arguments)
+    source = processes.start(SOURCE, arguments=arguments, **(of_source or {}))
     listener.wait(lambda: len(moving(states)) > count, 'states')
     assert source.stop() == 0
     assert simulator.stop() == 0
@@ -93,6 +95,23 @@ def moving(states):
     first = next((k for k, each in enumerate(states)
                   if list(each.position) != list(states[0].position)), len(states))
     return states[max(0, first - 1):]
+
+
+@pytest.mark.parametrize('mode', ['linear_regulator', pytest.param(
+    'predictive', marks=[pytest.mark.slow, pytest.mark.skipif(
+        find_spec('piqp') is None, reason='the extra predictive is not installed')])])
+def test_node_keeps_the_point_to_its_path(processes, listener, mode):
+    name = 'three_rrr_regulator'
+    _, position, _ = run_processes(processes, listener, name, 'lockstep', 110, {'mode': mode})
+    values = read_controller(CONTROLLERS / f'{name}.yaml')
+    machine = Simulation.from_scene(values['scene'])
+    start = machine.point('platform_center')
+    # From rest to rest: the point is at the first place, then leaves it.
+    index = round(values['path_durations'][0] / 0.01)
+    place = start + values['path_places'][:len(start)]
+    away = [np.abs(named_point(machine.mechanism, body_poses(machine.mechanism, one),
+                               'platform_center') - place).max() for one in position]
+    assert away[index] < 4e-4 and away[0] > 0.04 and away[-1] > 1e-3
 
 
 # How well they track in real time depends on the host: benchmark/tracking.py measures it.

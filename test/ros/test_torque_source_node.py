@@ -255,7 +255,8 @@ def test_trajectory_from_a_topic_is_followed_from_the_next_state(make_source):
 
 @pytest.mark.parametrize('parameters, problem', [
     ({'mode': 'wild'},
-     "'mode': expected one of constant, sine, pd, computed_torque, impedance; got 'wild'"),
+     "'mode': expected one of constant, sine, pd, computed_torque, impedance, linear_regulator, "
+     "predictive; got 'wild'"),
     ({'mode': 'pd'}, 'needs a gain'),
     ({'mode': 'computed_torque', 'kp': [1.0]}, "needs parameter 'scene'"),
     ({'mode': 'computed_torque', 'kp': [1.0], 'scene': 'nowhere'}, 'nowhere'),
