@@ -65,7 +65,9 @@ def alike(operations, use, apart):
             found[kinds[place], bits.bit_count()][bits].append(place)
     groups = []
     for members in found.values():
-        members = [places for _, places in sorted(members.items())]
+        # A branch that has operations of its own, such as the one that carries a platform in the
+        # tree, is the first one: in the last lane it leaves the others in theirs.
+        members = [places for _, places in sorted(members.items(), reverse=True)]
         for number in range(max(map(len, members))):
             group = [places[number] for places in members if len(places) > number]
             if len(group) >= FEWEST:
@@ -88,6 +90,12 @@ class Packing:
         stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
         if routine.graph.guard is not None:
             stored.add(routine.graph.guard.place)
+        self._users = defaultdict(list)
+        for place in self.use:
+            if self.operations[place][0] in _PACKED:
+                for operand in dict.fromkeys(self.operations[place][1:]):
+                    if isinstance(operand, int):
+                        self._users[operand].append(place)
         self._fused = self._fusions(stored)
         apart = needed_for(self.operations, angles)
         kinds, groups = alike(self.operations, self.use, apart)
@@ -129,6 +137,7 @@ class Packing:
                         taken.update(members)
                         found.append(members)
                         rest += zip(*(operations[one][1:] for one in members))
+        self._follow(found, taken)
         self.bundles = dict(enumerate(found))
         self.at = {place: (number, lane) for number, members in self.bundles.items()
                    for lane, place in enumerate(members)}
@@ -138,6 +147,30 @@ class Packing:
             for number in dropped:
                 for place in self.bundles.pop(number):
                     del self.at[place]
+
+    def _follow(self, found, taken):
+        """Add what is done next with all numbers of a bundle, be it with the same other number."""
+        operations, at = self.operations, {}
+        for number, members in enumerate(found):
+            at.update((one, (number, lane)) for lane, one in enumerate(members))
+
+        def beside(first, other, lane):
+            """Return whether an operation does in a lane what another one does in the first."""
+            return other not in taken and operations[first][0] == operations[other][0] and all(
+                a == b or a in at and at.get(b) == (at[a][0], lane) and at[a][1] == 0
+                for a, b in zip(operations[first][1:], operations[other][1:]))
+
+        # More are found on the way.
+        for members in found:
+            for first in self._users[members[0]]:
+                lanes = [first] if first not in taken else []
+                for lane, one in enumerate(members[1:], start=1):
+                    lanes += [other for other in self._users[one]
+                              if lanes and other not in lanes and beside(first, other, lane)][:1]
+                if len(lanes) == len(members):
+                    at.update((one, (len(found), lane)) for lane, one in enumerate(lanes))
+                    taken.update(lanes)
+                    found.append(tuple(lanes))
 
     @property
     def saved(self):

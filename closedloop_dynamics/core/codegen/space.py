@@ -16,9 +16,9 @@ from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
     AXIS, BALL, BODY_A, BODY_B, COUPLED_PLACE, COUPLED_TURN, CUT_NUMBER, CUT_ROW, CUT_TYPE,
-    FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_END,
-    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS, TYPE,
-    VARIES)
+    FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_B, PATH_COMMON,
+    PATH_END, PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS,
+    TYPE, VARIES)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -182,6 +182,14 @@ def _cut_structure(model):
     return found
 
 
+def _alike(cut):
+    """Yield rows of cut joints of one type on paths of one shape: their operations are alike."""
+    ends = cut[:, [PATH_A, PATH_B, PATH_COMMON, PATH_END]]
+    shapes = np.column_stack([cut[:, [CUT_TYPE, KEPT]], np.diff(ends)])
+    for shape in np.unique(shapes, axis=0):
+        yield np.flatnonzero((shapes == shape).all(axis=1))
+
+
 def _structure(values, rotations):
     """Return the structural numbers of an array; NaN where there is none."""
     fixed = values == 0.0
@@ -292,6 +300,9 @@ def hinges(model, some, cuts):
 def cuts(model, symbols):
     """Describe the cut joints of a mechanism in space by symbols, as of ``Model.cut_point``."""
     pattern, found = _cut_structure(model), []
+    for alike in _alike(model.cut):
+        points = pattern[alike, :TURNED_A]
+        pattern[alike, :TURNED_A] = np.where(np.isnan(points).any(axis=0), np.nan, points)
     for cut, fixed, row in zip(model.cut, pattern, symbols):
         row = _known(fixed, row)
         _, along, perpendicular = HELD[cut[CUT_TYPE]]
