@@ -25,7 +25,8 @@ from . import elimination
 from .expression_graph import chosen, larger
 from .forward_dynamics import to_user_order
 from .spatial import at_parent, shifted, Z
-from .vectors import add, cross, dot, is_number, negate, scale, subtract, times, transpose, ZERO
+from .vectors import (
+    add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
 from ..types import (
     BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, PATH_A, PATH_END, ROW, ROWS)
 
@@ -260,22 +261,16 @@ class _Equations:
         _, levers, given = self._take(rows)
         inverse, volume = inverted(columns)
         across, inverse = inverse[-1], inverse[:len(joints)]
-        none = len(joints) * (0.0,)
-        moved = {key: times(inverse, column) for key, column in levers.items()}
-        pushed = {key: subtract(times(mass, column), coupled.get(key, none))
-                  for key, column in moved.items()}
-        start, reached = times(inverse, given), list(levers)
-        rest = subtract(times(mass, start), force)
-        for n, one in enumerate(reached):
-            self.add_right(one, dot(moved[one], rest))
-            for other in reached[:n + 1]:
-                self.add(one, other, dot(moved[one], pushed[other]) - dot(
-                    coupled.get(one, none), moved[other]))
-        for one, column in coupled.items():
-            self.add_right(one, 0.0 - dot(column, start))
-            if one not in levers:
-                for other in reached:
-                    self.add(one, other, 0.0 - dot(column, moved[other]))
+        if len(levers) > _MOST and not coupled and not fewer:
+            # Inertia and force at the tip, which other motions act on by few numbers.
+            back = transpose(inverse)
+            pulled = [times(mass, column) for column in back]
+            self._put_in(
+                levers, given, symmetric(lambda m, n: dot(back[m], pulled[n]), len(rows)), {},
+                times(back, force))
+        else:
+            self._put_in({key: times(inverse, column) for key, column in levers.items()},
+                         times(inverse, given), mass, coupled, force)
         if fewer:
             left, square = rows[-1], dot(across, across)
             for key, column in levers.items():
@@ -284,7 +279,7 @@ class _Equations:
             self.add_right(left, dot(across, given))
 
         def undo(x):
-            missing = [value - total(levers[key][n] * x[key] for key in reached)
+            missing = [value - total(column[n] * x[key] for key, column in levers.items())
                        for n, value in enumerate(given)]
             found = times(inverse, missing)
             loads = [value - dot(row, found) - total(
@@ -301,6 +296,27 @@ class _Equations:
         for square in squares:
             sine = sine / square
         return sine
+
+    def _put_in(self, moved, start, mass, coupled, force):
+        """
+        Put ``start`` less the sum of ``moved`` times unknowns in the place of taken ones.
+
+        ``mass``, ``coupled``, ``force``: entries among the taken, beside them, and right sides.
+        """
+        none, reached = len(start) * (0.0,), list(moved)
+        pushed = {key: subtract(times(mass, column), coupled.get(key, none))
+                  for key, column in moved.items()}
+        rest = subtract(times(mass, start), force)
+        for n, one in enumerate(reached):
+            self.add_right(one, dot(moved[one], rest))
+            for other in reached[:n + 1]:
+                self.add(one, other, dot(moved[one], pushed[other]) - dot(
+                    coupled.get(one, none), moved[other]))
+        for one, column in coupled.items():
+            self.add_right(one, 0.0 - dot(column, start))
+            if one not in moved:
+                for other in reached:
+                    self.add(one, other, 0.0 - dot(column, moved[other]))
 
     def solution(self):
         """Return all accelerations and negative multipliers by key."""
