@@ -102,7 +102,7 @@ def unrolled_size(model, most):
 
 def form_for(model, form=SCALAR):
     """Return the form of the routines of a mechanism: single states in space are packed."""
-    return PACKED if form is SCALAR else form
+    return PACKED if form is SCALAR and space.is_spatial(model) else form
 
 
 def operations(model):
