@@ -321,7 +321,7 @@ class Point:
     position: Vector
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mechanism:
     """
     A mechanism: bodies, spanning-tree joints, cut joints, named points.
@@ -353,6 +353,12 @@ class Mechanism:
     ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
     tolerance: float = field(default=TOLERANCE, compare=False, repr=False)
     rounded: Tuple[str, ...] = field(default=(), compare=False, repr=False)
+
+    def __repr__(self) -> str:
+        """Show the sizes, and which joints are actuated."""
+        return (f'<Mechanism {self.name}: {len(self.bodies)} bodies, {len(self.joints)} joints, '
+                f'{len(self.cut_joints)} cut joints, actuated: '
+                f'{", ".join(self.actuated_joints) or "nothing"}>')
 
     # Set by validation.checked; a copy with other values has not been checked.
     valid = False

@@ -221,5 +221,5 @@ class ForceBag(MessageBag):
                    simulation.position[coordinates.place[single]], simulation.velocity[single],
                    simulation.effort[single])
         for topic, wrench in zip(self._topics, (
-                *simulation.constraint_forces, *simulation.joint_forces[self._moving])):
+                *simulation.constraint_forces, *simulation.data.joint_forces[self._moving])):
             self.wrench(topic, stamp, wrench)

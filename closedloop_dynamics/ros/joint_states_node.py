@@ -166,7 +166,7 @@ class JointStatesNode(Node):
             tau[:len(effort)] = effort
             simulation.advance(tau, 0)
             forces = np.concatenate([
-                simulation.constraint_forces, simulation.joint_forces[self._moving]])
+                simulation.constraint_forces, simulation.data.joint_forces[self._moving]])
         cuts = (*simulation.data.cut_state, np.zeros(len(simulation.cut_joint_names))) if (
             simulation.cut_joint_names) else ()
         self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Dict, Iterator, Optional, Sequence, Tuple, Union
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from ..mechanism.fields import among, nearest
 
@@ -56,12 +57,13 @@ def by_shapes(record: Any, *names: str) -> str:
             f'{", ".join(f"{name} {shown(getattr(record, name))}" for name in names)}>')
 
 
-class NamedArray(Mapping[str, np.ndarray]):
+class NamedArray(NDArrayOperatorsMixin, Mapping[str, np.ndarray]):
     """
     A read-only array whose rows can be looked up by name.
 
     ``forces['elbow']`` is the row of that name, ``numpy.asarray(forces)`` all of them,
-    ``forces.names`` what they are called. Before the rows there may be the axis of a batch.
+    ``forces.names`` what they are called, ``forces.shape`` how many there are. Arithmetic is that
+    of arrays, and returns arrays. Before the rows there may be the axis of a batch.
 
     Parameters
     ----------
@@ -85,15 +87,27 @@ class NamedArray(Mapping[str, np.ndarray]):
 
     def __init__(self, what: str, places: Dict[str, Place], array: np.ndarray,
                  axis: int) -> None:
-        self.what, self.array, self._places, self._axis = what, sealed(array), places, axis
+        array.setflags(write=False)
+        self.what, self.array, self._places, self._axis = what, array, places, axis
+
+    @property
+    def shape(self) -> Tuple[int, ...]:
+        """Shape of the array."""
+        return self.array.shape
 
     @property
     def names(self) -> Tuple[str, ...]:
         """Names of the rows, in their order."""
         return tuple(self._places)
 
-    def __getitem__(self, name: str) -> Any:
-        """Return the row of a name; a number where it has no columns and there is no batch."""
+    def __getitem__(self, name: Any) -> Any:
+        """
+        Return the row of a name; a number where it has no columns and there is no batch.
+
+        Whatever else indexes an array, such as the position of a row, is taken as such.
+        """
+        if not isinstance(name, str):
+            return self.array[name]
         if name not in self._places:
             raise KeyError(f'{self.what}: expected one of {among(self._places) or "no names"}, '
                            f'got {name!r}{_hint(name, self._places)}')
@@ -117,6 +131,11 @@ class NamedArray(Mapping[str, np.ndarray]):
         if dtype is None and not copy:
             return self.array
         return np.array(self.array, dtype=dtype)
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **keywords: Any) -> Any:
+        """Compute with all rows."""
+        return getattr(ufunc, method)(*(
+            one.array if isinstance(one, NamedArray) else one for one in inputs), **keywords)
 
     def __reduce__(self) -> Tuple[Any, ...]:
         """Copy and pickle as read-only arrays."""

@@ -415,17 +415,21 @@ class Readings(Data):
         return Evaluation(
             self.snapshot() if state is None else state, self.system.tau.copy(),
             self.acceleration, self.multipliers, self.effort,
-            self._named('joint_forces', self.joint_forces),
-            self._named('constraint_forces', self.constraint_forces),
-            self._named('points', self.points),
-            self._named('body_poses', self.body_poses),
-            self._named('coupling_forces', self.coupling_forces),
-            self._named('motion_forces', np.array(list(self.motion_forces.values()))),
+            self.named('joint_forces', self.joint_forces),
+            self.named('constraint_forces', self.constraint_forces),
+            self.named('points', self.points),
+            self.named('body_poses', self.body_poses),
+            self.named('coupling_forces', self.coupling_forces),
+            self.named('motion_forces', np.array(list(self.motion_forces.values()))),
             kinetic, stored, self.closure)
 
-    def _named(self, what: str, array: np.ndarray) -> NamedArray:
-        """Return a result of an evaluation by name; with columns where it has two axes."""
-        return NamedArray(what, self._places_of[what], array, -array.ndim)
+    def named(self, what: str, array: np.ndarray) -> NamedArray:
+        """
+        Return an array of a quantity with the names of its rows, by joint, cut joint or point.
+
+        Shape (rows,), or (..., rows, columns), which nobody else holds.
+        """
+        return NamedArray(what, self._places_of[what], array, -2 if array.ndim > 1 else -1)
 
     @property
     def health(self) -> Health:

@@ -14,7 +14,7 @@ import numpy as np
 
 from .errors import SimulationError
 from .key_paths import changed, resolve
-from .named_array import by_shapes, reals
+from .named_array import by_shapes, NamedArray, reals
 from .rollout_run import (
     checked_quantities, FEWEST, finding_of, fits_simd, InitialState, MOST, nothing, record,
     record_all, SimdRuns, starts_as_given, STATE, TimeGrid)
@@ -45,8 +45,8 @@ class Rollout:
         Joint torques, behind the drives [N m or N].
     constraint_forces : ndarray, shape (samples, instants, number of cuts, 3), in space 6
         As ``Simulation.constraint_forces`` [N m, N].
-    joint_forces : ndarray, shape (samples, instants, number of joints, 3), in space 6
-        As ``Simulation.joint_forces`` [N m, N].
+    joint_forces : NamedArray, shape (samples, instants, number of joints, 3), in space 6
+        As ``Simulation.joint_forces``, by joint [N m, N].
     points : ndarray, shape (samples, instants, number of points, 2), in space 3
         Places of the named points [m].
     closure : ndarray, shape (samples, instants)
@@ -68,7 +68,7 @@ class Rollout:
     acceleration: Optional[np.ndarray] = None
     effort: Optional[np.ndarray] = None
     constraint_forces: Optional[np.ndarray] = None
-    joint_forces: Optional[np.ndarray] = None
+    joint_forces: Optional[NamedArray] = None
     points: Optional[np.ndarray] = None
     closure: Optional[np.ndarray] = None
     energy: Optional[np.ndarray] = None
@@ -112,6 +112,8 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     with runs:
         _each(run, runs.portions(threads), threads)
     time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
+    if 'joint_forces' in results:
+        results['joint_forces'] = simulation.data.named('joint_forces', results['joint_forces'])
     return Rollout(time, **results, failures=dict(sorted(failures.items())))
 
 

@@ -4,7 +4,8 @@
 """Records of a scene: frozen, checked when they are built."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+import hashlib
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple, Union
 
@@ -157,7 +158,14 @@ def require_no_budget(method: Method, what: str) -> None:
                          ('method', 'budget'))
 
 
-@dataclass(frozen=True)
+def _contents(record: Any) -> str:
+    """Return the values of a record, those of a mechanism in it, too."""
+    return f'{type(record).__name__}(' + ', '.join(
+        f'{one.name}={_contents(value) if isinstance(value, Mechanism) else repr(value)}'
+        for one in fields(record) if one.repr for value in (getattr(record, one.name),)) + ')'
+
+
+@dataclass(frozen=True, repr=False)
 class Scene:
     """
     A mechanism, its start, its effects and the method.
@@ -192,6 +200,16 @@ class Scene:
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
     switched_off: Tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Show mechanism, effects and method."""
+        effects = f'; effects: {", ".join(self.effects)}' if self.effects else ''
+        return (f'<Scene {self.name} of {self.mechanism.name}: {self.method.integrator}, '
+                f'steps of {self.method.step_size:g} s{effects}>')
+
+    def digest(self) -> str:
+        """Return a hash of all values that a run depends on, wherever the file is."""
+        return hashlib.sha256(_contents(replace(self, path=None)).encode()).hexdigest()[:16]
 
     def __post_init__(self) -> None:
         """Refuse an initial state or an effect that does not fit the mechanism."""

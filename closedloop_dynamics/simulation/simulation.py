@@ -17,6 +17,7 @@ from .health import Health
 from .model import Model
 from .monitor import RunReport
 from .motions import moving
+from .named_array import NamedArray
 from .readings import Readings
 from .rollout import Rollout, rollout
 from .scene import load_scene
@@ -235,9 +236,9 @@ class Simulation:
         return self.data.points
 
     @property
-    def joint_forces(self) -> np.ndarray:
-        """Wrenches in the joints, as of ``Readings``, shape (nv, 3); in space (joints, 6)."""
-        return self.data.joint_forces
+    def joint_forces(self) -> NamedArray:
+        """Wrenches by joint, as of ``Readings``, shape (nv, 3); in space (joints, 6)."""
+        return self.data.named('joint_forces', self.data.joint_forces)
 
     @property
     def state(self) -> np.ndarray:

@@ -9,7 +9,7 @@ listed values span a grid; distributions are drawn from, with a generator of its
 so that one more key changes the draws of none.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 import hashlib
 import math
@@ -259,8 +259,7 @@ class Plan:
         torques = b'' if self.torques is None else np.ascontiguousarray(self.torques).tobytes()
         return {
             'scene': self.scene.name,
-            'contents of scene and mechanism': _digest(
-                repr(replace(self.scene, path=None)).encode()),
+            'contents of scene and mechanism': self.scene.digest(),
             'vary': '; '.join(map(repr, self.variations)),
             'samples': str(self.draws), 'seed': str(self.seed),
             'duration': repr(self.duration), 'rate': repr(self.rate),

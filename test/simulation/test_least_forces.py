@@ -75,7 +75,7 @@ def made(folder, mechanism, cuts, initial, gravity, friction_in, **method):
 def sizes(simulation):
     """Return the size of the force in each joint [N], by name."""
     planar = simulation.mechanism.planar
-    wrenches = [*simulation.joint_forces, *simulation.constraint_forces]
+    wrenches = [*simulation.joint_forces.array, *simulation.constraint_forces]
     joints = [*simulation.mechanism.joints, *simulation.mechanism.cut_joints]
     return {joint.name: np.linalg.norm(wrench[1 if planar else 3:])
             for joint, wrench in zip(joints, wrenches)}
@@ -167,8 +167,7 @@ def test_forces_are_least_in_all_joints_together(tmp_path):
     mechanism, choices, *how = CASES['bricard']
     one = made(tmp_path, mechanism, ('joint_4',), *how, integrator='rk4')
     # Along the loop each joint hands on what the body before exerts on the next one.
-    wrenches = {joint.name: wrench for joint, wrench in zip(
-        one.mechanism.joints, one.joint_forces)}
+    wrenches = dict(one.joint_forces)
     wrenches |= {name: -wrenches[name] for name in ('joint_5', 'joint_6')}
     assert one.mechanism.cut_joints[0].body_b == 'rod_3'
     wrenches['joint_4'] = one.constraint_forces[0]

@@ -56,6 +56,34 @@ def test_an_evaluation_tells_what_a_run_tells(name):
     close(model.constraint_jacobian(state), simulation.constraint_jacobian)
 
 
+def test_forces_in_joints_have_names_everywhere():
+    start = RRR.assemble()
+    run = cld.Simulation(RRR, start, 'rk4')
+    many = run.rollout(np.full((2, 1, 3), 0.5), steps=3, quantities=('joint_forces',))
+    run.step(0.5 * np.ones(3), 3 * run.step_size)
+    alone = run.joint_forces
+    assert alone.names == many.joint_forces.names == RRR.evaluate(start).joint_forces.names
+    assert many.joint_forces.shape == (2, 4, 7, 3)
+    for place, name in enumerate(alone.names):
+        assert np.array_equal(alone[name], run.force(name))
+        assert np.array_equal(alone[place], alone[name])
+        assert np.array_equal(many.joint_forces[name], many.joint_forces[..., place, :])
+    # Arithmetic is that of arrays, on either side.
+    assert np.array_equal(2.0 * alone - alone, alone.array)
+    assert np.array_equal(np.abs(alone), np.abs(alone.array))
+    with pytest.raises(KeyError, match='joint_forces: expected one of theta_1.*did you mean'):
+        many.joint_forces['theta_8']
+
+
+def test_scenes_are_told_in_a_line_and_told_apart_by_their_contents():
+    scene = RRR.scene
+    assert repr(scene).startswith('<Scene three_rrr of three_rrr: ')
+    assert repr(RRR.mechanism) == ('<Mechanism three_rrr: 7 bodies, 7 joints, 2 cut joints, '
+                                   'actuated: theta_1, theta_6, theta_7>')
+    heavier = RRR.with_parameters({'mechanism.bodies.proximal_1.mass': 2.0}).scene
+    assert scene.digest() == replace(scene, path=None).digest() != heavier.digest()
+
+
 @pytest.mark.parametrize('name', ['three_rrr', 'four_bar', 'stewart_platform', 'bricard'])
 def test_the_power_of_torques_is_the_change_of_energy(name):
     simulation = cld.Simulation.from_scene(name)
