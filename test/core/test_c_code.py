@@ -60,6 +60,20 @@ def test_numbers_are_those_of_llvm_and_code_is_kept(tmp_path):
     assert again.returncode == 0 and again.stdout == first.stdout and not again.stderr
 
 
+def test_lanes_are_as_alone(tmp_path):
+    code = WITHOUT_LLVM + """
+import numpy as np
+from closedloop_dynamics import Simulation
+simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+torques = np.linspace(-2.0, 2.0, 24 * 200).reshape(8, 200, 3)
+together = simulation.rollout(torques, threads=1).position
+print(all(np.array_equal(simulation.rollout(one[np.newaxis], threads=1).position[0], found)
+          for one, found in zip(torques, together)))
+"""
+    found = run(code, tmp_path)
+    assert found.stdout.split() == ['True'], found.stderr
+
+
 @pytest.mark.parametrize('settings, said', [
     ({'CC': '', 'PATH': ''}, 'apt install gcc'), ({'CC': 'false'}, 'could not compile')])
 def test_without_llvm_and_compiler_it_says_what_to_install(tmp_path, settings, said):

@@ -77,6 +77,15 @@ def test_runs_together_are_those_alone(packs, scene, method):
     assert_each_as_alone(simulation, result, torques)
 
 
+def test_a_lane_next_to_a_singular_arm_leaves_the_others_as_they_are(packs):
+    simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+    # Arms that fall are stretched after 0.17 s, in some lanes before the others.
+    torques = torques_for(simulation, LANES + 3, 200)
+    result = simulation.rollout(torques, quantities=QUANTITIES, threads=1)
+    assert packs == [LANES, 3]
+    assert_each_as_alone(simulation, result, torques)
+
+
 def test_lanes_differ_in_masses_lengths_and_starts(packs):
     simulation = Simulation.from_scene('four_bar', integrator='rk4')
     torques = torques_for(simulation, 5, 60)

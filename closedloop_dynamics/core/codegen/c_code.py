@@ -69,7 +69,8 @@ class _Scalar(Statements):
     def of(cls, routine):
         """Return the statements of a routine, which calls that which does the same otherwise."""
         other = routine.otherwise
-        return cls(routine, cls.PLACES, None if other is None else f'{other.name}(table, q, qd)')
+        return cls(routine, cls.PLACES, None if other is None else (
+            f'return {other.name}(table, q, qd)'))
 
     def text(self):
         """Return what computes the routine, and returns whether its results are good."""
@@ -95,7 +96,13 @@ class _Lanes(_Scalar):
     @classmethod
     def of(cls, routine):
         """Return the statements of what does the same in all lanes."""
-        return cls(routine.otherwise or routine, cls.PLACES)
+        if routine.otherwise is None:
+            return cls(routine, cls.PLACES)
+        # A lane whose results are not right alone does otherwise.
+        found, other = (cls(routine, cls.PLACES, 'goto otherwise'),
+                        cls(routine.otherwise, cls.PLACES))
+        found.lines = ['{', *found.lines[:-1], 'continue;', '}', 'otherwise: ;', *other.lines]
+        return found
 
     def _element(self, source, place):
         array = self._places[source]

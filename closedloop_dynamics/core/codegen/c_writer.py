@@ -159,7 +159,7 @@ class Statements:
     PACKED = True
 
     def __init__(self, routine, places, otherwise=None):
-        """``otherwise``: the call in the place of results where those are not right, if any."""
+        """``otherwise``: the statement in the place of results that are not right, if any."""
         self.lines, self._places = [], places
         self._operations, use = routine.graph.operations, routine.needed()
         # Numbers that have a name, operands of vectors, and how many numbers these have.
@@ -178,7 +178,7 @@ class Statements:
         guard = routine.graph.guard
         good = 1 if guard is None else self._name(guard.place)
         if otherwise is not None:
-            self.lines.append(f'if (!{good}) return {otherwise};')
+            self.lines.append(f'if (!{good}) {otherwise};')
         for source, place, value in routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.lines.append(f'{self._element(source, place)} {self._sign(source)} '

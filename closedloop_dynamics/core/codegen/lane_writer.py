@@ -7,7 +7,7 @@ from . import sincos
 from .emit import Writer
 from .expression_graph import COSINE, LOAD, SINE
 from .function_table import BAUMGARTE, LANES, SHARED
-from .llvm_text import DOUBLE, integer, numbers, vector_of, WORD
+from .llvm_text import BIT, DOUBLE, integer, numbers, vector_of, WORD
 
 _VECTOR, _BITS = vector_of(DOUBLE, LANES), f'i{LANES}'
 # Arrays begin at any number: a vector is not where its own size divides the address.
@@ -69,13 +69,47 @@ class LaneWriter(Writer):
         guard = self.routine.graph.guard
         for condition in [] if guard is None else [self.values[guard.place]]:
             within.append(condition)
-        good = integer(-1, _BITS)
+        lanes = integer(-1, _BITS)
         for condition in within:
-            good = self.function.binary(
-                'and', good, self.function.convert('bitcast', condition, _BITS))
-        good = self.function.compare('icmp eq', good, integer(-1, _BITS))
-        self.go_on_if(good)
-        for source, place, value in self.routine.outputs:
-            known = value.place if hasattr(value, 'place') else float(value)
-            self.function.store(self.number(known), self.place(source, place), _ALIGNED)
+            lanes = self.function.binary(
+                'and', lanes, self.function.convert('bitcast', condition, _BITS))
+        good = self.function.compare('icmp eq', lanes, integer(-1, _BITS))
+        self.go_on_if(good, lanes)
+        for (source, place, _), result in zip(self.routine.outputs, self.results()):
+            self.function.store(result, self.place(source, place), _ALIGNED)
         self.function.end(self.function.convert('zext', good, WORD))
+
+    def results(self):
+        """Return the vectors of the outputs."""
+        return [self.number(value.place if hasattr(value, 'place') else float(value))
+                for _, _, value in self.routine.outputs]
+
+    def go_on_if(self, good, lanes):
+        """
+        Leave the rest to the other routine, unless all ``lanes`` are good.
+
+        Those that are keep their own results, as each would alone.
+        """
+        if self.routine.otherwise is None:
+            return
+        here, other = self.function.blocks('good', 'otherwise')
+        self.function.branch_if(good, here, other)
+        # What the block below finds the addresses of is not known in the other one.
+        known, function = dict(self.pointers), self.function
+        function.begin(other)
+        # Nothing that is in registers without the call is to go to memory for its sake.
+        room = function.room(DOUBLE, LANES * len(self.routine.outputs))
+        kept = [function.convert('bitcast', function.address(room, LANES * n), f'{_VECTOR}*')
+                for n in range(len(self.routine.outputs))]
+        for result, address in zip(self.results(), kept):
+            function.store_here(result, address, _ALIGNED)
+        answer = function.call_like(self.routine.otherwise.name)
+        some = function.convert('bitcast', lanes, vector_of(BIT, LANES))
+        for (source, place, _), own in zip(self.routine.outputs, kept):
+            address = self.place(source, place)
+            function.store(function.select(
+                some, function.load(own, _ALIGNED), function.load(address, _ALIGNED)),
+                address, _ALIGNED)
+        function.end(answer)
+        self.pointers = known
+        self.function.begin(here)

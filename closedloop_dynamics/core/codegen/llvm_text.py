@@ -113,6 +113,10 @@ class Function:
     def store(self, value, address, options=''):
         self._lines.append(f'store {_typed(value)}, {_typed(address)}{options}')
 
+    def store_here(self, value, address, options=''):
+        """Write the store of a value that is to be in memory from here on, not before."""
+        self._lines.append(f'store volatile {_typed(value)}, {_typed(address)}{options}')
+
     def room(self, kind, count):
         """Write the allocation of an array on the stack, once for the whole function."""
         self._count += 1
@@ -156,8 +160,12 @@ class Function:
 
     def end_by(self, name):
         """End by calling another function of the same kind, in the place of this one."""
-        kinds = ', '.join(map(_typed, self.arguments))
-        self.end(self.result(WORD, f'tail call {WORD} @{name}({kinds})'))
+        self.end(self.call_like(name, 'tail '))
+
+    def call_like(self, name, how=''):
+        """Write the call of another function of the same kind, with the same arguments."""
+        return self.result(
+            WORD, f'{how}call {WORD} @{name}({", ".join(map(_typed, self.arguments))})')
 
     def call_address(self, address, values):
         """Write the call of the function at an address, which returns a double number."""
