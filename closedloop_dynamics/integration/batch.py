@@ -6,8 +6,8 @@ Whole runs of several mechanisms of one topology at once, one in every lane of a
 
 The steps are those of single runs, number by number; only the routines compute all lanes at
 once. A lane in which an effect begins or ceases within a step, or other joints under dry
-friction are at rest than in most, makes that step alone (``engine/lane_events.cpp``); one next to a
-singular position of an arm has the results of the routine for that, the others their own. What
+friction are at rest than in most, makes that step alone (``engine/lane_events.cpp``); one next to
+a singular position of an arm has the results of the routine for that, the others their own. What
 else a lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its
 mechanisms are then run one by one.
 """
