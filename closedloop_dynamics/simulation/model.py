@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 # Warnings of one call, at most.
 MOST_NOTES = 3
+# Difference of a flow to that of half the steps, 15 times its own error; most steps of a period.
+FLOW_ERROR, MOST_FLOW_STEPS = 1e-10, 64
 Found = TypeVar('Found')
 
 
@@ -126,6 +128,8 @@ class Model:
         self._linear: Dict[Any, Tuple[Any, Any]] = {}
         # By all that they are made of.
         self._steppers: 'Dict[Any, Stepper]' = {}
+        # Of linear models in discrete time, by independent joints.
+        self._flow_steps: Dict[Tuple[str, ...], int] = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':
         """
@@ -445,9 +449,45 @@ class Model:
         def linear(one: 'Linearisation') -> 'LinearModel':
             if period is None:
                 return one.linear_model(state.q, state.qd, torque, outputs)
-            return one.discrete_model(period, state.q, state.qd, torque, outputs)
+            found = self._by_steps(one, state, torque, period, outputs)
+            return found or one.discrete_model(period, state.q, state.qd, torque, outputs)
 
         return self._linearised(state, independent, linear)
+
+    def _by_steps(self, linearisation: 'Linearisation', state: State, torque: Optional[Numbers],
+                  period: float, outputs: Sequence[str]) -> 'Optional[LinearModel]':
+        """
+        Return a model in discrete time by steps with Jacobians; None where these do not do.
+
+        Half the steps tell the error, which the fourth power of their length is a measure of.
+        """
+        if not begins(self, state) or self._work.effect_set.follows_time:
+            return None
+        model = linearisation.linear_model(state.q, state.qd, torque, outputs)
+        names = tuple(
+            name.partition('.')[2] for name in model.states[:len(model.states) // 2])
+        rows, count = self._work.rows_of_torques(state, torque), self._flow_steps.get(names, 2)
+        last = None
+        try:
+            while count <= MOST_FLOW_STEPS:
+                key = names, count
+                if key not in self._steppers:
+                    self._steppers[key] = self.stepper(period, steps=count, independent=names)
+                stepper = self._steppers[key]
+                stepper.period = period
+                step = stepper.step(state, rows)
+                flow = np.hstack((step.A, step.B))
+                if last is not None and np.abs(flow - last).max(initial=0.0) <= (
+                        FLOW_ERROR * max(1.0, np.abs(flow).max(initial=0.0))):
+                    self._flow_steps[names] = count // 2
+                    size = len(step.A)
+                    return replace(
+                        model, A=flow[:, :size], B=flow[:, size:], period=float(period))
+                last, count = flow, 2 * count
+        except (SimulationError, ValueError):
+            # What the steps refuse may have a flow all the same.
+            pass
+        return None
 
     def reduce(self, state: State, independent: Optional[Sequence[str]] = None) -> Reduced:
         """

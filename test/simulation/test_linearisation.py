@@ -211,6 +211,28 @@ def test_a_model_is_linearised_in_any_state(scene):
                                    rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize('scene, period', [
+    ('three_rrr_vertical', 0.02), ('carpet_scraper', 0.05), ('rssr_four_bar', 1e-3)])
+def test_models_of_a_period_are_of_the_motion_not_of_few_steps(scene, period, monkeypatch):
+    model = Model.from_scene(scene)
+    simulation = Simulation(model, None, 'rk4')
+    for _ in range(3):
+        simulation.step(duration=0.02)
+        state = simulation.snapshot()
+        expected = Linearisation(simulation).discrete_model(period)
+        with monkeypatch.context() as patch:
+            # It is made by steps.
+            patch.setattr(Linearisation, 'discrete_model', None)
+            found = model.linearise(state, period=period)
+        for name in 'ABCD':
+            exact = getattr(expected, name)
+            np.testing.assert_allclose(getattr(found, name), exact, rtol=0, atol=1e-9 * max(
+                1.0, np.abs(exact).max(initial=0.0)))
+    assert model.linearise(state, period=2.0 * period).period == 2.0 * period
+    with pytest.raises(ValueError, match='period: expected a finite number > 0'):
+        model.linearise(state, period=-1.0)
+
+
 def test_batches_and_choices_that_do_not_do_are_refused_by_a_model():
     model = Model.from_scene('four_bar')
     state = model.assemble()
