@@ -241,7 +241,7 @@ class _BatchRunner:
         part = slice(samples[0], samples[0] + count)
         torques = given.torques[part] if given.torques.ndim == 3 else np.broadcast_to(
             given.torques, (count, *given.torques.shape))
-        states, torques, *room = (one.reshape(-1, MOST, *one.shape[1:]) for one in (
+        states, torques, *room = (one.reshape(count // MOST, MOST, *one.shape[1:]) for one in (
             states, torques, *(results[name][part] for name in STATE)))
         groups = np.flatnonzero(np.asarray(fine).reshape(-1, MOST).all(axis=1))
         ended, found = self._together().record_alike(simulation, states, torques, room, groups)

@@ -326,9 +326,15 @@ class _Equations:
         return x
 
 
+class AlwaysSingularError(ValueError):
+    """An arm whose joints cannot move what its equations hold, at any position."""
+
+
 def inverted(columns):
     """
     Return the inverse of one to three columns, and their determinant.
+
+    AlwaysSingularError where the determinant is zero whatever the position is.
 
     Where there is a row more than columns the last row is one across these, and their squared
     volume takes the place of the determinant.
@@ -351,6 +357,8 @@ def inverted(columns):
         a, b = columns
         across = cross(a, b),
         volume, rows = dot(*across, *across), (cross(b, *across), cross(*across, a))
+    if is_number(volume, 0.0):
+        raise AlwaysSingularError
     return (*(scale(row, 1.0 / volume) for row in rows), *across), volume
 
 

@@ -175,7 +175,10 @@ class MechanismTrace:
         self.by_arms = False
         if self.with_arms and which in (EVALUATION, ACCELERATION):
             self.recursion.hinges = ()
-        getattr(self, NAMES[which])()
+        try:
+            getattr(self, NAMES[which])()
+        except arms.AlwaysSingularError:
+            return self.without_arms().routine(which)
         otherwise = None
         if self.by_arms:
             otherwise = self.without_arms().routine(which)
