@@ -22,6 +22,8 @@ from ..engine import native
 # at most, once. In the plane, 0.02 rad beside the flat position of 40 loops in a row, its
 # accelerations are off by 8e-6 m/s^2, those by loops over bodies by 4e-8.
 MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 4_000
+# A link of a chain in the plane takes more.
+LEAST_OPERATIONS_OF_A_JOINT = 30
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
 # Columns of ``System.whole.numbers``: the pivot below which other equations are looked for; the
@@ -262,6 +264,9 @@ def _routines_of_forces(model, joints):
 def can_be_unrolled(model):
     """Return whether the routines of a mechanism are small enough to be compiled."""
     most = MOST_UNROLLED_OPERATIONS if space.is_spatial(model) else MOST_UNROLLED_IN_PLANE
+    if LEAST_OPERATIONS_OF_A_JOINT * len(model.tree) > most:
+        # Tracing would take long, and end with this, too.
+        return False
     return codegen.unrolled_size(model, MOST_UNROLLED_OPERATIONS) <= most
 
 

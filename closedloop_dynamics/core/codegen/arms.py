@@ -42,6 +42,8 @@ ROUNDING = 1e-9
 _IN_PLANE, _IN_SPACE = (2, 3, 4), (0, 1, 2, 3, 4, 5)
 # Unknowns that are left at most: of more, recursions through the tree take less.
 MOST_LEFT = 8
+# Rows of the tree, of which arms are chosen in a second.
+MOST_ROWS = 100
 # Equations that an arm has at most.
 _MOST = 3
 # Keys of equations begin with this: of a cut joint one has its place in the elimination order
@@ -116,6 +118,8 @@ class Plan:
     @classmethod
     def of(cls, recursion, model):
         """Return the plan for a mechanism, None where there is nothing to gain."""
+        if len(model.tree) > MOST_ROWS:
+            return None
         for floats in True, False:
             found = cls(recursion, model, floats)
             left = sum(map(len, found.unknowns))
