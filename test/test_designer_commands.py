@@ -691,7 +691,7 @@ def test_view_shows_a_machine_of_other_numbers(capsys, tmp_path):
 def test_drives_that_no_motion_has_are_refused(capsys, tmp_path):
     code, _, errors = call(
         capsys, 'kinematics', 'slider_crank', '--drive', 'slider_joint=0.3:20deg:5')
-    assert code == 2 and 'slider_joint: expected mm or m, got deg' in errors
+    assert code == 2 and 'slider_joint: expected mm or cm or m or inch, got deg' in errors
     code, _, errors = call(capsys, 'kinematics', 'rssr_four_bar', '--drive', 'tip.rx=0:1:5')
     assert code == 2 and 'tip.rx: expected a joint (crank, rocker) or' in errors
 

@@ -217,7 +217,7 @@ OPTIONS = {
     '--vary': ('method.step_size=1:2', 'x=1', 'x', ''), '--samples': ('-1', '0', 'x'),
     '--overwrite': None, '--resume': None, '--nothing': None}
 # What takes minutes where it is not refused; beside it always stands what no command takes.
-LONG = ('sweep', 'accuracy', 'effects', 'stability')
+LONG = ('sweep', 'accuracy', 'effects')
 COMMANDS = ('check', 'simulate', 'simulate', 'urdf', 'replay', 'plot', 'animate', *LONG)
 
 

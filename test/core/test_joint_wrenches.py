@@ -89,7 +89,7 @@ def test_newton_and_euler_hold_for_every_body(seed):
         moment[body] += couple + cross(place, vector)
         force[body] += vector
 
-    for joint, (couple, *vector) in zip(mechanism.joints, simulation.joint_forces):
+    for joint, (couple, *vector) in zip(mechanism.joints, simulation.data.joint_forces):
         place, vector = frames[joint.child][0], np.array(vector)
         act(joint.child, place, vector, couple)
         act(joint.parent, place, -vector, -couple)
@@ -100,7 +100,7 @@ def test_newton_and_euler_hold_for_every_body(seed):
     for body, place, vector in outside_forces(mechanism, frames, velocity):
         act(body, place, vector)
     largest = max(np.abs(vector).max() for vector in force.values()) + np.abs(
-        simulation.joint_forces).max()
+        simulation.data.joint_forces).max()
     for body in mechanism.bodies:
         def rates(x, body=body):
             return point_jacobian(mechanism, x, body.name, body.center_of_mass) @ qd
@@ -119,7 +119,7 @@ def test_along_its_freedom_a_joint_hands_over_its_torques(seed):
     simulation = loaded(seed)
     mechanism, frames = simulation.mechanism, body_frames(
         simulation.mechanism, simulation.position)
-    wrenches = simulation.joint_forces
+    wrenches = simulation.data.joint_forces
     torque = simulation.effort
     torque[0] -= DAMPING * simulation.velocity[0] + STIFFNESS * simulation.position[0]
     torque[0] -= INERTIA * simulation.acceleration[0]

@@ -196,7 +196,7 @@ def test_every_command_that_reads_scenes_may_run_code(files):
     for name in COMMANDS:
         one = parser([name])._subparsers._group_actions[0].choices[name]
         takes = '--allow-code' in one._option_string_actions
-        assert takes == (name not in ('import', 'list', 'stability', 'synthesise'))
+        assert takes == (name not in ('benchmark', 'import', 'list', 'synthesise'))
 
 
 def test_an_effect_of_a_file_is_built_by_other_processes(files):

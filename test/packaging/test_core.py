@@ -51,7 +51,6 @@ ASKING = {
     'plot run.csv --output pictures': 'plot',
     'animate run.csv --output run.gif': 'plot',
     'accuracy four_bar --output results': 'plot',
-    'stability --quick --output results': 'plot',
     'effects four_bar --output results': 'plot',
     'report four_bar --output report.html': 'plot',
     'modes four_bar --picture modes.png': 'plot',

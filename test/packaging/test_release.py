@@ -80,5 +80,5 @@ def test_container_recipe_names_what_exists():
     assert len(inside) == 2 and all((ROOT / path).is_file() for path in inside)
     sources = [line.split()[1] for line in recipe.splitlines() if line.startswith('COPY ')]
     assert sources == ['requirements', '.']
-    module = re.search(r'CMD \["python", "-m", "([\w.]+)"\]', recipe)[1]
-    assert (ROOT / f'{module.replace(".", "/")}.py').is_file()
+    program = re.search(rf'CMD \["python", "src/{PACKAGE}/([\w./]+)"\]', recipe)[1]
+    assert (ROOT / program).is_file()

@@ -122,12 +122,12 @@ def test_a_short_probe_knows_that_windows_end(monkeypatch):
     monkeypatch.setattr(Stepping, 'advance', counted)
     simulation = Simulation.from_scene('three_rrr')
     monkeypatch.setattr(cost.time, 'process_time', lambda: clock[0])
-    found, _ = probe(simulation, 20.0, 100.0, [5.0, -3.0, 2.0], longest=1e-3)
+    found, _ = probe(simulation, 5.0, 100.0, [5.0, -3.0, 2.0], longest=1e-3)
     monkeypatch.setattr(cost.time, 'process_time', real)
     assert found.probed < 1.0
     run = Simulation.from_scene('three_rrr')
-    run.step([5.0, -3.0, 2.0], 20.0)
-    # Of a motion that goes on as it began.
+    # Beyond, the motion is chaotic: what it costs differs by two with the last digit.
+    run.step([5.0, -3.0, 2.0], 5.0)
     assert found.cpu_time == pytest.approx(1e-6 * sum(run.stepping.monitor.work), rel=0.5)
 
 
