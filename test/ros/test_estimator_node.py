@@ -336,6 +336,7 @@ def test_process_estimates_what_a_simulator_publishes(processes, listener):
     assert node.stop() == 0
 
 
+@pytest.mark.slow
 def test_killed_in_mid_motion_another_process_goes_on_and_bears_nonsense(
         processes, listener, tmp_path):
     """The load is found again by a process that has not seen the motion begin."""
