@@ -430,8 +430,9 @@ def test_every_array_that_is_too_short_is_refused(calls):
     assert not accepted
 
 
-@pytest.mark.xfail(run=False, reason='a system of no effects, asked for where there are some, ends the '
-                   'process: to be refused by its constructor')
+@pytest.mark.xfail(
+    run=False, reason='a system of no effects, asked for where there are some, ends the process: '
+    'to be refused by its constructor')
 @pytest.mark.parametrize('count', [2000, pytest.param(40_000, marks=pytest.mark.slow)])
 def test_no_damage_to_any_argument_ends_the_process(calls, count):
     draw, refused = random.Random(1), 0
