@@ -109,7 +109,7 @@ inline bool is_chart(const System & system, const LaneRoutines & routines, const
 {
   const Index nq = system.nq(), nv = system.nv(), nc = system.lam.size;
   const Index inputs = LANES * (nq + 2 * nv + chart.parameters.rows);
-  return routines.table.size >= step_routine::TABLE_COLUMNS &&
+  return routines.table.size >= step_routine::LANE_COLUMNS &&
          chart.independent.size + nc == nv && are_places(chart.independent, 0, nv) &&
          chart.dependent.size == nc && are_places(chart.dependent, 0, nv) &&
          chart.seed.size == inputs && routines.result.size >= std::max(inputs, LANES * 2 * nc) &&

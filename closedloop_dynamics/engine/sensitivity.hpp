@@ -95,13 +95,13 @@ struct RunInputs
   void fields(Visitor && visit) {visit(start, torque, parameter);}
 };
 
-/// Places of the routines in their table, and its length.
+/// Places of the routines in their table, and its length; that of routines in lanes.
 namespace step_routine
 {
 enum : Index
 {
   ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
-  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 50
+  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 50, LANE_COLUMNS = 53
 };
 }
 
