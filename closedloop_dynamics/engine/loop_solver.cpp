@@ -345,6 +345,10 @@ void LoopSolver::search(DenseVector & q, double goal, Index most_iterations)
 {
   double damping = FIRST_DAMPING, growth = 2.0;
   const Index count = loops_.free.size;
+  if (count == 0) {
+    // Nothing may move.
+    return;
+  }
   DenseVector scale = DenseVector::Ones(count);
   for (Index j = 0; j < count && !far_.empty(); ++j) {
     scale[j] = far_.scale[loops_.free[j]];
