@@ -77,8 +77,8 @@ GROUPS = {
         ('3-RRR, driven, 2 s', 'three_rrr', BASE_TORQUES, 2.0),
         ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
         ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0))),
-    # Exudyn's models in ``peer_exudyn`` are planar.
-    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:4], (
+    # Models of Exudyn and Drake here are planar.
+    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:3], (
         ('Stewart platform, 0.6 s', 'stewart_platform', LEG_FORCES, 0.6),
         ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
         ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)),
