@@ -8,23 +8,22 @@ Every quantity is an array over the joints driven, in one order. A path is that 
 mechanism, a circle or straight ways from place to place: smooth, periodic, from rest.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
 
-from ..mechanism.closure import closure_errors, coupling_errors
 from ..mechanism.kinematics import body_poses, named_point, pose_of
-from ..mechanism.rotations import composed, CONJUGATE, quaternion_about
+from ..mechanism.mechanism import DrivingConstraint, Point
+from ..mechanism.rotations import about_z, composed, CONJUGATE, of_quaternion, quaternion_about
+from ..simulation.assembly import Assembler
+from ..simulation.driven import BranchEndError, DrivenKinematics
+from ..simulation.geometry import Geometry
+from ..simulation.modeling import extent
 
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.
 POSITIONS = 128
-# Newton steps for each of them, and the tolerance of the residual [m or rad].
-ITERATIONS, TOLERANCE = 30, 1e-11
-# The Jacobian is renewed where a step does not reduce the residual by this factor.
-SLOW = 0.1
-DIFFERENCE = 1e-6
 # Of a straight way between two places, which a spline goes through.
 STRETCHES = 24
 
@@ -141,78 +140,66 @@ class PathError(ValueError):
     """A path that the mechanism cannot follow; the message says why."""
 
 
-def residual(mechanism, position, point, place, turn):
-    """
-    Return by how much loops are open and a Point is away from a place.
-
-    ``position``, shape (..., nq) [rad or m]; ``place``, shape (2,), in space (3,), in the world
-    [m]; ``turn``, the angle [rad] or unit quaternion x, y, z, w that its body is to have; None:
-    any. The result has shape (..., number of equations).
-    """
-    poses = body_poses(mechanism, position)
-    parts = closure_errors(mechanism, poses) + coupling_errors(mechanism, position)
-    miss = named_point(mechanism, poses, point.name) - place
-    parts += [miss[..., k] for k in range(len(place))]
-    if turn is not None:
-        pose = pose_of(mechanism, poses, point.body)
-        if mechanism.planar:
-            parts.append(pose[..., 2] - turn)
-        else:
-            left = composed(pose[..., 3:], turn * CONJUGATE)
-            parts += [2.0 * left[..., 3] * left[..., k] for k in range(3)]
-    return np.stack(parts, axis=-1)
-
-
 def solve(mechanism, position, point, place, turn):
     """
     Return the joint positions, shape (nq,), that close the loops and bring a point to a place.
 
-    ``position`` is nearby; the rest is as for ``residual``. Raises PathError where there are
-    none nearby, or many.
+    ``position`` closes the loops, on the branch that is wanted [rad or m]; ``place``, shape (2,),
+    in space (3,), in the world [m]; ``turn``, the angle [rad] or unit quaternion x, y, z, w that
+    the body of the Point is to have; None: any. Raises PathError where there are none on this
+    branch, or many.
     """
-    return _solve(mechanism, position, point, place, turn)[0]
+    return _followed(mechanism, position, point, [place], [turn])[0]
 
 
-def _solve(mechanism, position, point, place, turn, slopes=None):
-    """Do so with the slopes of a solution nearby, as long as they serve; return them, too."""
-    position, last = np.array(position, dtype=float), math.inf
-    coordinates = mechanism.coordinates
-    for _ in range(ITERATIONS):
-        left = residual(mechanism, position, point, place, turn)
-        worst = np.abs(left).max()
-        if worst < TOLERANCE:
-            return position, slopes
-        if slopes is None or not worst < SLOW * last:
-            slopes = _slopes(mechanism, position, point, place, turn)
-            if np.linalg.matrix_rank(slopes, 1e-9 * np.abs(slopes).max()) < slopes.shape[1]:
-                break
-        last = worst
-        position = coordinates.moved(position, np.linalg.lstsq(slopes, -left, rcond=1e-9)[0])
-    where = ', '.join(f'{part:.4g}' for part in place)
+def _followed(mechanism, position, point, places, turns):
+    """Return the positions, shape (n, nq), one after the other, of places and turns."""
+    motions, points, values = _drives(mechanism, point, places, turns)
+    try:
+        found = DrivenKinematics(replace(
+            mechanism, motions=motions, points=(*mechanism.points, *points)), position).follow(
+                values)
+        if found.end is None:
+            return found.position
+        where = places[len(found.position)]
+    except (BranchEndError, ValueError):
+        where = places[0]
     raise PathError(
-        f"the mechanism cannot bring '{point.name}' to ({where}), or is singular there")
+        f"the mechanism cannot bring '{point.name}' to "
+        f"({', '.join(f'{part:.4g}' for part in where)}), or is singular there")
 
 
-def _slopes(mechanism, position, point, place, turn):
-    """Return the derivatives of ``residual``, shape (number of equations, nv)."""
-    moved = mechanism.coordinates.moved
-    steps = DIFFERENCE * np.eye(mechanism.coordinates.nv)
-    errors = residual(mechanism, np.array([moved(position, step) for step in (*steps, *-steps)]),
-                      point, place, turn)
-    return (errors[:len(steps)] - errors[len(steps):]).T / (2.0 * DIFFERENCE)
+def _drives(mechanism, point, places, turns):
+    """Return what drives a point and, by points on them, its body's axes; points, and values."""
+    size, length = len(places[0]), extent(mechanism)
+    motions = [DrivingConstraint(f'{point.name} {k}', point=point.name, direction=tuple(one))
+               for k, one in enumerate(np.eye(size))]
+    if turns[0] is None:
+        return tuple(motions), (), np.array(places)
+    tips = [Point(f'{point.name} {k}', point.body, tuple(point.position + length * one))
+            for k, one in enumerate(np.eye(size)[:size - 1])]
+    axes = np.array([_axes(turn) for turn in turns])
+    # Across the axes as they are on the average; they lean by less than a right angle from there.
+    middle, values = _axes(np.mean(turns, axis=0)), [np.array(places)]
+    for along, across in ((0, 1), (0, 2), (1, 2))[:1 if size == 2 else 3]:
+        way = middle[:, across]
+        motions.append(DrivingConstraint(
+            f'{tips[along].name} {across}', point=tips[along].name, direction=tuple(way)))
+        values.append((places + length * axes[:, :, along]) @ way[:, np.newaxis])
+    return tuple(motions), tuple(tips), np.hstack(values)
+
+
+def _axes(turn):
+    """Return the axes of a body, as columns, from its angle [rad] or quaternion of any length."""
+    if np.ndim(turn):
+        return of_quaternion(turn / np.linalg.norm(turn))
+    return of_quaternion(about_z(turn))[:2, :2]
 
 
 def freedoms_of(mechanism, position):
-    """Return how many degrees of freedom a mechanism has in a position, shape (nq,)."""
-    coordinates = mechanism.coordinates
-    steps = DIFFERENCE * np.eye(coordinates.nv)
-    shifted = np.array([coordinates.moved(position, step) for step in (*steps, *-steps)])
-    errors = np.array([np.zeros(len(shifted)),
-                       *closure_errors(mechanism, body_poses(mechanism, shifted)),
-                       *coupling_errors(mechanism, shifted)])
-    count = len(steps)
-    slopes = (errors[:, :count] - errors[:, count:]) / (2.0 * DIFFERENCE)
-    return count - int(np.linalg.matrix_rank(slopes, 1e-7 * np.abs(slopes).max(initial=1.0)))
+    """Return how many degrees of freedom a mechanism has near a closed position, shape (nq,)."""
+    loops = replace(mechanism, motions=())
+    return Assembler(loops, Geometry(loops).equations).degrees_of_freedom(position)
 
 
 def _point_and_turn(mechanism, start, name):
@@ -280,18 +267,15 @@ class CircularPath:
         ways[:, :2] = radius * np.stack([np.cos(turn + phase), np.sin(turn + phase)], axis=1)
         self.center = place - ways[0]
         leaning = [_leaning(tilt, angle + phase) for angle in turn] if tilt else None
-        table, slopes = [np.array(start, dtype=float)], None
-        for k in [*range(POSITIONS), 0]:
-            wanted = turned if leaning is None else composed(
-                composed(leaning[k], leaning[0] * CONJUGATE), turned)
-            found, slopes = _solve(
-                mechanism, table[-1], point, self.center + ways[k], wanted, slopes)
-            table.append(found)
-        if np.abs(mechanism.coordinates.apart(table[-1], table[1])).max() > 1e-6:
+        turns = [turned if leaning is None else composed(
+            composed(leaning[k], leaning[0] * CONJUGATE), turned) for k in range(POSITIONS)]
+        table = _followed(mechanism, start, point, self.center + np.vstack([ways, ways[:1]]),
+                          [*turns, turns[0]])
+        if np.abs(mechanism.coordinates.apart(table[-1], table[0])).max() > 1e-6:
             raise PathError('the joints do not come back to where they began: the circle goes '
                             'round a singular configuration; choose a smaller one')
         chosen = _places(mechanism, joints)
-        self.harmonics = np.fft.rfft(np.array(table[1:-1])[:, chosen], axis=0) / POSITIONS
+        self.harmonics = np.fft.rfft(table[:-1, chosen], axis=0) / POSITIONS
         self.harmonics[1:] *= 2.0
         self._orders = 1j * np.arange(len(self.harmonics))[:, np.newaxis]
 
@@ -364,14 +348,10 @@ class PointToPointPath:
         share = np.linspace(0.0, 1.0, STRETCHES + 1)
         chosen = _places(mechanism, joints)
         position, begin, self._ways = np.array(start, dtype=float), origin, []
-        slopes = None
         for place in self.places:
-            table = []
-            for each in share:
-                position, slopes = _solve(
-                    mechanism, position, point, begin + each * (place - begin), turned, slopes)
-                table.append(position[chosen])
-            way = CubicSpline(share, np.array(table))
+            table = _followed(mechanism, position, point, begin + np.outer(share, place - begin),
+                              [turned] * len(share))
+            position, way = table[-1], CubicSpline(share, table[:, chosen])
             self._ways.append((way, way.derivative(), way.derivative(2)))
             begin = place
         if np.abs(mechanism.coordinates.apart(position, np.array(start))).max() > 1e-6:
