@@ -11,6 +11,7 @@ from closedloop_dynamics.simulation.scene import scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.page import editor_page
 from closedloop_dynamics.view.standalone import METHOD
+from matplotlib.path import Path
 import numpy as np
 import pytest
 
@@ -139,6 +140,66 @@ def test_degrees_of_freedom_are_told(name, freedoms, tab):
     told = tab.ask('page.editor.made().told()')
     assert told['error'] is None and told['freedoms'] == freedoms
     assert ('repeat' in ' '.join(told['words'])) == (name == 'redundant')
+
+
+def gear(node, teeth, ring=False, fixed=None):
+    return {'kind': 'gear', 'node': node, 'teeth': teeth, 'module': 0.003, 'ring': ring,
+            'fixed': fixed}
+
+
+# A planet on an arm, in a ring at rest and about a sun, which pushes a rack.
+PLANETARY = drawing(
+    {'A': (0.0, 0.0, 'ground'), 'B': (0.0495, 0.0)},
+    link_1=link('A', 'B'), gear_1=gear('A', 20), gear_2=gear('B', 13),
+    gear_3=gear('A', 46, True, 'ground'), mesh_1={'kind': 'mesh', 'a': 'gear_1', 'b': 'gear_2'},
+    mesh_2={'kind': 'mesh', 'a': 'gear_3', 'b': 'gear_2'},
+    rack_1={'kind': 'rack', 'gear': 'gear_1', 'angle': 2.0},
+    motor_1={'kind': 'motor', 'node': 'A', 'body': 'link_1', 'law': 'speed', 'value': 1.0})
+
+
+def outlines(tab):
+    """Return the teeth of all bodies in the world, shape (n, 2), of the ground as '-1'."""
+    found = tab.ask(f"""(() => {{
+        const found = {{}}, put = (row, shapes) => {{
+          for (const {{kind, outline, hole, origin, x}} of shapes) {{
+            if (kind !== 'profile') continue;
+            const teeth = row ? outline : hole, turned = Math.atan2(x[1], x[0]);
+            found[row - 1] = teeth.map((place) => {{
+              const [u, v] = rotate(place, turned);
+              return {MACHINE}.pointOf(row, [origin[0] + u, origin[1] + v, 0])[0].slice(0, 2);
+            }});
+          }}
+        }};
+        {MACHINE}.evaluate();
+        put(0, page.scene.ground);
+        page.scene.bodies.forEach(({{name, shapes}}) => put(page.editor.made().row[name], shapes));
+        return found; }})()""")
+    return {name: np.array(places) for name, places in found.items()}
+
+
+def test_teeth_of_gears_and_racks_lie_in_gaps_as_they_turn(tab):
+    show(tab, PLANETARY)
+    rows = tab.ask('page.editor.made().row')
+    for time in (0.0, 0.11, 0.29, 0.4):
+        tab.ask(f'page.socket.until({time})')
+        teeth = outlines(tab)
+        sun, planet, rack = (teeth[str(rows[name] - 1)] for name in ('gear_1', 'gear_2', 'rack_1'))
+
+        def tips(outline, count):
+            return outline.reshape(-1, count, 2)[:, count // 2 - 1:count // 2 + 1].mean(axis=1)
+
+        assert (len(sun), len(planet), len(teeth['-1'])) == (12 * 20, 12 * 13, 12 * 46)
+        mine = tips(planet, 12)
+        assert not Path(sun).contains_points(mine).any()
+        assert Path(teeth['-1']).contains_points(mine).all()
+        assert not Path(rack).contains_points(tips(sun, 12)).any()
+        for outline, others in ((planet, tips(sun, 12)), (planet, tips(teeth['-1'], 12)),
+                                (sun, mine), (sun, tips(rack[:-2], 4))):
+            assert not Path(outline).contains_points(others).any()
+        # They reach into one another.
+        away = np.linalg.norm(mine, axis=1)
+        assert away.min() < 0.03 + 0.0015 and away.max() > 0.069 + 0.0015
+        assert np.linalg.norm(tips(rack[:-2], 4), axis=1).min() < 0.03
 
 
 def chain(count):

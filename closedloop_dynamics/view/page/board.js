@@ -10,6 +10,8 @@ const MODULE = 0.003, NEW_TEETH = 20, LEAST_TEETH = 6;
 const NEW_SPEED = 6.28319, NEW_TORQUE = 1, FORCE_PER_METRE = 100, CAM_LIFT = 0.2, CAM_RADII = 36;
 // A roller against the distance to its cam, a slot's line and a rack against the view [CSS pixels].
 const CAM_ROLLER = 0.2, SLOT_PIXELS = 46;
+// The least module that teeth are drawn of [CSS pixels].
+const LEAST_TOOTH = 2.5;
 // Steps of undoing; how long a drawing rests before it is checked [ms].
 const MOST_UNDO = 200, CHECK_AFTER = 150;
 // Tools: word, and what is to be done.
@@ -300,7 +302,7 @@ class Board {
       case 'link': return one.nodes.map((node, k) => [at(node), at(one.nodes[(k + 1) % one.nodes.length])])
         .slice(0, one.nodes.length > 2 ? undefined : 1);
       case 'cylinder': case 'spring': return [[at(one.a), at(one.b)]];
-      case 'mesh': case 'belt': return one.kind === 'mesh' ? [] : [[at(drawing.elements[one.a].node), at(drawing.elements[one.b].node)]];
+      case 'belt': return beltPath(drawing, one).map((place, k, path) => [place, path[(k + 1) % path.length]]);
       case 'slider': return [SLOT_PIXELS, -SLOT_PIXELS].map((pixels) => ray(at(one.node), one.angle, pixels));
       case 'rack': {
         const {at: middle, angle} = drawing.bodies()[name], pixels = 2 * drawing.radius(one.gear) * this.scale;
@@ -649,6 +651,7 @@ class Board {
                    card: color('card'), path: color('path'), force: color('force')};
     this.drawGrid(wide, high);
     const marked = new Set(this.marked);
+    this.toothAngles = toothAngles(drawing);
     for (const name of Object.keys(drawing.elements)) {
       pen.strokeStyle = pen.fillStyle = marked.has(name) ? this.colors.bad : name === this.selected ? this.colors.accent : this.colors.ink;
       this.drawElement(name, drawing.elements[name]);
@@ -678,6 +681,14 @@ class Board {
     places.forEach(([u, v], k) => (k ? this.pen.lineTo(u, v) : this.pen.moveTo(u, v)));
     if (closed) this.pen.closePath();
     this.pen.stroke();
+  }
+
+  // What is closed, about a place on the paper, turned.
+  outline(places, [x, y], turned) {
+    this.stroke(places.map((place) => {
+      const [u, v] = rotate(place, turned);
+      return this.seen([x + u, y + v]);
+    }), true);
   }
 
   circle([u, v], radius, fill = false) {
@@ -716,13 +727,22 @@ class Board {
       pen.strokeRect(-15, -9, 30, 18);
       pen.restore();
     } else if (one.kind === 'gear') {
+      const teeth = one.module * this.scale > LEAST_TOOTH;
+      if (teeth) {
+        const [x, y] = drawing.place(one.node), outline = toothed(one), turned = this.toothAngles[name];
+        this.outline(outline, [x, y], turned);
+        if (one.ring) this.outline(rimmed(one, outline), [x, y], turned);
+        pen.lineWidth = 1;
+        pen.setLineDash([2, 4]);
+      }
       this.circle(at(one.node), drawing.radius(name) * this.scale);
-      pen.setLineDash([2, 4]);
-      this.circle(at(one.node), (drawing.radius(name) + (one.ring ? -1 : 1) * one.module) * this.scale);
       pen.setLineDash([]);
       pen.textAlign = 'left';
       const [u, v] = at(one.node), radius = drawing.radius(name) * this.scale;
       pen.fillText(`${one.teeth}${one.fixed ? ' fixed' : ''}`, u + 0.72 * radius + 4, v - 0.72 * radius - 4);
+    } else if (one.kind === 'rack') {
+      const {at: place, angle} = drawing.bodies()[name];
+      this.outline(rackOutline(drawing, one, this.toothAngles[one.gear]), place, angle);
     } else if (one.kind === 'geneva') {
       const {apart, crank, line} = drawing.geneva(name), half = Math.PI / one.slots, [wheel, driver] = [at(one.wheel), at(one.driver)];
       this.circle(wheel, apart * Math.cos(half) * this.scale);
@@ -732,8 +752,8 @@ class Board {
         this.stroke([apart - crank, apart * Math.cos(half)].map((r) => [wheel[0] + way[0] * r * this.scale, wheel[1] + way[1] * r * this.scale]));
       }
     } else if (one.kind === 'cam') {
-      const [x, y] = drawing.place(one.node), step = 2 * Math.PI / one.radii.length;
-      this.stroke(one.radii.map((r, k) => this.seen([x + r * Math.cos(k * step), y + r * Math.sin(k * step)])), true);
+      const step = 2 * Math.PI / one.radii.length;
+      this.outline(one.radii.map((r, k) => rotate([r, 0], k * step)), drawing.place(one.node), 0);
       this.circle(at(one.roller), one.radius * this.scale);
     } else if (one.kind === 'force') {
       this.arrow(...lines[0]);

@@ -240,7 +240,7 @@ class Drawing {
   }
 
   // The body that carries both gears.
-  #carrier(a, b, bodies) {
+  carrier(a, b, bodies) {
     const [one, other] = [this.elements[a].node, this.elements[b].node];
     const found = Object.keys(bodies).filter((body) => (
       bodies[body].nodes.includes(one) && bodies[body].nodes.includes(other)));
@@ -354,7 +354,7 @@ class Drawing {
         Object.entries(sum).filter(([, factor]) => factor))});
     };
     for (const [name, {kind, a, b}] of this.of('mesh', 'belt')) {
-      const carrier = this.#carrier(a, b, bodies), [one, other] = [a, b].map((gear) => this.#gearBody(gear));
+      const carrier = this.carrier(a, b, bodies), [one, other] = [a, b].map((gear) => this.#gearBody(gear));
       const inside = this.elements[a].ring || this.elements[b].ring;
       const [first, second] = [this.elements[a].teeth, (inside || kind === 'belt' ? -1 : 1) * this.elements[b].teeth];
       const turns = [one, other].map((body) => Drawing.turn(joints, carrier, body));

@@ -8,9 +8,10 @@ const EXAMPLE = {
     D: {x: 0.1, y: 0, ground: true}, E: {x: 0.05, y: 0.09, trace: true}},
   elements: {link_1: {kind: 'link', nodes: ['A', 'B']}, link_2: {kind: 'link', nodes: ['B', 'C', 'E']},
     link_3: {kind: 'link', nodes: ['C', 'D']}, motor_1: {kind: 'motor', node: 'A', law: 'speed', value: 6.28319}}};
-// Of links, as in `view/description.py`: radius of bars, thickness and layers, in sizes of the machine.
-const BAR_RADIUS = 0.022, PLATE = 0.016, LAYER_ABOVE = 0.03;
-const EARTH_GRAVITY = 9.81, LINK_COLORS = ['#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00'];
+// Of links, as in `view/description.py`: radius of bars, thickness and layers, in sizes of the machine;
+// that of gears, below the links.
+const BAR_RADIUS = 0.022, PLATE = 0.016, LAYER_ABOVE = 0.03, GEAR_LAYER = 0.015, BELT_WIDTH = 0.005;
+const EARTH_GRAVITY = 9.81, BELT_COLOR = '#6f7681', LINK_COLORS = ['#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00'];
 
 // What `Machine` and the page need of a drawing. Throws an Error where it cannot be simulated here.
 class DrawnMachine {
@@ -29,6 +30,7 @@ class DrawnMachine {
     }
     this.motors = drawing.of('motor').map(([, one]) => ({...one, joint: drawing.driven(one, this.joints)}));
     this.span();
+    this.toothAngles = toothAngles(drawing);
     this.size = Math.max(1e-3, ...Object.keys(drawing.nodes).flatMap((one) => Object.keys(drawing.nodes).map(
       (other) => Math.hypot(...difference(drawing.place(one), drawing.place(other))))));
     this.equations = new PlanarEquations(this.model());
@@ -84,13 +86,13 @@ class DrawnMachine {
   model() {
     const {drawing, bodies, row} = this, gravity = drawing.gravity ? [0, -EARTH_GRAVITY] : [0, 0];
     const rows = this.tree.map((joint) => {
-      const {type, parent, child, at} = joint, {mass, center, inertia, angle, end} = bodies[child];
-      return {parent: row[parent], turns: type === 'revolute', place: this.local(parent, at),
+      const {type, parent, child, at, sign} = joint, {mass, center, inertia, angle, end} = bodies[child];
+      return {parent: row[parent], turns: type === 'revolute', sign, place: this.local(parent, at),
               at: this.local(child, at), angle: angle - bodies[parent].angle, center,
               // As the scene has them: of a cylinder it has both masses together.
               ...end ? {mass: 0.5 * brief(2 * mass), inertia: 0.5 * brief(2 * mass) * (2 * center[0]) ** 2 / 12}
                 : {mass: Number(brief(mass)), inertia: Number(brief(inertia))},
-              slide: type === 'revolute' ? null : rotate(this.direction(joint), -bodies[parent].angle)};
+              slide: type === 'revolute' ? null : scaled(sign, rotate(this.direction(joint), -bodies[parent].angle))};
     });
     const ends = ([a, b], at) => ({a: row[a], at_a: this.local(a, at), b: row[b], at_b: this.local(b, at)});
     const cuts = this.cut.map((joint) => {
@@ -150,8 +152,8 @@ class DrawnMachine {
       bodies: this.names.map((name) => [this.row[name], 0, 0, 0, ...axes]),
       points: this.points.map(({body, at}) => [this.row[body], ...at]), position: [...tree.keys()],
       actuated: [...tree.keys()].filter((k) => motor(tree[k].name)), turns: [],
-      drives: Object.fromEntries(tree.flatMap(({name, sign}, k) => (motor(name)
-        ? [[name, [k, motor(name).law, sign * motor(name).value]]] : []))),
+      drives: Object.fromEntries(tree.flatMap(({name}, k) => (motor(name)
+        ? [[name, [k, motor(name).law, motor(name).value]]] : []))),
       own: null, hand: [stiffness, 0.5 * Math.sqrt(stiffness * mass)],
       effects: {gravity: {type: 'gravity', enabled: this.drawing.gravity, columns: {},
                           values: {acceleration: [0, -EARTH_GRAVITY]}}}, numbers: {}};
@@ -159,7 +161,7 @@ class DrawnMachine {
 
   // For the page.
   description() {
-    const {size, tree, row} = this, height = (name) => LAYER_ABOVE * size * (row[name] ? 1 + row[name] % 3 : 0);
+    const {size, tree, row} = this, height = (name) => size * (!row[name] ? 0 : this.geared(name) ? GEAR_LAYER : LAYER_ABOVE * (1 + row[name] % 3));
     const named = (number) => [GROUND_BODY, ...tree.map(({child}) => child)][number];
     const raised = (name, [x, y]) => [x, y, height(name)], color = (name) => LINK_COLORS[(row[name] - 1) % LINK_COLORS.length];
     const heights = (...names) => names.map(height).sort((a, b) => a - b);
@@ -193,7 +195,7 @@ class DrawnMachine {
         name, color: color(name), subsystem: k, shapes: this.shapes(name).map((shape) => this.lifted(shape, height(name))),
         grabs: [...this.bodies[name].nodes.map((node) => this.local(name, this.drawing.place(node))),
                 this.bodies[name].center].map(([x, y]) => [x, y, 0])})),
-      ground: this.discs(GROUND_BODY), guides: [], surfaces: [], wires: [], missing: [], meanings: {}, loads: [], plots, files, sliders: [],
+      ground: this.discs(GROUND_BODY), guides: [], surfaces: [], wires: this.belts(), missing: [], meanings: {}, loads: [], plots, files, sliders: [],
       joints: tree.map((joint) => ({
         name: joint.name, type: joint.type, parent: row[joint.parent] - 1, child: row[joint.child] - 1,
         actuated: driven.includes(joint), place: [...this.local(joint.parent, joint.at), 0],
@@ -221,8 +223,7 @@ class DrawnMachine {
     if (element?.kind === 'gear') return discs;
     const bar = (from, to) => ({kind: 'bar', from: [...from, 0], to: [...to, 0], radius: BAR_RADIUS * size, flat});
     if (element?.kind === 'rack') {
-      const half = 2 * drawing.radius(element.gear);
-      return [bar([-half, 0], [half, 0])];
+      return [this.profile(rackOutline(drawing, element, this.toothAngles[element.gear]), null, [0, 0], 0)];
     }
     if (!element || corners.length < 2) {
       const {center} = this.bodies[name];
@@ -233,13 +234,28 @@ class DrawnMachine {
             ...ends.map(([from, to]) => bar(from, to))];
   }
 
-  // The gears that are a body, or fixed to it.
+  // The gears that are a body, or fixed to it, in one layer below the links.
   discs(name) {
-    const half = PLATE * this.size / 2;
-    return this.drawing.of('gear').filter(([gear, {fixed}]) => (fixed ?? gear) === name).map(([gear, {node}]) => {
-      const [x, y] = this.local(name, this.drawing.place(node));
-      return {kind: 'cylinder', from: [x, y, -half], to: [x, y, half], radius: this.drawing.radius(gear)};
+    return this.drawing.of('gear').filter(([gear, {fixed}]) => (fixed ?? gear) === name).flatMap(([gear, one]) => {
+      const outline = toothed(one), rim = rimmed(one, outline), turned = this.toothAngles[gear] - this.bodies[name].angle;
+      const disc = this.profile(...one.ring ? [rim, outline] : [outline, rim], this.local(name, this.drawing.place(one.node)), turned);
+      return one.ring ? [disc] : [disc, {...disc, kind: 'spokes', depth: 0.7 * disc.depth, radius: 1.02 * Math.hypot(...rim[0])}];
     });
+  }
+
+  geared(name) { return ['gear', 'rack'].includes(this.drawing.elements[name]?.kind); }
+
+  belts() {
+    return this.drawing.of('belt').map(([name, one]) => {
+      const carrier = this.drawing.carrier(one.a, one.b, this.bodies), path = beltPath(this.drawing, one);
+      return {name, body: this.row[carrier] - 1, color: BELT_COLOR, width: BELT_WIDTH * this.size,
+              places: [...path, path[0]].map((place) => [...this.local(carrier, place), GEAR_LAYER * this.size])};
+    });
+  }
+
+  profile(outline, hole, [x, y], turned) {
+    return {kind: 'profile', outline, hole, origin: [x, y, GEAR_LAYER * this.size], x: [...rotate([1, 0], turned), 0], z: [0, 0, 1],
+            depth: PLATE * this.size, taper: 1};
   }
 
   lifted(shape, above) {

@@ -12,7 +12,8 @@ const normalTo = ([a, b]) => [-b, a];
 const inner = ([a, b], [c, d]) => a * c + b * d;
 
 class PlanarEquations {
-  // `rows`: from row 1 on, {parent, turns, place (on the parent), at (on the body), angle, slide
+  // `rows`: from row 1 on, {parent, turns, sign (-1: the coordinate is that of the parent in the
+  // body), place (on the parent), at (on the body), angle, slide
   // (direction on the parent), mass, center, inertia}; `cuts`: {kind, a, at_a, b, at_b, along, angle,
   // length}, of kinds pin, line, guide (a line and an angle) and distance; `couplings`: lists of
   // [factor, coordinate], a coordinate {turns, a, at_a, b, at_b, along}, of b in a; `springs`:
@@ -56,8 +57,8 @@ class PlanarEquations {
     for (let i = 1; i < this.rows.length; i++) {
       const row = this.rows[i], parent = this.frames[row.parent], q = this.q[i - 1], rate = this.qd[i - 1];
       const frame = this.frames[i], place = this.turned(row.parent, row.place);
-      frame.angle = parent.angle + row.angle + (row.turns ? q : 0);
-      frame.spin = parent.spin + (row.turns ? rate : 0);
+      frame.angle = parent.angle + row.angle + (row.turns ? row.sign * q : 0);
+      frame.spin = parent.spin + (row.turns ? row.sign * rate : 0);
       [frame.cos, frame.sin] = [Math.cos(frame.angle), Math.sin(frame.angle)];
       frame.direction = row.turns ? null : this.turned(row.parent, row.slide);
       const arm = row.turns ? place : sum2(place, scaled(q, frame.direction));
@@ -85,18 +86,18 @@ class PlanarEquations {
     const {origin, velocity, spin, bias} = this.frames[row], arm = this.turned(row, at);
     const place = sum2(origin, arm), x = new Float64Array(this.nv), y = new Float64Array(this.nv);
     for (const k of this.chains[row]) {
-      const {joint, direction} = this.frames[k];
-      x[k - 1] = direction ? direction[0] : joint[1] - place[1];
-      y[k - 1] = direction ? direction[1] : place[0] - joint[0];
+      const {joint, direction} = this.frames[k], {sign} = this.rows[k];
+      x[k - 1] = direction ? direction[0] : sign * (joint[1] - place[1]);
+      y[k - 1] = direction ? direction[1] : sign * (place[0] - joint[0]);
     }
     return {place, x, y, velocity: sum2(velocity, scaled(spin, normalTo(arm))),
             bias: sum2(bias, scaled(-(spin ** 2), arm))};
   }
 
-  // Which joints turn a body.
+  // Which joints turn a body, and which way.
   turns(row) {
     const found = new Float64Array(this.nv);
-    for (const k of this.chains[row]) if (this.rows[k].turns) found[k - 1] = 1;
+    for (const k of this.chains[row]) if (this.rows[k].turns) found[k - 1] = this.rows[k].sign;
     return found;
   }
 
