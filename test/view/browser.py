@@ -29,6 +29,11 @@ STEADY = ('--disable-background-timer-throttling', '--disable-backgrounding-occl
           '--disable-renderer-backgrounding', '--disable-hang-monitor', '--disable-dev-shm-usage',
           '--disable-component-update', '--disable-default-apps', '--disable-sync',
           '--no-default-browser-check', '--password-store=basic', '--allow-pre-commit-input')
+# What a page shows and knows, for messages.
+SEEN = """JSON.stringify([document.visibilityState, document.body?.innerText.slice(0, 300),
+    typeof page === "undefined" ? null : [page.lost, page.playing, page.now, page.frame?.time,
+    page.frame?.number, page.fresh, page.timeline?.past, page.history?.begin, page.history?.end,
+    page.socket?.readyState, page.controls?.playing]])"""
 
 
 def program():
@@ -116,7 +121,8 @@ class Tab:
         """Wait until an expression in the page is true."""
         end = time.monotonic() + patience
         while not self.ask(condition):
-            assert time.monotonic() < end, f'never true: {condition}; errors: {self.errors}'
+            assert time.monotonic() < end, (
+                f'never true: {condition}; errors: {self.errors}; page: {self.ask(SEEN)}')
             time.sleep(0.05)
 
     def picture(self):
