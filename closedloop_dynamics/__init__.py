@@ -21,7 +21,8 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 _HOMES = {
     'AssemblyError': 'simulation.errors', 'Body': 'mechanism.mechanism',
     'ClosureError': 'simulation.errors', 'Coupling': 'mechanism.mechanism',
-    'CutJoint': 'mechanism.mechanism', 'Evaluation': 'simulation.evaluation',
+    'CouplingLaw': 'mechanism.mechanism', 'CutJoint': 'mechanism.mechanism',
+    'Evaluation': 'simulation.evaluation',
     'Evaluator': 'integration.evaluation', 'feedforward': 'simulation.reduced',
     'Initial': 'simulation.scene_records', 'Joint': 'mechanism.mechanism',
     'load_scene': 'simulation.scene', 'Mechanism': 'mechanism.mechanism',

@@ -6,8 +6,8 @@ from typing import Any
 
 from .integration.evaluation import Evaluator as Evaluator
 from .mechanism.mechanism import (
-    Body as Body, Coupling as Coupling, CutJoint as CutJoint, Joint as Joint,
-    Mechanism as Mechanism, MechanismError as MechanismError, Point as Point)
+    Body as Body, Coupling as Coupling, CouplingLaw as CouplingLaw, CutJoint as CutJoint,
+    Joint as Joint, Mechanism as Mechanism, MechanismError as MechanismError, Point as Point)
 from .mechanism.reader import read_mechanism as read_mechanism
 from .simulation.errors import (
     AssemblyError as AssemblyError, ClosureError as ClosureError,

@@ -18,7 +18,7 @@ from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.expressions import FUNCTIONS, UNITS
 from closedloop_dynamics.mechanism.fields import keys_of
 from closedloop_dynamics.mechanism.meanings import documented
-from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
+from closedloop_dynamics.mechanism.mechanism import CouplingLaw, Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
 from closedloop_dynamics.simulation.scene import SCENE_KEYS
@@ -46,6 +46,7 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'dict of str to float, or None': 'number by name',
          'dict of str to ends, or None': '[end, end] by name: names of points, or places',
          'dict of str to point and axis, or None': '[point, x, y or z] by name',
+         'CouplingLaw or None': 'keys below',
          'dict of str to float': 'number by joint name', 'tuple of Visual': 'list of shapes',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
@@ -97,6 +98,8 @@ def page():
     for section, (record_type, _) in SECTIONS.items():
         lines += ['', f'### An entry of `{section}`, by its name', '',
                   *table(record_type, keys_of(record_type, leave_out=('name',)))]
+    lines += ['', '### The keys of a `law` of a coupling', '',
+              *table(CouplingLaw, keys_of(CouplingLaw))]
     lines += ['', 'Of a body with `massless: true`, `mass`, `center_of_mass` and `inertia` may be '
               'left out. A body may have a `shape` in the place of `center_of_mass` and '
               '`inertia`, and a `density` [kg/m^3] in the place of `mass`. A joint may have '

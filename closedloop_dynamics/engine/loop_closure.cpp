@@ -48,7 +48,9 @@ static void respond_in_joints(
   clear_arrived(model, work, first, last);
   for (Index entry = first; entry < last; ++entry) {
     const Index i = model.path_body[entry], p = model.tree(i, tree::PARENT);
-    const double factor = model.cut_point(a, cut::FACTORS + entry - first);
+    // That of the joint of a law is its slope.
+    const double factor = i == cut(a, cut::BODY_A) ? work.equation[3] :
+      model.cut_point(a, cut::FACTORS + entry - first);
     share[0] = factor;
     share[1] = 0.0;
     if (which == kernel::REDUCE) {
@@ -198,9 +200,15 @@ void measure(const Model & model, const Workspace & work, Index a)
   double value, rate;
   if (type == cut::COUPLING || type == cut::PRESCRIBED_JOINT) {
     sum_of_joints(model, work, a, 0, value, rate);
-    work.equation[0] = value;
-    work.equation[1] = rate;
-    work.equation[2] = 0.0;
+    work.equation[0] = work.equation[1] = work.equation[2] = 0.0;
+    if (cut(a, cut::BODY_A) != 0) {
+      // The law of a coupling, and its slope behind it.
+      call_joint_kernel(
+        model.cut_kernel(a, kernel::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
+        work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
+    }
+    work.equation[0] += value;
+    work.equation[1] += rate;
     if (type == cut::PRESCRIBED_JOINT) {
       for (Index n = 0; n < cut::MOTION_COLUMNS; ++n) {
         work.equation[n] -= point(a, last + n);

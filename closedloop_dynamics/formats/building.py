@@ -20,9 +20,9 @@ from .visuals import placed
 from ..mechanism.fields import FieldError
 from ..mechanism.inertia import moments_in
 from ..mechanism.mechanism import (
-    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
-    FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
-    SPATIAL_CUT_JOINT_EQUATIONS, TOLERANCE, UNIVERSAL, UNTURNED, WITH_AXIS)
+    Body, COUPLED, Coupling, CouplingLaw, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION,
+    CutJoint, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError,
+    PLANAR, Point, SPATIAL_CUT_JOINT_EQUATIONS, TOLERANCE, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.rotations import quaternion_of
 from ..mechanism.validation import checked, moments_text, POSSIBLE, possible
 
@@ -387,14 +387,15 @@ def _cut(joint, groups, frames, named, stops, omitted):
 def _coupling(relation, tree, named):
     """Return a coupling of joints."""
     kinds = {joint.name: joint.type for joint in tree.joints}
-    for name in relation.factors:
+    for name in (*relation.factors, *(relation.law or ())[:1]):
         if kinds.get(name) not in COUPLED:
             raise MechanismError(
                 f'{relation.where}: expected joints of one degree of freedom that move '
                 f'and close no loop, '
                 f'got {name!r}')
     return Coupling(named.coupling(relation.name), {
-        named.joint(name): factor for name, factor in relation.factors.items()}, relation.offset)
+        named.joint(name): factor for name, factor in relation.factors.items()}, relation.offset,
+        law=relation.law and CouplingLaw(named.joint(relation.law[0]), relation.law[1]))
 
 
 def _points(model, groups, frames, named):

@@ -37,7 +37,7 @@ def in_space(mechanism):
         factors, offset = in_tree(mechanism, coupling)
         factors.update((cut.name, coupling.joints[cut.name])
                        for cut in measured(mechanism, coupling))
-        couplings.append(Coupling(coupling.name, factors, offset))
+        couplings.append(Coupling(coupling.name, factors, offset, law=coupling.law))
     return checked(replace(
         mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=cuts_in_space(mechanism),
         points=tuple(points), couplings=tuple(couplings), source=None))

@@ -26,6 +26,7 @@ from .model import (
     Rope, Spring)
 from .pose import IDENTITY, Pose, unturned
 from .xml_file import Element, read_bytes, read_xml
+from ..mechanism.coupling_law import shifted
 from ..mechanism.extras import remedy
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -669,11 +670,11 @@ class _Reader:
 
     def _relate(self, number, name, where, kind, data):
         compiled = self.compiled
-        if data[2:5].any():
-            self._omit_equality(number, 'only linear couplings are read')
+        ends = int(compiled.eq_obj1id[number]), int(compiled.eq_obj2id[number])
+        if data[2:5].any() and ends[1] >= 0:
+            self._relate_by_law(number, name, where, kind, data, ends)
             return
         factors, offset = Counter(), float(data[0])
-        ends = int(compiled.eq_obj1id[number]), int(compiled.eq_obj2id[number])
         for end, factor in zip(ends, (1.0, -float(data[1]))):
             if end < 0:
                 continue
@@ -687,6 +688,17 @@ class _Reader:
             self._omit_equality(number, 'only fixed tendons are read')
             return
         self.model.relations.append(Relation(name, where, factors, offset))
+
+    def _relate_by_law(self, number, name, where, kind, data, ends):
+        """Relate one joint to the polynomial of another one's coordinate."""
+        if kind != JOINT:
+            self._omit_equality(number, 'of tendons only linear couplings are read')
+            return
+        follower, leader = (self.joints[end] for end in ends)
+        drawn, counted = (float(self.compiled.qpos0[self.compiled.jnt_qposadr[end]])
+                          for end in ends)
+        self.model.relations.append(Relation(
+            name, where, {follower: 1.0}, drawn, law=(leader, shifted(data[:5], -counted))))
 
     def _tendon(self, tendon):
         """Return joints and factors of a fixed tendon; None for another."""

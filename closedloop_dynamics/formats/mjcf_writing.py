@@ -18,6 +18,8 @@ from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import of_quaternion, quaternion_of
 
+# Of a polynomial between joints.
+MOST_COEFFICIENTS = 5
 # Attribute of a joint by the type of effect that acts on it.
 ATTRIBUTES = {
     'joint_damping': 'damping', 'joint_friction': 'frictionloss', 'joint_spring': 'stiffness'}
@@ -77,6 +79,9 @@ def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     for cut in mechanism.cut_joints:
         _equalities(mechanism, cut, bodies, sections['equality'])
     for coupling in mechanism.couplings:
+        if coupling.law is not None:
+            _polynomial(mechanism, sections['equality'], coupling)
+            continue
         _gear(sections, coupling.name, coupling.joints, coupling.offset)
     for name, values in (effects or {}).items():
         if _along(name, values, bodies[GROUND], sections['tendon'], joint_effects):
@@ -297,6 +302,23 @@ def _gear(sections, name, factors, offset):
         ElementTree.SubElement(tendon, 'joint', joint=joint, coef=numbers(factor))
     ElementTree.SubElement(sections['equality'], 'tendon', name=f'{name}_held',
                            tendon1=f'{name}_sum', polycoef=numbers(offset, 0, 0, 0, 0))
+
+
+def _polynomial(mechanism, section, coupling):
+    """Add an equation by which one joint is a polynomial of another one's coordinate."""
+    law = coupling.law
+    if len(coupling.joints) != 1 or law.polynomial is None or law.period is not None or (
+            len(law.polynomial) > MOST_COEFFICIENTS):
+        raise MechanismError(
+            f'{mechanism.name}: couplings.{coupling.name}.law: expected one joint that is a '
+            f'polynomial of {MOST_COEFFICIENTS} coefficients at most, without a period, to write '
+            'MJCF')
+    (name, factor), = coupling.joints.items()
+    coefficients = np.zeros(MOST_COEFFICIENTS)
+    coefficients[:len(law.polynomial)] = law.polynomial
+    coefficients[0] += coupling.offset
+    ElementTree.SubElement(section, 'joint', name=f'{coupling.name}_held', joint1=name,
+                           joint2=law.joint, polycoef=numbers(*coefficients / factor))
 
 
 def _quaternion(rotation):

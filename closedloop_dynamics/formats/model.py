@@ -113,6 +113,9 @@ class Relation:
     factors: dict
     offset: float = 0.0
     follower: Optional[str] = None  # The joint that mimics the other one
+    #: What is added to ``offset``: a joint, and the coefficients of a polynomial of its coordinate
+    #: from the lowest on (tuple of str and tuple of floats, or None).
+    law: Optional[tuple] = None
 
 
 @dataclass

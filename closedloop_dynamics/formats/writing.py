@@ -196,6 +196,10 @@ def mimics_of(mechanism, format_name):
     """Return by joint the other one that it mimics, the factor and the offset."""
     found = {}
     for coupling in mechanism.couplings:
+        if coupling.law is not None:
+            raise MechanismError(
+                f'{mechanism.name}: couplings.{coupling.name}.law: expected none to write '
+                f'{format_name}, whose couplings are linear')
         names = [name for name in coupling.joints if name not in found]
         if len(coupling.joints) != 2 or not names:
             raise MechanismError(

@@ -64,6 +64,11 @@ def _values(record, spatial):
         values['visual'] = [_quoted(as_data(visual, spatial)) for visual in values['visual']]
     if values.get('orientation', UNTURNED) != UNTURNED:
         values['orientation'] = {'quaternion': values['orientation']}
+    if values.get('law') is not None:
+        law = {key: value for key, value in vars(values['law']).items() if value is not None}
+        if 'expression' in law:
+            law['expression'] = json.dumps(law['expression'])
+        values['law'] = law
     return values
 
 

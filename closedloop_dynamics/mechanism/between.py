@@ -94,7 +94,7 @@ def with_tree(mechanism, links, orders=None):
     which of them to cut and which not, beside what they say. FieldError.
     """
     spatial = len(mechanism.bodies[0].center_of_mass) == 3
-    kept = {joint for coupling in mechanism.couplings for joint in coupling.joints}
+    kept = {joint for coupling in mechanism.couplings for joint in coupling.names}
     edges, found, free = [], [], []
     for name, one in links.items():
         if isinstance(one, Joint):
@@ -116,7 +116,7 @@ def with_tree(mechanism, links, orders=None):
     equations = SPATIAL_CUT_JOINT_EQUATIONS if spatial else CUT_JOINT_EQUATIONS
     children = {joint.name: joint.child for joint, _ in found}
     closures = [((cut.body_a, cut.body_b), equations[cut.type]) for cut in mechanism.cut_joints]
-    closures += [(tuple(children[joint] for joint in coupling.joints if joint in children), 1)
+    closures += [(tuple(children[joint] for joint in coupling.names if joint in children), 1)
                  for coupling in mechanism.couplings]
     chosen, first = choose_tree([body.name for body in mechanism.bodies], edges, closures)
     shifts = {GROUND: np.zeros(3 if spatial else 2)}

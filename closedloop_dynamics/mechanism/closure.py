@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from .coupling_law import law_value
 from .couplings import in_tree, measured
 from .cut_freedoms import cut_freedoms
 from .kinematics import body_poses, pose_of, world_points
@@ -112,6 +113,9 @@ def coupling_errors(mechanism, position):
         factors, offset = in_tree(mechanism, coupling)
         error = sum((factor * position[..., places[joint].start]
                      for joint, factor in factors.items()), np.zeros(position.shape[:-1])) - offset
+        if coupling.law is not None:
+            error = error - law_value(
+                coupling.law, position[..., places[coupling.law.joint].start])
         for cut in measured(mechanism, coupling):
             error = error + _cut_part(mechanism, cut, coupling.joints[cut.name], error, position)
         errors.append(error)

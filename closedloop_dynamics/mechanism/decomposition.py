@@ -48,7 +48,7 @@ def decompose(mechanism):
     return _decompose(
         tuple(_Joint(joint.name, joint.parent, joint.child) for joint in mechanism.joints),
         cuts + tuple(
-            _Cut(one.name, tuple(body for joint in moved if joint.name in one.joints
+            _Cut(one.name, tuple(body for joint in moved if joint.name in one.names
                                  for body in joint.bodies)) for one in mechanism.couplings)
         + tuple(_Cut(one.name, moved_bodies(mechanism, one)) for one in mechanism.motions))
 

@@ -247,11 +247,44 @@ class CutJoint:
 
 
 @dataclass(frozen=True)
+class CouplingLaw:
+    """
+    A smooth function f(x) of the coordinate x of a joint, given in one of three ways.
+
+    Attributes
+    ----------
+    joint : str
+        Whose coordinate x is [rad or m]; a joint of the tree of one freedom, without a factor.
+    polynomial : tuple of floats or None
+        c0, c1, c2, ... of c0 + c1 x + c2 x^2 + ..., two or more.
+    x : tuple of floats or None
+        Of a table, three or more, growing [rad or m].
+    values : tuple of floats or None
+        At these; a cubic spline leads through them, natural: with period, a periodic one, without
+        it goes on straight beyond both ends.
+    period : float or None
+        After which a table repeats, or a polynomial from 0 on, such as a turn of a cam, positive
+        [rad or m].
+    expression : str or None
+        Of x, without the functions that have corners: ``0.01*(1 - cos(x))``.
+
+    """
+
+    joint: str
+    polynomial: Optional[Tuple[float, ...]] = None
+    x: Optional[Tuple[float, ...]] = None
+    values: Optional[Tuple[float, ...]] = None
+    period: Optional[float] = None
+    expression: Optional[str] = None
+
+
+@dataclass(frozen=True)
 class Coupling:
     """
-    A linear equation between joint coordinates: gears, a belt, rack and pinion, a mimic joint.
+    An equation between joint coordinates: gears, a belt, rack and pinion, a mimic joint, a cam.
 
-    Its multiplier is the generalized force: times a joint's factor what acts in that joint.
+    Linear but for its law. Its multiplier is the generalized force: times a joint's factor what
+    acts in that joint, and in that of the law times -f'(x).
 
     Attributes
     ----------
@@ -265,6 +298,8 @@ class Coupling:
     radius : float or None
         Pitch radius of the wheel that the first joint turns [m], positive. With it the
         force of the teeth or the belt is reported: the torque in this joint over the radius.
+    law : CouplingLaw or None
+        A function of another joint's coordinate: the sum stays ``offset`` plus its value.
 
     """
 
@@ -272,6 +307,12 @@ class Coupling:
     joints: Dict[str, float]
     offset: float = 0.0
     radius: Optional[float] = None
+    law: Optional[CouplingLaw] = None
+
+    @property
+    def names(self) -> Tuple[str, ...]:
+        """Names of all joints between which it is an equation."""
+        return (*self.joints, *(() if self.law is None else (self.law.joint,)))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import Any, Dict, Optional, Tuple, Union
 
 from .between import BETWEEN, link, with_tree
 from .checks import number
+from .coupling_law import read_law
 from .cylinders import SECTION as CYLINDERS, with_cylinders
 from .document import Document, plain
 from .expressions import Parameters, put_changes
@@ -291,6 +292,9 @@ def _records(
                         continue
                     if key == 'bodies':
                         values = _body(values, parameters, spatial)
+                    if key == 'couplings' and values.get('law') is not None:
+                        with at('law'):
+                            values = {**values, 'law': read_law(values['law'], parameters)}
                 records.append(record_type(entry, **mapping(values, required, optional)))
                 if key == 'joints':
                     links[entry] = records[-1]

@@ -14,6 +14,7 @@ import numpy as np
 from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
+from .coupling_law import checked_law
 from .couplings import in_tree, measured
 from .digits import with_agreement
 from .fields import among, at, copied, FieldError, mapping, nearest, normalise, shown
@@ -127,7 +128,8 @@ def _type_of(*choices):
     return check
 
 
-_COUPLING = {'joints': _factors, 'offset': number, 'radius': partial(_given, positive)}
+_COUPLING = {'joints': _factors, 'offset': number, 'radius': partial(_given, positive),
+             'law': checked_law}
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
     'bodies': (Body, {
@@ -352,7 +354,7 @@ def _check_references(mechanism):
 def _check_couplings(mechanism):
     """Refuse couplings of joints of several degrees of freedom, and radii of sliding ones."""
     joints = {joint.name: joint for joint in mechanism.joints}
-    cuts = {cut.name: cut for cut in mechanism.cut_joints}
+    cuts, followers = {cut.name: cut for cut in mechanism.cut_joints}, {}
     for coupling in mechanism.couplings:
         for key in coupling.joints:
             with at('couplings', coupling.name, 'joints', key):
@@ -371,6 +373,9 @@ def _check_couplings(mechanism):
                 'one cut joint at most whose coordinate is no sum of those of the tree',
                 f'{", ".join(found)}', 'cut other joints of these loops',
                 ('couplings', coupling.name, 'joints'))
+        if coupling.law is not None:
+            with at('couplings', coupling.name):
+                _check_law(coupling, joints, found, followers)
         if not (found or in_tree(mechanism, coupling)[0]):
             raise FieldError('joints whose coordinates change the sum', 'a sum that never changes',
                              path=('couplings', coupling.name, 'joints'))
@@ -379,6 +384,33 @@ def _check_couplings(mechanism):
             raise FieldError(f'no radius: its first joint, {first}, slides, and its force is that '
                              'of the teeth', shown(coupling.radius),
                              path=('couplings', coupling.name, 'radius'))
+
+
+def _check_law(coupling, joints, cuts, followers):
+    """
+    Refuse a law of a joint that has none, or beside another one.
+
+    ``joints``: of the tree by name; ``cuts``: names of cut joints that it couples beside these;
+    ``followers``: couplings by the joint that a law gives, which this adds to.
+    """
+    with at('law', 'joint'):
+        law = coupling.law
+        one_of(tuple(joints), 'one of the joints of the tree')(law.joint)
+        if joints[law.joint].type not in COUPLED:
+            raise FieldError(f'a joint of one degree of freedom: {among(COUPLED)}',
+                             f'one that is {joints[law.joint].type}')
+        if law.joint in coupling.joints:
+            raise FieldError('a joint without a factor in this coupling', f'{law.joint!r}',
+                             'a factor is a coefficient of x in the law')
+    if cuts:
+        raise FieldError('joints of the tree in a coupling with a law', among(cuts),
+                         'cut other joints of these loops', ('joints',))
+    if len(coupling.joints) == 1:
+        follower, = coupling.joints
+        if followers.setdefault(follower, coupling.name) != coupling.name:
+            raise FieldError('a joint that follows from one law',
+                             f'{follower!r}, which {followers[follower]!r} gives already',
+                             path=('joints', follower))
 
 
 def check_tree(mechanism):

@@ -15,8 +15,12 @@ import numpy as np
 from .tree_rows import frame_along, UNIT
 from ..core import types as t
 from ..core.codegen import space
+from ..core.codegen.coupling_law import numbers_of
+from ..core.codegen.expression_graph import chosen
 from ..core.codegen.space import cleared, snapped
 from ..core.codegen.spatial import X, Y, Z
+from ..effects.law import ON_SYMBOLS
+from ..mechanism.coupling_law import law_value
 from ..mechanism.couplings import in_tree, measured, relative
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import (
@@ -56,7 +60,7 @@ class CutRows:
         if isinstance(closure, Coupling):
             if not measured(mechanism, closure):
                 one[t.CUT_TYPE] = t.CUT_COUPLING
-                return self._couple(one, *in_tree(mechanism, closure))
+                return self._couple(one, *in_tree(mechanism, closure), law=closure.law)
             cut, *coupled = relative(mechanism, closure)
             numbers = self._between(cut_freedoms(mechanism)[cut.name], one, t.COUPLED_PLACE)
             return np.concatenate([numbers, self._couple(
@@ -95,7 +99,7 @@ class CutRows:
         one[t.CUT_TYPE] = place if freedom.slides else place + 1
         return self._numbers.of_freedom(freedom, *self._placed(one, *freedom.bodies))
 
-    def _couple(self, one, factors, offset, bodies=()):
+    def _couple(self, one, factors, offset, bodies=(), law=None):
         """
         Store the path of a coupling of joints' coordinates through the tree.
 
@@ -109,24 +113,31 @@ class CutRows:
             What the sum of the coordinates times their factors is held at.
         bodies : sequence of int
             Rows of bodies that it acts on, too.
+        law : CouplingLaw or None
+            What is added to that sum.
 
         Returns
         -------
         ndarray
-            The sum, and the factor of each entry.
+            The sum, the factor of each entry, and the numbers of the law.
 
         """
         tree, index = self._tree.tree, self._mechanism.coordinates.index
         row_of = {dof: row for row, dof in enumerate(tree[:, t.DOF].tolist()) if row}
         factors = {row_of[index[name]]: factor for name, factor in factors.items()}
+        if law is not None:
+            one[t.BODY_A] = row_of[index[law.joint]]
+            bodies = one[[t.BODY_A]].tolist()
         if self._mechanism.planar:
-            tree[[*factors], t.READ] = 1
+            tree[[*factors, *(bodies if law is not None else ())], t.READ] = 1
         own = sorted({row for joint in (*factors, *bodies) for row in path(tree, joint)},
                      reverse=True)
         start, end = len(self._entries), len(self._entries) + len(own)
         one[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = start, end, end, end
         self._entries += own
-        return np.array([offset, *(factors.get(row, 0.0) for row in own)])
+        numbers = [] if law is None else numbers_of(
+            lambda x: law_value(law, x, ON_SYMBOLS, chosen))
+        return np.array([offset, *(factors.get(row, 0.0) for row in own), *numbers])
 
     def _pass_bodies(self, one):
         """Store the bodies on the path of a cut joint's forces."""

@@ -313,7 +313,7 @@ def _around(mechanism, cut):
 def _parts(mechanism, limited):
     """Return joints and closures that share no joints with others: of each part of the loops."""
     held = [(_around(mechanism, cut), [cut]) for cut in mechanism.cut_joints]
-    held += [(set(coupling.joints), [coupling]) for coupling in mechanism.couplings]
+    held += [(set(coupling.names), [coupling]) for coupling in mechanism.couplings]
     held += [({name}, []) for name in limited]
     parts = []
     for joints, closures in held:

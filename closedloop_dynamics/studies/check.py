@@ -154,7 +154,8 @@ def _couplings(mechanism):
     return [_table('Couplings', ('name', 'factors of joints', 'sum', 'radius [m]'), [
         (coupling.name, ', '.join(f'{joint} {_value(factor)}'
                                   for joint, factor in coupling.joints.items()),
-         _value(coupling.offset), '-' if coupling.radius is None else _value(coupling.radius))
+         _value(coupling.offset) + (f' + f({coupling.law.joint})' if coupling.law else ''),
+         '-' if coupling.radius is None else _value(coupling.radius))
         for coupling in mechanism.couplings])] * bool(mechanism.couplings)
 
 

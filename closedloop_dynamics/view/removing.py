@@ -81,7 +81,7 @@ def _with_body(scene, name):
     gone = {name, *joints, *points}
     found = [*((JOINT, one) for one in joints), *((POINT, one) for one in points)]
     found += [('coupling', coupling.name) for coupling in mechanism.couplings
-              if gone & set(coupling.joints)]
+              if gone & set(coupling.names)]
     return found + [(EFFECT, effect) for effect, record in scene.effects.items()
                     if any(_names(getattr(record, field.name), gone)
                            for field in fields(record))], joints

@@ -12,6 +12,7 @@ whose ``radius`` is too small for its wheels to touch is a belt. Whether teeth f
 not change while wheels roll: it is decided once, from ``offset``.
 """
 
+from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
@@ -39,8 +40,10 @@ def transmissions(mechanism):
 
     Couplings whose wheels would not touch, are on one axis or on skew ones have none; neither have
     those without a ``radius`` between bodies with shapes of their own, as joints of robots that
-    mimic others.
+    mimic others, and those with a law.
     """
+    mechanism = replace(mechanism, couplings=tuple(
+        coupling for coupling in mechanism.couplings if coupling.law is None))
     if not mechanism.couplings:
         return [], [], []
     train = _Train(mechanism)

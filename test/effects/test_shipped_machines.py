@@ -3,13 +3,18 @@
 
 """The shipped machines that are made of elements, against their known answers."""
 
+from dataclasses import replace
 import math
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.mechanism.mechanism import CutJoint
+from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
+
+from ..reference.compare import assert_agree
 
 
 def lift(angle):
@@ -105,6 +110,30 @@ def test_the_planetary_gear_obeys_willis_and_newton():
     assert simulation.velocity[0] > 20.0
     assert abs(simulation.energy_balance.residual) < 1e-9
     assert simulation.health.rank_revealing_count == 0
+
+
+def test_elliptic_gears_are_a_rod_between_their_other_foci():
+    scene = load_scene('elliptic_gear_press')
+    simulation = Simulation.from_scene(scene, accuracy=1e-10)
+    rod = CutJoint('foci', 'distance', 'driver', 'crank', (-0.07, 0.0), (0.07, 0.0), length=0.2)
+    with pytest.warns(RuntimeWarning, match='change point'):
+        other = Simulation.from_scene(replace(scene, mechanism=replace(
+            scene.mechanism, couplings=(), cut_joints=(*scene.mechanism.cut_joints, rod),
+            source=None)))
+    ratios = []
+    for _ in range(20):
+        simulation.step(duration=0.1)
+        q, qd = simulation.position, simulation.velocity
+        other.set_state(q, qd)
+        other.advance(other.joint_torques([0.0]), 0)
+        # Where the rod is in line with both of them it holds nothing.
+        assert_agree(simulation.acceleration, other.acceleration, 1e-8)
+        ratios.append(-qd[1] / qd[0])
+        e, angle = 0.35, q[0]
+        assert ratios[-1] == pytest.approx(
+            (1.0 - e * e) / (1.0 + e * e + 2.0 * e * math.cos(angle)), rel=1e-10)
+    assert min(ratios) < 0.5 and max(ratios) > 1.9
+    assert abs(simulation.energy_balance.residual) < 1e-8
 
 
 def test_the_press_multiplies_the_pull():

@@ -7,6 +7,7 @@ from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.mjcf_omissions import FIELDS
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
+from closedloop_dynamics.mechanism.closure import coupling_errors
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.simulation.global_assembly import ClosureProblem
@@ -367,6 +368,24 @@ def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
             # What the cosines of three pairs of axes lack of 1: 4 sin(angle / 2) ** 2.
             assert np.linalg.norm(data.efc_pos[3:6]) == pytest.approx(
                 0.5 * np.sqrt(ours[-1]), rel=1e-9)
+
+
+def test_a_polynomial_between_joints_is_open_as_mujoco_finds_it(tmp_path):
+    text = LOOPS.replace(
+        'EQUALITY', '<joint joint1="b" joint2="a" polycoef="0.1 -2 0.5 0.3 -0.2"/>').replace(
+            '<joint name="a"', '<joint ref="20" name="a"')
+    compiled, imported = mujoco.MjModel.from_xml_string(text), read_model(written(tmp_path, text))
+    assert not imported.omitted
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        data, q, qd = state(compiled, imported, rng)
+        assert coupling_errors(imported.mechanism, q)[0] == pytest.approx(
+            data.efc_pos[0], rel=1e-12)
+        numbers = Numbers(build_model(imported.mechanism, (0.0, 0.0, -9.81)))
+        numbers.move(q, qd)
+        rate = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(compiled, data, rate, data.qvel)
+        assert (numbers.jacobian() @ qd)[0] == pytest.approx(rate[0], rel=1e-12)
 
 
 @pytest.mark.parametrize('kind', ['weld', 'weld_sites'])

@@ -17,7 +17,7 @@ from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.formats.writing import numbers
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
+    Body, Coupling, CouplingLaw, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed
@@ -163,6 +163,15 @@ def test_mjcf_with_every_joint_and_couplings(tmp_path):
                      'spherical', 'prismatic', couplings=[Coupling('c', {'j1': 2.0, 'j7': -1.0},
                                                                    0.3)])
     same_motion(mechanism, read_again(tmp_path, mjcf(mechanism, GRAVITY), '.xml'))
+
+
+def test_mjcf_with_a_polynomial_between_joints(tmp_path):
+    pytest.importorskip('mujoco')
+    mechanism = tree('revolute', 'prismatic', 'revolute', couplings=[Coupling(
+        'c', {'j1': 2.0}, 0.3, law=CouplingLaw('j0', (0.1, -0.2, 0.3, 0.0, 0.05)))])
+    again = read_again(tmp_path, mjcf(mechanism, GRAVITY), '.xml')
+    assert again.couplings[0].law.polynomial == pytest.approx((0.2, -0.1, 0.15, 0.0, 0.025))
+    same_motion(mechanism, again)
 
 
 @pytest.mark.parametrize('kinds, loop', [
@@ -550,6 +559,12 @@ def test_what_formats_cannot_say_is_refused():
             (urdf_with_loops, tree('revolute', 'prismatic', 'revolute', couplings=[
                 Coupling('c', {'j0': 1.0, 'j1': 1.0, 'j2': 1.0})]),
              'couplings.c: expected two joints'),
+            (urdf_with_loops, tree('revolute', 'prismatic', couplings=[
+                Coupling('c', {'j0': 1.0}, law=CouplingLaw('j1', (0.0, 1.0)))]),
+             'couplings.c.law: expected none to write URDF'),
+            (mjcf, tree('revolute', 'prismatic', couplings=[
+                Coupling('c', {'j0': 1.0}, law=CouplingLaw('j1', expression='sin(x)'))]),
+             'couplings.c.law: expected one joint that is a polynomial of 5 coefficients'),
             (urdf_with_loops, tree(*CHAIN, cuts=[closing('helical', 'b7')]),
              "cut_joints.cut.type: expected one of revolute, .* constraint are, got 'helical'")):
         with pytest.raises(MechanismError, match=said):

@@ -269,7 +269,8 @@ def larger(first, second):
     return chosen(second > first, second, first)
 
 
-_AGAIN = {
+# Each operation on symbols or numbers, but for inputs and calls.
+AGAIN = {
     ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, DIVIDE: operator.truediv,
     NEGATE: operator.neg, SINE: sine, COSINE: cosine, LESS: operator.lt,
     GREATER_EQUAL: operator.ge, CHOOSE: chosen, SQUARE_ROOT: square_root,
@@ -285,7 +286,7 @@ def replayed(graph, values, load):
     known, places = {}, [value.place for value in values if isinstance(value, Symbol)]
     for place in sorted(needed_for(graph.operations, places)):
         kind, *operands = graph.operations[place]
-        known[place] = load(*operands) if kind == LOAD else _AGAIN[kind](
+        known[place] = load(*operands) if kind == LOAD else AGAIN[kind](
             *(known[one] if isinstance(one, int) else one for one in operands))
     return [known[value.place] if isinstance(value, Symbol) else value for value in values]
 

@@ -11,7 +11,7 @@ whether the parent is the ground) share it, whatever their number, their masses 
 
 import numpy as np
 
-from . import plane, space
+from . import coupling_law, plane, space
 from .expression_graph import ExpressionGraph, LOAD, Routine
 from .machine_code import KERNEL, machine_code
 from .rows import by_column, columns_of, matrix, six
@@ -19,7 +19,8 @@ from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_KERNELS, CARRY, COMPOSE, COUPLED_WORK_COLUMNS, CUT_TYPE, DINV, DZ,
-    ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, POSITION,
+    ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, PATH_A,
+    PATH_END, POSITION,
     POSSIBLE, PRESCRIBED_PLACE, RATE, READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
 
 # Rows that a kernel reads and writes: constants, the body, its parent (or body B of a cut joint),
@@ -309,7 +310,11 @@ class _Cut:
         """Return the key of the code, beside the structure of the constants."""
         # Right-hand sides of prescribed motions are the last columns, wherever these are.
         width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] >= PRESCRIBED_PLACE else []
-        return *model.cut[row, [CUT_TYPE, POSSIBLE]].tolist(), *width
+        law = coupling_law.structure(model.replaced(
+            cut=model.cut[[row]], cut_point=model.cut_point[[row]]))
+        return (*model.cut[row, [CUT_TYPE, POSSIBLE]].tolist(), *width,
+                *(int(model.cut[row, PATH_END] - model.cut[row, PATH_A]) for _ in law),
+                *(each.tobytes() for each in law))
 
     def kernels(self):
         """Return the kernels, in the order of their entries in the table."""
@@ -332,6 +337,14 @@ class _Cut:
     def equations(self, tracer, recursion, cut, closures):
         """Compute value, rate, bias of each equation, and the wrenches of a unit multiplier."""
         place = 0
+        if cut.law is not None:
+            # Its part of the sum, of the joint of body A, and its slope.
+            position, rate = tracer.own[
+                [space.JOINT_POSITION, space.JOINT_RATE] if self.arrays is space else
+                [POSITION, RATE]]
+            value, slope, curvature = cut.law[1](position)
+            found = value, slope * rate, curvature * rate * rate, slope
+            tracer.store(FIRST, {n: 0.0 - one for n, one in enumerate(found)})
         for closure in closures:
             values = [closure.value, closure.rate, closure.bias, *(
                 wrench[n] for wrench in (closure.on_a, closure.on_b)

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from . import rows, space
+from . import coupling_law, rows, space
 from .space import coupling, CUT_TYPES, prescribed
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
@@ -83,7 +83,8 @@ def structure(model):
     Which joints its couplings read; empty where there are none.
     """
     couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
-    found = (model.cut_point[couplings, FACTORS:] != 0.0,) if couplings.any() else ()
+    found = (model.cut_point[couplings, FACTORS:] != 0.0, *coupling_law.structure(model)) if (
+        couplings.any()) else ()
     places = model.cut[:, CUT_TYPE] == COUPLED_PLACE
     return (*found, model.cut_point[places, _COUPLED:-MOTION_COLUMNS] != 0.0) if (
         places.any()) else found
@@ -127,7 +128,7 @@ def _coupling(model, one, values, row):
         return Cut((), (), ZERO, ZERO, None, None, 0.0, space.kept(one), coupling=alone,
                    motion=prescribed(one, row))
     return Cut((), (), ZERO, ZERO, None, None, 0.0, space.kept(one),
-               coupling=_sum(model, one, values, row))
+               coupling=_sum(model, one, values, row), law=coupling_law.law_of(one, values, row))
 
 
 def _sum(model, one, values, row):

@@ -11,7 +11,7 @@ them go the terms that they multiply.
 
 import numpy as np
 
-from . import rows
+from . import coupling_law, rows
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
@@ -164,7 +164,7 @@ def is_spatial(model):
 
 def structure(model):
     """Return the structural data of code for a mechanism in space, beside its topology."""
-    return body_structure(model), _cut_structure(model)
+    return body_structure(model), _cut_structure(model), *coupling_law.structure(model)
 
 
 def _cut_structure(model):
@@ -272,7 +272,8 @@ def hinges(model, some, cuts):
     """
     parents = model.tree[:, PARENT].tolist()
     held = set(model.cut[:, [BODY_A, BODY_B]].ravel().tolist())
-    alone = {row for cut in cuts if cut.coupling is not None for row, _ in cut.coupling[1]}
+    alone = {row for cut in cuts if cut.coupling is not None for row, _ in (
+        *cut.coupling[1], *([] if cut.law is None else [cut.law]))}
 
     def plain(i):
         body = some[i]
@@ -303,7 +304,7 @@ def cuts(model, symbols):
     for alike in _alike(model.cut):
         points = pattern[alike, :TURNED_A]
         pattern[alike, :TURNED_A] = np.where(np.isnan(points).any(axis=0), np.nan, points)
-    for cut, fixed, row in zip(model.cut, pattern, symbols):
+    for cut, values, fixed, row in zip(model.cut, model.cut_point, pattern, symbols):
         row = _known(fixed, row)
         _, along, perpendicular = HELD[cut[CUT_TYPE]]
         found.append(Cut(
@@ -315,6 +316,7 @@ def cuts(model, symbols):
             coupling=coupling(model, cut, row) if cut[CUT_TYPE] in (COUPLING, PRESCRIBED_JOINT)
             else coupling(model, cut, row[CUT_POINT_COLUMNS:])
             if cut[CUT_TYPE] >= COUPLED_PLACE else None,
+            law=coupling_law.law_of(cut, values, row),
             motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
             turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN)))
     return found

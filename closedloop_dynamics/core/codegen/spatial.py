@@ -81,6 +81,9 @@ class Cut(NamedTuple):
     #: Of a coupling of joints, which holds nothing else: the sum that is held, and pairs of a row
     #: of the tree and the factor of its coordinate in that sum (tuple or None).
     coupling: tuple = None
+    #: A function of another joint's coordinate that is added to that sum: the row of that joint,
+    #: and what ``coupling_law.law_of`` returns for it (tuple or None).
+    law: tuple = None
     #: Of a prescribed motion, which holds nothing else: what its position, rate and acceleration
     #: are to be (tuple of 3 or None).
     motion: tuple = None
@@ -487,11 +490,18 @@ class Recursion:
     def _coupled(self, cut):
         """Return the equation that holds a sum of joint coordinates."""
         held, factors = cut.coupling
-        value, rate = 0.0 - held, 0.0
+        value, rate, bias = 0.0 - held, 0.0, 0.0
         for i, factor in factors:
             coordinate, speed = self._coordinates[i]
             value, rate = value + factor * coordinate, rate + factor * speed
-        return Closure(value, rate, 0.0, 2 * ZERO, 2 * ZERO, factors)
+        if cut.law is not None:
+            i, law = cut.law
+            coordinate, speed = self._coordinates[i]
+            asked, slope, curvature = law(coordinate)
+            value, rate = value - asked, rate - slope * speed
+            bias = bias - curvature * speed * speed
+            factors = (*factors, (i, 0.0 - slope))
+        return Closure(value, rate, bias, 2 * ZERO, 2 * ZERO, factors)
 
     def _respond(self, model, work, responses, cut, row, equation):
         """Carry a unit multiplier's wrenches inward and keep their share at each joint."""
