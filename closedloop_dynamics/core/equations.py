@@ -34,6 +34,9 @@ class Loops(NamedTuple):
     tolerance: float = RANK_TOLERANCE
     least: float = 0.0
     limit: float = 0.0
+    weight: np.ndarray = np.zeros(0)
+    measured: np.ndarray = np.zeros(0, dtype=np.int64)
+    values: np.ndarray = np.zeros(0)
 
 
 class Far(NamedTuple):

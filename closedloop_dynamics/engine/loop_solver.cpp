@@ -26,7 +26,9 @@ using Axes = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 constexpr double PLAIN = 1e-3;
 // What a joint moves in the loops, in units: less is nothing.
 constexpr double NO_LEVER = 1e-12;
-constexpr int MOST_CORRECTIONS = 200, MOST_HALVINGS = 30;
+constexpr int MOST_CORRECTIONS = 200, MOST_HALVINGS = 30, MOST_APPROACHES = 30;
+// Last correction on the way to measured values, against the longest one.
+constexpr double ROUNDING_OF_APPROACHES = 4e-13;
 // Damping at first, within which bounds it stays, and after how many iterations the metric is taken
 // again; corrections that are rounding, and decreases of the squared residual that lead nowhere.
 constexpr double FIRST_DAMPING = 1e-2, LEAST_DAMPING = 1e-14, MOST_DAMPING = 1e12;
@@ -52,7 +54,8 @@ LoopSolver::LoopSolver(
   still_(DenseVector::Zero(model.joints())), all_(model.equations()),
   residuals_(DenseVector::Zero(
       far.empty() ? loops.rows.size : far.unit.size + far.axes.size + far.limits.rows)),
-  change_(DenseVector::Zero(model.joints())), all_slopes_(model.equations(), model.joints())
+  change_(DenseVector::Zero(model.joints())), ahead_(DenseVector::Zero(loops.free.size)),
+  all_slopes_(model.equations(), model.joints())
 {
 }
 
@@ -179,10 +182,31 @@ void LoopSolver::take_metric_at(const DenseVector & q)
   has_metric_ = false;
 }
 
+/// The change of free coordinates, or rates, that leads to the values of the measured ones.
+void LoopSolver::aim_from(const DenseVector & present, bool rates)
+{
+  for (Index k = 0; k < loops_.free.size; ++k) {
+    for (Index n = 0; n < loops_.measured.size; ++n) {
+      const Index freedom = loops_.measured[n];
+      if (loops_.free[k] == freedom) {
+        const Index place = rates || manifold_.empty() ? freedom : manifold_.place[freedom];
+        ahead_[k] = loops_.values[n] - present[place];
+      }
+    }
+  }
+}
+
 bool LoopSolver::find_metric()
 {
   if (has_metric_) {
     return true;
+  }
+  if (loops_.weight.size > 0) {
+    root_ = Square::Zero(loops_.free.size, loops_.free.size);
+    for (Index i = 0; i < loops_.free.size; ++i) {
+      root_(i, i) = std::sqrt(loops_.weight[loops_.free[i]]);
+    }
+    return has_metric_ = true;
   }
   parts_ |= part::MASSES;
   const DenseVector present = here_;
@@ -213,7 +237,8 @@ bool LoopSolver::find_metric()
   return has_metric_;
 }
 
-/// Subtract from `x` the part along the columns of `open` that makes it shortest in the metric.
+/// Add to `x` what makes it shortest in the metric, or -x nearest to the change ahead, along the
+/// columns of `open`.
 bool LoopSolver::shorten(const Square & open, DenseVector & x)
 {
   if (!find_metric()) {
@@ -221,7 +246,7 @@ bool LoopSolver::shorten(const Square & open, DenseVector & x)
   }
   PivotedQr weighed;
   weighed.compute(root_.transpose() * open);
-  x -= open * weighed.solve(root_.transpose() * x);
+  x -= open * weighed.solve(root_.transpose() * (x + ahead_));
   return true;
 }
 
@@ -231,7 +256,7 @@ bool LoopSolver::least_change(const DenseVector & error, DenseVector & x)
   x = DenseVector::Zero(columns);
   if (rows == 0 || columns == 0) {
     parts_ |= rows > 0 ? static_cast<Index>(part::DEPENDENT) : 0;
-    return true;
+    return !is_aimed() || shorten(Square::Identity(columns, columns), x);
   }
   if (!jac_.allFinite() || !error.allFinite()) {
     return false;
@@ -306,6 +331,7 @@ bool LoopSolver::correct_rates(DenseVector & rates, const DenseVector & wanted)
     }
   }
   DenseVector x;
+  aim_from(rates, true);
   if (!least_change(slopes_ * rates - wanted, x)) {
     return false;
   }
@@ -338,6 +364,28 @@ void LoopSolver::correct(DenseVector & q, double goal)
     }
     q = trial;
     error = residuals_;
+  }
+}
+
+void LoopSolver::approach(DenseVector & q)
+{
+  DenseVector x;
+  double last = 0.0;
+  for (int n = 0; n < MOST_APPROACHES; ++n) {
+    slopes_at(q);
+    aim_from(q, false);
+    if (!least_change(residuals_, x) || !x.allFinite()) {
+      return;
+    }
+    const double longest = most(x);
+    x *= -std::min(1.0, loops_.limit / std::max(longest, loops_.limit));
+    q = moved(q, x);
+    // The next one will be as much shorter as this one is.
+    const double shorter = longest < last ? longest / last : 1.0;
+    if (longest * shorter <= ROUNDING_OF_APPROACHES * loops_.limit) {
+      return;
+    }
+    last = longest;
   }
 }
 
@@ -405,6 +453,12 @@ Index close_loops(
   LoopSolver solver(model, work, manifold, loops);
   const DenseVector start = dense(q);
   solver.begin(start);
+  if (loops.measured.size > 0) {
+    DenseVector found = start;
+    solver.approach(found);
+    dense(q) = found;
+    return solver.parts();
+  }
   if (most(solver.residuals_at(start)) <= closed) {
     return 0;
   }

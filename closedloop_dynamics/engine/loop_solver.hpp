@@ -26,9 +26,16 @@ struct Loops
   double least = 0.0;
   /// The most that one correction changes a freedom, in units of `scale`.
   double limit = 0.0;
+  Values weight;  ///< Of each freedom, a metric in the place of the masses'; none: theirs
+  /// Freedoms of a number each, and values to come as near to as the loops and `weight` let them.
+  Indices measured;
+  Values values;
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(places, rows, free, tolerance, least, limit);}
+  void fields(Visitor && visit)
+  {
+    visit(places, rows, free, tolerance, least, limit, weight, measured, values);
+  }
 };
 
 /// What a search from far away asks for beyond closure equations, which are sines of angles:
@@ -72,7 +79,8 @@ enum : Index
 
 /// Closes some loops of a mechanism by some of its freedoms.
 ///
-/// The change is the least one in the mass metric, where there is a choice.
+/// The change is the least one in the metric, where there is a choice; where freedoms are measured,
+/// the one that ends nearest to their values.
 class LoopSolver
 {
 public:
@@ -88,13 +96,16 @@ public:
   /// Newton's method with rank-revealing corrections, until the largest residual is no more than
   /// `goal` or decreases no longer.
   void correct(DenseVector & q, double goal);
+  /// The same to the values of measured freedoms, until corrections are rounding.
+  void approach(DenseVector & q);
   /// Levenberg and Marquardt's method: slower, and more robust.
   void search(DenseVector & q, double goal, Index most);
-  /// The x with J x = `error` that is least in the metric, J of the latest `slopes_at`; false where
-  /// there is none.
+  /// The x with J x = `error` that is least in the metric, or for which -x is nearest to what
+  /// `aim_from` found; J of the latest `slopes_at`; false where there is none.
   bool least_change(const DenseVector & error, DenseVector & x);
   /// Correct rates by the least change with which residuals change at the rates `wanted`, at the
-  /// latest `slopes_at`. False as above. Where some are held, free ones are zero before.
+  /// latest `slopes_at`. False as above. Where some are held, free ones are zero before; of those
+  /// measured the `values` are rates.
   bool correct_rates(DenseVector & rates, const DenseVector & wanted);
   /// Begin at coordinates, with the metric there: nothing had a part yet.
   void begin(const DenseVector & q)
@@ -115,6 +126,8 @@ public:
 private:
   void move_to(const DenseVector & q);
   double astray(Index a, Index axes);
+  bool is_aimed() const {return loops_.measured.size > 0;}
+  void aim_from(const DenseVector & present, bool rates);
   bool find_metric();
   bool shorten(const Eigen::MatrixXd & open, DenseVector & x);
   DenseVector moved(const DenseVector & q, const DenseVector & x);
@@ -124,7 +137,7 @@ private:
   const Manifold & manifold_;
   Loops loops_;
   Far far_;
-  DenseVector here_, still_, all_, residuals_, change_, metric_place_;
+  DenseVector here_, still_, all_, residuals_, change_, metric_place_, ahead_;
   DenseMatrix all_slopes_, slopes_;
   Eigen::MatrixXd jac_, root_;
   bool has_metric_ = false;
@@ -134,7 +147,7 @@ private:
 
 /// Close loops from coordinates `q`, by Newton's method, and where this leaves an error above
 /// `enough` by Levenberg and Marquardt's. Corrections end at a hundredth of `closed`; closed loops
-/// stay as they are. Bits of `part`.
+/// stay as they are, unless freedoms are measured. Bits of `part`.
 Index close_loops(
   const Model &, const Workspace &, const Manifold &, Values q, const Loops &, double closed,
   double enough);

@@ -486,9 +486,14 @@ inline const char * loops(
   return first_of(
     unless(
       given.places.size == model.equations() && coordinates == model.coordinates() &&
-      manifold.fits(coordinates, model.joints())),
+      manifold.fits(coordinates, model.joints()) &&
+      (given.weight.size == 0 || given.weight.size == model.joints()) &&
+      given.values.size == given.measured.size),
     unless(
-      are_places(given.rows, 0, model.equations()) && are_places(given.free, 0, model.joints()),
+      are_places(given.rows, 0, model.equations()) && are_places(given.free, 0, model.joints()) &&
+      are_places(given.measured, 0, model.joints()) && (manifold.empty() || std::all_of(
+        given.measured.begin(), given.measured.end(),
+        [&](Index freedom) {return manifold.place[freedom] >= 0;})),
       places));
 }
 

@@ -16,11 +16,12 @@ import math
 
 import numpy as np
 
-from .assembly import TOLERANCE
+from .assembly import LARGEST_CORRECTION, TOLERANCE
 from .errors import SimulationError
 from .geometry import Geometry
+from .loop_model import independent
 from .modeling import extent
-from ..core.manifold import manifold_of
+from ..core.equations import Loops, NO_METRIC
 from ..core.ranks import rank_from, rank_of
 from ..engine import native
 
@@ -28,17 +29,14 @@ from ..engine import native
 # a piece of the way, another one no further in a piece that is taken for sure; how often a piece
 # is halved, and how many there are at most.
 PIECE, SURE, HALVINGS, MOST_PIECES = 0.1, 0.5, 12, 200
-# Corrections shorter than this are rounding; how long one is at most; how many there are at most;
-# a correction longer than this share of the one before is no good, and the matrices are computed
-# again.
-ROUNDING, LONGEST, MOST_CORRECTIONS, POOR = 1e-13, 0.25, 30, 0.1
-# Matrices are those of a position no further away than this.
+# The sine is that of a position no further away than this.
 NEAR = 0.02
+# Weight of the others beside measured joints: which way they move is decided where nothing else
+# does, and what is measured is met nevertheless.
+LITTLE = 1e-18
 # Branches meet where the sine is zero: on a way longer than this share of it, it is looked whether
 # the other one was come to. Below TOUCHED it may be either.
 FOLD, TOUCHED = 0.25, 0.01
-# Singular values are at least this: corrections become too long, but stay numbers.
-SMALLEST = 1e-150
 
 
 class PassiveJointError(SimulationError):
@@ -97,13 +95,14 @@ class PassiveJointSolver:
                 'joint is measured, cut a loop elsewhere')
         self._rates = np.array([coordinates.index[name] for name in self.measured])
         self._places = np.array(coordinates.place)[self._rates]
-        self._weights = np.sqrt(_positive(weights, len(self.measured)))
         self._size = extent(mechanism)
         lengths = np.array(coordinates.lengths, dtype=bool)
         self._unit = np.where(lengths, self._size, 1.0)
+        self._weight, own = np.full(len(self._unit), LITTLE), _positive(weights, len(self._rates))
+        self._weight[self._rates] = own / own.max()
+        self._weight /= self._unit ** 2
         self._turns = ~lengths[self._rates]
-        geometry = Geometry(mechanism)
-        self._equations, self._manifold = geometry.equations, manifold_of(geometry.model)
+        self._equations = Geometry(mechanism).equations
         self.position = np.array(position, dtype=float)
         self.velocity = np.zeros(coordinates.nv)
         self._values, self.residual, self.passed = self.position[self._places], 0.0, False
@@ -156,8 +155,7 @@ class PassiveJointSolver:
             for k in range(1, pieces + 1):
                 self.get_ready()
                 self._follow(begin + change * (k / pieces), HALVINGS)
-            found = self._solved(
-                self._equations.move(self.position).jacobian(), 0.0, rates, self.velocity)
+            found = self._solved(0.0, rates, self.velocity)
             if not np.isfinite(found).all():
                 raise PassiveJointError('the velocities grow beyond all bounds')
         except PassiveJointError:
@@ -182,20 +180,20 @@ class PassiveJointSolver:
 
         """
         wanted = np.array(acceleration, dtype=float)
-        equations = self._equations.move(self.position, self.velocity)
-        return self._solved(
-            equations.jacobian(), equations.closures()[2], wanted, np.zeros_like(self.velocity))
+        bias = self._equations.move(self.position, self.velocity).closures()[2]
+        return self._solved(-bias[self._rows], wanted, np.zeros_like(self.velocity))
 
     def get_ready(self):
-        """Compute the matrices of the present position ahead, where they are of another one."""
+        """Look ahead at how near the present position is to a singular one."""
         if self._gone > NEAR:
             self._prepare(self.position)
 
     def _follow(self, values, halvings):
         """Go on to measured values; by way of the middle where that is too far."""
-        found, change = self._corrected(self.position, values)
-        if found is not None:
-            moved = np.abs(change / self._unit).max()
+        found = self.position.copy()
+        self._equations.solve(native.close_loops, found, self._loops(values), 0.0, 0.0)
+        if self._equations.move(found).closure_error() <= TOLERANCE * max(1.0, self._size):
+            moved = np.abs(self._coordinates.apart(found, self.position) / self._unit).max()
             if moved <= SURE and self._stays(found, moved):
                 self.position, self._values = found, values
                 self._gone += moved
@@ -220,68 +218,28 @@ class PassiveJointSolver:
         self._gone = -moved
         return True
 
-    def _corrected(self, q, values):
-        """
-        Return the nearest position to measured values that closes the loops, and how far it is.
+    def _loops(self, values):
+        """Return what the engine is to close next to measured values, or rates."""
+        return Loops(
+            self._equations.places, self._rows, np.arange(len(self._unit)),
+            limit=LARGEST_CORRECTION * max(1.0, self._size), weight=self._weight,
+            measured=self._rates, values=values)
 
-        Both are None where there is none.
-        """
-        last, whole = math.inf, np.zeros(len(self._unit))
-        for _ in range(MOST_CORRECTIONS):
-            psi = self._equations.move(q).closures()[0]
-            change = self._operator @ np.concatenate([-psi, values - q[self._places]])
-            largest = np.abs(change / self._unit).max()
-            if not largest < math.inf:
-                return None, None
-            if largest > LONGEST:
-                change *= LONGEST / largest
-            q = self._moved(q, change)
-            whole += change
-            # The next one will be as much shorter as this one is.
-            shorter = 1.0 if last == math.inf else min(1.0, largest / last)
-            if largest * shorter <= ROUNDING:
-                break
-            # Where more is measured, the place of the nearest is that of the present matrices.
-            if largest > POOR * last or not self._exact:
-                self._prepare(q)
-            last = largest
-        closure = np.abs(self._equations.move(q).closures()[0]).max(initial=0.0)
-        return (q, whole) if closure <= TOLERANCE * max(1.0, self._size) else (None, None)
-
-    def _moved(self, q, change):
-        """Return coordinates after a change, shape (nv,)."""
-        if self._manifold is None:
-            return q + change
-        q = q.copy()
-        native.move(self._manifold, q, change, 1.0)
-        return q
-
-    def _solved(self, jac, bias, wanted, near):
-        """Return the x with J x = -bias that matches the measured joints."""
-        x = near.copy()
-        with np.errstate(over='ignore', invalid='ignore'):
-            for _ in range(MOST_CORRECTIONS):
-                change = self._operator @ np.concatenate(
-                    [-jac @ x - bias, wanted - x[self._rates]])
-                x += change
-                if not np.abs(change).max() > ROUNDING * max(1.0, np.abs(x).max()):
-                    break
-                if not self._exact:
-                    self._prepare(self.position)
-        return x
+    def _solved(self, wanted, rates, near):
+        """Return the x with J x = ``wanted`` that matches the measured joints."""
+        found = near.copy()
+        wanted = np.broadcast_to(wanted, len(self._rows)).copy()
+        parts = self._equations.solve(
+            native.close_rates, self.position, found, self._loops(rates), wanted)
+        return np.full_like(found, math.nan) if parts & NO_METRIC else found
 
     def _prepare(self, q):
-        """
-        Compute the matrix that corrects closure errors and misses of measured joints.
-
-        With J = U S V^T its corrections are V S^-1 U^T of the closure errors, and motions in the
-        null space of J that bring the measured joints nearest to their values.
-        """
-        jac = self._equations.move(q).jacobian() * self._unit
-        left, singular, right = np.linalg.svd(jac)
-        rank = self._rank
-        closing = right[:rank].T / np.maximum(singular[:rank], SMALLEST) @ left[:, :rank].T
-        basis = right[rank:].T
+        """Find independent equations at a position, and how near it is to a singular one."""
+        dimensionless = self._equations.move(q).dimensionless()
+        self._rows = np.arange(len(dimensionless))
+        if self._rank < len(dimensionless):
+            self._rows = np.flatnonzero(independent(dimensionless, self._equations.groups)[0])
+        basis = np.linalg.svd(self._equations.jacobian() * self._unit)[2][self._rank:].T
         if self._basis is not None and self._basis.shape == basis.shape and np.linalg.det(
                 self._basis.T @ basis) < 0.0:
             # The same orientation as before, so that a sign means something.
@@ -293,15 +251,11 @@ class PassiveJointSolver:
         if self._known is None:
             self._known = rank_from(sines)
         self.sine = float(sines[self._known - 1]) if self._known else 0.0
-        self._exact = self._known == len(self.measured)
         if seen.shape[0] == seen.shape[1]:
             sign = np.sign(np.linalg.det(seen))
             self._sign = self._sign or sign
             self._turned = sign * self._sign < 0.0
         self.passed = self.passed or self.sine < TOUCHED
-        solve = basis @ (np.linalg.pinv(self._weights[:, np.newaxis] * seen) * self._weights)
-        self._operator = self._unit[:, np.newaxis] * np.hstack([
-            closing - solve @ closing[self._rates], solve / self._unit[self._rates]])
 
 
 def _positive(weights, count):
