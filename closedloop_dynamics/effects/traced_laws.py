@@ -10,19 +10,23 @@ code.
 """
 
 
+from .force_law import MOTION
 from .registry import effect_type
 from ..core.codegen.function_table import VALUE_COLUMNS
 
 
-def refused(effects, instant=False, along=False):
+def refused(effects, instant=False, along=False, driven=False):
     """
     Return which effects have no law here, and why, by the names of those switched on.
 
-    ``instant``: whether the time is held; ``along``: whether derivatives are those of a motion.
+    ``instant``: whether the time is held; ``along``: whether derivatives are those of a motion;
+    ``driven``: whether prescribed motions are given from outside.
     """
     found = {}
     for name, element in effects.by_name.items():
-        reason = element.law.refusal(instant, along) if effects.enabled[name] else None
+        if not effects.enabled[name] or driven and element.law.role == MOTION:
+            continue
+        reason = element.law.refusal(instant, along)
         if reason is not None:
             found[name] = f'{effect_type(effects.records[name])}: {reason}'
     return found
@@ -33,10 +37,13 @@ def act(table, forces):
     Apply the effects of a table, or of None, to forces.
 
     The structure of the table is read; numbers are the forces' symbols, but for those of entries.
+    Prescribed motions are in the closure equations.
     """
     if table is None:
         return
     for row in table.enabled_rows:
+        if row.law.role == MOTION:
+            continue
         forces.turn_to(row, _held(forces, table, row.number) if row.law.follows_time else None)
         row.law.act(forces)
 

@@ -95,9 +95,13 @@ def c_cost(simulation, derivatives=False, float32=False):
     return text.cost
 
 
-def require_c(simulation, language='C'):
-    """Refuse a simulation that has no C, or no code in another language of the same graph."""
-    reasons = refusals(simulation.data)
+def require_c(simulation, language='C', timed=False):
+    """
+    Refuse a simulation that has no C, or no code in another language of the same graph.
+
+    ``timed``: whether the code is given forces and motions over time from outside.
+    """
+    reasons = refusals(simulation.data, instant=timed, driven=timed)
     if reasons:
         raise SimulationError(
             f'{simulation.scene.name} cannot be written as {language}: ' + '; '.join(

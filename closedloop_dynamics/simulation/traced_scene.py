@@ -12,15 +12,16 @@ from ..effects.force_law import PROFILE
 from ..effects.traced_laws import act, refused
 
 
-def refusals(data, instant=False, along=False):
+def refusals(data, instant=False, along=False, driven=False):
     """
     Return the parts of a simulation without derivatives, and the reasons.
 
     Empty where there are derivatives, and C (``c_source``). ``instant``: whether the time is held;
-    ``along``: whether they are those of a motion.
+    ``along``: whether they are those of a motion; ``driven``: whether prescribed motions are given
+    from outside.
     """
-    found = {f'effects.{name}': reason
-             for name, reason in refused(data.effect_set, instant, along).items()}
+    found = {f'effects.{name}': reason for name, reason in refused(
+        data.effect_set, instant, along, driven).items()}
     for name in data.torque_names[len(data.joint_names):]:
         found[name] = 'a joint that closes a loop, in which something acts'
     if not data.system.is_unrolled:

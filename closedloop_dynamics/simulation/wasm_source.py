@@ -8,28 +8,31 @@ from collections import Counter
 import numpy as np
 
 from .c_source import require_c
+from .traced_scene import TracedScene
+from ..core.codegen.differentiation import differentiated
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, TAU, VALUE_COLUMNS, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, TAU, VALUES)
 from ..core.codegen.joint_forces import closures_of
 from ..core.codegen.scene_routines import Forces, SceneTrace
 from ..core.codegen.vectors import add, scale, ZERO
 from ..core.codegen.wasm_writer import DOUBLE, module
 from ..core.types import CUT_NUMBER, CUT_ROW
 from ..effects.element import DISSIPATED, WORK
+from ..effects.force_law import MOTION as LAW_OF_MOTION, PROFILE
 from ..effects.traced_laws import act
 
 # Inputs and outputs beside those of function tables: a wrench on each body, in world axes at its
 # origin; power that effects dissipate, and that they bring in; motion of each body; forces where
 # loops close; of each effect 1 where it acts, 0 where it is switched off. Their places are behind
 # all others.
-PUSH, POWER, MOTION, FORCE, SWITCH = range(60, 65)
+PUSH, POWER, MOTION, FORCE, SWITCH, JACOBIAN = range(60, 66)
 # Numbers of a body's motion: its origin, its axes row by row, velocity and angular velocity.
 MOTION_COLUMNS = 18
 NAMES = {Q: 'q', QD: 'qd', TAU: 'tau', PUSH: 'push', SWITCH: 'switch', BODY: 'body',
          GRAVITY: 'gravity', CUT_POINT: 'cut_point', VALUES: 'values', QDD: 'qdd', LAM: 'lam',
          POWER: 'power', CORRECTIONS: 'change', CLOSURE: 'closure', ENERGY: 'energies',
-         MOTION: 'motion', FORCE: 'force'}
+         MOTION: 'motion', FORCE: 'force', JACOBIAN: 'jacobian'}
 
 
 def wasm_module(simulation):
@@ -40,7 +43,9 @@ def wasm_module(simulation):
     q, qd, tau, push and switch to qdd, lam and power; ``correction`` of q and qd to change (that
     of q, then of qd) and closure; ``energies`` (kinetic, of gravity, stored) [J]; ``bodies``:
     motion; ``forces`` of q and lam to force, three numbers a cut joint, on body A in world axes
-    [N].
+    [N]. Those of other equations, which may take over, end in ``_1``, ``_2``; where there are
+    any, ``jacobian`` has the rows of all equations at q. Forces over time are numbers behind
+    those of ``values``, prescribed motions in ``cut_point``: ``clocks_of``.
 
     Parameters
     ----------
@@ -61,22 +66,30 @@ def wasm_module(simulation):
         starts in a singular position.
 
     """
-    require_c(simulation, 'WebAssembly')
+    require_c(simulation, 'WebAssembly', timed=True)
     system = simulation.data.system
     model, table = system.model, system.effects
-    values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
+    values = TracedScene(simulation.data, instant=True).values
     rows, nv, nc = len(model.tree), len(system.qdd), len(system.lam)
     cuts = len(simulation.mechanism.cut_joints)
     given = {Q: simulation.position, QD: simulation.velocity, TAU: np.zeros(nv),
-             PUSH: np.zeros(6 * rows), SWITCH: np.ones(len(values)), BODY: model.body,
+             PUSH: np.zeros(6 * rows), SWITCH: np.ones(0 if table is None else len(table.role)),
+             BODY: model.body,
              GRAVITY: model.gravity, CUT_POINT: model.cut_point, VALUES: values}
     found = {QDD: nv, LAM: nc, POWER: 2, CORRECTIONS: 2 * nv, CLOSURE: nc, ENERGY: 3,
              MOTION: MOTION_COLUMNS * rows, FORCE: 3 * cuts}
-    routines = []
-    for what in ('evaluation', 'correction', 'energies', 'bodies', 'forces'):
-        trace = _Trace(model, table, values.shape, cuts)
+    routines, choices = [], choices_of(simulation)
+    traced = [(one, what, f'_{number}' * bool(number))
+              for number, (one, _) in enumerate(choices)
+              for what in ('evaluation', 'correction', 'forces')]
+    if len(choices) > 1:
+        whole = simulation.data.loop_model.equations.model
+        traced.append((whole, 'jacobian', ''))
+        found[JACOBIAN] = (len(whole.column) - 1) * nv
+    for one, what, ending in (*traced, (model, 'energies', ''), (model, 'bodies', '')):
+        trace = _Trace(one, table, values.shape, cuts)
         getattr(trace, what)()
-        routines.append(trace.named(what))
+        routines.append(trace.named(what + ending))
     binary, addresses = module(routines, {
         **{source: array.size for source, array in given.items()}, **found})
     return binary, {
@@ -85,12 +98,54 @@ def wasm_module(simulation):
         for source, address in addresses.items()}
 
 
+def clocks_of(simulation):
+    """
+    Return what follows the time: a list of dicts, as JSON can.
+
+    ``array`` and ``index``: where its numbers go, ``count`` of them: a force or the time; or
+    position, rate and acceleration of a prescribed motion, with an ``offset``. Rows of ``pieces``
+    with a ``period`` [s] or 0, or ``programs``, say what they are; neither: the time.
+    """
+    table, model = simulation.data.system.effects, simulation.data.system.model
+    found = []
+    for row in () if table is None else table.enabled_rows:
+        if row.law.role == LAW_OF_MOTION:
+            cut, _, column = row.equation
+            one = {'array': 'cut_point', 'index': cut * model.cut_point.shape[1] + column,
+                   'count': 3, 'offset': float(row.values[2])}
+        elif row.law.follows_time:
+            one = {'array': 'values', 'index': table.values.size + row.number, 'count': 1,
+                   'offset': 0.0}
+        else:
+            continue
+        if row.law.role in (PROFILE, LAW_OF_MOTION):
+            entries = [list(map(float, entry)) for entry in table.elements[row.number].data]
+            one.update({'programs': entries} if row.values[1] == 1.0 else {
+                'pieces': [entry for entry in entries if np.isfinite(entry[0])],
+                'period': float(row.values[0])})
+        found.append(one)
+    return found
+
+
+def choices_of(simulation):
+    """
+    Return pairs of a model and its equations among all.
+
+    First those that are worked on, then others that may take over.
+    """
+    data, model = simulation.data, simulation.data.system.model
+    present = data.loop_model.equations.kept
+    return [(model, np.flatnonzero(present).tolist()), *(
+        (model.with_cut(data.loop_model.model_of(kept)[0].cut), np.flatnonzero(kept).tolist())
+        for kept in data.loop_model.choices(data.initial[0]) if (kept != present).any())]
+
+
 class _SwitchedForces(Forces):
     """Forces of effects that an input switches on and off."""
 
     def __init__(self, trace):
         super().__init__(trace)
-        self._switches = trace.symbols(SWITCH, trace.values.shape[:1])
+        self._switches = trace.symbols(SWITCH, (trace.switches,))
 
     @property
     def _switch(self):
@@ -114,7 +169,11 @@ class _Trace(SceneTrace):
 
     def __init__(self, model, table, values, cuts):
         super().__init__(model, lambda forces: act(table, forces), values)
-        self._cuts = cuts
+        self._cuts, self._driven = cuts, []
+        self.switches = 0 if table is None else len(table.role)
+        if table is not None:
+            self._driven = [row.equation for row in table.enabled_rows
+                            if row.law.role == LAW_OF_MOTION]
         self._roles = {} if table is None else {
             row.state + n: state.role for row in table.enabled_rows
             for n, state in enumerate(table.elements[row.number].states)}
@@ -122,8 +181,11 @@ class _Trace(SceneTrace):
     def evaluation(self):
         """Accelerations, multipliers and power of effects."""
         super().evaluation()
-        for place, role in enumerate((DISSIPATED, WORK)):
-            self.outputs.append((POWER, place, sum(
+        lam = {place: value for source, place, value in self.outputs if source == LAM}
+        driven = sum(lam[self.constant.cut[row, CUT_ROW]] * self.model.cut_point[row, column + 1]
+                     for row, _, column in self._driven)
+        for place, (role, more) in enumerate(((DISSIPATED, 0.0), (WORK, driven))):
+            self.outputs.append((POWER, place, more + sum(
                 rate for state, rate in self._rates.items() if self._roles[state] == role)))
 
     def moved(self):
@@ -149,6 +211,15 @@ class _Trace(SceneTrace):
                        *motion.velocity, *motion.spin)
             self.outputs += [(MOTION, MOTION_COLUMNS * row + k, number)
                              for k, number in enumerate(numbers)]
+
+    def jacobian(self):
+        """Rows of J, in the mechanism's order of equations."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        rates = {cut[CUT_ROW] + row: closure.rate for a, cut in enumerate(self.constant.cut)
+                 for row, closure in enumerate(self.recursion.closures(self.model, a))}
+        for joint, rate in enumerate(self.qd):
+            self.outputs += [(JACOBIAN, row * self.nv + joint, value) for row, value in zip(
+                rates, differentiated(self.graph, [*rates.values()], {rate.place: 1.0}))]
 
     def forces(self):
         """Sum up the forces of multipliers on bodies A, by cut joint in the mechanism's order."""

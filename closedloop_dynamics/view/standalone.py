@@ -19,12 +19,13 @@ from .hand import DAMPING, GIVE
 from .messages import describe_effects, OWN
 from .page import packed
 from ..effects.gravity import Gravity
+from ..effects.prescribed_motion import PrescribedMotion
 from ..integration.tableau import DOP853
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed, resolve
 from ..simulation.modeling import extent, mechanism_arrays
 from ..simulation.simulation import Simulation
-from ..simulation.wasm_source import wasm_module
+from ..simulation.wasm_source import choices_of, clocks_of, wasm_module
 
 # Largest error of a step, as a share of one and the size of a number.
 TOLERANCE = 1e-12
@@ -86,6 +87,9 @@ def standalone(scene, motion):
         'module': base64.b64encode(binary).decode('ascii'),
         'arrays': {name: [first, content if isinstance(content, int) else packed(
             content, np.float64)] for name, (first, content) in arrays.items()},
+        'clocks': clocks_of(simulation),
+        'choices': [rows for _, rows in choices_of(simulation)],
+        'units': [one.tolist() for one in simulation.data.loop_model.equations.units()],
         'planar': mechanism.planar,
         'balls': [] if manifold is None else manifold.balls.tolist(),
         'place': list(range(names.nv)) if manifold is None else manifold.place.tolist(),
@@ -195,11 +199,16 @@ def _effects(scene, simulation, gravity):
         if name == gravity:
             one['columns'] = {}
             continue
-        if name not in names or not one['enabled']:
+        if name not in names or not one['enabled'] or isinstance(
+                scene.effects[name], PrescribedMotion):
             del found[name]
             continue
         record, row = scene.effects[name], names.index(name)
         one['row'] = row
+        if table.elements[row].law.follows_time:
+            # Its pieces are made of these.
+            one['columns'] = one['values'] = {}
+            continue
         one['columns'] = {key: columns for key in one['values'] if (columns := _columns_of(
             simulation, record, key, table.elements[row].values))}
         one['values'] = {key: one['values'][key] for key in one['columns']}

@@ -88,3 +88,63 @@ const expressionOf = (() => {
   };
   return read;
 })();
+
+// What follows the time in a scene: pieces, each with its start, c0 to c5, a, w and p, of which the
+// present one gives c0 + u (c1 + ... u c5) + a sin(w u + p), u since its start; or programs on a
+// stack, of a value, its rate and its acceleration, as effects/expression.py has them; or the time.
+const OF_ONE = [
+  (x) => -x, Math.abs, Math.sin, Math.cos, Math.tan, Math.asin, Math.acos, Math.atan, Math.sqrt,
+  Math.exp, Math.log, (x) => x * Math.PI / 180, (x) => x * 180 / Math.PI];
+const OF_TWO = [
+  (x, y) => x + y, (x, y) => x - y, (x, y) => x * y, (x, y) => x / y, Math.pow, Math.atan2,
+  Math.hypot, Math.min, Math.max];
+// Operations before those of one number; times closer than this, relative to their size, are the same.
+const NO_OPERANDS = 2, SAME_TIME = 1e-12;
+
+const programValue = ([count, ...steps], time) => {
+  const stack = [];
+  for (let k = 0; k < count; k++) {
+    const operation = steps[2 * k] - NO_OPERANDS;
+    if (operation < 0) {
+      stack.push(operation === -1 ? time : steps[2 * k + 1]);
+    } else if (operation < OF_ONE.length) {
+      stack.push(OF_ONE[operation](stack.pop()));
+    } else {
+      const last = stack.pop();
+      stack.push(OF_TWO[operation - OF_ONE.length](stack.pop(), last));
+    }
+  }
+  return stack[0];
+};
+
+const pieceValues = ([c0, c1, c2, c3, c4, c5, a, w, p], u) => [
+  c0 + u * (c1 + u * (c2 + u * (c3 + u * (c4 + u * c5)))) + a * Math.sin(w * u + p),
+  c1 + u * (2 * c2 + u * (3 * c3 + u * (4 * c4 + u * 5 * c5))) + a * w * Math.cos(w * u + p),
+  2 * c2 + u * (6 * c3 + u * (12 * c4 + u * 20 * c5)) - a * w * w * Math.sin(w * u + p)];
+
+class Clock {
+  // `clock`: of `wasm_source.clocks_of`; it writes into an array.
+  constructor(clock, array) {
+    Object.assign(this, clock, {array});
+    this.begin(0);
+  }
+
+  // Have the piece that is present from a time on; return when it ends.
+  begin(time) {
+    const {pieces, period} = this;
+    if (!pieces) return Infinity;
+    const now = time + SAME_TIME * Math.max(1, Math.abs(time));
+    const cycle = period ? Math.floor(now / period) * period : 0;
+    const next = pieces.findIndex(([start], k) => k > 0 && start > now - cycle);
+    const [start, ...numbers] = pieces[next < 0 ? pieces.length - 1 : next - 1];
+    this.present = [cycle + start, numbers];
+    return next < 0 ? (period ? cycle + period : Infinity) : cycle + pieces[next][0];
+  }
+
+  put(time) {
+    const {array, index, count, offset, programs, present} = this;
+    const found = programs ? programs.map((each) => programValue(each, time))
+      : present ? pieceValues(present[1], time - present[0]) : [time];
+    for (let k = 0; k < count; k++) array[index + k] = found[k] + (k ? 0 : offset);
+  }
+}

@@ -12,6 +12,9 @@ const MOTION_COLUMNS = 18;
 // stops; exchanges below this one are rounding [J].
 const ENERGY_WARN = 1e-3, ENERGY_ERROR = 0.1, NO_ENERGY = 1e-9;
 
+// How many times as distinct other equations must be to take over.
+const MORE_DISTINCT = 2;
+
 const largestOf = (values) => values.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
 
 class Machine {
@@ -33,6 +36,7 @@ class Machine {
     this.torques = () => tau.fill(0);
     // Where a hand pulls: row, place in it, goal [m]; its spring [N/m] and damper [N s/m].
     this.hand = null;
+    this.clocks = described.clocks.map((clock) => new Clock(clock, this.arrays[clock.array]));
     const count = this.start.length, make = () => new Float64Array(count);
     this.slopes = this.tableau.a.map(make);
     [this.stage, this.after] = [make(), make()];
@@ -48,7 +52,7 @@ class Machine {
   reset() {
     this.state = this.start.slice();
     [this.time, this.step, this.smallest] = [0, FIRST_STEP, 0];
-    [this.evaluations, this.finding] = [0, ''];
+    [this.evaluations, this.finding, this.choice] = [0, '', 0];
     this.account();
   }
 
@@ -59,15 +63,43 @@ class Machine {
     this.before = this.reference;
   }
 
+  // Call a function of the module that depends on the choice of equations.
+  call(name) { return this.exported[this.choice ? `${name}_${this.choice}` : name](); }
+
+  // Work on other equations where these are much more distinct at the present state: by the volume
+  // that their rows span, in units of the mechanism.
+  choose() {
+    this.read();
+    this.exported.jacobian();
+    const {nv, arrays: {jacobian}, described: {choices, units: [rows, columns]}} = this;
+    const row = (number) => columns.map((unit, k) => jacobian[number * nv + k] * unit / rows[number]);
+    const volumes = choices.map((choice) => {
+      const across = [];
+      return choice.reduce((volume, number) => {
+        const left = row(number);
+        for (const one of across) {
+          const along = left.reduce((sum, x, k) => sum + x * one[k], 0);
+          one.forEach((x, k) => { left[k] -= along * x; });
+        }
+        const size = Math.hypot(...left);
+        across.push(left.map((x) => x / (size || 1)));
+        return volume * size;
+      }, 1);
+    });
+    const best = Math.max(...volumes);
+    if (best > MORE_DISTINCT * volumes[this.choice]) this.choice = volumes.indexOf(best);
+  }
+
   // What the state changes by: rates of coordinates, accelerations, power from outside.
   slope(time, state, out) {
     const {q, qd, tau, qdd, push, power} = this.arrays, {nq, nv} = this;
     q.set(state.subarray(0, nq));
     qd.set(state.subarray(nq, nq + nv));
     this.torques(time, state);
+    for (const clock of this.clocks) clock.put(time);
     let input = this.hand ? this.pull() : 0;
     this.evaluations += 1;
-    if (!this.exported.evaluation()) return false;
+    if (!this.call('evaluation')) return false;
     this.rates(state, out);
     out.set(qdd, nq);
     for (let i = 0; i < nv; i++) input += tau[i] * qd[i];
@@ -112,15 +144,16 @@ class Machine {
   }
 
   // Close the loops of a state by the least change, as the exported C does; return whether they
-  // are closed.
-  close(state, most = CORRECTIONS) {
+  // are closed at a time.
+  close(state, most = CORRECTIONS, time = this.time) {
     const {q, qd, change, closure} = this.arrays, {nq, nv} = this;
     const {closure_tolerance: tolerance, closure_limit: limit} = this.described;
     const correct = () => {
       q.set(state.subarray(0, nq));
       qd.set(state.subarray(nq, nq + nv));
-      return this.exported.correction();
+      return this.call('correction');
     };
+    for (const clock of this.clocks) clock.put(time);
     this.normalise(state);
     let good = correct(), error = largestOf(closure);
     for (let n = 0; good && n < most && error > tolerance; n++) {
@@ -139,6 +172,8 @@ class Machine {
   // state before is kept.
   advance(end) {
     const {state, stage, after, slopes, tableau: {a, b, order}} = this, count = state.length;
+    // Within a step one formula holds.
+    end = this.clocks.reduce((first, clock) => Math.min(first, clock.begin(this.time)), end);
     if (!this.slope(this.time, state, slopes[0])) throw new Error(this.singular());
     for (;;) {
       const left = end - this.time, last = this.step > 0.9 * left, size = last ? left : this.step;
@@ -163,12 +198,14 @@ class Machine {
       const factor = Number.isFinite(error)
         ? Math.min(LARGEST_GROWTH, Math.max(LARGEST_CUT, STEP_SAFETY * error ** (-1 / order))) : LARGEST_CUT;
       const least = size <= SMALLEST_STEP && Number.isFinite(error) && this.smallest < MOST_SMALLEST;
-      if ((error <= 1 || least) && this.close(after)) {
+      const time = last ? end : this.time + size;
+      if ((error <= 1 || least) && this.close(after, CORRECTIONS, time)) {
         state.set(after);
         this.smallest = error <= 1 ? 0 : this.smallest + 1;
-        this.time = last ? end : this.time + size;
+        this.time = time;
         this.step = last ? Math.max(this.step, factor * size) : factor * size;
         this.check();
+        if (this.described.choices.length > 1) this.choose();
         return;
       }
       if (size <= SMALLEST_STEP) throw new Error(this.singular());
@@ -232,11 +269,12 @@ class Machine {
 
   // Evaluate the present state: accelerations, multipliers, motion of bodies, forces, energies.
   evaluate() {
+    for (const clock of this.clocks) clock.begin(this.time);
     this.slope(this.time, this.state, this.slopes[0]);
     this.exported.bodies();
-    this.exported.forces();
+    this.call('forces');
     this.exported.energies();
-    this.exported.correction();
+    this.call('correction');
   }
 
   // Inertia that the drive of each of some freedoms feels, the others free [kg m^2; kg]: of the
@@ -245,11 +283,11 @@ class Machine {
     const {tau, qdd} = this.arrays;
     this.read();
     tau.fill(0);
-    if (!this.exported.evaluation()) return freedoms.map(() => 1);
+    if (!this.call('evaluation')) return freedoms.map(() => 1);
     const before = qdd.slice();
     return freedoms.map((freedom) => {
       tau[freedom] = 1;
-      this.exported.evaluation();
+      this.call('evaluation');
       tau[freedom] = 0;
       const inertia = 1 / (qdd[freedom] - before[freedom]);
       return inertia > 0 && Number.isFinite(inertia) ? inertia : 1;
