@@ -154,7 +154,7 @@ class DrawnMachine {
       actuated: [...tree.keys()].filter((k) => motor(tree[k].name)), turns: [],
       drives: Object.fromEntries(tree.flatMap(({name}, k) => (motor(name)
         ? [[name, [k, motor(name).law, motor(name).value]]] : []))),
-      own: null, hand: [stiffness, 0.5 * Math.sqrt(stiffness * mass)],
+      own: null, clocks: [], choices: [[]], hand: [stiffness, 0.5 * Math.sqrt(stiffness * mass)],
       effects: {gravity: {type: 'gravity', enabled: this.drawing.gravity, columns: {},
                           values: {acceleration: [0, -EARTH_GRAVITY]}}}, numbers: {}};
   }
