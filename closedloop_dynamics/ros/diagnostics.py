@@ -146,6 +146,7 @@ class Diagnostics:
             'simulated time dropped [s]': pacer.dropped,
             'missed ticks, last second': now['missed'], 'missed ticks': mode.missed_ticks,
             'states left out, last second': now['left out'], 'states left out': mode.left_out,
+            'states published again': mode.repeated,
             'messages published': self._live.states.published}
         return finding
 

@@ -30,6 +30,7 @@ from closedloop_dynamics.ros.pacing import LOCKSTEP, REALTIME, Throttle
 from closedloop_dynamics.ros.parameters import (
     ALLOW_CODE, declare, Parameter, usage, watch_changes)
 from closedloop_dynamics.ros.process import leaving_at_once, run, StartError
+from closedloop_dynamics.ros.timeline import Timeline
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.model import Model
 from diagnostic_msgs.msg import DiagnosticArray
@@ -52,6 +53,9 @@ DEPTH = 1000
 DIAGNOSTIC_PERIOD = 1.0
 # Without a measurement for longer, estimates go on by the model [s].
 SILENCE = 0.05
+# Time since the newest stamp that a stamp may be ahead, and behind [s]; stamps far from the others
+# that make a jump in time.
+AHEAD, BEHIND, SEVERAL = 1.0, 0.2, 5
 # After so many messages without a reading that fits, a run begins again.
 HOPELESS = 50
 # Links of its markers: how much of them is seen.
@@ -84,36 +88,6 @@ def topic_parameters(setup):
         f'{TOPICS}{one.name}', topics[one.name],
         f"Topic of the messages of the sensor '{one.name}', {MESSAGES[type(one)]}.")
         for one in setup.sensors)
-
-
-class Timeline:
-    """
-    Tells stamps that belong to a run from jumps in time and from stamps that are wrong.
-
-    One stamp far from the others is odd; when several in a row are, and near one another, time has
-    jumped: another bag, a simulator that was reset, a pause of the machine. ``newest``: of the
-    run [s], or None.
-    """
-
-    # Time since the newest stamp that a stamp may be ahead, and behind [s]; odd stamps that make
-    # a jump.
-    AHEAD, BEHIND, SEVERAL = 1.0, 0.2, 5
-
-    def __init__(self):
-        self.newest, self._odd = None, []
-
-    def follows(self, time):
-        """Return whether a stamp belongs to the run; None where a new run begins with it."""
-        if self.newest is None or -self.BEHIND <= time - self.newest <= self.AHEAD:
-            self.newest, self._odd = max(time, self.newest or time), []
-            return True
-        if self._odd and abs(time - self._odd[-1]) > self.AHEAD:
-            self._odd = []
-        self._odd.append(time)
-        if len(self._odd) < self.SEVERAL:
-            return False
-        self.newest, self._odd = time, []
-        return None
 
 
 class _Pale:
@@ -158,7 +132,7 @@ class EstimatorNode(Node):
         except FieldError as error:
             raise StartError(f'parameter {error}') from None
         self._model = Model(simulation.scene)
-        self._timeline, self._throttles = Timeline(), {}
+        self._timeline, self._throttles = Timeline(AHEAD, BEHIND, SEVERAL), {}
         self.paused, self.counts, self._reason = False, dict.fromkeys(
             (USED, NOT_USABLE, ODD, RESTARTS), 0), ''
         self._before, self._fresh, self._heard = dict(self.counts), False, None
@@ -330,7 +304,7 @@ class EstimatorNode(Node):
         if self.estimator is not None and self._torque != before:
             if self._begun is not None:
                 time, self._begun = self._begun, None
-            time = max(time, self.estimator.time - Timeline.BEHIND)
+            time = max(time, self.estimator.time - BEHIND)
             self._guarded(lambda: self.estimator.command(time, self._torque))
 
     def _take(self, time, readings):
@@ -398,7 +372,7 @@ class EstimatorNode(Node):
             return
         heard, clock = self._heard
         silence = self.seconds() - clock
-        if not self._fresh and not SILENCE < silence < Timeline.AHEAD:
+        if not self._fresh and not SILENCE < silence < AHEAD:
             return
         self.publish(heard if self._fresh else heard + silence)
 

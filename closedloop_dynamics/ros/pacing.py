@@ -20,6 +20,9 @@ MOST_MADE_UP = 10
 EARLY = 0.05
 # As long as nothing else is to be done [s].
 IDLE_TICK = 0.05
+# A state that is not answered is published again after so many of these ticks. Commands are taken
+# between them: one that has come while this process was held up counts first.
+TICKS_BEFORE_REPEAT = 20
 # A mode that runs as fast as possible attends to messages so often [s].
 SLICE = 0.005
 # States published between two checks whether reliable subscribers have received them.
@@ -64,8 +67,8 @@ class RealTime:
     """
 
     name = REALTIME
-    # Whether it waits for the answer to a first state.
-    unanswered = False
+    # Whether it waits for the answer to a first state; later ones published again.
+    unanswered, repeated = False, 0
 
     def __init__(self, machine, pacer):
         self._machine, self.pacer = machine, pacer
@@ -139,7 +142,7 @@ class RealTime:
 class _Periodic:
     """Shared part of the modes whose period is a number of steps, independent of the clock."""
 
-    missed_ticks = left_out = 0
+    missed_ticks = left_out = repeated = 0
     unanswered = False
 
     def __init__(self, machine, pacer):
@@ -214,7 +217,12 @@ class AsFastAsPossible(_Periodic):
 
 
 class Lockstep(_Periodic):
-    """One period for each command, nothing in between: the same run, bit for bit, every time."""
+    """
+    One period for each command, nothing in between: the same run, bit for bit, every time.
+
+    A state that no command answers is published again, and ``repeated`` counts how often: it, or
+    the command, may be lost, or whoever answered may have been started again.
+    """
 
     name = LOCKSTEP
     tick_period = IDLE_TICK
@@ -223,6 +231,7 @@ class Lockstep(_Periodic):
         super().__init__(machine, pacer)
         self._owed = False
         self._answered = False
+        self._idle_ticks = 0
 
     @property
     def unanswered(self):
@@ -241,7 +250,7 @@ class Lockstep(_Periodic):
 
     def on_command(self):
         """Advance by a period and publish the new state."""
-        self._owed = not self.running
+        self._owed, self._idle_ticks = not self.running, 0
         if self.running:
             self._answered = True
             self._advance(self._period)
@@ -251,6 +260,11 @@ class Lockstep(_Periodic):
         """Publish the state again until it is answered."""
         if not (self._answered and self.running):
             self._machine.refresh()
+            return
+        self._idle_ticks += 1
+        if self._idle_ticks % TICKS_BEFORE_REPEAT == 0:
+            self._machine.publish()
+            self.repeated += 1
 
 
 def period_steps(rate, step_size):

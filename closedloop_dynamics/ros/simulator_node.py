@@ -91,7 +91,7 @@ class SimulatorNode(Node):
             self.simulation, values['real_time_factor'] if values['mode'] == REALTIME else 1.0,
             self.get_logger())
         self.throttles = {key: Throttle() for key in (
-            'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
+            'rejected', 'motion', 'wrench', 'lost', 'refused', 'repeated', 'overload', 'busy')}
         self._warned_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self._expected = values['wait_for_subscribers']
@@ -340,8 +340,11 @@ class SimulatorNode(Node):
         if not self.paused and (self.waiting or self.mode.unanswered) and self.live.is_stale:
             # Controllers may wait for time to pass before they command.
             self.live.stamps.let_period_pass()
-        dropped = self.pacer.dropped
+        dropped, repeated = self.pacer.dropped, self.mode.repeated
         self._guarded(self.mode.tick)
+        if self.mode.repeated > repeated:
+            self.warn('repeated', f'no command answers the state at {self.simulation.time:.9g} s: '
+                                  'it is published again')
         if self.pacer.dropped > dropped and self.throttles['overload'].ready():
             self.get_logger().warning(self.pacer.overload())
 
@@ -644,14 +647,15 @@ class SimulatorNode(Node):
                 'accepted', 'rejected', 'timed out', 'lost'))
             + ''.join(f', {number} {key}' for key, number in self._motion_counts.items())
             + f'; {self.states.published} messages published'
-            + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
+            + (f', {self.mode.left_out} states left out' if self.mode.left_out else '')
+            + (f', {self.mode.repeated} states published again' if self.mode.repeated else ''))
 
     def warn(self, kind, message):
         """
         Log a warning, one of each kind per ``pacing.MESSAGE_PERIOD``.
 
-        Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'``, ``'refused'`` and
-        ``'busy'``.
+        Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'``, ``'refused'``,
+        ``'repeated'`` and ``'busy'``.
         """
         throttle = self.throttles[kind]
         if throttle.ready():

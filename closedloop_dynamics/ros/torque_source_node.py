@@ -19,6 +19,7 @@ from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.ros.timeline import Timeline
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
@@ -53,6 +54,9 @@ MOST_SKIPPED = 2
 # A state with the stamp of the one before is the same again: answered again only if the first
 # answer seems to be lost, after so long [s].
 LOST = 0.5
+# A stamp further ahead than the longest period of a simulator [s], or one from before the last, is
+# wrong, or time has jumped: the next one tells.
+AHEAD, BEHIND, SEVERAL = 10.0, 0.0, 2
 
 
 class JointQuestion:
@@ -137,14 +141,16 @@ class TorqueSourceNode(Node):
     Publish torques for the actuated joints of a simulator.
 
     ``exit_code``: None while the node wants to go on; ``joints``: empty until known;
-    ``published``: commands so far; ``states``: subscription of modes with feedback.
+    ``published``: commands so far; ``odd``: states whose stamps were far from the others;
+    ``states``: subscription of modes with feedback.
     """
 
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
         watch_changes(self)
-        self.published = 0
+        self.published = self.odd = 0
+        self._timeline = Timeline(AHEAD, BEHIND, SEVERAL)
         self.joints = ()
         self.values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle()
@@ -152,6 +158,7 @@ class TorqueSourceNode(Node):
         self._answered = None
         # The last command, when the state that it answers was, and the states skipped since.
         self._sent, self._sent_for, self._skipped = None, None, 0
+        self._skipped_at = None
         self._has_acted, self._points, self._action = False, None, None
         self._read_names = self._read_indices = None
         self._timer = self.simulation = self.law = self._orientations = None
@@ -196,12 +203,15 @@ class TorqueSourceNode(Node):
                  for values in (message.position, message.velocity)]
         if self._orientations is not None:
             state = self._orientations.whole(*state)
-        time_of_state = stamp_of(message) * 1e-9
+        time_of_state, newest = stamp_of(message) * 1e-9, self._timeline.newest
+        if not self._is_of_run(time_of_state):
+            return False
         if self._is_on_its_way(time_of_state, message.effort):
             return True
         try:
             torque = self.law.torque(time_of_state, *state)
         except SimulationError as error:
+            self._timeline.newest = newest
             if self._complaint.ready():
                 self.get_logger().warning(f'joint_states not usable: {error}')
             return False
@@ -226,6 +236,23 @@ class TorqueSourceNode(Node):
         if waiting is not None:
             self.on_joint_states(waiting)
 
+    def _is_of_run(self, time_of_state):
+        """Return whether a state follows those before, or begins another run."""
+        newest, follows = self._timeline.newest, self._timeline.follows(time_of_state)
+        if follows is False:
+            self.odd += 1
+            if self._complaint.ready():
+                self.get_logger().warning(
+                    f'joint_states: a stamp of {time_of_state:.9g} s is not used: the newest one '
+                    f'is {newest:.9g} s')
+            return False
+        if follows is None:
+            self.get_logger().warning(
+                f'time has jumped from {newest:.9g} s to {time_of_state:.9g} s: starting again')
+            self.law.restart()
+            self._sent = None
+        return True
+
     def _is_on_its_way(self, time_of_state, effort):
         """Return whether a state precedes the last command: too early to correct."""
         if self._sent is None or time_of_state <= self._sent_for or not effort:
@@ -233,8 +260,10 @@ class TorqueSourceNode(Node):
         if np.array_equal(np.array(effort)[self._driven_indices], self._sent):
             self._has_acted = True
             return False
-        if self._skipped < MOST_SKIPPED:
+        # One that comes again is not followed by another.
+        if self._skipped < MOST_SKIPPED and time_of_state != self._skipped_at:
             self._skipped += 1
+            self._skipped_at = time_of_state
             return True
         if not self._has_acted:
             # A machine that waits for its first command has not begun to move.
@@ -291,7 +320,8 @@ class TorqueSourceNode(Node):
 
     def close(self):
         """Log a summary."""
-        self.get_logger().info(f'{self.published} commands published')
+        self.get_logger().info(f'{self.published} commands published' + (
+            f', {self.odd} stamps far from the others' if self.odd else ''))
 
     def _request_joints(self):
         """Begin as soon as the simulator has answered with its joints."""

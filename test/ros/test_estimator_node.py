@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from closedloop_dynamics.estimation.results import Alarm, Estimated
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.estimator_node import (
-    EstimatorNode, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, Timeline, USED)
+    EstimatorNode, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, SEVERAL, USED)
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.simulation import Simulation
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -170,7 +170,7 @@ def test_jumps_in_time_begin_another_run(build):
     feed(node, 0, 30, names=DRIVEN)
     feed(node, 0, 30, names=DRIVEN, begin=BEGIN // 2)
     # As many as make a jump are not used.
-    assert node.counts[RESTARTS] == 2 and node.counts[ODD] == Timeline.SEVERAL - 1
+    assert node.counts[RESTARTS] == 2 and node.counts[ODD] == SEVERAL - 1
     assert node.seen[-1][0] == BEGIN // 2 + round(1e9 * states(120)[1][29][0])
     np.testing.assert_allclose(node.seen[-1][1], states(120)[1][29][-1], atol=1e-3)
 

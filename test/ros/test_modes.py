@@ -4,7 +4,8 @@
 """Tests of the modes of closedloop_dynamics.ros.pacing with a machine that only counts."""
 
 from closedloop_dynamics.ros.pacing import (
-    AsFastAsPossible, CHECK_EVERY, Lockstep, MOST_MADE_UP, period_steps, RealTime)
+    AsFastAsPossible, CHECK_EVERY, Lockstep, MOST_MADE_UP, period_steps, RealTime,
+    TICKS_BEFORE_REPEAT)
 from closedloop_dynamics.simulation.pacer import Pacer
 import pytest
 
@@ -166,6 +167,21 @@ def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine
     assert machine.published == [10, 20, 30]
     # Whoever has begun to answer states gets each of them once.
     assert machine.refreshed == [0]
+
+
+def test_lockstep_publishes_again_what_is_not_answered(machine):
+    mode = build(Lockstep, machine, 100.0)
+    for _ in range(3):
+        mode.on_command()
+        for _ in range(TICKS_BEFORE_REPEAT - 1):
+            mode.tick()
+    assert (machine.published, mode.repeated) == ([10, 20, 30], 0)
+    for _ in range(TICKS_BEFORE_REPEAT + 1):
+        mode.tick()
+    assert (machine.published, mode.repeated) == ([10, 20, 30, 30, 30], 2)
+    mode.on_command()
+    mode.tick()
+    assert (machine.published[-1], machine.steps, mode.repeated) == (40, 40, 2)
 
 
 def test_lockstep_owes_the_period_of_a_command_that_came_during_a_pause(machine):

@@ -157,13 +157,46 @@ def test_states_that_cannot_be_used_are_not_answered(make_source, monkeypatch, m
     assert source.sent[1:] == [[pytest.approx(-1.0)]]
 
 
+@pytest.mark.parametrize('parameters', [
+    {'mode': 'pd', 'joints': ['theta_1'], 'ki': [50.0], 'move_amplitude': [0.3],
+     'move_frequency': [1.0]},
+    {'mode': 'computed_torque', 'scene': 'three_rrr', 'kd': [20.0], 'ki': [50.0],
+     'circle_point': 'platform_center', 'circle_radius': 0.1, 'circle_frequency': 0.5}])
+def test_lone_stamps_far_away_change_nothing(make_source, parameters):
+    """Bit for bit: usable states whose stamps are of another time."""
+    machine = Simulation.from_scene('three_rrr')
+    alone, disturbed = (make_source(kp=[100.0], **parameters) for _ in range(2))
+    position, names = machine.position, machine.joint_names
+
+    def send(source, time):
+        source.on_joint_states(state(time, position, 7 * [0.0], names))
+
+    for k in range(40):
+        send(alone, 100.0 + 0.01 * k)
+        send(disturbed, 100.0 + 0.01 * k)
+        for lone in (900.0, 1e-9, 99.9)[:k % 4]:
+            send(disturbed, lone)
+    assert disturbed.sent == alone.sent and disturbed.odd == 60
+    # Two that go together are of another run: of a simulator that was reset, or stood still.
+    for begin in 0.0, 500.0:
+        again = make_source(kp=[100.0], **parameters)
+        disturbed.sent.clear()
+        send(disturbed, begin)
+        assert not disturbed.sent
+        for k in range(3):
+            send(again, begin + 0.01 * k)
+            send(disturbed, begin + 0.01 * k)
+        assert disturbed.sent == again.sent
+
+
 def test_state_that_closes_no_loops_changes_nothing(make_source):
     source = make_source(mode='computed_torque', scene='three_rrr', kp=[100.0], kd=[20.0])
     start = source.simulation
     names, rest = start.joint_names, start.velocity
     source.on_joint_states(state(1.0, start.position, rest, names))
     torque = source.sent[0]
-    assert not source.on_joint_states(state(1.01, start.position + 3.0, rest, names))
+    for time in 1.01, 9.0:
+        assert not source.on_joint_states(state(time, start.position + 3.0, rest, names))
     source.on_joint_states(state(1.01, start.position, rest, names))
     assert source.sent == [torque, pytest.approx(torque, rel=1e-6)]
 
@@ -193,8 +226,8 @@ def test_state_that_knows_nothing_of_the_last_command_is_skipped(make_source):
     # On its way; taken for lost; on its way again; in effect.
     assert [answer(1.0 + 0.1 * i, 0.0) for i in range(1, 5)] == [[], [], [[5.0]], []]
     assert answer(1.5, 5.0) == [[5.0]]
-    # A simulation that was reset begins again.
-    assert answer(0.0, 0.0) == [[5.0]]
+    # In lockstep nothing follows a state that is skipped, which comes again.
+    assert [answer(1.6, 0.0) for _ in range(2)] == [[], [[5.0]]]
 
 
 def test_torque_limit_is_that_of_the_actuator(make_source):

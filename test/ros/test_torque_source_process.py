@@ -3,8 +3,10 @@
 
 """Tests of the torque source and the simulator as processes that know each other by topics."""
 
+import signal
 import time
 
+from closedloop_dynamics.recording.message_numbers import stamp_of
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -94,3 +96,19 @@ def test_platform_of_the_3_rrr_is_held_and_moved_under_gravity(processes, listen
     middle = (base.max(axis=0) + base.min(axis=0)) / 2
     offset = -move * np.sin([0.0, 2.0944, 4.1888])
     assert middle == pytest.approx(np.array([1.0467, 4.1883, 5.7637]) + offset, abs=0.02)
+
+
+def test_in_lockstep_another_source_goes_on_where_one_was_killed(processes, listener):
+    """A state that was sent to it has no answer, and is published again."""
+    simulator = processes.start(SIMULATOR, scene='three_rrr', mode='lockstep').wait_until_ready()
+    settings = {'mode': 'pd', 'kp': '[100.0]', 'kd': '[10.0]'}
+    states = listener.listen('joint_states', JointState)
+    source = processes.start(SOURCE, **settings)
+    listener.wait(lambda: len(states) > 50, 'motion')
+    source.stop(signal.SIGKILL)
+    simulator.wait_for('published again')
+    count = len(states)
+    another = processes.start(SOURCE, **settings)
+    listener.wait(lambda: stamp_of(states[-1]) > stamp_of(states[count - 1]) + 10 ** 9, 'motion')
+    assert another.stop() == simulator.stop() == 0
+    assert 'states published again' in simulator.last_words()
