@@ -20,7 +20,8 @@ from closedloop_dynamics.estimation.unknowns import Wrench
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.bag import MessageTypes
-from closedloop_dynamics.ros.commands import CommandError, SERVICE_QOS, TorqueCommand
+from closedloop_dynamics.ros.commands import (
+    CommandError, SERVICE_QOS, subscribe, TorqueCommand)
 from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
@@ -48,8 +49,9 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
 NAME = 'closedloop_estimator'
-# As many measurements may wait while this process is held up.
-DEPTH = 1000
+# As many measurements may wait while this process is held up. In lockstep the machine may be
+# faster than this node, and does not wait for it.
+DEPTH, LOCKSTEP_DEPTH = 1000, 10000
 DIAGNOSTIC_PERIOD = 1.0
 # Without a measurement for longer, estimates go on by the model [s].
 SILENCE = 0.05
@@ -65,8 +67,8 @@ TOPICS = 'topics.'
 # Where the components of a load are in the numbers of a wrench, force first.
 WRENCH = 'x', 'y', 'z', 'torque_x', 'torque_y', 'torque_z'
 PARTS = {**{name: place for place, name in enumerate(WRENCH)}, 'torque': 5}
-USED, NOT_USABLE, ODD, RESTARTS = (
-    'messages used', 'not usable', 'stamps far from the others', 'starts')
+USED, NOT_USABLE, ODD, LOST, RESTARTS = (
+    'messages used', 'not usable', 'stamps far from the others', 'lost on the way', 'starts')
 
 ESTIMATOR_PARAMETERS = (
     Parameter('scene', '', 'The machine as far as it is known: a shipped scene by name, or a file '
@@ -134,10 +136,10 @@ class EstimatorNode(Node):
         self._model = Model(simulation.scene)
         self._timeline, self._throttles = Timeline(AHEAD, BEHIND, SEVERAL), {}
         self.paused, self.counts, self._reason = False, dict.fromkeys(
-            (USED, NOT_USABLE, ODD, RESTARTS), 0), ''
+            (USED, NOT_USABLE, ODD, LOST, RESTARTS), 0), ''
         self._before, self._fresh, self._heard = dict(self.counts), False, None
         # Everything is compiled before anything comes.
-        self._new = self._build(setup.start)
+        self._new = self._build()
         self._restart()
         self._create_outputs()
         self._create_inputs()
@@ -150,12 +152,12 @@ class EstimatorNode(Node):
             f'{", ".join(sensor.name for sensor in setup.sensors)}; unknown: '
             f'{", ".join(one.name for one in setup.unknowns) or "the motion alone"}')
 
-    def _build(self, start):
+    def _build(self):
         setup = self._setup
         try:
             with leaving_at_once():
                 estimator = Estimator(self._model, setup.sensors, setup.unknowns, setup.noise,
-                                      start, setup.method, suspects=setup.suspects,
+                                      setup.start, setup.method, suspects=setup.suspects,
                                       gate=setup.gate)
                 estimator.estimate()
                 return estimator
@@ -213,11 +215,11 @@ class EstimatorNode(Node):
         """Subscribe to what is measured and commanded, and offer the services."""
         types, lockstep = MessageTypes(), self._values['mode'] == LOCKSTEP
         # Best effort takes measurements from publishers of both kinds.
-        qos = QoSProfile(depth=DEPTH, reliability=(
-            ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT))
+        qos = (QoSProfile(depth=LOCKSTEP_DEPTH, reliability=ReliabilityPolicy.RELIABLE) if lockstep
+               else QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
         for topic, kind in self._streams.topics.items():
-            self.create_subscription(types.message_class(kind), topic,
-                                     partial(self.on_measurement, topic), qos)
+            subscribe(self, types.message_class(kind), topic, partial(self.on_measurement, topic),
+                      qos, partial(self.on_lost, topic))
         if self._setup.torques == COMMAND:
             self.create_subscription(
                 Float64MultiArray, 'torque_command', self.on_torque_command, qos)
@@ -278,6 +280,11 @@ class EstimatorNode(Node):
             if self._values['mode'] == LOCKSTEP and found:
                 self.publish(self._newest)
 
+    def on_lost(self, topic, number):
+        """Count messages that were lost."""
+        self._complain(LOST, f'{topic}: {number} messages were lost on the way, or came faster '
+                             'than they could be taken in', number)
+
     def on_torque_command(self, message):
         """Have one value per actuated joint, from the newest state on."""
         self._on_command('torque_command', self.command.accept_values, message.data)
@@ -319,7 +326,8 @@ class EstimatorNode(Node):
                 return
             start = self._beginning.take(time, readings)
             if start is not None:
-                self.estimator = self._build(start)
+                self._new.restart(start)
+                self.estimator = self._new
                 self.estimator.command(start.time, self._torque)
                 # A machine that is held begins to move with the first torques, not without any.
                 self._begun = None if any(self._torque.values()) else start.time
@@ -333,15 +341,15 @@ class EstimatorNode(Node):
         try:
             action()
             return True
-        except (ValueError, StartError) as error:
+        except ValueError as error:
             self._complain(NOT_USABLE, str(error))
         except (EstimationError, SimulationError, np.linalg.LinAlgError) as error:
             self._complain(NOT_USABLE, f'lost, starting again: {error}')
             self._restart()
         return False
 
-    def _complain(self, kind, problem):
-        self.counts[kind] += 1
+    def _complain(self, kind, problem, number=1):
+        self.counts[kind] += number
         self._reason = problem
         if self._throttles.setdefault(kind, Throttle()).ready():
             self.get_logger().warning(problem)
@@ -450,7 +458,7 @@ class EstimatorNode(Node):
 
 def measurements_finding(news, reason, standing):
     """Judge what came in the last period: ``news``, counts; ``standing``: why nothing runs."""
-    if news[ODD] or news[NOT_USABLE]:
+    if news[ODD] or news[NOT_USABLE] or news[LOST]:
         return Finding(WARN, reason)
     if news[RESTARTS] and not standing:
         return Finding(WARN, 'a run has begun in the last second')

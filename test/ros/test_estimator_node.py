@@ -12,7 +12,8 @@ from types import SimpleNamespace
 from closedloop_dynamics.estimation.results import Alarm, Estimated
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.estimator_node import (
-    EstimatorNode, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, SEVERAL, USED)
+    EstimatorNode, LOST, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, SEVERAL,
+    USED)
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.simulation import Simulation
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -67,7 +68,7 @@ def feed(node, first, last, **more):
 def test_state_and_load_follow_from_three_noisy_encoders(build):
     node = build()
     feed(node, 0, 120, names=DRIVEN)
-    assert node.counts == {USED: 120, NOT_USABLE: 0, ODD: 0, RESTARTS: 1}
+    assert node.counts == {USED: 120, NOT_USABLE: 0, ODD: 0, LOST: 0, RESTARTS: 1}
     stamp, q, qd, effort, forces, cuts = node.seen[-1]
     _, found = states(120)
     time, _, _, torque, true = found[-1]
@@ -140,7 +141,7 @@ def test_bad_messages_are_counted_and_change_nothing(build):
                     ('position', 'velocity', 'effort'), 3 * [math.nan])))
         other.on_measurement('joint_states', measured(k, names=DRIVEN, begin=BEGIN + 10 ** 12))
         other.on_measurement('joint_states', measured(k, names=DRIVEN, begin=0))
-    assert other.counts == {USED: 20, NOT_USABLE: 60 * len(BAD), ODD: 40, RESTARTS: 1}
+    assert other.counts == {USED: 20, NOT_USABLE: 60 * len(BAD), ODD: 40, LOST: 0, RESTARTS: 1}
     for one, two in zip(node.seen, other.seen):
         assert (one[1] == two[1]).all() and (one[2] == two[2]).all()
     assert len(node.seen) == len(other.seen)
@@ -186,6 +187,20 @@ def test_pause_and_reset(build):
     assert node.counts[RESTARTS] == 2
     np.testing.assert_allclose(node.seen[-1][1], states(120)[1][69][-1], atol=2e-3)
     assert node.on_reset(Trigger.Request(), Trigger.Response()).success and node.estimator is None
+    # Nothing stays of the run before.
+    other = build()
+    node.seen.clear()
+    for each in node, other:
+        feed(each, 70, 100, names=DRIVEN)
+    for one, two in zip(node.seen, other.seen, strict=True):
+        assert one[0] == two[0] and (one[1] == two[1]).all() and (one[2] == two[2]).all()
+    assert node.unknown[-1] == other.unknown[-1]
+
+
+def test_messages_that_are_lost_are_counted(build):
+    node = build()
+    node.on_lost('joint_states', 3)
+    assert node.counts[LOST] == 3
 
 
 def test_commands_in_the_place_of_efforts(build, tmp_path):
@@ -272,7 +287,7 @@ def test_machines_in_space_and_with_jumps_are_followed(build, tmp_path, scene, m
                 + 1e-5 * rng.normal(size=len(joints))).tolist())
         message.header.stamp = Time(nanoseconds=BEGIN + round(1e9 * machine.time)).to_msg()
         node.on_measurement('joint_states', message)
-    assert node.counts == {USED: 30, NOT_USABLE: 0, ODD: 0, RESTARTS: 1}
+    assert node.counts == {USED: 30, NOT_USABLE: 0, ODD: 0, LOST: 0, RESTARTS: 1}
     # Passive joints move by more than the encoders are wrong, next to ten times as much.
     apart = machine.coordinates.apart(machine.position, node.seen[-1][1])
     assert np.abs(apart).max() < 3e-4
@@ -294,10 +309,11 @@ def test_bad_parameters_are_refused(make_node, parameters, problem):
     ({}, '', DiagnosticStatus.WARN, 'no measurements'),
     ({}, 'paused', DiagnosticStatus.WARN, 'paused'),
     ({USED: 5, NOT_USABLE: 1}, '', DiagnosticStatus.WARN, 'the reason'),
+    ({USED: 5, LOST: 1}, '', DiagnosticStatus.WARN, 'the reason'),
     ({USED: 5, RESTARTS: 1}, '', DiagnosticStatus.WARN, 'a run has begun')])
 def test_what_comes_in_is_judged(news, standing, level, word):
-    finding = measurements_finding(
-        {**dict.fromkeys((USED, NOT_USABLE, ODD, RESTARTS), 0), **news}, 'the reason', standing)
+    none = dict.fromkeys((USED, NOT_USABLE, ODD, LOST, RESTARTS), 0)
+    finding = measurements_finding({**none, **news}, 'the reason', standing)
     assert finding.level == level and word in finding.message
 
 
