@@ -5,6 +5,7 @@ from glob import glob
 import os
 from pathlib import Path
 from runpy import run_path
+import shutil
 
 from setuptools import Extension
 from setuptools import find_packages
@@ -42,12 +43,19 @@ class BuildEngine(build_ext):
 
     def build_extension(self, extension):
         """Compile into the file that setuptools expects."""
+        output = Path(self.get_ext_fullpath(extension.name))
+        present = Path(self.get_ext_filename(extension.name))
+        if self.editable_mode and engine['fresh'](present):
+            # In a checkout it may be there, and no compiler, which nothing else needs then.
+            if not output.exists() or not output.samefile(present):
+                output.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(present, output)
+            return
         print('Compiling the engine: this takes about a minute', flush=True)
         # What serves a checkout is kept there, for the next change of a source.
         objects = engine['OBJECTS'] if self.editable_mode else Path(self.build_temp)
         try:
-            engine['build'](
-                Path(self.get_ext_fullpath(extension.name)), objects, target=self.target)
+            engine['build'](output, objects, target=self.target)
         except engine['BuildError'] as error:
             raise SystemExit(f'Error: {error}') from None
 

@@ -5,6 +5,7 @@
 
 import argparse
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -82,9 +83,10 @@ def main():
     platforms = parser.parse_args().platform or list(build.TARGETS)
     if set(platforms) - set(build.TARGETS):
         parser.error(f'platform: expected some of {", ".join(build.TARGETS)}')
-    DIST.mkdir(exist_ok=True)
-    for old in DIST.iterdir():
-        old.unlink()
+    if DIST.exists():
+        # With the folders that a build which was interrupted leaves there.
+        shutil.rmtree(DIST)
+    DIST.mkdir()
     backend(f'build_sdist({str(DIST)!r})', ROOT)
     archive, = DIST.glob('*.tar.gz')
     for platform in platforms:

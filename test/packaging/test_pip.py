@@ -5,6 +5,7 @@
 
 import os
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -101,6 +102,18 @@ def test_files_of_the_package_are_in_the_wheel_without_what_they_are_compiled_fr
 
 def test_one_wheel_is_for_all_supported_versions_of_python(wheel):
     assert '-cp311-abi3-linux_' in wheel.name
+
+
+def test_checkout_that_has_its_engine_needs_no_compiler(tmp_path):
+    source = copy_package(tmp_path / 'source')
+    engine = Path(PACKAGE, 'engine', build.module())
+    shutil.copy2(ROOT / engine, source / engine)
+    venv.create(tmp_path / 'venv')
+    python = tmp_path / 'venv' / 'bin' / 'python'
+    run(*PIP, '--python', python, *INSTALL, '--no-build-isolation', '--editable', source,
+        cwd=tmp_path, env=with_libraries() | {'CXX': 'missing'})
+    assert (source / engine).read_bytes() == (ROOT / engine).read_bytes()
+    assert run(python, '-c', SHOW_ENGINE, cwd=tmp_path).strip() == str(source / engine)
 
 
 @pytest.mark.slow
