@@ -117,10 +117,12 @@ def page():
               '`orientation`. All of these may have a `color`: red, green and blue, 0 to 1. '
               '`ground_visual` of a mechanism is such a list for the ground.',
               '', '### An entry of `cylinders`, by its name', '',
-              'A rod of variable length in a mechanism in the plane: `between` two bodies, at '
+              'A rod of variable length: `between` two bodies, at '
               '`points` in their frames, with the `mass` of barrel and rod together and the '
-              '`length` of each, uniform bars, and optionally `actuated`. It stands for the '
-              'bodies `NAME_barrel` and `NAME_rod`, the pins `NAME_foot` and `NAME_head`, and the '
+              '`length` of each, uniform bars, in space an `axis` along which it lies in the '
+              'first body at angles zero of its foot, and optionally `actuated`. It stands for the '
+              'bodies `NAME_barrel` and `NAME_rod`, the pins `NAME_foot` and `NAME_head`, in '
+              'space a universal joint and a spherical one, and the '
               'joint `NAME`, whose coordinate is the distance of both pins.',
               '', '### `parameters`', '',
               'Numbers by name, of a mechanism and of a scene. Every other number may be an '

@@ -7,10 +7,13 @@ Rods of variable length: cylinders, linear actuators, telescopic springs, each a
 ``lift: {between: [ground, boom], points: [[0, 0], [0.3, 0]], mass: 2, length: 0.4}`` of a
 mechanism in the plane stands for two uniform bars, ``lift_barrel`` and ``lift_rod``, that slide in
 one another by the joint ``lift``, whose coordinate is the distance of both pins, ``lift_foot`` on
-the first body and ``lift_head`` on the second.
+the first body and ``lift_head`` on the second. In space, where ``axis`` is needed, too, the foot
+is a universal joint, the head a spherical one.
 """
 
-from .checks import boolean, listed, positive, vector2
+import numpy as np
+
+from .checks import boolean, direction, listed, positive, vector2, vector3
 from .fields import at, FieldError, mapping, shown
 
 SECTION = 'cylinders'
@@ -24,19 +27,17 @@ def with_cylinders(data, parameters, spatial):
     Return the data of a mechanism with bodies and joints in the place of its cylinders.
 
     ``parameters`` are those that its expressions may name, ``spatial`` whether it is in space,
-    where there are no cylinders; FieldError.
+    where each cylinder has an ``axis``; FieldError.
     """
     found = {key: value for key, value in data.items() if key != SECTION}
-    cylinders = data[SECTION] or {}
-    if spatial and cylinders:
-        raise FieldError('nothing: only a mechanism in the plane has cylinders as elements',
-                         shown(cylinders), 'write both bodies and their joints', (SECTION,))
     for section in ('bodies', 'joints'):
         found[section] = dict(mapping(found.get(section) or {}))
+    required, optional = KEYS
     with at(SECTION):
-        for name, values in mapping(cylinders).items():
+        for name, values in mapping(data[SECTION] or {}).items():
             with at(name):
-                bodies, joints = _parts(name, mapping(values, *KEYS), parameters)
+                bodies, joints = _parts(name, mapping(
+                    values, (*required, *('axis',) * spatial), optional), parameters, spatial)
             for section, parts in (('bodies', bodies), ('joints', joints)):
                 for part, record in parts.items():
                     if part in found[section]:
@@ -46,7 +47,7 @@ def with_cylinders(data, parameters, spatial):
     return found
 
 
-def _parts(name, values, parameters):
+def _parts(name, values, parameters, spatial):
     """Return the bodies and the joints of a cylinder by name, as a file would have them."""
     barrel, rod = f'{name}_barrel', f'{name}_rod'
     with at('between'):
@@ -60,7 +61,7 @@ def _parts(name, values, parameters):
         places = []
         for index, point in enumerate(points):
             with at(index):
-                places.append(list(vector2(point)))
+                places.append(list((vector3 if spatial else vector2)(point)))
     numbers = {}
     for key in ('mass', 'length'):
         with at(key):
@@ -68,16 +69,30 @@ def _parts(name, values, parameters):
     with at('actuated'):
         actuated = boolean(values.get('actuated', False))
     mass, length = 0.5 * numbers['mass'], numbers['length']
-    bar = {'mass': mass, 'inertia': mass * length ** 2 / 12.0}
-    thick = length / THINNESS
-    pin = {'type': 'revolute', 'cut': False}
-    return {
-        barrel: {**bar, 'center_of_mass': [0.5 * length, 0.0],
-                 'visual': [{'rod': {'to': [length, 0.0], 'radius': thick}}]},
-        rod: {**bar, 'center_of_mass': [-0.5 * length, 0.0],
-              'visual': [{'rod': {'to': [-length, 0.0], 'radius': 0.5 * thick}}]}}, {
-        f'{name}_foot': {**pin, 'between': [pair[0], barrel], 'points': [places[0], [0.0, 0.0]]},
-        name: {'type': 'prismatic', 'between': [barrel, rod], 'points': [[0.0, 0.0], [0.0, 0.0]],
-               'cut': False, 'actuated': actuated},
-        f'{name}_head': {**pin, 'between': [pair[1], rod], 'points': [places[1], [0.0, 0.0]],
+    inertia, along = mass * length ** 2 / 12.0, np.array((1.0, 0.0))
+    foot = head = {'type': 'revolute'}
+    slide = {'type': 'prismatic'}
+    if spatial:
+        with at('axis'):
+            along = np.array(direction(parameters.evaluated(values['axis'])))
+        # Bars without thickness turn about two axes across.
+        (xx, xy, xz), (_, yy, yz), (*_, zz) = inertia * (np.eye(3) - np.outer(along, along))
+        inertia = [xx, yy, zz, xy, xz, yz]
+        across = np.array(direction(np.cross(along, np.eye(3)[np.argmin(np.abs(along))])))
+        foot = {'type': 'universal', 'axis': across.tolist(),
+                'second_axis': np.cross(along, across).tolist()}
+        slide['axis'], head = along.tolist(), {'type': 'spherical'}
+    thick, zero = length / THINNESS, [0.0] * len(along)
+
+    def bar(end, radius):
+        """Return a body from its frame's origin to a place."""
+        return {'mass': mass, 'inertia': inertia, 'center_of_mass': (0.5 * end).tolist(),
+                'visual': [{'rod': {'to': end.tolist(), 'radius': radius}}]}
+
+    return {barrel: bar(length * along, thick), rod: bar(-length * along, 0.5 * thick)}, {
+        f'{name}_foot': {**foot, 'cut': False, 'between': [pair[0], barrel],
+                         'points': [places[0], zero]},
+        name: {**slide, 'between': [barrel, rod], 'points': [zero, zero], 'cut': False,
+               'actuated': actuated},
+        f'{name}_head': {**head, 'between': [pair[1], rod], 'points': [places[1], zero],
                          'cut': True}}
