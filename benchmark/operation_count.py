@@ -44,9 +44,9 @@ KINDS = {'add': '+', 'multiply': '*', FUSED: 'fma', 'divide': '/', 'sine and cos
 KIND_OF = {ADD: 'add', SUBTRACT: 'add', MULTIPLY: 'multiply', DIVIDE: 'divide',
            SINE: 'sine and cosine', COSINE: 'sine and cosine'}
 # Rough latencies in cycles, to find the longest chain.
-LATENCY = {'add': 3, 'multiply': 3, FUSED: 4, 'divide': 13, 'sine and cosine': 61}
+LATENCY = {'add': 3, 'multiply': 3, FUSED: 4, 'divide': 13, 'sine and cosine': 38}
 # The longest chain in sine and cosine of one angle (core/codegen/sincos.py).
-SINE_AND_COSINE = {'add': 9, 'multiply': 2, FUSED: 7}
+SINE_AND_COSINE = {'add': 4, 'multiply': 2, FUSED: 5}
 BOUNDS = """\
 Two lower bounds of the time: the longest chain of operations that wait for one another, and all
 operations side by side, at this core's measured rates. The second leaves out sines and cosines,

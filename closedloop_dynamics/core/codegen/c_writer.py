@@ -20,11 +20,10 @@ _CONDITIONS = (LESS, GREATER_EQUAL, BOTH)
 
 
 def _series(coefficients):
-    """Return a polynomial in z, Horner's way."""
-    text = repr(coefficients[0])
-    for coefficient in coefficients[1:]:
-        text = f'({text} * z + {coefficient!r})'
-    return text
+    """Return a polynomial of six coefficients in z, in pairs."""
+    high, middle, low = (f'({first!r} * z + {second!r})'
+                         for first, second in zip(coefficients[::2], coefficients[1::2]))
+    return f'((zz * {high} + {middle}) * zz + {low})'
 
 
 # As ``sincos`` has it, where the reasons are: a loop without branches, which compilers turn into
@@ -47,16 +46,15 @@ static void sines_and_cosines(int count, const double *angle, double *sine, doub
     const double quarter = turns - 4.0 * by_four;
     const double near = angle[n] - turns * {sincos.PARTS[0]!r};
     const double part = turns * {sincos.PARTS[1]!r};
-    const double first = near - part;
-    const double rest = ((near - first) - part) - turns * {sincos.PARTS[2]!r};
-    const double x = first + rest;
-    const double tail = (first - x) + rest;
-    const double z = x * x;
-    const double odd = {_series(sincos.SINE)};
-    const double s = x + (z * x * odd + tail * (1.0 - 0.5 * z));
-    const double even = {_series(sincos.COSINE)};
+    const double x = near - part;
+    const double tail = ((near - x) - part) - turns * {sincos.PARTS[2]!r};
+    const double z = x * x, zz = z * z, xz = x * z;
     const double coarse = 1.0 - 0.5 * z;
-    const double c = coarse + (((1.0 - coarse) - 0.5 * z) + (z * z * even - x * tail));
+    const double odd = {_series(sincos.SINE)};
+    const double s = x + (xz * odd + tail * (coarse + zz * {1.0 / 24.0!r}));
+    const double even = {_series(sincos.COSINE)};
+    const double lost = (1.0 - coarse) - 0.5 * z;
+    const double c = coarse + (zz * even + (lost - tail * (x - xz * {1.0 / 6.0!r})));
     const int swapped = (quarter == 1.0) | (quarter == -1.0);
     sine[n] = (swapped ? c : s) * (((quarter == -1.0) | (quarter * quarter == 4.0)) ? -1.0 : 1.0);
     cosine[n] = (swapped ? s : c) * (((quarter == 1.0) | (quarter * quarter == 4.0)) ? -1.0 : 1.0);

@@ -85,26 +85,25 @@ def polynomials(function, angle, count):
     x = exact('fsub', near, part)
     tail = exact('fsub', exact('fsub', exact('fsub', near, x), part),
                  times(turns, constant(PARTS[2])))
-    # Both series take the tail to first order only: it must be the rounding of x.
-    coarse = x
-    x = exact('fadd', coarse, tail)
-    tail = exact('fadd', exact('fsub', coarse, x), tail)
     z = times(x, x)
-    series = constant(SINE[0])
-    for coefficient in SINE[1:-1]:
-        series = plus(times(series, z), constant(coefficient))
-    # sin(x + tail) = x + (x^3 (S + z series) + tail (1 - z / 2))
-    series = plus(constant(SINE[-1]), times(z, series))
-    sine = plus(x, plus(times(times(z, x), series),
-                        times(tail, minus(constant(1.0), times(constant(0.5), z)))))
-    series = constant(COSINE[0])
-    for coefficient in COSINE[1:]:
-        series = plus(times(series, z), constant(coefficient))
-    # cos(x + tail) = 1 - z / 2 + (z^2 series - x tail), the rounding of 1 - z / 2 kept.
+    zz, xz = times(z, z), times(x, z)
+
+    def series(coefficients):
+        """Sum a series up in pairs, which waits for less than one after the other."""
+        high, middle, low = (plus(times(constant(first), z), constant(second))
+                             for first, second in zip(coefficients[::2], coefficients[1::2]))
+        return plus(times(zz, plus(times(zz, high), middle)), low)
+
+    # The tail is of the size of x's rounding, of large angles more: it is multiplied by the
+    # derivatives, which are 1 - z / 2 + z^2 / 24 and x - x^3 / 6 but for what it is too small for.
     half = exact('fmul', constant(0.5), z)
     coarse = exact('fsub', constant(1.0), half)
+    sine = plus(x, plus(times(xz, series(SINE)), times(
+        tail, plus(coarse, times(zz, constant(1.0 / 24.0))))))
+    # The rounding of 1 - z / 2 is kept.
     lost = exact('fsub', exact('fsub', constant(1.0), coarse), half)
-    cosine = plus(coarse, plus(lost, minus(times(times(z, z), series), times(x, tail))))
+    cosine = plus(coarse, plus(times(zz, series(COSINE)), minus(lost, times(
+        tail, minus(x, times(xz, constant(1.0 / 6.0)))))))
     return _turned(function, quarter, sine, cosine, count)
 
 

@@ -261,9 +261,11 @@ class Recursion:
         base, carrier, joined, angle = parent.base, parent.carrier, parent.joined, parent.angle
         if body.turned is not None:
             base, carrier, joined, angle = product(parent.frame, body.turned), p, False, 0.0
-        angle = angle + body.angle
+        own = body.angle
         if body.turns:
-            angle = angle + coordinate
+            own = own + coordinate
+        # Not one after the other: the bodies beyond wait for this.
+        angle = angle + own
         frame = _turned(base, angle)
         direction = transpose(frame)[body.axis]
         turn, slide = scale(direction, body.turns), scale(direction, body.slides)
