@@ -8,9 +8,10 @@ import ctypes
 import math
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import announced_by, joint_kernels, relink, routines
+from closedloop_dynamics.core.codegen import (
+    announced_by, joint_kernels, relink, routines, scheduling)
 from closedloop_dynamics.core.codegen.expression_graph import (
-    arctangent, cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
+    arctangent, cosine, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, sine)
 from closedloop_dynamics.core.codegen.machine_code import (
     engines, LANES, machine_code, PACKED, SCALAR)
 from closedloop_dynamics.core.codegen.packing import packing_of
@@ -299,3 +300,23 @@ def test_arctangents_of_special_points(angles_of):
         known = ~np.isnan(expected)
         np.testing.assert_array_equal(np.signbit(found)[known], np.signbit(expected)[known])
     assert np.isnan(angles_of(np.full((24, 2), math.inf))[0]).all()
+
+
+def test_operations_in_order_of_urgency_follow_their_operands():
+    graph = ExpressionGraph()
+    one, other, third = (graph.put(LOAD, Q, k) for k in range(3))
+    many = other
+    for _ in range(5):
+        many = many * third + one
+    last = one / other - many
+    groups = [(place,) for place in range(len(graph.operations))]
+    found = [place for place, in scheduling.by_urgency(graph.operations, groups, {many.place})]
+    # The chain that is known, and loads, are left out; the rest has operands before users.
+    chain = [place for place, (kind, *_) in enumerate(graph.operations) if kind != LOAD]
+    assert sorted(found) == [place for place in chain if place != many.place]
+    for n, place in enumerate(found):
+        assert {one for one in graph.operations[place][1:] if one in found} <= set(found[:n])
+    # What everything waits for longest comes first.
+    found = [place for place, in scheduling.by_urgency(graph.operations, groups, ())]
+    assert graph.operations[found[0]][0] == MULTIPLY and found[-1] == last.place
+    assert scheduling.by_urgency(graph.operations, groups * scheduling.MOST, ()) is None

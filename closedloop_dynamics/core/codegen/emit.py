@@ -3,7 +3,7 @@
 
 """Writer of LLVM's intermediate representation for traced arithmetic."""
 
-from . import arctangent, sincos
+from . import arctangent, scheduling, sincos
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CALL, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT, TAKE,
@@ -35,10 +35,13 @@ class Writer:
         self.values, self.pointers, self.engine_results = {}, {}, {}
         # What must hold for the results to be right.
         self.conditions = []
+        # Whether the order is one that LLVM is to keep.
+        self.ordered = False
 
     def number(self, operand):
         """Return the value of an operand."""
         if isinstance(operand, int):
+            self.compute(operand)
             return self.values[operand]
         return number(operand)
 
@@ -61,9 +64,15 @@ class Writer:
     def write(self):
         """Write the function."""
         self.turn_first()
-        for place in sorted(self.routine.needed()):
+        for place, in self.in_order([(place,) for place in sorted(self.routine.needed())]):
             self.compute(place)
         self.finish()
+
+    def in_order(self, groups):
+        """Return groups of operations, each after its operands, in the order to be written."""
+        found = scheduling.by_urgency(self.routine.graph.operations, groups, self.values)
+        self.ordered = found is not None
+        return found if self.ordered else groups
 
     def compute(self, place):
         """Compute an operation, unless that is done, after those that it takes."""
@@ -105,9 +114,11 @@ class Writer:
         for condition in self.conditions:
             good = self.function.binary('and', good, condition)
         self.go_on_if(good)
-        for source, place, value in self.routine.outputs:
-            known = value.place if hasattr(value, 'place') else float(value)
-            result, address = self.number(known), self.address(source, place)
+        # Inputs may be stored over.
+        results = [self.number(value.place if hasattr(value, 'place') else float(value))
+                   for _, _, value in self.routine.outputs]
+        for (source, place, _), result in zip(self.routine.outputs, results):
+            address = self.address(source, place)
             if self.is_added(source):
                 result = self.function.binary('fadd', self.function.load(address), result)
             self.function.store(result, address)
@@ -230,10 +241,15 @@ class KernelWriter(Writer):
 
 
 def intermediate_code(routines, writer):
-    """Return LLVM's intermediate representation of routines, by a ``Writer``."""
-    declared, functions = {}, []
+    """
+    Return LLVM's intermediate representation of routines, by a ``Writer``.
+
+    With it whether LLVM is to keep the order in which the routines that were asked for are.
+    """
+    declared, functions, ordered = {}, [], True
     for routine in with_others(routines):
         written = writer(routine, declared)
         written.write()
         functions.append(written.function.text())
-    return '\n'.join((*declared.values(), *functions, ''))
+        ordered = ordered and (written.ordered or routine not in routines)
+    return '\n'.join((*declared.values(), *functions, '')), ordered

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import functools
 import hashlib
 from importlib import import_module
+from threading import Lock
 
 from . import c_code
 from .. import cache
@@ -29,6 +30,8 @@ A_SECOND, LONG = 7000, 4.0
 # lives, and is there once, however many ask for it.
 engines = {}
 _announce = []
+# LLVM's options are those of the whole process.
+_compiling = Lock()
 
 
 @contextmanager
@@ -102,16 +105,18 @@ def _compiled(routines, form, parts):
     emit = import_module('.emit', __package__)
     writer = getattr(import_module(place, __package__), writer)
     with ThreadPoolExecutor(1) as others:
-        waiting = [others.submit(_object, emit.intermediate_code(routines[part::parts], writer))
+        waiting = [others.submit(_object, *emit.intermediate_code(routines[part::parts], writer))
                    for part in range(parts)]
         return [one.result() for one in waiting]
 
 
-def _object(code):
-    """Compile a module of its own."""
+def _object(code, ordered):
+    """Compile a module of its own; ``ordered``: whether instructions are to stay in order."""
     from llvmlite import binding
     machine = _machine(binding)
     parsed = binding.parse_assembly(code, binding.create_context())
     parsed.triple = machine.triple
     parsed.verify()
-    return machine.emit_object(parsed)
+    with _compiling:
+        binding.set_option('', f'-enable-misched={int(not ordered)}')
+        return machine.emit_object(parsed)

@@ -20,7 +20,7 @@ class PackedWriter(Writer):
             return
         self.vectors, self.gathered = {}, {}
         self.turn_first()
-        for members in self.packing.ordered():
+        for members in self.in_order(list(self.packing.ordered())):
             if len(members) == 1:
                 self.compute(*members)
             else:
@@ -33,7 +33,8 @@ class PackedWriter(Writer):
 
     def number(self, operand):
         """Return the value of an operand, out of its lane where it is in one."""
-        if isinstance(operand, int) and operand not in self.values:
+        if isinstance(operand, int) and operand not in self.values and (
+                self.packing is not None and operand in self.packing.at):
             number, lane = self.packing.at[operand]
             self.values[operand] = self.function.take(self.vectors[number], lane)
         return super().number(operand)
