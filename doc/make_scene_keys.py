@@ -120,8 +120,8 @@ def page():
               'A rod of variable length: `between` two bodies, at '
               '`points` in their frames, with the `mass` of barrel and rod together and the '
               '`length` of each, uniform bars, in space an `axis` along which it lies in the '
-              'first body at angles zero of its foot, and optionally `actuated`. It stands for the '
-              'bodies `NAME_barrel` and `NAME_rod`, the pins `NAME_foot` and `NAME_head`, in '
+              'first body at angles zero of its foot, and optionally `actuated`. It stands for '
+              'the bodies `NAME_barrel` and `NAME_rod`, the pins `NAME_foot` and `NAME_head`, in '
               'space a universal joint and a spherical one, and the '
               'joint `NAME`, whose coordinate is the distance of both pins.',
               '', '### `parameters`', '',
