@@ -6,6 +6,7 @@
 from dataclasses import fields, MISSING
 import json
 
+from ..mechanism.coupling_law import law_data
 from ..mechanism.mechanism import MESH, UNTURNED
 from ..mechanism.shapes import as_data
 from ..mechanism.validation import SECTIONS
@@ -65,10 +66,9 @@ def _values(record, spatial):
     if values.get('orientation', UNTURNED) != UNTURNED:
         values['orientation'] = {'quaternion': values['orientation']}
     if values.get('law') is not None:
-        law = {key: value for key, value in vars(values['law']).items() if value is not None}
+        law = values['law'] = law_data(values['law'])
         if 'expression' in law:
             law['expression'] = json.dumps(law['expression'])
-        values['law'] = law
     return values
 
 

@@ -47,6 +47,11 @@ def read_law(values, parameters):
     return CouplingLaw(values['joint'], expression=written, **found)
 
 
+def law_data(law):
+    """Return the mapping that a file has of a law."""
+    return {key: value for key, value in vars(law).items() if value is not None}
+
+
 def checked_law(value):
     """Return a law of a coupling with its numbers checked; None where there is none."""
     if value is None:

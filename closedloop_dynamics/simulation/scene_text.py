@@ -18,6 +18,7 @@ from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 from .scene import load_scene, SceneError
 from .scene_records import Scene
 from ..effects.registry import effect_type
+from ..mechanism.coupling_law import law_data
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.shapes import as_data
 from ..mechanism.validation import SECTIONS
@@ -184,6 +185,8 @@ def _record(record: Any, spatial: bool) -> Dict[str, Any]:
     values = _values(record, leave_out=('name',))
     if 'orientation' in values:
         values['orientation'] = {'quaternion': values['orientation']}
+    if 'law' in values:
+        values['law'] = law_data(values['law'])
     if 'visual' in values:
         values['visual'] = [as_data(visual, spatial) for visual in values['visual']]
     return values

@@ -11,6 +11,7 @@ from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.closure import closure, coupling_errors
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.scene_text import write_scene
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -205,9 +206,11 @@ def test_a_run_in_c_is_that_of_the_package(kind, machine, tmp_path):
 
 @pytest.mark.parametrize('kind', LAWS)
 def test_a_law_is_written_and_read_again(kind, tmp_path):
-    mechanism = scene_of(tmp_path, LAWS[kind][0]).mechanism
-    (tmp_path / 'again.yaml').write_text(mechanism_text(mechanism))
-    assert read_mechanism(tmp_path / 'again.yaml') == mechanism
+    scene = scene_of(tmp_path, LAWS[kind][0])
+    (tmp_path / 'again.yaml').write_text(mechanism_text(scene.mechanism))
+    assert read_mechanism(tmp_path / 'again.yaml') == scene.mechanism
+    write_scene(scene, tmp_path / 'again.yaml')
+    assert load_scene(tmp_path / 'again.yaml').mechanism == scene.mechanism
 
 
 @pytest.mark.parametrize('machine', MACHINES)
