@@ -178,7 +178,7 @@ def drive_sine(
         if turning[tree[i, DOF]] and parent > 0 and len(model.gravity) == 2:
             joints[tree[i, DOF], tree[parent, DOF]] = -1.0
     by_angles, groups = jac[kept] @ joints, equations.groups[kept]
-    lever = np.abs(by_angles[equations.places[kept]][:, turning]).max(initial=0.0)
+    lever = np.abs(by_angles[equations.places[kept] == 1][:, turning]).max(initial=0.0)
     weight = np.where(turning, 1.0 / lever if lever > 0.0 else 1.0, 1.0)
     drives = np.setdiff1d(np.arange(nv), passive)
     rows = np.vstack([by_angles, joints[drives]]) * weight

@@ -120,6 +120,15 @@ def test_health_tells_how_far_locked_drives_are_from_leaving_the_mechanism_loose
     assert abs(simulate(*machines.three_rockers()).health.drive_sine) > 0.3
 
 
+@pytest.mark.parametrize('scene, passive', [('humanoid_knee', 0), ('rack_press', 1)])
+def test_one_equation_holds_by_the_sine_of_its_passive_joint(scene, passive):
+    # A rod, which has a lever in metres, and a rack, whose factors have none.
+    simulation = Simulation.from_scene(scene)
+    row, = simulation.constraint_jacobian
+    assert abs(simulation.health.drive_sine) == pytest.approx(
+        abs(row[passive]) / math.hypot(*row), rel=1e-12)
+
+
 @pytest.mark.parametrize('size', [1e-3, 0.05, 1.0, 100.0])
 @pytest.mark.parametrize('stages', [1, 4, 12])
 def test_a_scissor_lift_is_held_by_its_slide(stages, size):
