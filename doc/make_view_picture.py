@@ -37,7 +37,7 @@ IN_PLANE = {
     'four_bar': 0.8, 'slider_crank': 0.4, 'three_rrr': 1.0, 'carpet_scraper': 0.9,
     'hoeken_pantograph_leg': 0.6, 'cam_follower': 0.1, 'geneva_drive': 0.3, 'rope_hoist': 0.4,
     'bistable_toggle': 0.5, 'planetary_gear': 0.25, 'rack_press': 0.3, 'scissor_lift': 0.3,
-    'geared_five_bar': 0.5, 'humanoid_knee': 0.4}
+    'elliptic_gear_press': 0.7, 'geared_five_bar': 0.5, 'humanoid_knee': 0.4}
 IN_SPACE = {
     'stewart_platform': 1.0, 'delta_robot': 1.0, 'rssr_four_bar': 0.8, 'bricard': 0.5,
     'bennett': 0.5, 'double_wishbone': 0.6, 'differential': 0.4, 'humanoid_ankle': 0.5,
