@@ -8,6 +8,7 @@ What sensors publish goes into an ``Estimator`` by the stamps of the messages; w
 them is published with the stamp that it is for. Nothing that comes in ends the node.
 """
 
+from collections import Counter
 from functools import partial
 
 from closedloop_dynamics.estimation.beginning import Beginning
@@ -58,8 +59,9 @@ SILENCE = 0.05
 # Time since the newest stamp that a stamp may be ahead, and behind [s]; stamps far from the others
 # that make a jump in time.
 AHEAD, BEHIND, SEVERAL = 1.0, 0.2, 5
-# After so many messages without a reading that fits, a run begins again.
-HOPELESS = 50
+# A run begins again where so many readings in a row do not fit, of all sensors or of more than one
+# (one alone may be wrong), and where more states in a row are lost: torques meanwhile are unknown.
+HOPELESS, MOST_LOST = 50, 5
 # Links of its markers: how much of them is seen.
 PALE = 0.35
 # Before the names of sensors, of parameters.
@@ -233,7 +235,8 @@ class EstimatorNode(Node):
     def _restart(self):
         """Forget the run; the next measurements begin another one."""
         simulation = self._simulation
-        self.estimator, self._origin, self._newest, self._gated = None, None, None, 0
+        self.estimator, self._origin, self._newest, self._gated = (
+            None, None, None, Counter())
         self._begun = None
         self._beginning = Beginning(self._setup, self._model)
         self._streams.begin(zip(simulation.joint_names, simulation.coordinates.by_freedom(
@@ -275,7 +278,8 @@ class EstimatorNode(Node):
             self._push(torques, newest)
         if found:
             self._take(time, dict(found))
-        if topic == STATES:
+        # Unless the run was lost with it.
+        if topic == STATES and self._origin is not None:
             self._newest = max(time, newest)
             if self._values['mode'] == LOCKSTEP and found:
                 self.publish(self._newest)
@@ -284,6 +288,8 @@ class EstimatorNode(Node):
         """Count messages that were lost."""
         self._complain(LOST, f'{topic}: {number} messages were lost on the way, or came faster '
                              'than they could be taken in', number)
+        if topic == STATES and number > MOST_LOST:
+            self._restart()
 
     def on_torque_command(self, message):
         """Have one value per actuated joint, from the newest state on."""
@@ -319,10 +325,16 @@ class EstimatorNode(Node):
         def take():
             if self.estimator is not None:
                 found = self.estimator.measure_all(time, readings)
-                self._gated = 0 if any(one.accepted for one in found) else self._gated + 1
-                if self._gated >= HOPELESS:
-                    raise EstimationError(f'no reading of the last {HOPELESS} messages fits; is '
-                                          'the scene, or the noise of the sensors, wrong?')
+                for one in found:
+                    self._gated[one.sensor] += 1
+                    if one.accepted:
+                        del self._gated[one.sensor]
+                hopeless = [name for name, count in self._gated.items() if count >= HOPELESS]
+                if len(hopeless) >= min(2, len(self._setup.sensors)):
+                    raise EstimationError(
+                        f'{", ".join(hopeless)}: the last {HOPELESS} readings do not fit; did the '
+                        'machine, or its clock, stand still? Is the scene, or the noise of the '
+                        'sensors, wrong?')
                 return
             start = self._beginning.take(time, readings)
             if start is not None:

@@ -197,10 +197,42 @@ def test_pause_and_reset(build):
     assert node.unknown[-1] == other.unknown[-1]
 
 
-def test_messages_that_are_lost_are_counted(build):
-    node = build()
+def test_many_states_that_are_lost_begin_another_run(build):
+    """They had the torques."""
+    node, other = build(), build()
+    feed(node, 0, 40, names=DRIVEN)
     node.on_lost('joint_states', 3)
-    assert node.counts[LOST] == 3
+    feed(node, 43, 60, names=DRIVEN)
+    assert node.counts[LOST] == 3 and node.counts[RESTARTS] == 1
+    node.on_lost('joint_states', 20)
+    node.seen.clear()
+    for each in node, other:
+        feed(each, 80, 110, names=DRIVEN)
+    assert node.counts[LOST] == 23 and node.counts[RESTARTS] == 2
+    assert (node.seen[-1][1] == other.seen[-1][1]).all()
+
+
+def test_estimate_is_found_again_where_the_clock_went_on_without_the_machine(build):
+    """Some readings go on to fit."""
+    node = build()
+    feed(node, 0, 60, names=DRIVEN)
+    feed(node, 60, 120, names=DRIVEN, begin=BEGIN + 9 * 10 ** 8)
+    assert node.counts[RESTARTS] == 2
+    np.testing.assert_allclose(node.seen[-1][1], states(120)[1][119][-1], atol=2e-3)
+    mass, deviation = node.unknown[-1]
+    assert abs(mass - 5.0) < 4.0 * deviation
+
+
+def test_one_sensor_that_is_wrong_does_not_end_the_run(build):
+    node = build()
+    feed(node, 0, 40, names=DRIVEN)
+    for k in range(40, 120):
+        message = measured(k, names=DRIVEN)
+        message.position[0] += 0.2
+        node.on_measurement('joint_states', message)
+    assert node.counts[RESTARTS] == 1
+    assert [alarm.name for alarm in node.estimator.alarms] == ['encoder_1']
+    np.testing.assert_allclose(node.seen[-1][1], states(120)[1][119][-1], atol=1e-3)
 
 
 def test_commands_in_the_place_of_efforts(build, tmp_path):
