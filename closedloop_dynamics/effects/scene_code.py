@@ -19,7 +19,7 @@ from .element import (
 from .force_law import FRICTION, INERTIA, MOTION
 from ..core.codegen import function_table as calls
 from ..core.codegen.live_scene import address_of_scene, LiveForces
-from ..core.codegen.machine_code import LANES, SCALAR
+from ..core.codegen.machine_code import LANES, PACKED
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
 
@@ -124,7 +124,7 @@ def energies_in_lanes(model, table):
         table, calls.AT_REST), LANES, calls.ENERGIES)
 
 
-def _addresses(model, table, key, form=SCALAR):
+def _addresses(model, table, key, form=PACKED):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: SceneLaws(table), form)}
     # Motions and cut joints would respond to friction, too.

@@ -164,7 +164,7 @@ class Statements:
         self._named, self._vectors, self._widths = set(), {}, {}
         waves = _waves(self._operations, use)
         self._packing = packing_of(
-            routine, [angle for wave in waves for angle in wave]) if self.PACKED else None
+            routine, [angle for wave in waves for angle in wave], (3,)) if self.PACKED else None
         for number, angles in enumerate(waves):
             self._turn(number, angles, use)
         for members in ([place] for place in sorted(use)) if self._packing is None else (

@@ -19,8 +19,8 @@ from .expression_graph import arctangent, CALL, chosen, larger, LOAD, QD, smalle
 from .function_table import (
     AT_REST, COMMAND, CUT_VALUES, ENERGY, ENTRIES, EVALUATION, GAPS, LIMIT, PIECE,
     PRESENT, PRESENT_COLUMNS, RATES, RESPONSE, RESPONSES, SIDES, TRIALS, VALUES)
-from .machine_code import machine_code, SCALAR
-from .routines import form_for, MechanismTrace, NAMES, topology, zeros
+from .machine_code import machine_code, PACKED
+from .routines import MechanismTrace, NAMES, topology, zeros
 from .scene_routines import energies_of_bodies, Forces
 from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 
@@ -32,14 +32,13 @@ _ROUNDER = 6755399441055744.0
 REST = 1e-6
 
 
-def address_of_scene(model, structure, laws, form=SCALAR, which=EVALUATION):
+def address_of_scene(model, structure, laws, form=PACKED, which=EVALUATION):
     """
     Return the address of a scene's evaluation, or energies, compiled unless it is stored.
 
     ``structure``: dependences of the code beside the mechanism; ``laws`` returns the laws for
     ``LiveTrace``; ``form`` is that of ``machine_code``; ``which``: ENERGIES for that routine.
     """
-    form = form_for(model, form)
     key = topology(model), structure, form, which
     if key not in _addresses:
         find = machine_code(

@@ -16,10 +16,9 @@ from .expression_graph import (
     ADD, DIVIDE, LOAD, MULTIPLY, needed_for, NEGATE, SUBTRACT)
 
 _PACKED = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
-# Lanes of a vector at most, and operations that are worth one.
-WIDEST, FEWEST = 8, 3
-# What must be saved, as a share of all operations: numbers are moved into lanes and out of them.
-WORTH = 0.25
+# Lanes of a vector at most; how many operations are at least put into one, of which the better is
+# chosen; and what must be saved, as a share of all operations.
+WIDEST, FEWEST, WORTH = 8, (2, 3), 0.02
 
 
 def support(operations, use):
@@ -43,13 +42,14 @@ def by_number(seed):
     return len(seed) if len(seed) <= WIDEST else 0, max(seed)
 
 
-def alike(operations, use, apart):
+def alike(operations, use, apart, fewest):
     """
     Find operations that are the same on other inputs.
 
     Of a graph, those that are needed in their order (``use``), but for places that are to stay
-    alone (``apart``). Returns the same number for operations that are the same, at whatever
-    inputs, by place, and lists of places of operations that are the same, each of other inputs.
+    alone (``apart``), ``fewest`` at least. Returns the same number for operations that are the
+    same, at whatever inputs, by place, and lists of places of operations that are the same, each
+    of other inputs.
     """
     inputs, kinds, numbers = support(operations, use), {}, {}
     found = defaultdict(lambda: defaultdict(list))
@@ -70,7 +70,7 @@ def alike(operations, use, apart):
         members = [places for _, places in sorted(members.items(), reverse=True)]
         for number in range(max(map(len, members))):
             group = [places[number] for places in members if len(places) > number]
-            if len(group) >= FEWEST:
+            if len(group) >= fewest:
                 groups.append(group)
     return kinds, groups
 
@@ -84,7 +84,7 @@ class Packing:
     of the bundle, and the lane, of an operation.
     """
 
-    def __init__(self, routine, angles):
+    def __init__(self, routine, angles, fewest):
         self.operations = routine.graph.operations
         self.use = sorted(routine.needed())
         stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
@@ -98,13 +98,15 @@ class Packing:
                         self._users[operand].append(place)
         self._fused = self._fusions(stored)
         apart = needed_for(self.operations, angles)
-        kinds, groups = alike(self.operations, self.use, apart)
-        best = None
-        for first in by_number, max:
-            self._bundle(kinds, sorted(groups, key=first, reverse=True), set(apart))
-            if best is None or self.saved > len(best[1]) - len(best[0]):
-                best = self.bundles, self.at
-        self.bundles, self.at = best
+        kinds, groups = alike(self.operations, self.use, apart, min(fewest))
+        best = {}, {}, WORTH * len(self.use)
+        for least in fewest:
+            for first in by_number, max:
+                self._bundle(kinds, sorted(groups, key=first, reverse=True), set(apart), least)
+                saved = len(self.at) - len(self.bundles) - self._moves(stored)
+                if saved > best[2]:
+                    best = self.bundles, self.at, saved
+        self.bundles, self.at, _ = best
 
     def _fusions(self, stored):
         """Return the only user of each product, or its negative, that may fuse with it."""
@@ -118,8 +120,8 @@ class Packing:
                 if self.operations[place][0] in (MULTIPLY, NEGATE) and place not in twice
                 and self.operations[user][0] in (ADD, SUBTRACT, NEGATE)}
 
-    def _bundle(self, kinds, groups, taken):
-        """Choose bundles: the first groups have the first choice."""
+    def _bundle(self, kinds, groups, taken, fewest):
+        """Choose bundles of ``fewest`` and more: the first groups have the first choice."""
         operations, found = self.operations, []
 
         def free(one):
@@ -127,12 +129,12 @@ class Packing:
 
         for group in groups:
             left = [place for place in group if place not in taken]
-            for begin in range(0, len(left) - FEWEST + 1, WIDEST):
+            for begin in range(0, len(left) - fewest + 1, WIDEST):
                 rest = [tuple(left[begin:begin + WIDEST])]
                 while rest:
                     # Then their operands, in the same lanes.
                     members = rest.pop()
-                    if len(members) >= FEWEST and len(set(members)) == len(members) and all(
+                    if len(members) >= fewest and len(set(members)) == len(members) and all(
                             map(free, members)) and len({kinds[one] for one in members}) == 1:
                         taken.update(members)
                         found.append(members)
@@ -172,10 +174,23 @@ class Packing:
                     taken.update(lanes)
                     found.append(tuple(lanes))
 
-    @property
-    def saved(self):
-        """How many operations fewer there are."""
-        return len(self.at) - len(self.bundles)
+    def _moves(self, stored):
+        """Count the instructions that move numbers into lanes, between them and out of them."""
+        operations, into, out = self.operations, 0, set()
+        vectors = {operands for members in self.bundles.values()
+                   for operands in zip(*(operations[place][1:] for place in members))}
+        for operands in vectors:
+            _, _, number, lanes = self.gathered(operands)
+            if number is not None:
+                into += lanes[:len(operands)] != list(range(len(operands)))
+            elif any(isinstance(one, int) for one in operands):
+                into += len(set(operands))
+                out.update(operands)
+        for place in self.use:
+            if place not in self.at and operations[place][0] != LOAD:
+                out.update(operations[place][1:])
+        return into + sum(self.at[place][1] > 0 for place in out.union(stored)
+                          if isinstance(place, int) and place in self.at)
 
     def number(self, place):
         """Return the number of an operation's bundle, None where it is alone."""
@@ -228,7 +243,7 @@ class Packing:
         them, too; the number of the bundle that all of them are in, or None; and the lanes of that
         bundle.
         """
-        width = 4 if len(operands) <= 4 else WIDEST
+        width = next(one for one in (2, 4, WIDEST) if len(operands) <= one)
         padded = operands + (width - len(operands)) * operands[:1]
         at = [self.at.get(one, (None, 0)) if isinstance(one, int) else (None, 0)
               for one in padded]
@@ -237,11 +252,11 @@ class Packing:
             lane for _, lane in at]
 
 
-def packing_of(routine, angles):
+def packing_of(routine, angles, fewest=FEWEST):
     """
     Return the ``Packing`` of a routine's operations, None where that is not worth it.
 
-    ``angles``: places of what sines and cosines are taken of.
+    ``angles``: places of what sines and cosines are taken of; ``fewest``: in place of FEWEST.
     """
-    found = Packing(routine, angles)
-    return None if found.saved < WORTH * len(found.use) else found
+    found = Packing(routine, angles, fewest)
+    return found if found.bundles else None

@@ -18,7 +18,7 @@ from .function_table import (
     ENERGIES, EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
     LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
     REFINED_CORRECTION, TAU, WORK_BODY, WRENCH, WRENCHES)
-from .machine_code import machine_code, PACKED, SCALAR
+from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
 from .vectors import in_space, times, transpose
@@ -56,14 +56,13 @@ _SIZE = 4
 _addresses, sizes = {}, {}
 
 
-def addresses(model, which, form=SCALAR, joints=None):
+def addresses(model, which, form=PACKED, joints=None):
     """
     Return the addresses of a mechanism's routines, compiled unless they are stored.
 
-    By places in the function table; ``form`` is that of ``machine_code``: single states of a
-    mechanism in space are packed; ``joints`` are those of which least forces are found.
+    By places in the function table; ``form`` is that of ``machine_code``; ``joints`` are those of
+    which least forces are found.
     """
-    form = form_for(model, form)
     key = topology(model), form
     # Of each mechanism those that were asked for, whichever were asked for together.
     known = _addresses.setdefault(key, {})
@@ -98,11 +97,6 @@ def unrolled_size(model, most):
             cache.write(name, stored)
         sizes[key] = float(stored)
     return sizes[key]
-
-
-def form_for(model, form=SCALAR):
-    """Return the form of the routines of a mechanism: single states in space are packed."""
-    return PACKED if form is SCALAR and space.is_spatial(model) else form
 
 
 def operations(model):
