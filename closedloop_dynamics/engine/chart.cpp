@@ -9,6 +9,7 @@
 #include "lu.hpp"
 #include "manifold.hpp"
 #include "manifold_derivatives.hpp"
+#include "null_space.hpp"
 #include "recursion.hpp"
 #include "routines.hpp"
 
@@ -28,11 +29,7 @@ void fill_seed(const System & system, const Chart & chart, Values q, Index numbe
 {
   const Index nq = system.nq(), nv = system.nv();
   if (number < nv) {
-    chart.displacement.fill(0.0);
-    chart.displacement[number] = 1.0;
-    chart.place.fill(0.0);
-    change_of_rates(
-      system.manifold, q, chart.displacement, chart.place, chart.displacement, chart.place);
+    place_change(system, chart, q, number, 1.0);
     for (Index n = 0; n < nq; ++n) {
       chart.seed[n * LANES + lane] = chart.place[n];
     }
@@ -49,14 +46,15 @@ bool factor_closures(
   const System & system, const LaneRoutines & routines, const Chart & chart, Values q, Values qd,
   Index rows)
 {
-  const Index nc = chart.right.size;
+  const Index nc = chart.right.size, which = step_routine::CLOSURE_FORWARD;
+  const Indices table = routines.prepare(which, q, qd);
   for (Index first = 0; first < rows; first += LANES) {
     const Index lanes = std::min(LANES, rows - first);
     chart.seed.fill(0.0);
     for (Index lane = 0; lane < lanes; ++lane) {
       fill_seed(system, chart, q, first + lane, lane);
     }
-    if (!routines.run(step_routine::CLOSURE_FORWARD, q, qd, chart.seed)) {
+    if (table.size == 0 || !call(table, 2 * which + 1, chart.seed, routines.result)) {
       return false;
     }
     for (Index lane = 0; lane < lanes; ++lane) {
@@ -82,27 +80,32 @@ void subtract(const Chart & chart, double share, Index row, Index level)
   }
 }
 
-/// Complete a column of a basis, of parameter `given` where that is no less than 0: displacements
-/// and changes of rates that follow from those of the independent coordinates, which are in it.
-void complete(const Chart & chart, Table basis, Index column, Index given)
+/// Complete the columns of a basis of displacements and parameters: displacements (level 0) and
+/// changes of rates (level 1) that follow from the former, and from independent ones.
+void complete(const Chart & chart, Table basis, Index level)
 {
-  const Index nv = basis.rows / 2;
-  for (Index level = 0; level < 2; ++level) {
-    chart.right.fill(0.0);
-    if (given >= 0) {
-      subtract(chart, 1.0, nv + given, level);
+  const Index nv = basis.rows / 2, k = chart.independent.size, nc = chart.right.size;
+  const Index parameters = basis.columns - 2 * k;
+  const auto errors = dense(chart.closure).middleCols(level * nc, nc);
+  auto right = dense(chart.several);
+  right.setZero();
+  right.rightCols(parameters) -= errors.bottomRows(parameters).transpose();
+  if (level == 0) {
+    for (Index column = 0; column < k; ++column) {
+      right.col(column) -= errors.row(chart.independent[column]).transpose();
     }
+  } else {
     // Errors of rates follow the displacements, too.
-    for (Index joint = 0; level == 1 && joint < nv; ++joint) {
-      subtract(chart, basis(joint, column), joint, level);
-    }
-    for (Index place : chart.independent) {
-      subtract(chart, basis(level * nv + place, column), place, 0);
-    }
-    solve(chart.factors, chart.pivots, chart.right);
-    for (Index k = 0; k < chart.right.size; ++k) {
-      basis(level * nv + chart.dependent[k], column) = chart.right[k];
-    }
+    const auto shift = dense(basis).topRows(nv);
+    right.leftCols(k).noalias() -= errors.topRows(nv).transpose() * shift.leftCols(k);
+    right.rightCols(parameters).noalias() -= errors.topRows(nv).transpose() *
+      shift.rightCols(parameters);
+  }
+  solve(chart.factors, chart.pivots, chart.several);
+  for (Index row = 0; row < nc; ++row) {
+    auto to = dense(basis).row(level * nv + chart.dependent[row]);
+    to.head(k) = right.row(row).head(k);
+    to.tail(parameters) = right.row(row).tail(parameters);
   }
 }
 
@@ -148,6 +151,22 @@ Status close(
 }
 }  // namespace
 
+void place_change(
+  const System & system, const Chart & chart, Values q, Index joint, double size)
+{
+  const Manifold & manifold = system.manifold;
+  const Index place = manifold.empty() ? joint : manifold.place[joint];
+  chart.place.fill(0.0);
+  if (place >= 0) {
+    chart.place[place] = size;
+  } else {
+    chart.displacement.fill(0.0);
+    chart.displacement[joint] = size;
+    change_of_rates(
+      manifold, q, chart.displacement, chart.place, chart.displacement, chart.place);
+  }
+}
+
 Status fill_basis(
   const System & system, const LaneRoutines & routines, const Chart & chart, Values q, Values qd,
   Table basis)
@@ -159,14 +178,11 @@ Status fill_basis(
   basis.fill(0.0);
   for (Index column = 0; column < k; ++column) {
     basis(chart.independent[column], column) = 1.0;
-    complete(chart, basis, column, -1);
-    for (Index joint = 0; joint < nv; ++joint) {
-      basis(nv + joint, k + column) = basis(joint, column);
-    }
   }
-  for (Index column = 2 * k; column < basis.columns; ++column) {
-    complete(chart, basis, column, column - 2 * k);
-  }
+  complete(chart, basis, 0);
+  complete(chart, basis, 1);
+  // Rates move the loops as displacements do.
+  dense(basis).block(nv, k, nv, k) = dense(basis).topLeftCorner(nv, k);
   return Status::DONE;
 }
 

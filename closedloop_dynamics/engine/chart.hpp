@@ -25,6 +25,7 @@ struct Chart
   Table factors;  ///< Shape (nc, nc)
   Indices pivots;  ///< Shape (nc,)
   Values right;  ///< Shape (nc,)
+  Table several;  ///< Shape (nc, k + np): right-hand sides
   Values displacement;  ///< Shape (nv,)
   Values place;  ///< Shape (nq,)
   Values seed;  ///< Shape (LANES (nq + 2 nv + entries),)
@@ -33,10 +34,14 @@ struct Chart
   void fields(Visitor && visit)
   {
     visit(
-      independent, dependent, parameters, closure, factors, pivots, right, displacement, place,
-      seed);
+      independent, dependent, parameters, closure, factors, pivots, right, several, displacement,
+      place, seed);
   }
 };
+
+/// The change of coordinates with a turn, or a displacement, of one joint alone: into the chart's
+/// `place`, of which no other number is left.
+void place_change(const System &, const Chart &, Values q, Index joint, double size);
 
 /// Changes of all displacements and rates that keep the loops closed, with those of the independent
 /// ones and with parameters, shape (2 nv, 2 k + np). SINGULAR where the independent coordinates do

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "null_space.hpp"
+
 namespace closedloop
 {
 
@@ -68,6 +70,32 @@ void solve(Table matrix, Indices pivots, Values right)
       total -= matrix(i, j) * right[j];
     }
     right[i] = total / matrix(i, i);
+  }
+}
+
+void solve(Table matrix, Indices pivots, Table right)
+{
+  const Index n = matrix.columns;
+  const auto subtract = [&](Index from, Index to) {
+      if (matrix(to, from) != 0.0) {
+        dense(right[to]) -= matrix(to, from) * dense(right[from]);
+      }
+    };
+  for (Index k = 0; k < n; ++k) {
+    if (pivots[k] != k) {
+      dense(right[k]).swap(dense(right[pivots[k]]));
+    }
+  }
+  for (Index i = 1; i < n; ++i) {
+    for (Index k = 0; k < i; ++k) {
+      subtract(k, i);
+    }
+  }
+  for (Index i = n - 1; i >= 0; --i) {
+    for (Index j = i + 1; j < n; ++j) {
+      subtract(j, i);
+    }
+    dense(right[i]) /= matrix(i, i);
   }
 }
 

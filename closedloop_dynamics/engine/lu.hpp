@@ -19,6 +19,9 @@ double factorize(Table matrix, Indices pivots);
 /// Solve in place with the factors: the rows of the pivots, for as many unknowns as columns.
 void solve(Table matrix, Indices pivots, Values right);
 
+/// The same of several right-hand sides, side by side.
+void solve(Table matrix, Indices pivots, Table right);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__LU_HPP_

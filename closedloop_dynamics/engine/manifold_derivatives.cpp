@@ -5,6 +5,8 @@
 
 #include <cmath>
 
+#include "null_space.hpp"
+
 namespace closedloop
 {
 
@@ -148,18 +150,17 @@ void push(
   }
 }
 
-/// The transpose: with `replaces`, `of_q` is that of the weights, which it may be; else added to.
+/// The transpose: with `moved`, `of_q` are the weights, in which weights of numbers stay; else rates do
+/// not follow numbers.
 template<class Ball>
 void pull(
-  const Manifold & manifold, double kept, double share, bool replaces, Values weight, Values of_q,
+  const Manifold & manifold, double share, bool moved, Values weight, Values of_q,
   Values of_displacement, Index lanes, Ball && ball_at)
 {
   for (Index i = 0; i < manifold.place.size; ++i) {
-    for (Index lane = 0; manifold.place[i] >= 0 && lane < lanes; ++lane) {
-      const Index place = manifold.place[i] * lanes + lane;
-      const double given = weight[place];
-      of_displacement[i * lanes + lane] += share * given;
-      of_q[place] = (replaces ? 0.0 : of_q[place]) + kept * given;
+    const Index place = manifold.place[i] * lanes;
+    if (place >= 0) {
+      dense(of_displacement.part(i * lanes, lanes)) += share * dense(weight.part(place, lanes));
     }
   }
   for (Index ball = 0; ball < manifold.balls.rows; ++ball) {
@@ -174,7 +175,7 @@ void pull(
       }
       for (int n = 0; n < FOUR; ++n) {
         double & to = of_q[(a + n) * lanes + lane];
-        to = (replaces ? 0.0 : to) + total[n];
+        to = (moved ? 0.0 : to) + total[n];
       }
       for (int n = 0; n < THREE; ++n) {
         of_displacement[(b + n) * lanes + lane] += total[FOUR + n];
@@ -202,13 +203,11 @@ void weights_of_rates(
   Index lanes)
 {
   if (manifold.empty()) {
-    for (Index i = 0; i < of_qd.size; ++i) {
-      of_qd[i] += weight[i];
-    }
+    dense(of_qd) += dense(weight);
     return;
   }
   pull(
-    manifold, 0.0, 1.0, false, weight, of_q, of_qd, lanes, [&](Index a, Index b) {
+    manifold, 1.0, false, weight, of_q, of_qd, lanes, [&](Index a, Index b) {
       return of_rates(&q[a], &qd[b]);
     });
 }
@@ -234,13 +233,11 @@ void weights_of_move(
   Values of_displacement, Index lanes)
 {
   if (manifold.empty()) {
-    for (Index i = 0; i < weight.size; ++i) {
-      of_displacement[i] += share * weight[i];
-    }
+    dense(of_displacement) += share * dense(weight);
     return;
   }
   pull(
-    manifold, 1.0, share, true, weight, weight, of_displacement, lanes, [&](Index a, Index b) {
+    manifold, share, true, weight, weight, of_displacement, lanes, [&](Index a, Index b) {
       return of_move(&q[a], &displacement[b], share);
     });
 }

@@ -110,11 +110,14 @@ inline bool is_chart(const System & system, const LaneRoutines & routines, const
   const Index nq = system.nq(), nv = system.nv(), nc = system.lam.size;
   const Index inputs = LANES * (nq + 2 * nv + chart.parameters.rows);
   return routines.table.size >= step_routine::LANE_COLUMNS &&
+         routines.table.size % step_routine::LANE_COLUMNS == 0 &&
          chart.independent.size + nc == nv && are_places(chart.independent, 0, nv) &&
          chart.dependent.size == nc && are_places(chart.dependent, 0, nv) &&
          chart.seed.size == inputs && routines.result.size >= std::max(inputs, LANES * 2 * nc) &&
          has_shape(chart.closure, nv + chart.parameters.columns, 2 * nc) &&
          has_shape(chart.factors, nc, nc) && chart.pivots.size == nc && chart.right.size == nc &&
+         has_shape(
+    chart.several, nc, chart.independent.size + chart.parameters.columns) &&
          chart.displacement.size == nv && chart.place.size == nq;
 }
 
@@ -124,7 +127,7 @@ inline bool are_steps(
 {
   const Index n = steps.states(), nq = system.nq(), nv = system.nv();
   const Index changes = 2 * chart.independent.size, inputs = steps.actuated.size;
-  const Index count = chart.parameters.columns, wide = LANES * (nq + nv);
+  const Index count = chart.parameters.columns, lanes = steps.lanes(), wide = lanes * (nq + nv);
   const RunInputs & gradient = steps.gradient;
   return run.torque.rows == 1 && has_shape(steps.q, n, nq) && has_shape(steps.qd, n, nv) &&
          has_shape(steps.torque, n, inputs) && are_places(steps.actuated, 0, nv) &&
@@ -135,8 +138,8 @@ inline bool are_steps(
            has_shape(steps.by_parameter, n, changes, count) &&
            has_shape(steps.basis, n, 2 * nv, changes + count) && steps.wide.columns == wide &&
            steps.wide.rows >= run.stages() + 2 && steps.weight.size == wide &&
-           gradient.start.size == wide && has_shape(gradient.torque, 1, LANES * nv) &&
-           gradient.parameter.size == LANES * chart.parameters.rows));
+           gradient.start.size == wide && has_shape(gradient.torque, 1, lanes * nv) &&
+           gradient.parameter.size == lanes * chart.parameters.rows));
 }
 
 inline const char * request(const System & system, const Request & request)

@@ -3,11 +3,14 @@
 
 #include "sensitivity.hpp"
 
+#include <algorithm>
+
 #include "evaluation.hpp"
 #include "interrupt.hpp"
 #include "left_out.hpp"
 #include "manifold.hpp"
 #include "manifold_derivatives.hpp"
+#include "null_space.hpp"
 #include "requests.hpp"
 #include "routines.hpp"
 
@@ -18,9 +21,7 @@ namespace
 {
 void add(Values from, double share, Values to)
 {
-  for (Index i = 0; i < to.size; ++i) {
-    to[i] += share * from[i];
-  }
+  dense(to) += share * dense(from.part(0, to.size));
 }
 
 /// Replays a tape, step by step.
@@ -211,15 +212,15 @@ public:
   Reverse(
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
     const StepRoutines & routines, const RunInputs & gradient)
-  : Reverse(system, run, scratch, tape, routines, {}, scratch, gradient, 1) {}
-  /// In lanes, with rows of scratch for these.
+  : Reverse(system, run, scratch, tape, routines, {}, scratch, {}, gradient) {}
+  /// In lanes, with scratch for these.
   Reverse(
     const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
-    const StepRoutines & routines, const LaneRoutines & beside, Table wide,
-    const RunInputs & gradient, Index lanes)
-  : TapeReplay(system, run, scratch, tape, routines), beside_(beside), wide_(wide),
-    gradient_(gradient), now_(gradient.start),
-    before_(wide[run.stages()].part(0, nx() * lanes)), lanes_(lanes)
+    const StepRoutines & routines, const LaneRoutines & beside, Table wide, Values seed,
+    const RunInputs & gradient)
+  : TapeReplay(system, run, scratch, tape, routines), beside_(beside), wide_(wide), seed_(seed),
+    gradient_(gradient), now_(gradient.start), lanes_(now_.size / nx()),
+    before_(wide[run.stages()].part(0, now_.size))
   {
     now_.fill(0.0);
     gradient.torque.fill(0.0);
@@ -245,8 +246,7 @@ private:
     const Tableau & method = run_.tableau;
     const double size = run_.step_size;
     for (Index k = 0; k < method.steps(); ++k) {
-      weights(k).fill(0.0);
-      add(now_, size * method.b[k], weights(k));
+      dense(weights(k)) = size * method.b[k] * dense(now_);
     }
     for (Index k = method.steps() - 1; k >= 0; --k) {
       const Values stage = stages[k], weight = weights(k);
@@ -285,14 +285,29 @@ private:
     return accelerate(stage, weight, now_, of_torque);
   }
 
-  /// Call a routine in a state, of weights; its results, or none where it fails.
-  Values call_with(Index which, Values q, Values qd, Values weight) const
+  /// Call a routine in a state, of weights, and add its results.
+  bool call_with(
+    Index which, Values q, Values qd, Values weight, Values to, Values of_torque) const
   {
     if (lanes_ == 1) {
       copy(weight, routines_.seed.part(0, nv()));
-      return call(routines_.table, which, q, qd) ? routines_.result : Values();
+      if (!call(routines_.table, which, q, qd)) {
+        return false;
+      }
+      collect<1>(routines_.result, 0, to, of_torque);
+      return true;
     }
-    return beside_.run(which, q, qd, weight) ? beside_.result : Values();
+    const Indices table = beside_.prepare(which, q, qd);
+    for (Index first = 0; table.size > 0 && first < lanes_; first += LANES) {
+      for (Index k = 0; k < nv(); ++k) {
+        std::copy_n(&weight[k * lanes_ + first], LANES, &seed_[k * LANES]);
+      }
+      if (!call(table, 2 * which + 1, seed_, beside_.result)) {
+        return false;
+      }
+      collect<LANES>(beside_.result, first, to, of_torque);
+    }
+    return table.size > 0;
   }
 
   /// Add the gradient of weighted accelerations.
@@ -300,28 +315,30 @@ private:
   {
     copy(stage.part(system_.ns(), nv()), routines_.qdd);
     copy(stage.from(system_.ns() + nv()), routines_.lam);
-    const Values found = call_with(
-      step_routine::ACCELERATION_REVERSE, system_.q(stage), system_.qd(stage), weight);
-    collect(found, to, of_torque);
-    return found.size > 0;
+    return call_with(
+      step_routine::ACCELERATION_REVERSE, system_.q(stage), system_.qd(stage), weight, to,
+      of_torque);
   }
 
   /// Add the gradient of a weighted correction.
   bool correct(Index which, Values q, Values qd, Values weight) const
   {
-    const Values found = call_with(which, q, qd, weight);
-    collect(found, now_, {});
-    return found.size > 0;
+    return call_with(which, q, qd, weight, now_, {});
   }
 
-  /// Add results, or none.
-  void collect(Values found, Values to, Values of_torque) const
+  /// Add the results of some lanes, from the first one on.
+  template<int Count>
+  void collect(Values found, Index first, Values to, Values of_torque) const
   {
-    if (found.size > 0) {
-      add(found, 1.0, to);
-      add(found.from(nx() * lanes_), 1.0, of_torque);
-      add(found.from((nx() + nv()) * lanes_), 1.0, gradient_.parameter);
-    }
+    using Lanes = Eigen::Matrix<double, Count, Eigen::Dynamic>;
+    const auto add_to = [&](Index number, Values sum) {
+        Eigen::Map<Lanes, 0, Eigen::OuterStride<>>(
+          sum.data + first, Count, sum.size / lanes_, Eigen::OuterStride<>(lanes_)) +=
+          Eigen::Map<Lanes>(&found[number * Count], Count, sum.size / lanes_);
+      };
+    add_to(0, to);
+    add_to(nx(), of_torque);
+    add_to(nx() + nv(), gradient_.parameter);
   }
 
   bool stabilise_weights(Index number)
@@ -350,15 +367,23 @@ private:
 
   LaneRoutines beside_;
   Table wide_;
+  Values seed_;
   const RunInputs & gradient_;
-  Values now_, before_;
+  Values now_;
   Index lanes_;
+  Values before_;
 };
 }  // namespace
 
-bool LaneRoutines::run(Index which, Values q, Values qd, Values seed) const
+Indices LaneRoutines::prepare(Index which, Values q, Values qd) const
 {
-  return call(table, 2 * which, q, qd) && call(table, 2 * which + 1, seed, result);
+  for (Index n = 0; n < table.size; n += step_routine::LANE_COLUMNS) {
+    const Indices one = table.part(n, step_routine::LANE_COLUMNS);
+    if (call(one, 2 * which, q, qd)) {
+      return one;
+    }
+  }
+  return {};
 }
 
 std::pair<Status, Index> record_steps(
@@ -447,11 +472,11 @@ std::pair<Status, Index> gradient_of_steps(
 }
 
 bool gradients_in_lanes(
-  const System & system, const SteppedRun & run, Table scratch, Table wide, const Tape & tape,
-  const StepRoutines & routines, const LaneRoutines & beside, Values weight,
+  const System & system, const SteppedRun & run, Table scratch, Table wide, Values seed,
+  const Tape & tape, const StepRoutines & routines, const LaneRoutines & beside, Values weight,
   const RunInputs & gradients)
 {
-  Reverse walk(system, run, scratch, tape, routines, beside, wide, gradients, LANES);
+  Reverse walk(system, run, scratch, tape, routines, beside, wide, seed, gradients);
   copy(weight, walk.now());
   for (Index left = tape.steps(); left > 0; --left) {
     if (!walk.step(left - 1)) {

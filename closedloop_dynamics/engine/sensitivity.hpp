@@ -72,13 +72,14 @@ struct StepRoutines
 /// The same routines for LANES directions or weights side by side, number k of lane n at k LANES + n.
 struct LaneRoutines
 {
-  /// Of a routine `which`: at 2 `which` what all lanes share, at 2 `which` + 1 the rest.
+  /// Of a routine `which`: at 2 `which` what all directions share, at 2 `which` + 1 the rest. Behind
+  /// it there may be a table of others, for positions in which those of the first one fail.
   Indices table;
   Values shared;  ///< What the former hands to the latter
   Values result;  ///< Shape (LANES (nq + 2 nv + np),), or longer
 
-  /// Run a routine on seeds; return whether its results are good.
-  bool run(Index which, Values q, Values qd, Values seed) const;
+  /// Compute what all directions share; return the table that did, none where all fail.
+  Indices prepare(Index which, Values q, Values qd) const;
 
   template<class Visitor>
   void fields(Visitor && visit) {visit(table, shared, result);}
@@ -126,11 +127,11 @@ std::pair<Status, Index> gradient_of_steps(
   const System &, const SteppedRun &, Table scratch, const Tape &, const StepRoutines &,
   Table weight, const RunInputs & gradient);
 
-/// The same of LANES costs of the last state, whose weights are side by side: gradients by the inputs,
-/// in rows of torques, too. `wide`, shape (>= stages + 2, LANES (nq + nv)), is scratch. False where
-/// there is no derivative.
+/// The same of several costs of the last state, a multiple of LANES, whose weights are side by side:
+/// gradients by the inputs, in rows of torques, too. `wide`, shape (>= stages + 2, weights), is
+/// scratch, and `seed`, shape (LANES nv,). False where there is no derivative.
 bool gradients_in_lanes(
-  const System &, const SteppedRun &, Table scratch, Table wide, const Tape &,
+  const System &, const SteppedRun &, Table scratch, Table wide, Values seed, const Tape &,
   const StepRoutines &, const LaneRoutines &, Values weight, const RunInputs & gradients);
 
 }  // namespace closedloop

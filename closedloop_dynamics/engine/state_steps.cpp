@@ -3,69 +3,44 @@
 
 #include "state_steps.hpp"
 
-#include <algorithm>
-
 #include "manifold_derivatives.hpp"
+#include "null_space.hpp"
 
 namespace closedloop
 {
 
 namespace
 {
-/// Add a row times a table, of which `first` is the first column.
-void add_product(Values row, Table table, Index first, Values out)
+/// Jacobians of state `n` from the gradients, of which each row has a lane.
+void fill_rows(
+  const System & system, Values start, const Chart & chart, const StateSteps & steps, Index n)
 {
-  for (Index i = 0; i < row.size; ++i) {
-    for (Index j = 0; j < out.size; ++j) {
-      out[j] += row[i] * table(i, first + j);
-    }
-  }
-}
-
-/// The weights of coordinates whose sum is a displacement of a joint at a position.
-void fill_weights(const Manifold & manifold, Values q, Index joint, Values displacement, Values out)
-{
-  displacement.fill(0.0);
-  // Of a quaternion a small turn is twice the vector part of what it is multiplied by.
-  displacement[joint] = manifold.empty() || manifold.place[joint] >= 0 ? 1.0 : 4.0;
-  change_of_rates(manifold, q, displacement, out, displacement, out);
-}
-
-/// One row of the Jacobians of state `n`, of which the gradients have a lane.
-void fill_row(
-  const System & system, const Values start, const Chart & chart, const StateSteps & steps, Index n,
-  Index row, Index lane)
-{
-  const Index nq = system.nq(), nv = system.nv(), k = chart.independent.size;
+  const Index nq = system.nq(), nv = system.nv(), lanes = steps.lanes();
+  const Index size = steps.by_state.rows, count = chart.parameters.columns;
   const RunInputs & gradient = steps.gradient;
-  const auto in_lane = [&](Values from, Index first, Values to) {
-      for (Index i = 0; i < to.size; ++i) {
-        to[i] = from[(first + i) * LANES + lane];
-      }
-      return to;
-    };
-  const Values by_state = steps.by_state[n][row], by_parameter = steps.by_parameter[n][row];
-  const Table basis = steps.basis[n];
   // From numbers of coordinates to displacements; the weights at the end have served.
-  const Values of_q = in_lane(gradient.start, 0, chart.place), displacement = chart.displacement;
-  displacement.fill(0.0);
+  const Values displacements = steps.wide[0].part(0, nv * lanes);
+  displacements.fill(0.0);
+  chart.displacement.fill(0.0);
   weights_of_rates(
-    system.manifold, system.q(start), displacement, of_q, steps.weight.part(0, nq), displacement);
-  by_state.fill(0.0);
-  by_parameter.fill(0.0);
-  add_product(displacement, basis, 0, by_state);
-  add_product(displacement, basis, 2 * k, by_parameter);
-  const Values of_qd = in_lane(gradient.start, nq, displacement);
-  add_product(of_qd, basis.from(nv), 0, by_state);
-  add_product(of_qd, basis.from(nv), 2 * k, by_parameter);
-  for (Index entry = 0; entry < chart.parameters.rows; ++entry) {
-    for (Index j = 0; j < by_parameter.size; ++j) {
-      by_parameter[j] +=
-        gradient.parameter[entry * LANES + lane] * chart.parameters(entry, j);
-    }
-  }
+    system.manifold, system.q(start), chart.displacement, gradient.start.part(0, nq * lanes),
+    steps.weight.part(0, nq * lanes), displacements, lanes);
+  const auto in_rows = [&](Values values, Index number) {
+      return dense(Table{values.data, number, lanes}).leftCols(size).transpose();
+    };
+  const auto of_q = in_rows(displacements, nv);
+  const auto of_qd = in_rows(gradient.start.from(nq * lanes), nv);
+  const auto basis = dense(steps.basis[n]);
+  auto by_state = dense(steps.by_state[n]), by_parameter = dense(steps.by_parameter[n]);
+  by_state.noalias() = of_q * basis.topLeftCorner(nv, size);
+  by_state.noalias() += of_qd * basis.bottomLeftCorner(nv, size);
+  by_parameter.noalias() = of_q * basis.topRightCorner(nv, count);
+  by_parameter.noalias() += of_qd * basis.bottomRightCorner(nv, count);
+  by_parameter.noalias() += in_rows(gradient.parameter, chart.parameters.rows) *
+    dense(chart.parameters);
+  const auto of_torque = in_rows(gradient.torque[0], nv);
   for (Index input = 0; input < steps.actuated.size; ++input) {
-    steps.by_torque[n](row, input) = gradient.torque(0, steps.actuated[input] * LANES + lane);
+    dense(steps.by_torque[n]).col(input) = of_torque.col(steps.actuated[input]);
   }
 }
 
@@ -83,30 +58,28 @@ Status fill_jacobians(
   if (found != Status::DONE) {
     return found;
   }
-  for (Index first = 0; first < 2 * k; first += LANES) {
-    const Index lanes = std::min(LANES, 2 * k - first);
-    steps.weight.fill(0.0);
-    for (Index lane = 0; lane < lanes; ++lane) {
-      const Index row = first + lane, joint = chart.independent[row % k];
-      if (row < k) {
-        chart.place.fill(0.0);
-        fill_weights(system.manifold, system.q(end), joint, chart.displacement, chart.place);
-        for (Index i = 0; i < nq; ++i) {
-          steps.weight[i * LANES + lane] = chart.place[i];
-        }
-      } else {
-        steps.weight[(nq + joint) * LANES + lane] = 1.0;
+  const Index lanes = steps.lanes();
+  steps.weight.fill(0.0);
+  for (Index row = 0; row < 2 * k; ++row) {
+    const Index joint = chart.independent[row % k];
+    if (row < k) {
+      // Of a quaternion a small turn is twice the vector part of what it is multiplied by.
+      const bool turns = !system.manifold.empty() && system.manifold.place[joint] < 0;
+      place_change(system, chart, system.q(end), joint, turns ? 4.0 : 1.0);
+      for (Index i = 0; i < nq; ++i) {
+        steps.weight[i * lanes + row] = chart.place[i];
       }
-    }
-    if (!gradients_in_lanes(
-        system, run, scratch, steps.wide, tape, routines, beside, steps.weight, steps.gradient))
-    {
-      return Status::SINGULAR;
-    }
-    for (Index lane = 0; lane < lanes; ++lane) {
-      fill_row(system, start, chart, steps, n, first + lane, lane);
+    } else {
+      steps.weight[(nq + joint) * lanes + row] = 1.0;
     }
   }
+  if (!gradients_in_lanes(
+      system, run, scratch, steps.wide, chart.seed, tape, routines, beside, steps.weight,
+      steps.gradient))
+  {
+    return Status::SINGULAR;
+  }
+  fill_rows(system, start, chart, steps, n);
   return Status::DONE;
 }
 }  // namespace

@@ -27,13 +27,14 @@ struct StateSteps
   Cube<double> by_torque;  ///< Shape (n, 2 k, na)
   Cube<double> by_parameter;  ///< Shape (n, 2 k, np)
   Cube<double> basis;  ///< Shape (n, 2 nv, 2 k + np): of `fill_basis`, before
-  /// Scratch, in lanes: rows for the adjoint, weights at the end, shape (LANES (nq + nv),), and
-  /// gradients.
+  /// Scratch, in as many lanes as there are changes, rounded up to a multiple of LANES: rows for the
+  /// adjoint, weights at the end, shape (lanes (nq + nv),), and gradients.
   Table wide;
   Values weight;
   RunInputs gradient;
 
   Index states() const {return q.rows;}
+  Index lanes() const {return (by_state.rows + LANES - 1) / LANES * LANES;}
 
   template<class Visitor>
   void fields(Visitor && visit)

@@ -54,7 +54,9 @@ class StepRoutines(NamedTuple):
 class LaneRoutines(NamedTuple):
     """The same for LANES directions or weights side by side."""
 
-    table: np.ndarray  # Of int: addresses, of two routines each
+    # Of int: addresses, of two routines each; behind it there may be another one, for positions in
+    # which these fail.
+    table: np.ndarray
     shared: np.ndarray  # What the first of two hands to the second
     result: np.ndarray  # Shape (LANES (nq + 2 nv + np),), or longer
 
@@ -77,6 +79,7 @@ class Chart(NamedTuple):
     factors: np.ndarray  # Shape (nc, nc)
     pivots: np.ndarray  # Of int, shape (nc,)
     right: np.ndarray  # Shape (nc,)
+    several: np.ndarray  # Shape (nc, k + np)
     displacement: np.ndarray  # Shape (nv,)
     place: np.ndarray  # Shape (nq,)
     seed: np.ndarray  # Shape (LANES (nq + 2 nv + entries),)
@@ -95,9 +98,9 @@ class StateSteps(NamedTuple):
     by_torque: np.ndarray  # Shape (n, 2 k, na)
     by_parameter: np.ndarray  # Shape (n, 2 k, np)
     basis: np.ndarray  # Shape (n, 2 nv, 2 k + np)
-    # Scratch, in lanes.
-    wide: np.ndarray  # Shape (stages + 2, LANES (nq + nv))
-    weight: np.ndarray  # Shape (LANES (nq + nv),)
+    # Scratch, in as many lanes as there are changes, rounded up to a multiple of LANES.
+    wide: np.ndarray  # Shape (stages + 2, lanes (nq + nv))
+    weight: np.ndarray  # Shape (lanes (nq + nv),)
     gradient: RunInputs
 
 
@@ -108,7 +111,8 @@ def allocate_chart(system, independent, dependent, parameters):
     return Chart(
         np.array(independent, dtype=np.int64), np.array(dependent, dtype=np.int64), parameters,
         np.zeros((nv + parameters.shape[1], 2 * nc)), np.zeros((nc, nc)),
-        np.zeros(nc, dtype=np.int64), np.zeros(nc), np.zeros(nv), np.zeros(nq),
+        np.zeros(nc, dtype=np.int64), np.zeros(nc),
+        np.zeros((nc, len(independent) + parameters.shape[1])), np.zeros(nv), np.zeros(nq),
         np.zeros(LANES * (nq + 2 * nv + len(parameters))))
 
 
@@ -116,14 +120,16 @@ def allocate_steps(chart, tableau, actuated, states, differentiates):
     """Allocate so many states before and after a period, with their Jacobians if wanted."""
     nq, nv, k = len(chart.place), len(chart.displacement), len(chart.independent)
     entries, count = chart.parameters.shape
-    pages, wide = states if differentiates else 0, LANES * (nq + nv)
+    # Of rows of Jacobians side by side.
+    pages, lanes = states if differentiates else 0, -(-2 * k // LANES) * LANES
+    wide = lanes * (nq + nv)
     return StateSteps(
         np.zeros((states, nq)), np.zeros((states, nv)), np.zeros((states, len(actuated))),
         np.array(actuated, dtype=np.int64), np.zeros((states, nq)), np.zeros((states, nv)),
         np.zeros((pages, 2 * k, 2 * k)), np.zeros((pages, 2 * k, len(actuated))),
         np.zeros((pages, 2 * k, count)), np.zeros((pages, 2 * nv, 2 * k + count)),
         np.zeros((stages_of(tableau) + 2, wide)), np.zeros(wide),
-        RunInputs(np.zeros(wide), np.zeros((1, LANES * nv)), np.zeros(LANES * entries)))
+        RunInputs(np.zeros(wide), np.zeros((1, lanes * nv)), np.zeros(lanes * entries)))
 
 
 def stages_of(tableau):

@@ -50,42 +50,48 @@ class StepDerivatives:
 
         ``FORWARD``, ``REVERSE``, ``CLOSURE`` or ``WRENCH``.
         """
-        table, model, scene = self.routines.table, self.parameters.model, self._scene
+        table, scene = self.routines.table, self._scene
         if table[group[0]]:
             return
-        key = ('sensitivities', group, topology(model), self.parameters.entries, self._rows,
-               self._cuts, *scene.key)
-        find = machine_code(key, lambda: [SensitivityTrace(
-            model, scene.act, scene.values.shape, self.parameters.entries, self._rows,
-            self._cuts).routine(one) for one in group], SCALAR)
+        key = ('sensitivities', group, topology(self.parameters.model), self.parameters.entries,
+               self._rows, self._cuts, *scene.key)
+        find = machine_code(key, lambda: [
+            self._trace(True).routine(one) for one in group], SCALAR)
         for one in group:
             table[one] = find(NAMES[one])
 
+    def _trace(self, with_arms):
+        return SensitivityTrace(
+            self.parameters.model, self._scene.act, self._scene.values.shape,
+            self.parameters.entries, self._rows, self._cuts, with_arms)
+
     def in_lanes(self, group):
         """Return the ``LaneRoutines`` of a group, compiled."""
-        model, scene, routines = self.parameters.model, self._scene, self.routines
-        count, found, most = np.zeros(1), {}, 0
+        routines, most = self.routines, 0
+        tables = np.zeros((2, LANE_COLUMNS), dtype=np.int64)
         for one in group:
-            key = ('sensitivities in lanes', one, topology(model), self.parameters.entries,
-                   *scene.key)
-
-            @cache
-            def both(one=one):
-                return SensitivityTrace(
-                    model, scene.act, scene.values.shape, self.parameters.entries, self._rows,
-                    self._cuts).in_lanes(one)
-
-            first = machine_code(key, lambda both=both: both()[0], PACKED)
-            second = machine_code(key, lambda both=both: both()[1], LANES)
-            native.call(np.array([first('shared')]), 0, count, count)
-            most = max(most, int(count[0]))
-            found[one] = first('before'), second('beside')
+            for with_arms, table in zip((True, False), tables):
+                *table[2 * one:2 * one + 2], count, by_arms = self._in_lanes(one, with_arms)
+                most = max(most, int(count))
+                if not by_arms:
+                    tables[1, 2 * one:2 * one + 2] = table[2 * one:2 * one + 2]
+                    break
         shared = np.zeros(most)
-        table = scene.table({calls.QDD: routines.qdd, calls.LAM: routines.lam,
-                             calls.SHARED: shared}, LANE_COLUMNS)
-        for one, addresses in found.items():
-            table[2 * one:2 * one + 2] = addresses
-        return LaneRoutines(table, shared, np.zeros(calls.LANES * len(routines.result)))
+        tables += self._scene.table({
+            calls.QDD: routines.qdd, calls.LAM: routines.lam, calls.SHARED: shared}, LANE_COLUMNS)
+        return LaneRoutines(
+            tables.ravel(), shared, np.zeros(calls.LANES * len(routines.result)))
+
+    def _in_lanes(self, which, with_arms):
+        """Return the addresses of both parts of a routine, and what it tells of itself."""
+        key = ('sensitivities in lanes', which, with_arms, topology(self.parameters.model),
+               self.parameters.entries, *self._scene.key)
+        both = cache(lambda: self._trace(with_arms).in_lanes(which))
+        first = machine_code(key, lambda: both()[0], PACKED)
+        second = machine_code(key, lambda: both()[1], LANES)
+        found = np.zeros(2)
+        native.call(np.array([first('shared')]), 0, found, found)
+        return first('before'), second('beside'), *found
 
     def _changes(self, which, q, qd, seeds):
         """Return results of a forward routine for many directions, shape (results, directions)."""

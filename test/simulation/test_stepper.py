@@ -71,10 +71,15 @@ def test_jacobians_equal_those_of_trajectories(scene, method):
                                atol=1e-11 * abs(whole).max())
 
 
-@pytest.mark.parametrize('scene', SCENES)
+@pytest.mark.parametrize('scene', [*SCENES, 'stretched_leg'])
 def test_jacobians_equal_differences(scene):
-    case = Case(scene)
+    case = Case('three_rrr' if scene == 'stretched_leg' else scene)
     stepper = case.stepper
+    if scene == 'stretched_leg':
+        # Where legs are not eliminated before multipliers: the sine at the knee is below 0.1.
+        case.q = np.array([
+            1.0467, 0.08, -2.549637, 0.012447013, 2.4585143632, 3.3938400799, 7.763582806])
+        case.q, case.qd = stepper.plus(case.q, case.qd, np.zeros(case.size))
     end = case.after(case.q, case.qd, case.tau)
     a, b, by_parameter, whole = (array.copy() for array in (
         stepper.A, stepper.B, stepper.by_parameter, stepper.displacements()))
@@ -89,9 +94,10 @@ def test_jacobians_equal_differences(scene):
         return [np.array([(one[k] - other[k]) / (2.0 * step) for one, other in zip(up, down)]).T
                 for k in (0, 1)]
 
-    # Central differences: the step to the second power, and rounding by the step.
+    # Central differences: the step to the second power, and rounding by the step. Next to singular
+    # positions derivatives change fast.
     size, inputs = case.size, len(case.tau)
-    of_state = slopes(np.eye(size), 1e-4, lambda change: moved(change, 0.0))
+    of_state = slopes(np.eye(size), 2e-5, lambda change: moved(change, 0.0))
     of_torque = slopes(np.eye(inputs), 1e-1, lambda torque: moved(np.zeros(size), torque))
     for expected, found in (
             (of_state[0], a), (of_torque[0], b), (of_state[1], whole[:, :size]),

@@ -437,9 +437,15 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     ``recursion`` has no ``hinges``. Returns whether no arm is near a singular position of its own
     and every pivot is good; if not, ``forward_dynamics.accelerate`` must be asked.
     """
-    plan = Plan.of(recursion, model)
     work.health[EVALUATIONS] += 1.0
     recursion.update(model, work, NO_RESPONSES)
+    solve(recursion, model, work, tau, baumgarte, qdd, lam)
+    return True
+
+
+def solve(recursion, model, work, tau, baumgarte, qdd, lam):
+    """Do what follows ``update``; the guard of the graph has what must hold."""
+    plan = Plan.of(recursion, model)
     found = _assemble(recursion, model, work, tau, baumgarte, plan)
     smallest = 1.0
     turning = {i for i in range(1, len(plan.parent)) if recursion.bodies[i].turns}
@@ -464,7 +470,6 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
         for row in _rows(cut):
             work.right[row[1]] = 0.0 - x[row]
     to_user_order(model, work.right, lam)
-    return True
 
 
 def _product(values):

@@ -15,17 +15,18 @@ the derivatives by any x are those of ``K (qdd, lambda) = -(dR/dx, dC/dx)`` with
 changes along the loops is what a closing change of all of them adds up to.
 """
 
-from . import elimination, forward_dynamics
+from . import arms, elimination, forward_dynamics
 from .differentiation import differentiated
-from .expression_graph import divided, ExpressionGraph, Q, QD, Routine
+from .expression_graph import ExpressionGraph, Q, QD, Routine
 from .function_table import CLOSURE, LAM, LANES, QDD, SHARED
+from .linear_map import divided
 from .routines import zeros
 from .scene_routines import SceneTrace
 from .spatial import at_parent, rigid
 from .vectors import add, cross, dot, is_zero, scale, subtract, times, transpose, ZERO
 from ..manifold import manifold_of
 from ..types import (
-    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, PARENT, RHS, ROW, ROWS)
+    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, NO_RESPONSES, PARENT, RHS, ROW, ROWS)
 
 # Outputs: d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
 RATE, JACOBIAN = 45, 46
@@ -48,10 +49,10 @@ class DerivativeTrace(SceneTrace):
     Accelerations and multipliers of the state are inputs, as an evaluation leaves them.
     """
 
-    def __init__(self, model, act, values):
+    def __init__(self, model, act, values, with_arms=False):
         """Set up the recursion with every joint treated separately."""
-        super().__init__(model, act, values)
-        self.recursion.hinges = ()
+        super().__init__(model, act, values, with_arms)
+        self.recursion.hinges, self.by_arms = (), False
 
     def in_lanes(self, states=0):
         """
@@ -243,8 +244,12 @@ class DerivativeTrace(SceneTrace):
 
     def prepare(self):
         """Factorise; the routine returns where that fails."""
-        bool(forward_dynamics.prepare(
-            self.recursion, self.model, zeros(self.nv), self.work))
+        self.by_arms = self.with_arms
+        if self.by_arms:
+            self.recursion.update(self.model, self.work, NO_RESPONSES)
+        else:
+            bool(forward_dynamics.prepare(
+                self.recursion, self.model, zeros(self.nv), self.work))
         # Changes of the accelerations have no bias of their own.
         self.recursion.motion = [
             motion._replace(spin_rate=ZERO) for motion in self.recursion.motion]
@@ -267,9 +272,16 @@ class DerivativeTrace(SceneTrace):
         """Return the changes of accelerations and multipliers that undo those of residuals."""
         one, tree, work = self.recursion, self.constant.tree, self.work
         tau = [0.0 - value for value in column[:self.nv]]
+        one.force = [2 * ZERO for _ in tree]
+        qdd, lam = zeros(self.nv), zeros(self.nc)
+        if self.by_arms:
+            for cut in self.constant.cut:
+                for k in range(cut[ROWS]):
+                    work.bias[cut[ROW] + k] = column[self.nv + cut[CUT_ROW] + k]
+            arms.solve(one, self.model, work, tau, 0.0, qdd, lam)
+            return [*qdd, *lam]
         for frame, turns in one.balls(self.constant):
             tau[turns] = times(frame, tau[turns])
-        one.force = [2 * ZERO for _ in tree]
         for i in range(len(tree) - 1, 0, -1):
             parent, torque = tree[i, PARENT], tau[tree[i, DOF]]
             right = torque - dot(one.motion[i].axis, one.force[i])
@@ -285,7 +297,6 @@ class DerivativeTrace(SceneTrace):
                 right[place] = 0.0 - right[place] - column[self.nv + cut[CUT_ROW] + k]
         elimination.solve(self.model, work, right)
         forward_dynamics.apply(self.model, work, right)
-        qdd, lam = zeros(self.nv), zeros(self.nc)
         one.outward_acceleration(self.model, work, qdd)
         forward_dynamics.to_user_order(self.model, right, lam)
         return [*qdd, *lam]

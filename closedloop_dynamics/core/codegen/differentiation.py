@@ -58,6 +58,17 @@ def gradients(graph, values, weights, inputs):
     return [found.get(one.place, 0.0) for one in inputs]
 
 
+def shares(graph, place, among):
+    """Return what a result changes by with each of its operands that is among some places."""
+    _, *operands = graph.operations[place]
+    found = {}
+    for number, one in enumerate(operands):
+        if _is_among(one, among):
+            found[one] = found.get(one, 0.0) + _of_one(graph, place, [
+                1.0 if number == n else 0.0 for n in range(len(operands))])
+    return found
+
+
 def _last(values):
     """Return the last place on which values depend."""
     return max((value.place for value in values if isinstance(value, Symbol)), default=-1)

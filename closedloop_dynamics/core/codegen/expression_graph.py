@@ -289,34 +289,3 @@ def replayed(graph, values, load):
         known[place] = load(*operands) if kind == LOAD else AGAIN[kind](
             *(known[one] if isinstance(one, int) else one for one in operands))
     return [known[value.place] if isinstance(value, Symbol) else value for value in values]
-
-
-def divided(graph, values, source, shared):
-    """
-    Compute values in a graph of their own, from results of another that do not need an input.
-
-    What depends on the input ``source``, which is Q in the new graph, is computed there, and does
-    not ask for the guard. Returns the values, of the new graph, and the results, of the first
-    graph, by their places in the input ``shared``.
-    """
-    after, known, results, moves = ExpressionGraph(), {}, [], set()
-    for place, (kind, *operands) in enumerate(graph.operations):
-        if operands[0] == source if kind == LOAD else any(
-                isinstance(one, int) and one in moves for one in operands):
-            moves.add(place)
-    for place in sorted(needed_for(
-            graph.operations, [one.place for one in values if isinstance(one, Symbol)], moves)):
-        kind, *operands = graph.operations[place]
-        if place in moves and kind == LOAD:
-            known[place] = after.put(LOAD, Q, operands[1])
-        elif place not in moves:
-            known[place] = after.put(LOAD, shared, len(results))
-            result = Symbol(graph, place)
-            if kind in CONDITIONS:
-                # Results are numbers: 1 where it holds.
-                result, known[place] = chosen(result, 1.0, 0.0), known[place] >= 0.5
-            results.append(result)
-        else:
-            known[place] = after.put(kind, *(
-                known[one].place if isinstance(one, int) else one for one in operands))
-    return [known[one.place] if isinstance(one, Symbol) else one for one in values], results

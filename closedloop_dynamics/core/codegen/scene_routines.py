@@ -29,8 +29,8 @@ class SceneTrace(MechanismTrace):
     those of their gaps.
     """
 
-    def __init__(self, model, act, values):
-        super().__init__(model, with_arms=False)
+    def __init__(self, model, act, values, with_arms=False):
+        super().__init__(model, with_arms=with_arms)
         self.values, self.decided = self.symbols(VALUES, values), False
         self._act = act
 

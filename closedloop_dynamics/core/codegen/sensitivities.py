@@ -14,10 +14,12 @@ residuals for any number of inputs (the adjoint of an implicit function; Griewan
 Evaluating Derivatives, 2nd ed. (2008), section 15).
 """
 
+from .arms import AlwaysSingularError
 from .derivatives import DerivativeTrace
 from .differentiation import differentiated, gradients
-from .expression_graph import divided, ExpressionGraph, LOAD, Q, QD, replayed, Routine
+from .expression_graph import ExpressionGraph, LOAD, Q, QD, replayed, Routine
 from .function_table import LAM, QDD, SHARED
+from .linear_map import divided
 from .routines import zeros
 from .scene_routines import POINT
 from .vectors import cross, in_space, subtract, times, ZERO
@@ -53,12 +55,13 @@ class SensitivityTrace(DerivativeTrace):
 
     ``entries``: parameters: arrays, such as BODY, and places in them; ``rows``: of the bodies that
     the joints carry, 0 for those without a wrench; ``cuts``: as for ``cut_wrench``, of the cut
-    joints.
+    joints; ``with_arms``: whether to eliminate arms before multipliers where there are any.
     """
 
-    def __init__(self, model, act, values, entries, rows, cuts):
+    def __init__(self, model, act, values, entries, rows, cuts, with_arms=False):
         """Set the inputs: coordinates, rates and parameters; torques are inputs as they are."""
-        super().__init__(model, act, values)
+        super().__init__(model, act, values, with_arms)
+        self._given = model, act, values, entries, rows, cuts
         self._rows, self._cuts = rows, cuts
         state = [*self.q, *self.qd]
         self._inputs = [*state, *(self.graph.put(LOAD, *entry) for entry in entries)]
@@ -75,22 +78,41 @@ class SensitivityTrace(DerivativeTrace):
         -------
         first : list of Routine
             ``before`` stores what all of them share, at a state; ``shared`` tells how many numbers
-            these are, at q.
+            these are, at q, and whether it fails next to singular arms, where that of a trace
+            without arms does not.
         second : list of Routine
             ``beside``, to be written in lanes: of seeds at q to results at qd.
 
         """
-        self.routine(which)
+        try:
+            self._trace(which)
+        except AlwaysSingularError:
+            return self._without_arms().in_lanes(which)
         found, shared = divided(
             self.graph, [value for _, _, value in self.outputs], SEED, SHARED)
         self.outputs = [(SHARED, n, value) for n, value in enumerate(shared)]
         graph = next((one.graph for one in found if hasattr(one, 'graph')), ExpressionGraph())
-        count = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(shared)))])
+        count = Routine('shared', ExpressionGraph(), [
+            (Q, 0, float(len(shared))), (Q, 1, float(self.by_arms))])
         return [self.named('before'), count], [
             Routine('beside', graph, [(QD, n, value) for n, value in enumerate(found)])]
 
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
+        try:
+            found = self._trace(which)
+        except AlwaysSingularError:
+            return self._without_arms().routine(which)
+        if self.by_arms:
+            found.otherwise = self._without_arms().routine(which)
+            found.otherwise.name += '_next_to_singular_arms'
+        return found
+
+    def _without_arms(self):
+        return type(self)(*self._given)
+
+    def _trace(self, which):
+        """Return a routine that has no other one beside it."""
         what, way = NAMES[which].split('_')
         if what == 'closure':
             self.recursion.outward(self.model, self.q, self.qd, self.work)
