@@ -229,7 +229,7 @@ def test_observability_names_what_cannot_be_told_apart(model):
 def test_true_state_lies_in_its_region(scene, names):
     model = cld.Model.from_scene(scene)
     names = names or model.joint_names[:1]
-    runs, inside, dimension = 40, 0, 0
+    runs, inside, total, dimension = 40, 0, 0.0, 0
     rng = np.random.default_rng(11)
     sensors = encoders(names, 1e-3)
     for _ in range(runs):
@@ -247,8 +247,11 @@ def test_true_state_lies_in_its_region(scene, names):
         dimension = len(error)
         from scipy.stats import chi2
         inside += nees <= chi2.ppf(0.95, dimension)
+        total += nees
     # Of 40 draws at 95 %, 32 or fewer are inside once in 5,000 times (binomial).
     assert inside > 32
+    # Nor is the region too wide, or too narrow: all together, once in 5,000 times.
+    assert chi2.ppf(1e-4, runs * dimension) < total < chi2.isf(1e-4, runs * dimension)
 
 
 def test_dry_friction_needs_sigma_points_and_is_found():
