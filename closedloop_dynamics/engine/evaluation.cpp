@@ -401,9 +401,7 @@ void evaluate_again(const System & system, Values state, Index count)
 static void derivative_for(const System & system, Values state, Values out, Outputs outputs)
 {
   if (system.is_independent()) {
-    close_by_dependent(
-      system.model, system.work, system.partition, system.manifold, system.q(state),
-      system.qd(state), system.settings->closure_tolerance, false);
+    close_by_dependent(system, state);
   }
   evaluate_for(system, state, outputs);
   rates_of_coordinates(system.manifold, state, system.nv(), out);

@@ -4,12 +4,10 @@
 #include "independent.hpp"
 
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "loop_closure.hpp"
 #include "lu.hpp"
-#include "manifold.hpp"
 #include "recursion.hpp"
 
 namespace closedloop
@@ -24,12 +22,9 @@ enum : Index {CHOSEN_RATIO, RATIO, SWITCHES};
 // error of a step grows fast while the independent coordinates turn singular (3-RRR, 1 s of RK4 at
 // 1 ms: 8e-3 rad at 0.2, 5e-6 at 0.5, 1.5e-6 at 0.8), a change costs one factorization.
 constexpr double WORN = 0.8;
-constexpr int MOST_ITERATIONS = 12;
-// Relative rounding error of a coordinate, with the kinematics from it to a cut joint.
-constexpr double ROUNDING = 16.0 * std::numeric_limits<double>::epsilon();
+}  // namespace
 
-/// Choose the dependent coordinates, first in `order`, by complete pivoting of the Jacobian.
-void choose(const Partition & partition)
+void choose_dependent(const Partition & partition)
 {
   const Index nc = partition.jac.rows, nv = partition.jac.columns;
   const Indices & order = partition.order;
@@ -68,88 +63,42 @@ void choose(const Partition & partition)
   partition.record[SWITCHES] += 1.0;
 }
 
-/// Whether closure errors are rounding of the coordinates: after a prismatic joint has moved a
-/// thousand sizes of the mechanism, rounding exceeds the tolerance.
-bool is_rounding(
-  const Partition & partition, const Manifold & manifold, Values q, Values error,
-  double tolerance)
+void factor_dependent(const System & system, Values q, Values qd)
 {
+  const Partition & partition = system.partition;
+  outward(system.model, q, qd, system.work);
+  constraint_jacobian(system.model, system.work, partition.jac);
+  if (partition.record[CHOSEN_RATIO] == 0.0) {
+    choose_dependent(partition);
+  }
   for (Index k = 0; k < partition.jac.rows; ++k) {
-    double moved = 0.0;
-    for (Index j = 0; j < partition.jac.columns; ++j) {
-      const Index place = manifold.empty() ? j : manifold.place[j];
-      moved += std::abs(partition.jac(k, j) * (place < 0 ? 1.0 : q[place]));
-    }
-    if (!(std::abs(error[k]) <= tolerance + ROUNDING * moved)) {
-      return false;
+    for (Index j = 0; j < partition.jac.rows; ++j) {
+      partition.matrix(k, j) = partition.jac(k, partition.order[j]);
     }
   }
-  return true;
+  partition.record[RATIO] = factorize(partition.matrix, partition.pivots);
 }
 
-bool close(
-  const Model & model, const Workspace & work, const Partition & partition,
-  const Manifold & manifold, Values q, Values qd, double tolerance)
+void correct_dependent(const System & system, Level level, Values qd)
 {
-  const Index nc = partition.jac.rows, nv = partition.jac.columns;
-  const Values & right = partition.right;
-  const Indices & order = partition.order;
-  const Table & matrix = partition.matrix;
-  bool closed = false;
-  double before = std::numeric_limits<double>::infinity();
-  for (int iteration = 0; iteration < MOST_ITERATIONS; ++iteration) {
-    outward(model, q, qd, work);
-    constraint_jacobian(model, work, partition.jac);
-    to_user_order(model, work.closure, right);
-    if (partition.record[CHOSEN_RATIO] == 0.0) {
-      choose(partition);
+  const Partition & partition = system.partition;
+  to_user_order(system.model, system.work.closure, partition.right);
+  for (Index k = 0; k < partition.right.size && level == Level::VELOCITY; ++k) {
+    partition.right[k] = 0.0;
+    for (Index j = 0; j < qd.size; ++j) {
+      partition.right[k] += partition.jac(k, j) * qd[j];
     }
-    for (Index k = 0; k < nc; ++k) {
-      for (Index j = 0; j < nc; ++j) {
-        matrix(k, j) = partition.jac(k, order[j]);
-      }
-    }
-    partition.record[RATIO] = factorize(matrix, partition.pivots);
-    const double error = largest(right);
-    closed = error <= tolerance || (
-      !(error < 0.5 * before) && is_rounding(partition, manifold, q, right, tolerance));
-    if (closed) {
-      break;
-    }
-    before = error;
-    solve(matrix, partition.pivots, right);
-    partition.change.fill(0.0);
-    for (Index k = 0; k < nc; ++k) {
-      partition.change[order[k]] = -right[k];
-    }
-    move(manifold, q, partition.change, 1.0);
   }
-  for (Index k = 0; k < nc; ++k) {
-    double total = 0.0;
-    for (Index j = nc; j < nv; ++j) {
-      total -= partition.jac(k, order[j]) * qd[order[j]];
-    }
-    right[k] = total;
+  solve(partition.matrix, partition.pivots, partition.right);
+  system.qdd.fill(0.0);
+  for (Index k = 0; k < partition.right.size; ++k) {
+    system.qdd[partition.order[k]] = -partition.right[k];
   }
-  solve(matrix, partition.pivots, right);
-  for (Index k = 0; k < nc; ++k) {
-    qd[order[k]] = right[k];
-  }
-  return closed;
 }
-}  // namespace
 
-bool close_by_dependent(
-  const Model & model, const Workspace & work, const Partition & partition,
-  const Manifold & manifold, Values q, Values qd, double tolerance, bool after_step)
+bool are_worn(const Partition & partition)
 {
-  bool closed = close(model, work, partition, manifold, q, qd, tolerance);
-  const Values & record = partition.record;
-  if (after_step && !(record[RATIO] >= WORN * record[CHOSEN_RATIO])) {
-    choose(partition);
-    closed = close(model, work, partition, manifold, q, qd, tolerance);
-  }
-  return closed;
+  return !(partition.record[RATIO] >= WORN * partition.record[CHOSEN_RATIO]);
 }
 
 }  // namespace closedloop

@@ -4,19 +4,29 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__INDEPENDENT_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__INDEPENDENT_HPP_
 
-#include "workspace.hpp"
+#include "data.hpp"
 
-// Independent coordinates: the dependent ones follow from the loop closures by Newton's method.
+// Independent coordinates, which corrections leave as they are: the dependent ones follow from the
+// loop closures.
 
 namespace closedloop
 {
 
-/// Close the loops by the dependent coordinates and rates, in place, choosing independent ones
-/// initially and, after a step, where their pivots have become too small; false where loops remain
-/// open.
-bool close_by_dependent(
-  const Model &, const Workspace &, const Partition &, const Manifold &, Values q, Values qd,
-  double tolerance, bool after_step);
+/// Choose the dependent coordinates, first in `order`, by complete pivoting of the Jacobian.
+void choose_dependent(const Partition &);
+
+/// Factor the Jacobian of the dependent coordinates, which are chosen at first.
+void factor_dependent(const System &, Values q, Values qd);
+
+/// Changes of the dependent coordinates, or rates, that close the loops, into System.qdd.
+void correct_dependent(const System &, Level, Values qd);
+
+/// Whether pivots have become so small since the choice that others are to be chosen.
+bool are_worn(const Partition &);
+
+/// Close the loops of a state by the dependent coordinates and rates, as far as they can be, by the
+/// iteration of projection.cpp.
+void close_by_dependent(const System &, Values state);
 
 }  // namespace closedloop
 

@@ -27,8 +27,8 @@ constexpr double SHARPER = 1e-3;
 // which on they close the loops as well.
 constexpr double AS_GOOD = 0.1;
 
-/// The code that computes the corrections of a state.
-enum class Corrector {ROUTINE, LOOPS, RANK};
+/// What computes the corrections of a state; all but the last change it least in the mass metric.
+enum class Corrector {ROUTINE, LOOPS, RANK, DEPENDENT};
 
 /// Factor by loops over bodies; return whether the closure equations are independent.
 bool factor_by_loops(const System & system, Values q, Values qd)
@@ -46,6 +46,10 @@ bool factor_by_loops(const System & system, Values q, Values qd)
 /// Prepare corrections at a state: closure errors, responses, factors.
 Corrector factor_configuration(const System & system, Values q, Values qd)
 {
+  if (system.is_independent()) {
+    factor_dependent(system, q, qd);
+    return Corrector::DEPENDENT;
+  }
   if (system.is_unrolled()) {
     if (call(system.table, routine::CORRECTION, q, qd)) {
       return Corrector::ROUTINE;
@@ -58,11 +62,14 @@ Corrector factor_configuration(const System & system, Values q, Values qd)
   return factor_by_loops(system, q, qd) ? Corrector::LOOPS : Corrector::RANK;
 }
 
-/// -I^-1 J^T (J I^-1 J^T)^+ times the error into System.qdd: the least change in the mass metric.
+/// The change that closes the loops into System.qdd: -I^-1 J^T (J I^-1 J^T)^+ times the error, the
+/// least in the mass metric, or that of the dependent coordinates.
 void correction(
   const System & system, Corrector corrector, bool kept, Level level, Values q, Values qd)
 {
-  if (corrector == Corrector::LOOPS) {
+  if (corrector == Corrector::DEPENDENT) {
+    correct_dependent(system, level, qd);
+  } else if (corrector == Corrector::LOOPS) {
     correct_by_loops(system, level);
   } else if (corrector == Corrector::ROUTINE) {
     copy(system.corrections[level == Level::POSITION ? 0 : 1], system.qdd);
@@ -131,12 +138,12 @@ bool stabilise(
   }
   update_motions(system, state);
   const Values q = system.q(state), qd = system.qd(state);
-  if (stabilisation == Stabilisation::INDEPENDENT) {
-    return close_by_dependent(
-      system.model, system.work, system.partition, system.manifold, q, qd,
-      system.settings->closure_tolerance, after_step);
+  const bool closed = project(system, q, qd, stabilisation != Stabilisation::VELOCITY);
+  if (!(after_step && system.is_independent() && are_worn(system.partition))) {
+    return closed;
   }
-  return project(system, q, qd, stabilisation == Stabilisation::PROJECTION);
+  choose_dependent(system.partition);
+  return project(system, q, qd, true);
 }
 }  // namespace
 
@@ -153,6 +160,11 @@ void correct_by_loops(const System & system, Level level)
   }
   apply(system.model, work, work.right);
   outward_acceleration(system.model, work, system.qdd);
+}
+
+void close_by_dependent(const System & system, Values state)
+{
+  project(system, system.q(state), system.qd(state), true);
 }
 
 bool stabilise(const System & system, Stabilisation stabilisation, Values state)
