@@ -55,7 +55,7 @@ def _parts(name, values, parameters, spatial):
         if len(pair) != 2 or pair[0] == pair[1]:
             raise FieldError('a list of the names of 2 different bodies', shown(pair))
     with at('points'):
-        points = listed(parameters.evaluated(values['points']), 'a list of 2 places')
+        points = listed(parameters.evaluated(values['points'], 'm'), 'a list of 2 places')
         if len(points) != 2:
             raise FieldError('a list of 2 places, in the frames of both bodies', shown(points))
         places = []
@@ -63,9 +63,9 @@ def _parts(name, values, parameters, spatial):
             with at(index):
                 places.append(list((vector3 if spatial else vector2)(point)))
     numbers = {}
-    for key in ('mass', 'length'):
+    for key, unit in (('mass', 'kg'), ('length', 'm')):
         with at(key):
-            numbers[key] = positive(parameters.evaluated(values[key]))
+            numbers[key] = positive(parameters.evaluated(values[key], unit))
     with at('actuated'):
         actuated = boolean(values.get('actuated', False))
     mass, length = 0.5 * numbers['mass'], numbers['length']

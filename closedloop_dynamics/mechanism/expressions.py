@@ -6,13 +6,15 @@ Parameters, and arithmetic in the place of numbers.
 
 ``center_of_mass: [l/2, 0]``: numbers, parameters, ``pi``, the operators + - * / ** and functions
 of one or two numbers. A number may have a unit of length or angle behind it: ``40 mm``,
-``90 deg``. An expression is read by ``ast`` and computed here, node by node: nothing else can come
+``90 deg``; a length is refused where an angle is expected, an angle where a length is, and both
+where it is neither. An expression is read by ``ast`` and computed here, node by node: nothing else can come
 of it.
 """
 
 import ast
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache
 import math
 import operator
 import re
@@ -21,6 +23,7 @@ import warnings
 
 from .checks import NAME_PATTERN, number
 from .fields import among, at, FieldError, mapping, nearest, shown
+from .meanings import documented, unit_in
 
 LONGEST = 500
 CONSTANTS = {'pi': math.pi}
@@ -30,6 +33,11 @@ ANGLES = {'deg': math.pi / 180.0, 'rad': 1.0}
 UNITS = {**ANGLES, **LENGTHS}
 WITH_UNIT = re.compile(
     r'(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) ?(' + '|'.join(UNITS) + r')\b')
+# What an expression is by the units in it; '' for plain numbers, None where none of these.
+LENGTH, ANGLE, PLAIN = 'a length', 'an angle', ''
+# Units of keys of shapes whose other numbers are lengths.
+_OF_SHAPES = {'orientation': 'rad', 'axis': None, 'color': None, 'scale': None}
+_QUANTITIES = {LENGTH: '_length', ANGLE: '_angle'}
 # Function -> how many numbers it may take.
 FUNCTIONS = {**dict.fromkeys(
     ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees',
@@ -49,11 +57,11 @@ class Parameters:
     Named numbers, for expressions of them.
 
     ``values`` by name, in the order in which they were given; ``used``: names that an expression
-    has used.
+    has used; ``quantities``: which of them are lengths or angles by their units.
     """
 
     def __init__(self, values=()):
-        self.values, self.used = dict(values), set()
+        self.values, self.used, self.quantities = dict(values), set(), {}
 
     @classmethod
     def read(cls, section, given=()):
@@ -72,28 +80,34 @@ class Parameters:
                             'a name of letters, digits and underscores that starts with a letter '
                             'and is not in use', shown(key))
                     found.values[key] = number(given.get(key, found.evaluated(value)))
+                    if isinstance(value, str):
+                        found.quantities[key] = found.quantity(value)
         return found
 
-    def evaluated(self, value):
+    def evaluated(self, value, unit=None):
         """
         Return a value with numbers in the place of expressions, in lists and mappings, too.
 
-        Text that is no expression stays as it is, for the checks to refuse. FieldError where an
-        expression has no finite value, or an unknown name.
+        ``unit`` is that of its numbers, such as ``m`` or ``rad; m``, or a tuple with one for each
+        item of a list; None where any will do. Text that is no expression stays as it is, for the
+        checks to refuse. FieldError where an expression has no finite value, an unknown name, or
+        units of something else.
         """
         if isinstance(value, str):
+            self._require_unit(value, unit)
             return self._number(value)
         if isinstance(value, Mapping):
             found = {}
             for key, item in value.items():
                 with at(key):
-                    found[key] = self.evaluated(item)
+                    found[key] = self.evaluated(item, _OF_SHAPES.get(key, unit))
             return found
         if isinstance(value, list):
             found = []
             for index, item in enumerate(value):
                 with at(index):
-                    found.append(self.evaluated(item))
+                    found.append(self.evaluated(
+                        item, dict(enumerate(unit)).get(index) if isinstance(unit, tuple) else unit))
             return found
         return value
 
@@ -101,16 +115,35 @@ class Parameters:
         """
         Return the keys of a record with numbers in the place of expressions.
 
-        The types of a dataclass state which of its fields are made of numbers; keys that it has
-        not stay as they are. FieldError.
+        The types of a dataclass state which of its fields are made of numbers, its docstring
+        their units; keys that it has not stay as they are. FieldError.
         """
+        units = _units(record_type)
         types = {key: field.type for key, field in record_type.__dataclass_fields__.items()}
         found = dict(values)
         for key, value in found.items():
             if key in types and _of_numbers(types[key]):
                 with at(key):
-                    found[key] = self.evaluated(value)
+                    found[key] = self.evaluated(value, units[key])
         return found
+
+    def quantity(self, text):
+        """Return what an expression is by the units in it: LENGTH, ANGLE, PLAIN or None."""
+        root = parsed(WITH_UNIT.sub(lambda found: _QUANTITIES[
+            LENGTH if found[2] in LENGTHS else ANGLE], text))
+        return None if root is None else _quantity(root, {
+            **dict.fromkeys(CONSTANTS, PLAIN), **self.quantities,
+            **{name: quantity for quantity, name in _QUANTITIES.items()}})
+
+    def _require_unit(self, text, unit):
+        if not isinstance(unit, str) or not (self.quantities or WITH_UNIT.search(text)):
+            return
+        quantity = self.quantity(text)
+        parts = [part.partition('/')[0].strip() for part in re.split(r'[;,]| or ', unit)]
+        wanted = {LENGTH: 'm', ANGLE: 'rad'}
+        if quantity and wanted[quantity] not in parts:
+            only = {(one,): kind for kind, one in wanted.items()}.get((unit,), 'a number')
+            raise FieldError(f'{only} [{unit}]', f'{shown(text)}, {quantity}')
 
     def _number(self, text):
         """Return the value of an expression; the text itself where it is none."""
@@ -125,6 +158,42 @@ class Parameters:
         value = value_of(text, self.values, ON_NUMBERS, EXPECTED)
         self.used.update(self.values.keys() & set(names))
         return value
+
+
+def _quantity(node, known):
+    """Return what a node of the tree of ``parsed`` is; names that are not known are anything."""
+    if isinstance(node, ast.Constant):
+        return PLAIN
+    if isinstance(node, ast.Name):
+        return known.get(node.id)
+    if isinstance(node, ast.UnaryOp):
+        return _quantity(node.operand, known)
+    if isinstance(node, ast.Call):
+        first = _quantity(node.args[0], known) if node.args else None
+        name = getattr(node.func, 'id', None)
+        return first if name in ('abs', 'min', 'max', 'hypot') else (
+            ANGLE if name in ('asin', 'acos', 'atan', 'atan2', 'radians') else None)
+    if not isinstance(node, ast.BinOp):
+        return None
+    one, other = _quantity(node.left, known), _quantity(node.right, known)
+    if isinstance(node.op, (ast.Add, ast.Sub)):
+        if one and other and one != other:
+            raise FieldError('a sum of lengths or of angles', 'one of both')
+        # A plain number is in SI units of what it is added to.
+        return one or other
+    if isinstance(node.op, ast.Mult) and PLAIN in (one, other):
+        return one if other == PLAIN else other
+    if isinstance(node.op, ast.Div) and one is not None:
+        return one if other == PLAIN else PLAIN if one == other else None
+    return None
+
+
+@lru_cache(maxsize=None)
+def _units(record_type):
+    """Return the units of the fields of a record, None without one."""
+    meanings = documented(record_type)
+    return {key: unit_in(meanings[key][1]) or None if key in meanings else None
+            for key in record_type.__dataclass_fields__}
 
 
 def without_units(text):

@@ -28,7 +28,7 @@ from .validation import checked, SECTIONS, SPATIAL_SECTIONS, validate_mechanism
 # What a massless body need not say, beside its centre of mass.
 _NOTHING = {'mass': 0.0, 'inertia': 0.0}
 # Keys of a body that follow from its shape.
-_SHAPE_KEYS = ('shape', 'density')
+_SHAPE_KEYS = {'shape': 'm', 'density': 'kg/m^3'}
 
 __all__ = ['mechanism_of', 'read_mechanism', 'validate_mechanism', 'with_cuts', 'with_data',
            'with_kept', 'with_parameters']
@@ -286,7 +286,7 @@ def _records(
                     values = parameters.record(record_type, values)
                     if key == 'joints' and BETWEEN in values:
                         with at('points'):
-                            points = parameters.evaluated(values.get('points'))
+                            points = parameters.evaluated(values.get('points'), 'm')
                         links[entry] = link(entry, {**values, 'points': points} if (
                             'points' in values) else values, data['bodies'] or (), spatial)
                         continue
@@ -312,19 +312,19 @@ def _evaluated(shapes: Any, parameters: Parameters) -> Any:
             if isinstance(mesh, Mapping) and 'file' in mesh:
                 with at(MESH):
                     rest = parameters.evaluated(
-                        {key: value for key, value in mesh.items() if key != 'file'})
+                        {key: value for key, value in mesh.items() if key != 'file'}, 'm')
                 found.append({**shape, MESH: {**rest, 'file': mesh['file']}})
             else:
-                found.append(parameters.evaluated(shape))
+                found.append(parameters.evaluated(shape, 'm'))
     return found
 
 
 def _body(values: Dict[str, Any], parameters: Parameters, spatial: bool) -> Dict[str, Any]:
     """Return the keys of a body, with its optional ones."""
-    for key in _SHAPE_KEYS:
+    for key, unit in _SHAPE_KEYS.items():
         if key in values:
             with at(key):
-                values[key] = parameters.evaluated(values[key])
+                values[key] = parameters.evaluated(values[key], unit)
     if 'visual' in values:
         with at('visual'):
             values['visual'] = visuals(_evaluated(values['visual'], parameters), spatial)

@@ -27,7 +27,7 @@ from ..mechanism.checks import (
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document, plain
-from ..mechanism.expressions import ANGLES, LENGTHS, Parameters, put_changes, WITH_UNIT
+from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..mechanism.reader import mechanism_of, read_mechanism, with_kept, with_parameters
@@ -389,11 +389,10 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
         cut = () if mechanism.tree is None else mechanism.tree.cut
         turning = mechanism.turning_cuts
         section = _section(value, 'position')
-        _require_units(section, coordinates)
         # Where the start is drawn, of joints that nothing of the drawing is about.
-        given = names.evaluated(mapping(section, () if drawn else coordinates.keys, [
-            *coordinates.keys, *(key for key in section
-                                 if key in turning or key.partition('.')[0] in cut)]))
+        given = _evaluated(mapping(section, () if drawn else coordinates.keys, [
+            *coordinates.keys, *(key for key in section if key in turning
+                                 or key.partition('.')[0] in cut)]), coordinates, names)
         # Positions of cut joints follow from the others, but for how often they have turned round.
         turned = {key: number(one) for key, one in given.items() if key in turning}
         given = {key: one for key, one in given.items()
@@ -405,7 +404,7 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
         hold = list_of(one_of(coordinates.can_be_held, 'one of the joints'))(
             value.get('hold', ()))
     with at('velocity'):
-        given = names.evaluated(_section(value, 'velocity'))
+        given = _evaluated(_section(value, 'velocity'), coordinates, names)
         velocity = coordinates.filled('velocity', given, np.zeros(coordinates.nv))
         for joint in given:
             if hold and not {joint, coordinates.joint_of(joint)} & set(hold):
@@ -415,28 +414,33 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
     return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold, turned)
 
 
+def _evaluated(section: Mapping[str, Any], coordinates: Any, names: Parameters) -> Dict[str, Any]:
+    """Return numbers of joints in the place of expressions, of lengths where they slide."""
+    found = {}
+    for key, value in section.items():
+        place = coordinates.index.get(key)
+        with at(key):
+            found[key] = names.evaluated(value, None if place is None else (
+                'm' if coordinates.lengths[place] else 'rad'))
+    return found
+
+
 def _drawn(value: Mapping[str, Any], mechanism: Mechanism, names: Parameters,
            start: np.ndarray) -> np.ndarray:
     """Return the position of a mechanism where pins, points and bodies are drawn."""
     # Here, as few scenes need it.
     from .drawn_start import drawn_position
     found: Dict[str, Dict[str, Any]] = {key: {} for key in DRAWN}
-    for key, count in zip(DRAWN, (2, 3) if mechanism.planar else (3, 6)):
+    axes = 2 if mechanism.planar else 3
+    of_pose = (*axes * ('m',), *(1 if mechanism.planar else 3) * ('rad',))
+    for key, units in zip(DRAWN, (axes * ('m',), of_pose)):
+        count = len(units)
         with at(key):
-            for name, place in names.evaluated(_section(value, key)).items():
+            for name, place in _section(value, key).items():
                 with at(name):
-                    found[key][name] = numbers(place, count, f'a list of {count} finite numbers')
+                    found[key][name] = numbers(
+                        names.evaluated(place, units), count, f'a list of {count} finite numbers')
     return drawn_position(mechanism, found['at'], found['poses'], start)
-
-
-def _require_units(section: Mapping[str, Any], coordinates: Any) -> None:
-    """Refuse lengths of joints that turn, and angles of those that slide."""
-    for key, value in section.items():
-        if key in coordinates.index and isinstance(value, str):
-            known = LENGTHS if coordinates.lengths[coordinates.index[key]] else ANGLES
-            for _, unit in WITH_UNIT.findall(value):
-                if unit not in known:
-                    raise FieldError(f'one of the units {among(known)}', unit, path=(key,))
 
 
 def _effect(

@@ -118,6 +118,41 @@ def test_parameters_that_cannot_be_are_named(tmp_path, section, words):
     assert words in str(error.value)
 
 
+@pytest.mark.parametrize('before, after, words', [
+    ('position: [0.4, 0]', 'position: [40 deg, 0]',
+     "joints.rocker_joint.position[0]: expected a length [m], got the text '40 deg', an angle"),
+    ('angle: pi/16', 'angle: 2*(40 mm)',
+     "joints.rocker_joint.angle: expected an angle [rad], got the text '2*(40 mm)', a length"),
+    ('mass: 1.0', 'mass: 40 mm',
+     "bodies.coupler.mass: expected a number [kg], got the text '40 mm', a length"),
+    ('radius: 0.01', 'radius: 1 deg',
+     "bodies.crank.shape.rod.radius: expected a length [m], got the text '1 deg', an angle"),
+    ('density: 7800', 'density: 7800 mm', 'bodies.crank.density: expected a number [kg/m^3]'),
+    # By the units of the parameters that it is made of.
+    ('parameters: {l: 0.1,', 'parameters: {l: 90 deg,',
+     "bodies.crank.shape.rod.to[0]: expected a length [m], got the text 'l', an angle"),
+    ('angle: pi/16', 'angle: 10 deg + 1 mm', 'expected a sum of lengths or of angles')])
+def test_units_are_those_of_the_quantity(scene, before, after, words):
+    machine = scene.with_name('machine.yaml')
+    machine.write_text(MECHANISM.replace(before, after))
+    with pytest.raises(MechanismError) as caught:
+        read_mechanism(machine)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize('before, after', [
+    ('position: [0.4, 0]', 'position: [4*(100 mm), 0.1 m - 10 cm]'),
+    ('l: 0.1,', 'l: 100 mm,'), ('angle: pi/16', 'angle: 11.25 deg'),
+    # A ratio of lengths, and their products, are what they are.
+    ('angle: pi/16', 'angle: "atan2(40 mm, 2 m) + (10 mm)/(1 m)"'),
+    ('angle: pi/16', 'angle: sin(11 deg)'),
+    ('inertia: k**2/12', 'inertia: (350 mm)**2/12'), ('mass: 1.0', 'mass: 2*(500 mm)/(1 m)')])
+def test_units_that_fit_are_read(scene, before, after):
+    machine = scene.with_name('machine.yaml')
+    machine.write_text(MECHANISM.replace(before, after))
+    read_mechanism(machine)
+
+
 def test_parameters_of_a_file_can_be_others(scene):
     path = scene.with_name('machine.yaml')
     for mechanism in (read_mechanism(path, {'l': 0.2}),

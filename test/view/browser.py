@@ -24,6 +24,8 @@ from websockets.sync.client import connect
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 # Longest wait for a browser on a busy machine [s].
 PATIENCE = 120.0
+# After which a picture is asked for again [s]: the browser may lose the frame that it waits for.
+FRAME_PATIENCE = 15.0
 # A page works the same whether it is in front or behind others, and where /dev/shm is small.
 STEADY = ('--disable-background-timer-throttling', '--disable-backgrounding-occluded-windows',
           '--disable-renderer-backgrounding', '--disable-hang-monitor', '--disable-dev-shm-usage',
@@ -96,14 +98,14 @@ class Tab:
         self._do('Page.navigate', url=url)
         self._target = target
 
-    def _do(self, method, **parameters):
+    def _do(self, method, patience=PATIENCE, **parameters):
         number = next(self.numbers)
         message = {'id': number, 'method': method, 'params': parameters}
         if getattr(self, '_session', None):
             message['sessionId'] = self._session
         self._socket.send(json.dumps(message))
         while True:
-            answer = json.loads(self._socket.recv(timeout=PATIENCE))
+            answer = json.loads(self._socket.recv(timeout=patience))
             if answer.get('method') == 'Runtime.exceptionThrown':
                 self.errors.append(answer['params']['exceptionDetails'])
             if answer.get('id') == number:
@@ -128,7 +130,12 @@ class Tab:
     def picture(self):
         """Return what is seen once the page has drawn its state, shape (height, width, 3)."""
         self.ask('new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))')
-        data = self._do('Page.captureScreenshot', format='png')['data']
+        end, data = time.monotonic() + PATIENCE, None
+        while data is None:
+            try:
+                data = self._do('Page.captureScreenshot', FRAME_PATIENCE, format='png')['data']
+            except TimeoutError:
+                assert time.monotonic() < end, 'the browser takes no picture'
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert('RGB'))
 
     def download(self, selector, folder):
@@ -145,7 +152,8 @@ class Tab:
     def mouse(self, kind, x, y, buttons=0, modifiers=0):
         """Let the mouse do something: ``mousePressed``, ``mouseMoved``, ``mouseReleased``."""
         self._input(
-            {'mousePressed': 'pointerdown', 'mouseReleased': 'pointerup'}.get(kind),
+            {'mousePressed': 'pointerdown', 'mouseReleased': 'pointerup',
+             'mouseMoved': 'pointermove' if buttons else None}[kind],
             'Input.dispatchMouseEvent', type=kind, x=x, y=y, buttons=buttons,
             modifiers=modifiers,
             button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
