@@ -4,6 +4,7 @@
 """What is told of a scene while it is drawn: degrees of freedom, what repeats, what is wrong."""
 
 from dataclasses import replace
+import re
 
 from ..mechanism.mechanism import MechanismError
 from ..simulation.assembly import Assembler
@@ -31,7 +32,8 @@ def checked(text, name):
         repeated = find_redundancy(mechanism, q).repeated
         freedoms = assembler.degrees_of_freedom(q) - count_forbidden(mechanism, q)
     except (SceneError, MechanismError, AssemblyError, ValueError) as error:
-        return {'error': str(error).removeprefix(f'{name}.yaml:')}
+        place = rf'{re.escape(name)}\.yaml:'
+        return {'error': re.sub(f'^{place}', '', re.sub(rf'^{place}(?=\d)', 'line ', str(error)))}
     driven, equations = len(moved.motions), len(mechanism.coordinates.names) - freedoms
     words = [f'{mechanism.coordinates.nv} joints of the tree less {equations} independent '
              'equations of the loops']

@@ -401,6 +401,24 @@ def test_numbers_are_typed_with_units_undone_and_nudged_by_keys(hand):
     assert hand.nodes()['B'] == pytest.approx(0.0508)
 
 
+def test_text_that_the_board_cannot_draw_is_checked_and_simulated_by_the_server(hand):
+    four_bar(hand)
+    hand.told()
+    text = hand.ask('text').replace('mechanism:\n', 'mechanism:\n  parameters: {m: 0.2}\n')
+    type_text = """(() => {{
+        page.edit.board.area.value = {!r};
+        page.edit.board.area.dispatchEvent(new Event("input")); }})()"""
+    hand.tab.ask(type_text.format(text.replace('speed: 6.28319', 'speed: 5*m')))
+    hand.tab.wait('page.edit.board.text.includes("5*m")')
+    words = hand.told()
+    assert words.startswith('0 degrees of freedom left, 1 driven')
+    line = text[:text.index('motor_1')].count('\n') + 1
+    assert words.endswith(f'not drawn, line {line}: expected a number, got 5*m')
+    hand.tab.ask(type_text.format(text.replace('speed: 6.28319', 'speed: 5*k')))
+    hand.tab.wait('page.edit.board.text.includes("5*k")')
+    assert hand.told().startswith(f'line {line}: effects.motor_1.speed: expected a number')
+
+
 def test_a_pin_is_moved_by_a_finger(hand):
     hand.drag('bar', ((0, 0), (0.04, 0)))
     hand.take('select')

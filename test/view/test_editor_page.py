@@ -202,6 +202,87 @@ def test_teeth_of_gears_and_racks_lie_in_gaps_as_they_turn(tab):
         assert np.linalg.norm(tips(rack[:-2], 4), axis=1).min() < 0.03
 
 
+CAM = drawing(
+    {'A': (0.0, 0.0, 'ground'), 'B': (0.0, 0.05), 'C': (0.0, 0.08)}, link_1=link('B', 'C'),
+    cam_1={'kind': 'cam', 'node': 'A', 'roller': 'B', 'radius': 0.01,
+           'radii': [0.04, 0.045, 0.05, 0.045]},
+    slider_1={'kind': 'slider', 'node': 'C', 'on': 'ground', 'angle': 1.5707963267948966,
+              'block': True},
+    motor_1={'kind': 'motor', 'node': 'A', 'body': 'cam_1', 'law': 'speed', 'value': 3.0})
+GENEVA = drawing(
+    {'A': (0.0, 0.0, 'ground'), 'B': (0.1, 0.0, 'ground')},
+    geneva_1={'kind': 'geneva', 'wheel': 'A', 'driver': 'B', 'slots': 5},
+    motor_1={'kind': 'motor', 'node': 'B', 'body': 'geneva_1_driver', 'law': 'speed',
+             'value': 3.0})
+BELT = drawing(
+    {'A': (0.0, 0.0, 'ground'), 'B': (0.1, 0.0, 'ground')},
+    gear_1=gear('A', 20), gear_2=gear('B', 30), belt_1={'kind': 'belt', 'a': 'gear_1',
+                                                       'b': 'gear_2'})
+
+
+@pytest.mark.parametrize('name, drawn', [
+    *DRAWINGS.items(), ('planetary', PLANETARY), ('cam', CAM), ('geneva', GENEVA),
+    ('belt', BELT)])
+def test_a_scene_is_drawn_again_from_its_text(name, drawn, tab):
+    text, again, elements = tab.ask(f"""(() => {{
+        const drawn = new Drawing({json.dumps(drawn)}), text = drawn.text();
+        const again = new SceneReader(text).drawing;
+        return [text, again.text(), again.elements]; }})()""")
+    # Points, and places of the start, may be in another order.
+    one, other = (sorted(map(sorted, written.split('\n'))) for written in (text, again))
+    assert one == other
+    kinds = [one['kind'] for one in elements.values()]
+    assert sorted(kinds) == sorted(one['kind'] for one in drawn['elements'].values())
+
+
+def typed(tab, text):
+    """Type a text into the board; return what is told of it."""
+    tab.ask(f"""(() => {{
+        const {{area}} = page.editor.board;
+        area.value = {json.dumps(text)};
+        area.dispatchEvent(new Event("input")); }})()""")
+    tab.wait(f'page.editor.board.told.text === {json.dumps(text)}')
+    return tab.ask('page.editor.board.status.textContent')
+
+
+def test_a_scene_is_typed_and_what_is_wrong_told_with_its_line(tab):
+    show(tab, FOUR_BAR)
+    tab.ask('page.editor.board.open()')
+    text = tab.ask('page.editor.board.text')
+    node = 'page.editor.board.drawing.nodes.E'
+    other = '# Mine.\n' + text.replace('E: [50 mm, 90 mm]', 'E: [5 cm, 0.09]')
+    assert typed(tab, other).startswith('1 degree of freedom')
+    assert tab.ask('page.editor.board.text') == other
+    assert tab.ask(f'[{node}.x, {node}.y]') == [0.05, 0.09]
+    line = text[:text.index('    A:')].count('\n') + 1
+    for before, after, words in (
+            ('between: [ground, link_1]', 'between: [ground, link_7]',
+             f'line {line}: expected the name of a body, got link_7'),
+            ('  joints:', '  springs: {}\n  joints:', 'the board has no mechanism.springs'),
+            ('points: [[0, 0]', 'points: [[1 deg, 0]',
+             f'line {line}: expected units of length, got 1 deg'),
+            ('B: [20 mm, 30 mm]', 'B: [20 mm, 30 mm', 'expected'),
+            ('inertia: 0.0000285833', 'inertia: 0.00003',
+             'line 6: mechanism.bodies.link_3.inertia: expected 0.0000285833')):
+        assert words in typed(tab, text.replace(before, after, 1)), after
+    assert tab.ask('page.editor.board.element.open')
+    tab.click('#board [data-do="simulate"]')
+    assert tab.ask('page.editor.board.element.open')
+    # A click on what is told leads to the line.
+    tab.ask('page.editor.board.status.click()')
+    start, end = tab.ask('[page.editor.board.area.selectionStart, page.editor.board.area.selectionEnd]')
+    assert tab.ask('page.editor.board.text')[start:end].startswith('    link_3: {mass')
+    # The mouse draws on from the last drawing, and undoing brings the typed text back.
+    tab.click('#board [data-do="undo"]')
+    assert tab.ask('page.editor.board.text') != text
+    for _ in range(4):
+        tab.click('#board [data-do="undo"]')
+    assert tab.ask('page.editor.board.text') == other
+    tab.click('#board [data-do="undo"]')
+    assert tab.ask('page.editor.board.text') == text
+    tab.click('#board [data-do="close"]')
+
+
 def chain(count):
     places = {f'P{k}': (0.02 * k, 0.0) for k in range(count + 1)}
     places['P0'] = (0.0, 0.0, 'ground')

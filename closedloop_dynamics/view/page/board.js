@@ -42,7 +42,8 @@ const BETWEEN_NODES = {
   geneva: (wheel, driver) => ['geneva', {wheel, driver, slots: 5}]};
 
 class Board {
-  // `host` checks and simulates: check(name, text) returns a promise of what is told, simulate(name, text).
+  // `host` checks and simulates: check(name, text) returns a promise of what is told, simulate(name, text);
+  // `reads`: whether it takes text that the board cannot draw.
   constructor(host) {
     this.host = host;
     this.drawing = new Drawing();
@@ -70,12 +71,24 @@ class Board {
       <label><input type="checkbox" data-set="labels" checked> lengths and angles</label>
       <label><input type="checkbox" data-set="gravity" checked> gravity</label></div>
       <div class="fields"></div>
-      <details><summary>the scene as a file</summary><a class="button" download>download</a><pre></pre></details>
+      <details><summary>the scene as text</summary><div class="row"><a class="button" download>download</a>
+      <label class="button">open a file …<input type="file" accept=".yaml,.yml" hidden></label></div>
+      <textarea class="scene" spellcheck="false" wrap="off" aria-label="the scene as text"></textarea></details>
       </aside></div></dialog>`);
     document.body.append(this.element);
     const find = (selector) => this.element.querySelector(selector);
-    [this.canvas, this.fields, this.pre, this.link, this.status] = [
-      find('canvas'), find('.fields'), find('pre'), find('a'), find('.told')];
+    [this.canvas, this.fields, this.area, this.link, this.status] = [
+      find('canvas'), find('.fields'), find('.scene'), find('a'), find('.told')];
+    this.area.oninput = () => {
+      clearTimeout(this.waiting);
+      this.waiting = setTimeout(() => this.read(this.area.value), CHECK_AFTER);
+    };
+    find('[type=file]').onchange = async ({target}) => {
+      const [file] = target.files;
+      if (file) this.read(this.area.value = await file.text());
+      target.value = '';
+    };
+    this.status.onclick = () => this.goToLine(Number(/line (\d+)/.exec(this.status.textContent)?.[1]));
     this.pen = this.canvas.getContext('2d');
     find('.name').oninput = ({target}) => {
       const good = /^[A-Za-z]\w*$/.test(target.value);
@@ -121,30 +134,56 @@ class Board {
 
   // Changes.
 
-  edit(change) {
-    const before = this.drawing.copy();
+  // What is drawn, and its text where that was typed.
+  get state() { return {drawing: this.drawing.copy(), typed: this.typed, unread: this.unread}; }
+
+  edit(change, typed = null, unread = null) {
+    this.keep(this.state);
     change();
+    this.changed(typed, unread);
+  }
+
+  keep(before) {
     this.done.push(before);
     this.done.splice(0, this.done.length - MOST_UNDO);
     this.undone = [];
-    this.changed();
   }
 
   step(back, forth) {
     if (!back.length) return;
-    forth.push(this.drawing.copy());
-    this.drawing = back.pop();
+    forth.push(this.state);
+    const {drawing, typed, unread} = back.pop();
+    this.drawing = drawing;
     this.cancel();
-    this.changed();
+    this.changed(typed, unread);
   }
 
-  changed() {
+  // Text that is typed is drawn, where it is of the board.
+  read(text) {
+    try {
+      const {drawing} = new SceneReader(text);
+      this.edit(() => { this.drawing = drawing; }, text);
+    } catch (error) {
+      this.edit(() => {}, text, error.message);
+    }
+  }
+
+  goToLine(line) {
+    if (!line) return;
+    const lines = this.text.split('\n'), start = lines.slice(0, line - 1).join('\n').length + Number(line > 1);
+    this.area.closest('details').open = true;
+    this.area.focus();
+    this.area.setSelectionRange(start, start + lines[line - 1].length);
+  }
+
+  changed(typed = null, unread = null) {
     const {drawing} = this;
+    [this.typed, this.unread] = [typed, unread];
     if (!(this.selected in drawing.nodes || this.selected in drawing.elements)) this.selected = null;
     this.element.querySelector('.name').value = drawing.name;
     this.element.querySelector('[data-set=unit]').value = drawing.unit;
-    this.text = Object.keys(drawing.elements).length ? drawing.text() : '';
-    this.pre.textContent = this.text;
+    this.text = typed ?? (Object.keys(drawing.elements).length ? drawing.text() : '');
+    if (this.area.value !== this.text) this.area.value = this.text;
     this.link.href = URL.createObjectURL(new Blob([this.text], {type: 'application/yaml'}));
     this.link.download = `${drawing.name}.yaml`;
     clearTimeout(this.waiting);
@@ -154,14 +193,14 @@ class Board {
   }
 
   async check() {
-    const {text} = this;
-    const told = text ? await this.host.check(this.drawing.name, text) : {};
+    const {text, unread} = this;
+    const told = !text ? {} : unread && !this.host.reads ? {error: unread} : await this.host.check(this.drawing.name, text);
     if (text !== this.text) return;
     // The text that this is about.
     this.told = {...told, text};
     const {error, freedoms, driven, words} = told;
     this.status.textContent = !text ? 'nothing drawn yet' : error ?? `${freedoms} degree${
-      freedoms === 1 ? '' : 's'} of freedom${driven ? ` left, ${driven} driven` : ''}: ${words.join('; ')}`;
+      freedoms === 1 ? '' : 's'} of freedom${driven ? ` left, ${driven} driven` : ''}: ${[...words, ...unread ? [`not drawn, ${unread}`] : []].join('; ')}`;
     this.status.classList.toggle('bad', Boolean(error));
     this.show();
   }
@@ -173,7 +212,9 @@ class Board {
       new RegExp(`(^|[^A-Za-z0-9_])${name}(_\\d+|_guide|_barrel|_rod|_foot|_head)?([^A-Za-z0-9_]|$)`).test(words)));
   }
 
-  simulate() { this.host.simulate(this.drawing.name, this.text); }
+  simulate() {
+    if (!this.unread || this.host.reads) this.host.simulate(this.drawing.name, this.text);
+  }
 
   choose(tool) {
     this.cancel();
@@ -353,8 +394,7 @@ class Board {
     if (!one) return;
     if (this.held) {
       if (this.held.before) {
-        this.done.push(this.held.before);
-        this.undone = [];
+        this.keep(this.held.before);
         this.changed();
       }
       this.held = null;
@@ -516,7 +556,7 @@ class Board {
       return;
     }
     if (!held.before && Math.hypot(...difference(place, held.from)) < 3) return;
-    held.before ??= drawing.copy();
+    held.before ??= this.state;
     const way = difference(this.meant(place), this.meant(held.from));
     held.nodes.forEach((name, k) => {
       const [x, y] = held.places[k];
@@ -590,7 +630,7 @@ class Board {
       row('law', ['speed', 'torque'], one.law, (law) => {
         Object.assign(one, {law, value: law === 'torque' ? NEW_TORQUE : one.on ? 0.1 : NEW_SPEED});
       });
-      row(`${one.law} [${unit[one.law]}]`, 'number', one.value, put('value'));
+      row(`${one.law} [${unit[one.law]}]`, one.law === 'torque' ? 'number' : one.on ? 'sliding' : 'turning', one.value, put('value'));
     }
     if (one.kind === 'force') ['x', 'y'].forEach((key) => row(`force ${key} [N]`, 'number', one[key], put(key)));
   }
@@ -606,11 +646,13 @@ class Board {
     const element = make(`<label>${escaped(label + words)} <span>${kind === 'whole' ? '<button>−</button>' : ''}${
       entry}${kind === 'whole' ? '<button>+</button>' : ''}</span></label>`);
     const input = element.querySelector('input, select, textarea');
-    // 40, 40 mm, 1.5 inch, 30 deg.
+    // 40, 40 mm, 1.5 inch, 30 deg, 2*25; of motors also 90 rpm.
     const read = (text) => {
-      const [, number, given = ''] = /^\s*([-+\d.eE]+?)\s*([a-z]*)\s*$/.exec(text) ?? [];
-      const scale = given === '' ? size : kind === 'angle' ? {deg: DEGREE, rad: 1}[given] : LENGTH_UNITS[given];
-      return Number(number) * scale;
+      try {
+        return quantity(text, {table: 'length', whole: 'number', sliding: 'length'}[kind] ?? kind, size);
+      } catch {
+        return NaN;
+      }
     };
     const apply = (next) => {
       const good = Array.isArray(next) ? next.length > 2 && next.every((one) => one > 0)

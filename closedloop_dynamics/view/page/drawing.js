@@ -278,7 +278,7 @@ class Drawing {
     const slots = this.of('slider').filter(([, {block}]) => !block);
     if (slots.length) lines.push('  cut_joints:');
     for (const [name, {node, on, angle: along}] of slots) {
-      const body = this.#bodyAt(node, bodies, on), at = this.place(node);
+      const body = this.bodyAt(node, bodies, on), at = this.place(node);
       lines.push(`    ${name}: {type: point_on_line, body_a: ${body}, point_a: ${local(body, at)}, body_b: ${on}, point_b: ${
         local(on, at)}, angle: ${angle(along - bodies[on].angle)}}`);
     }
@@ -302,7 +302,7 @@ class Drawing {
     for (const [node, {trace}] of Object.entries(this.nodes)) {
       const here = Object.keys(bodies).filter((body) => bodies[body].nodes.includes(node));
       if (trace || here.length === 1 && here[0] !== GROUND_BODY && !slots.some(([, one]) => one.node === node)) {
-        points.set(node, [this.#bodyAt(node, bodies), this.place(node)]);
+        points.set(node, [this.bodyAt(node, bodies), this.place(node)]);
       }
     }
     const traced = [...points].sort(([a], [b]) => Boolean(this.nodes[b]?.trace) - Boolean(this.nodes[a]?.trace));
@@ -326,7 +326,7 @@ class Drawing {
   }
 
   // The first body at a node that is not the ground, nor another one.
-  #bodyAt(node, bodies, but = null) {
+  bodyAt(node, bodies, but = null) {
     const here = Object.keys(bodies).filter((body) => bodies[body].nodes.includes(node) && body !== but);
     return here.find((body) => body !== GROUND_BODY) ?? here[0] ?? GROUND_BODY;
   }
@@ -373,7 +373,7 @@ class Drawing {
   #effects(bodies, joints, motors) {
     const found = [], points = new Map(), {length, pair} = this.#writers();
     const point = (node) => {
-      points.set(node, [this.#bodyAt(node, bodies), this.place(node)]);
+      points.set(node, [this.bodyAt(node, bodies), this.place(node)]);
       return node;
     };
     for (const [name, {law, value}, joint] of motors) {

@@ -94,6 +94,7 @@ class Editing {
     let number = Math.floor(1e9 * Math.random());
     this.waiting = {};
     return {
+      reads: true,
       check: (name, text) => new Promise((done) => {
         this.waiting = {number: ++number, done};
         this.ask('check', {number, name, text});

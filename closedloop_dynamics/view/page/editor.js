@@ -42,12 +42,6 @@ class DrawnMachine {
     return rotate(difference(place, at), -angle);
   }
 
-  // The body at a node, not the ground where there is another.
-  bodyAt(node, but = null) {
-    const here = Object.keys(this.bodies).filter((body) => this.bodies[body].nodes.includes(node) && body !== but);
-    return here.find((body) => body !== GROUND_BODY) ?? here[0] ?? GROUND_BODY;
-  }
-
   // Direction of a joint that slides: that of its block.
   direction({name, between}) {
     const block = name.replace(/_guide$/, '');
@@ -84,7 +78,7 @@ class DrawnMachine {
   }
 
   model() {
-    const {drawing, bodies, row} = this, gravity = drawing.gravity ? [0, -EARTH_GRAVITY] : [0, 0];
+    const {drawing, bodies, row} = this, bodyAt = (node) => drawing.bodyAt(node, bodies), gravity = drawing.gravity ? [0, -EARTH_GRAVITY] : [0, 0];
     const rows = this.tree.map((joint) => {
       const {type, parent, child, at, sign} = joint, {mass, center, inertia, angle, end} = bodies[child];
       return {parent: row[parent], turns: type === 'revolute', sign, place: this.local(parent, at),
@@ -103,7 +97,7 @@ class DrawnMachine {
     });
     for (const [name, {node, on, block, angle}] of drawing.of('slider')) {
       if (!block) {
-        cuts.push({...ends([this.bodyAt(node, on), on ?? GROUND_BODY], drawing.place(node)), kind: 'line', name,
+        cuts.push({...ends([drawing.bodyAt(node, bodies, on), on ?? GROUND_BODY], drawing.place(node)), kind: 'line', name,
                    along: rotate([1, 0], angle - bodies[on ?? GROUND_BODY].angle)});
       }
     }
@@ -118,16 +112,16 @@ class DrawnMachine {
                          along: joint.type === 'revolute' ? null : rotate(this.direction(joint), -bodies[a].angle)}];
       }));
     this.springs = drawing.of('spring').map(([name, {a, b, stiffness, damping, free}]) => {
-      const [from, to] = [a, b].map((node) => drawing.place(node)), [one, other] = [a, b].map((node) => this.bodyAt(node));
+      const [from, to] = [a, b].map((node) => drawing.place(node)), [one, other] = [a, b].map((node) => bodyAt(node));
       return {name, a: row[one], at_a: this.local(one, from), b: row[other], at_b: this.local(other, to), stiffness,
               damping, free: free ?? Math.hypot(...difference(to, from))};
     });
     const forces = drawing.of('force').map(([, {node, x, y}]) => ({
-      row: row[this.bodyAt(node)], at: this.local(this.bodyAt(node), drawing.place(node)), force: [x, y]}));
+      row: row[bodyAt(node)], at: this.local(bodyAt(node), drawing.place(node)), force: [x, y]}));
     this.points = Object.entries(drawing.nodes).filter(([node, {trace}]) => trace
-      || Object.values(bodies).filter(({nodes}) => nodes.includes(node)).length === 1 && this.bodyAt(node) !== GROUND_BODY)
+      || Object.values(bodies).filter(({nodes}) => nodes.includes(node)).length === 1 && bodyAt(node) !== GROUND_BODY)
       .sort(([, one], [, other]) => Boolean(other.trace) - Boolean(one.trace))
-      .map(([name]) => ({name, body: this.bodyAt(name), at: this.local(this.bodyAt(name), drawing.place(name))}));
+      .map(([name]) => ({name, body: bodyAt(name), at: this.local(bodyAt(name), drawing.place(name))}));
     return {rows, cuts, couplings, springs: this.springs, forces, gravity};
   }
 
