@@ -7,8 +7,8 @@ Parameters, and arithmetic in the place of numbers.
 ``center_of_mass: [l/2, 0]``: numbers, parameters, ``pi``, the operators + - * / ** and functions
 of one or two numbers. A number may have a unit of length or angle behind it: ``40 mm``,
 ``90 deg``; a length is refused where an angle is expected, an angle where a length is, and both
-where it is neither. An expression is read by ``ast`` and computed here, node by node: nothing else can come
-of it.
+where it is neither. An expression is read by ``ast`` and computed here, node by node: nothing else
+can come of it.
 """
 
 import ast
@@ -106,8 +106,8 @@ class Parameters:
             found = []
             for index, item in enumerate(value):
                 with at(index):
-                    found.append(self.evaluated(
-                        item, dict(enumerate(unit)).get(index) if isinstance(unit, tuple) else unit))
+                    of_item = dict(enumerate(unit)).get(index) if isinstance(unit, tuple) else unit
+                    found.append(self.evaluated(item, of_item))
             return found
         return value
 

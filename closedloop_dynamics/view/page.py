@@ -12,8 +12,8 @@ import numpy as np
 PARTS = ('algebra.js', 'history.js', 'meshes.js', 'parts.js', 'guides.js', 'ropes.js', 'trails.js',
          'arrows.js', 'overlay.js', 'camera.js', 'scene.js', 'plot.js', 'plots.js', 'panels.js',
          'timeline.js', 'compare.js', 'vector.js', 'export.js', 'edit.js', 'drawing.js',
-         'gears.js', 'expression.js', 'reading.js', 'board.js', 'machine.js', 'standalone.js', 'planar.js',
-         'editor.js', 'page.js')
+         'gears.js', 'expression.js', 'reading.js', 'board.js', 'machine.js', 'standalone.js',
+         'planar.js', 'editor.js', 'page.js')
 STYLES = ('page.css', 'edit.css', 'board.css', 'time.css')
 
 

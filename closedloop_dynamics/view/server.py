@@ -31,6 +31,8 @@ WINDOW = 3
 LARGEST_MESSAGE = 2 ** 20
 # How long to wait for pages at the end [s].
 PATIENCE = 1.0
+# For the answer to a ping [s]: a computer that is very busy is not gone.
+SILENCE = 120.0
 LOCAL = '127.0.0.1'
 LOCAL_NAMES = ('localhost', '127.0.0.1', '[::1]')
 # A page may load nothing from elsewhere, and talk to this server only.
@@ -81,6 +83,7 @@ class Server:
             server = await serve(
                 self._attend, self._host, self._wanted_port, process_request=self._answer,
                 max_size=LARGEST_MESSAGE, compression=None, close_timeout=PATIENCE,
+                ping_timeout=SILENCE,
                 server_header=None)
         except (OSError, OverflowError) as error:
             self._error = error

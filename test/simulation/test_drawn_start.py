@@ -62,10 +62,10 @@ def test_places_choose_the_assembly_of_a_four_bar(tmp_path, side):
     ('poses: {A: [0, 0, 0]}', 'initial.poses.A: expected a body: crank, coupler, rocker'),
     ('poses: {crank: [1, 1, 0]}', 'initial.poses.crank: expected a pose that crank can have'),
     ('hold: []', 'initial.position: expected this required key, or one of at and poses'),
-    ('position: {A: 40 mm, B: 0, D: 0}', 'initial.position.A: expected an angle [rad], got the text '
-     "'40 mm', a length"),
-    ('at: {B: [0, 40 deg]}', 'initial.at.B[1]: expected a length [m], got the text '
-     "'40 deg', an angle"),
+    ('position: {A: 40 mm, B: 0, D: 0}',
+     "initial.position.A: expected an angle [rad], got the text '40 mm', a length"),
+    ('at: {B: [0, 40 deg]}',
+     "initial.at.B[1]: expected a length [m], got the text '40 deg', an angle"),
     ('poses: {crank: [0, 0, 90 mm]}', 'initial.poses.crank[2]: expected an angle [rad]'),
     ('position: {A: 0, B: 0, D: 0}, velocity: {A: 1 m}',
      'initial.velocity.A: expected an angle [rad]')])

@@ -65,7 +65,8 @@ def browser():
             port, path = told.read_text().splitlines()
             with connect(f'ws://127.0.0.1:{port}{path}', max_size=None, open_timeout=PATIENCE,
                          ping_interval=None) as socket:
-                yield lambda *arguments, **options: Tab(socket, *arguments, **options)
+                tabs = []
+                yield lambda *arguments, **options: Tab(socket, tabs, *arguments, **options)
         finally:
             process.kill()
             process.wait()
@@ -77,9 +78,15 @@ class Tab:
     numbers = itertools.count(1)
 
     def __init__(
-            self, socket, url, width=1280, height=800, dark=False, phone=False, scripts=True):
-        """Open it, with a size in CSS pixels and a theme; its own scripts may be blocked."""
-        self._socket = socket
+            self, socket, tabs, url, width=1280, height=800, dark=False, phone=False,
+            scripts=True):
+        """
+        Open it, with a size in CSS pixels and a theme; its own scripts may be blocked.
+
+        ``tabs``: those of the browser that are open.
+        """
+        self._socket, self._tabs = socket, tabs
+        tabs.append(self)
         target = self._do('Target.createTarget', url='about:blank')['targetId']
         self._session = None
         self._session = self._do('Target.attachToTarget', targetId=target,
@@ -218,3 +225,7 @@ class Tab:
         """Close the page."""
         self._session = None
         self._do('Target.closeTarget', targetId=self._target)
+        self._tabs.remove(self)
+        if self._tabs:
+            # Pages behind others are not drawn.
+            self._tabs[-1]._do('Page.bringToFront')

@@ -270,7 +270,8 @@ def test_a_scene_is_typed_and_what_is_wrong_told_with_its_line(tab):
     assert tab.ask('page.editor.board.element.open')
     # A click on what is told leads to the line.
     tab.ask('page.editor.board.status.click()')
-    start, end = tab.ask('[page.editor.board.area.selectionStart, page.editor.board.area.selectionEnd]')
+    area = 'page.editor.board.area'
+    start, end = tab.ask(f'[{area}.selectionStart, {area}.selectionEnd]')
     assert tab.ask('page.editor.board.text')[start:end].startswith('    link_3: {mass')
     # The mouse draws on from the last drawing, and undoing brings the typed text back.
     tab.click('#board [data-do="undo"]')

@@ -83,6 +83,13 @@ def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
     # The run has gone on; what is seen has not.
     tab.wait('page.history.end > 1.15 && page.frame.time > 1.15')
     assert tab.ask('page.now') == past
+    # A connection that is lost for a while changes nothing.
+    count = tab.ask('page.history.count')
+    tab.ask('page.socket.close()')
+    tab.wait('page.lost')
+    tab.wait('!page.lost && page.resumed === false && page.socket.readyState === WebSocket.OPEN')
+    assert tab.ask('page.timeline.past') == past == tab.ask('page.now')
+    assert tab.ask('page.history.count') <= count + 2
     alone = Simulation(load_scene('three_rrr_vertical'))
     alone.advance(alone.joint_torques(None), round(past / alone.step_size))
     first = tab.ask('page.scene.columns.plots')

@@ -276,13 +276,14 @@ class Page {
     if (typeof data === 'string') {
       const message = JSON.parse(data);
       if (message.type === 'scene') {
-        this.lost = false;
+        [this.lost, this.resumed] = [false, this.known === data];
         byId('message').hidden = true;
-        // The same again after a break: nothing is built again.
-        if (this.known && this.known !== data) {
+        // The same again after a break: nothing is built again, and what was asked meanwhile is lost.
+        if (this.resumed) this.edit?.board?.check();
+        else if (this.known) {
           this.renew(message);
           this.known = data;
-        } else if (!this.known) {
+        } else {
           this.known = data;
           this.begin(message);
         }
@@ -294,8 +295,12 @@ class Page {
     this.frame = {number: view.getUint32(0, true), time, row};
     this.fresh = true;
     const count = view.getUint32(4, true), each = this.width + 1;
+    // After a break the samples come again that are kept, unless the run is another one.
+    const kept = this.resumed && time >= this.history.end ? this.history.end : -Infinity;
+    this.resumed = false;
     for (let k = 0; k < count; k++) {
       const first = this.width + k * each;
+      if (time + numbers[first] <= kept) continue;
       this.arrived.push({time: time + numbers[first],
                          row: numbers.subarray(first + 1, first + each)});
     }
