@@ -23,7 +23,7 @@ from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 # Longest wait for a browser on a busy machine [s].
-PATIENCE = 120.0
+PATIENCE = 240.0
 # After which a picture is asked for again [s]: the browser may lose the frame that it waits for.
 FRAME_PATIENCE = 15.0
 # A page works the same whether it is in front or behind others, and where /dev/shm is small.
@@ -173,27 +173,48 @@ class Tab:
         self._do('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
 
     def _input(self, event, method, **parameters):
-        """Send input, again where it does not reach the page: a busy browser may drop it."""
+        """
+        Send input, again where it does not reach the page: a busy browser may drop it.
+
+        What is only late arrives twice then; the page gets the first one.
+        """
         if event is None:
             self._do(method, **parameters)
             return
-        self.ask(f"""window.arrived = false;
-            addEventListener("{event}", () => {{ window.arrived = true; }},
-                             {{capture: true, once: true}})""")
+        self._expect(event, 'window')
         end = time.monotonic() + PATIENCE
         # The browser answers when the page has handled the event.
         self._do(method, **parameters)
-        while not self.ask('window.arrived'):
+        while not self.ask(f'window.arrived?.{event}'):
             assert time.monotonic() < end, f'{event} never arrives'
             self._do(method, **parameters)
 
+    def _expect(self, event, where):
+        """Let the page tell whether an event has arrived, and get no second one."""
+        self.ask(f"""(() => {{
+            window.arrived ??= {{}};
+            window.unguard ??= {{}};
+            window.unguard.{event}?.();
+            window.arrived.{event} = false;
+            const element = {where}, listen = (event) => {{
+              if (!event.isTrusted || event.pointerType === "touch") return;
+              // A label makes a click of a click, at the same time; a move again changes nothing.
+              const first = window.arrived.{event} || event.timeStamp;
+              if (event.timeStamp !== first && event.type !== "pointermove") {{
+                event.stopImmediatePropagation();
+                event.preventDefault();
+              }}
+              window.arrived.{event} = first;
+            }};
+            element.addEventListener("{event}", listen, true);
+            window.unguard.{event} = () => element.removeEventListener("{event}", listen, true);
+        }})()""")
+
     def click(self, selector):
         """Click on what a CSS selector finds, again where it has moved meanwhile."""
-        self.ask(f"""window.clicked = false;
-            document.querySelector({json.dumps(selector)}).addEventListener(
-                "click", () => {{ window.clicked = true; }}, {{capture: true, once: true}})""")
+        self._expect('click', f'document.querySelector({json.dumps(selector)})')
         end = time.monotonic() + PATIENCE
-        while not self.ask('window.clicked'):
+        while not self.ask('window.arrived?.click'):
             assert time.monotonic() < end, f'{selector} gets no click'
             x, y = self.middle(selector)
             self.mouse('mouseMoved', x, y)

@@ -122,8 +122,12 @@ def test_what_is_kept_of_a_run_is_bounded(open_page, tmp_path):
         const {count, begin, end} = history, at = history.before(1600.2);
         const kept = [count, begin, end, history.time(at), ...history.row(at),
                       history.valueAt(1600.25, 0)];
-        return [...kept, history.add(0, [7, 7]), history.count, history.value(0, 1)]; })()""")
-    assert kept == [1500, 1250.0, 1999.5, 1600.0, 3200, -3200, 3200.5, True, 1, 7]
+        // The last state again, by a time that was rounded, is no other run.
+        const same = [history.add(1999.5 - 1e-9, [5, 5]), history.count, history.end];
+        return [...kept, ...same,
+                history.add(0, [7, 7]), history.count, history.value(0, 1)]; })()""")
+    assert kept == [1500, 1250.0, 1999.5, 1600.0, 3200, -3200, 3200.5, False, 1500, 1999.5,
+                    True, 1, 7]
     tab.close()
 
 

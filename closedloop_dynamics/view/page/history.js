@@ -4,6 +4,8 @@
 const MOST_BYTES = 64e6, FIRST_ROWS = 1024;
 // Frames of a live run that plots show.
 const SHOWN = 600;
+// Times of states between frames are that exact [s].
+const TIME_ROUNDING = 1e-6;
 
 class History {
   constructor({columns, bodies}, times, rows) {
@@ -23,6 +25,8 @@ class History {
 
   // Return whether this is a state of another run than those before, which are forgotten.
   add(time, row, frame = false) {
+    // What is sent between frames has times in single precision.
+    if (!frame && Math.abs(time - this.end) < TIME_ROUNDING) time = this.end;
     const again = this.count > 0 && time < this.end;
     if (again) {
       this.count = this.start = 0;
