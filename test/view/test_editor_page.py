@@ -139,7 +139,9 @@ def test_degrees_of_freedom_are_told(name, freedoms, tab):
     tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(DRAWINGS[name])})')
     told = tab.ask('page.editor.made().told()')
     assert told['error'] is None and told['freedoms'] == freedoms
-    assert ('repeat' in ' '.join(told['words'])) == (name == 'redundant')
+    # Of the parallelogram's third crank.
+    assert told['repeated'] == (['F'] if name == 'redundant' else [])
+    assert ('F repeats others' in told['words']) == (name == 'redundant')
 
 
 def gear(node, teeth, ring=False, fixed=None):

@@ -130,9 +130,12 @@ class DrawnMachine {
     const {equations} = this, {nv} = equations;
     if (!equations.correction()) throw new Error('expected masses that resist every motion');
     const speeds = this.motors.filter(({law}) => law === 'speed').length, rank = equations.count - equations.dependent;
-    return {error: null, freedoms: nv - rank - speeds, driven: speeds, repeated: [],
+    const names = [...this.cuts.flatMap(({name, kind}) => Array(CUT_EQUATIONS[kind]).fill(name)),
+                   ...this.drawing.couplings(this.bodies, this.joints).map(({name}) => name)];
+    const repeated = [...new Set(equations.repeated.map((number) => names[number]))];
+    return {error: null, freedoms: nv - rank - speeds, driven: speeds, repeated,
             words: [`${nv} joints of the tree less ${rank} independent equations of the loops`,
-                    ...equations.dependent ? [`${equations.dependent} equations repeat others`] : []]};
+                    ...repeated.map((name) => `${name} repeats others`)]};
   }
 
   // For `Machine`.

@@ -4,6 +4,8 @@
 // Squared length of an equation, against that before others were taken from it, below which it
 // repeats them.
 const REPEATS = 1e-10;
+// How many equations cut joints have.
+const CUT_EQUATIONS = {pin: 2, line: 1, guide: 2, distance: 1};
 
 const sum2 = ([a, b], [c, d]) => [a + c, b + d];
 const scaled = (s, [a, b]) => [s * a, s * b];
@@ -20,7 +22,7 @@ class PlanarEquations {
   // {a, at_a, b, at_b, stiffness, damping, free}; `forces`: {row, at, force}.
   constructor({rows, cuts, couplings, springs, forces, gravity}) {
     Object.assign(this, {rows: [null, ...rows], cuts, couplings, springs, forces});
-    [this.nv, this.dependent] = [rows.length, 0];
+    [this.nv, this.dependent, this.repeated] = [rows.length, 0, []];
     this.chains = this.rows.map((row, i) => this.chain(i));
     this.turning = this.rows.map((row, i) => this.turns(i));
     this.frames = this.rows.map(() => ({angle: 0, origin: [0, 0], spin: 0, velocity: [0, 0], bias: [0, 0]}));
@@ -41,8 +43,7 @@ class PlanarEquations {
   }
 
   get count() {
-    const of = {pin: 2, line: 1, guide: 2, distance: 1};
-    return this.cuts.reduce((total, {kind}) => total + of[kind], this.couplings.length);
+    return this.cuts.reduce((total, {kind}) => total + CUT_EQUATIONS[kind], this.couplings.length);
   }
 
   // Joints that move a body, by their rows.
@@ -247,7 +248,9 @@ class PlanarEquations {
       const left = product(rest, rest), length = Math.sqrt(left);
       if (left > REPEATS * size) found.push({number, shares, length, axis: rest.map((x) => x / length)});
     });
-    this.dependent = equations.length - found.length;
+    const kept = new Set(found.map(({number}) => number));
+    this.repeated = [...equations.keys()].filter((number) => !kept.has(number));
+    this.dependent = this.repeated.length;
     return found;
   }
 
