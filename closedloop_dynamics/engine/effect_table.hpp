@@ -104,13 +104,18 @@ struct StaticFriction
   /// Friction relative to its limit.
   Array<Values> share;
   Array<Values> impulse;
+  /// Shape (nf + 2,): whether responses are kept for later evaluations of a step, how many are, and
+  /// their rows; shape (nf,): the limits that they are responses to.
+  Array<Indices> kept;
+  Array<Values> kept_limit;
 
   StaticFriction() = default;
   /// `most`: nf; `width`: of a response.
   StaticFriction(Index effects, Index most, Index width);
 
   CLOSEDLOOP_ARRAYS(
-    rows, hold, response, matrix, right, bound, move, factor, free, share, impulse)
+    rows, hold, response, matrix, right, bound, move, factor, free, share, impulse, kept,
+    kept_limit)
 };
 
 /// Gaps of possible contacts, and the decisions about them while a step is made.

@@ -12,6 +12,7 @@
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "stick_slip.hpp"
+#include "sticking.hpp"
 #include "time_events.hpp"
 
 namespace closedloop
@@ -161,6 +162,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   const double exponent = 1.0 / static_cast<double>(tableau.error_order + 1);
   const double reached = control.reached;
   const double least = LEAST * std::max(std::abs(reached), 1e-3);
+  ResponsesKept responses(system.effects);
   derivative(system, after, slopes[0]);
   const bool landed = freeze_modes(system);
   if (landed) {
@@ -265,6 +267,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   copy(after, before);
   copy(out, after);
   release_modes(system);
+  responses.renew();
   update_friction_modes(system, after);
   if (system.has_effects()) {
     handle_time_events(system.effects, after.from(system.own()));

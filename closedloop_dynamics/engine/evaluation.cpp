@@ -3,6 +3,8 @@
 
 #include "evaluation.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include "arms.hpp"
@@ -33,6 +35,10 @@ namespace
 {
 // Numbers of a Jacobian that fit on the stack.
 constexpr Index ROOM = 1024;
+// Rounds by kept responses; the share of the change before that each may leave; what the next round
+// would change, of the accelerations without friction.
+constexpr int MOST_ROUNDS = 6;
+constexpr double LEFT = 0.1, BALANCED = 1e-13;
 
 /// Kinematics and applied forces, which an elimination overwrites.
 void move_bodies(const System & system, Values q, Values qd)
@@ -161,23 +167,131 @@ void accelerations_with_cuts(const System & system, Values q, Values qd)
   accelerations(system.effects, system.model, system.work, system.qdd, true, cuts.qdd);
 }
 
-/// Accelerations and multipliers that the limit of a friction at rest adds; false where refinement
-/// does not converge.
-bool respond_to_hold(const System & system, Factors factors, Index row, Values out)
+/// Accelerations and multipliers, shape (nv + nc,), that the torques in EffectTable.applied add to
+/// those of the others; false where refinement does not converge, or the elimination fails.
+bool respond(
+  const System & system, Values q, Values qd, Factors factors, Values others, Values frictionless,
+  Values out)
 {
-  const EffectTable & effects = system.effects;
+  const Values applied = system.effects.applied;
   const Values qdd = out.part(0, system.nv()), lam = out.part(system.nv(), system.lam.size);
-  Scratch<double, ROOM> scratch(effects.applied.size);
-  const Values others = scratch.copy_of(effects.applied);
-  effects.applied.fill(0.0);
-  exert_along(effects, row, effects.output(row, 3));
+  if (factors == Factors::CODE) {
+    for (Index i = 0; i < applied.size; ++i) {
+      applied[i] += others[i];
+    }
+    const bool found = call(system.table, routine::ACCELERATION, q, qd);
+    for (Index i = 0; i < qdd.size; ++i) {
+      qdd[i] = system.qdd[i] - frictionless[i];
+    }
+    for (Index i = 0; i < lam.size; ++i) {
+      lam[i] = system.lam[i] - frictionless[qdd.size + i];
+    }
+    return found;
+  }
   load_torques(system.model, system.work, system.applied);
-  copy(others, effects.applied);
   if (factors == Factors::REFINED) {
     return accelerate_prepared_refined(system.model, system.work, 0.0, qdd, lam);
   }
   accelerate_prepared(system.model, system.work, 0.0, qdd, lam);
   return true;
+}
+
+/// What the limit of a friction at rest adds, as `respond` does.
+bool respond_to_hold(
+  const System & system, Values q, Values qd, Factors factors, Index row, Values out)
+{
+  const EffectTable & effects = system.effects;
+  Scratch<double, ROOM> scratch(effects.applied.size);
+  const Values others = scratch.copy_of(effects.applied);
+  effects.applied.fill(0.0);
+  exert_along(effects, row, effects.output(row, 3));
+  const bool found =
+    respond(system, q, qd, factors, others, free_response(effects.sticking), out);
+  copy(others, effects.applied);
+  return found;
+}
+
+/// Accelerations and multipliers, shape (nv + nc,), with the friction at rest that was found last,
+/// `others` are the torques without; false where nothing is found.
+bool accelerate_with_friction(
+  const System & system, Values q, Values qd, Factors factors, Values others, Values frictionless,
+  Values out)
+{
+  const EffectTable & effects = system.effects;
+  const StaticFriction & sticking = effects.sticking;
+  const auto friction = [&](Index a) {
+      return sticking.share[a] * effects.output(sticking.rows[a + 1], 3);
+    };
+  bool found = true;
+  if (factors == Factors::NONE) {
+    const Index count = sticking.rows[0];
+    for (Index a = 0; a < count; ++a) {
+      sticking.hold[sticking.rows[a + 1]] = friction(a);
+    }
+    evaluate_in_parts(system, q, qd);
+    for (Index a = 0; a < count; ++a) {
+      sticking.hold[sticking.rows[a + 1]] = 0.0;
+    }
+    copy(system.qdd, out);
+    copy(system.lam, out.from(system.nv()));
+  } else {
+    effects.applied.fill(0.0);
+    for (Index a = 0; a < sticking.rows[0]; ++a) {
+      exert_along(effects, sticking.rows[a + 1], friction(a));
+    }
+    found = respond(system, q, qd, factors, others, frictionless, out);
+    for (Index i = 0; i < out.size; ++i) {
+      out[i] += frictionless[i];
+    }
+  }
+  copy(others, effects.applied);
+  return found;
+}
+
+/// Balance friction at rest by the responses that an earlier evaluation has kept. They change little
+/// from state to state: the accelerations with the friction that they tell correct those without,
+/// and each round leaves a small share of what the one before missed. False where that is not so.
+bool balance_by_kept(const System & system, Values q, Values qd, Factors factors)
+{
+  const EffectTable & effects = system.effects;
+  const StaticFriction & sticking = effects.sticking;
+  const Index nv = system.nv(), width = nv + system.lam.size;
+  Scratch<double, ROOM> scratch(effects.applied.size + 2 * width);
+  const Values others = scratch.copy_of(effects.applied), found = scratch.take(width);
+  const Values base = free_response(sticking).part(0, width);
+  const Values frictionless = scratch.copy_of(base);
+  double size = 0.0, before = 0.0;
+  for (Index i = 0; i < nv; ++i) {
+    size = before = std::max(size, std::abs(base[i]));
+  }
+  for (int round = 0; round <= MOST_ROUNDS; ++round) {
+    balance_friction(effects, system.qdd, system.lam);
+    if (round > 0) {
+      double change = 0.0;
+      for (Index i = 0; i < nv; ++i) {
+        change = std::max(change, std::abs(system.qdd[i] - found[i]));
+      }
+      if (change * change <= BALANCED * size * before) {
+        return true;
+      }
+      if (!(change <= LEFT * before)) {
+        break;
+      }
+      before = change;
+    }
+    if (!accelerate_with_friction(system, q, qd, factors, others, frictionless, found)) {
+      break;
+    }
+    for (Index i = 0; i < width; ++i) {
+      base[i] = found[i];
+      for (Index a = 0; a < sticking.rows[0]; ++a) {
+        base[i] -= sticking.share[a] * sticking.response(a, i);
+      }
+    }
+  }
+  copy(others, effects.applied);
+  copy(frictionless, base);
+  return false;
 }
 
 /// Solve the complementarity problem of static friction by the response to that of each joint at
@@ -194,11 +308,16 @@ void hold_joints_at_rest(const System & system, Values q, Values qd, Factors fac
     accelerations_with_cuts(system, q, qd);
   }
   keep_frictionless(effects, qdd, system.lam);
+  const bool alone = !with_cuts && effects.loaded[0] == 0;
+  if (alone && are_responses_kept(effects) && balance_by_kept(system, q, qd, factors))
+  {
+    return;
+  }
   for (Index place = 0; place < count; ++place) {
     const Index row = stuck[place + 1];
     // Where it acts on joints alone the factors serve: a fraction of an evaluation.
-    if (factors != Factors::NONE && !with_cuts && effects.loaded[0] == 0 &&
-      respond_to_hold(system, factors, row, response_to_hold(effects, place)))
+    if (alone && factors != Factors::NONE &&
+      respond_to_hold(system, q, qd, factors, row, response_to_hold(effects, place)))
     {
       continue;
     }
@@ -210,6 +329,9 @@ void hold_joints_at_rest(const System & system, Values q, Values qd, Factors fac
     keep_response(effects, place, qdd, system.lam);
   }
   balance_friction(effects, qdd, system.lam);
+  if (alone) {
+    keep_responses(effects);
+  }
   if (with_cuts) {
     copy(qdd, system.qdd);
     if (effects.loaded[0] > 0) {
@@ -318,9 +440,9 @@ Factors evaluate_in_parts(const System & system, Values q, Values qd)
   apply_listed(system, q, qd);
   if (call(system.table, routine::ACCELERATION, q, qd)) {
     written = system.has_cut_coordinates() ? 0.0 : 1.0;
-  } else {
-    accelerate_beyond_elimination(system, q, qd, Outputs::POSES);
+    return Factors::CODE;
   }
+  accelerate_beyond_elimination(system, q, qd, Outputs::POSES);
   return Factors::NONE;
 }
 

@@ -19,8 +19,9 @@ enum class Outputs {MOTION, FORCES, POSES};
 /// poses, velocities and closure errors. Effects' states are read from System.effects.
 void evaluate(const System &, Values q, Values qd);
 
-/// Factors of the loops over bodies that an evaluation leaves in the workspace.
-enum class Factors {NONE, PLAIN, REFINED};
+/// What an evaluation leaves in the workspace to solve with other torques: factors of the loops over
+/// bodies, or what generated code reads.
+enum class Factors {NONE, PLAIN, REFINED, CODE};
 
 /// The same without friction at rest, driving forces and joint loads.
 Factors evaluate_in_parts(const System &, Values q, Values qd);

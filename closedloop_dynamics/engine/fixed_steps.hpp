@@ -14,6 +14,7 @@
 #include "projection.hpp"
 #include "scratch.hpp"
 #include "stepper.hpp"
+#include "sticking.hpp"
 
 // Whole steps of one size, with a stabilisation after each.
 
@@ -66,6 +67,7 @@ std::pair<Status, Index> make_steps_in_parts(
 {
   const auto [slope, out, start, between] = scratch;
   Interrupt interrupt(system.interrupted, system.nv());
+  ResponsesKept responses(system.effects);
   for (Index done = 0; done < steps; ++done) {
     StepSplit split(step_size);
     copy(state, start);
@@ -74,6 +76,7 @@ std::pair<Status, Index> make_steps_in_parts(
     while (split.left > 0.0) {
       split.size = std::min(split.size, time_to_corner(system, state));
       const ContactGuard contacts(system);
+      responses.renew();
       derivative(system, state, slope);
       contacts.begin();
       if (!attempt(split.size, interrupt)) {
@@ -101,6 +104,7 @@ std::pair<Status, Index> make_steps_in_parts(
         copy(start, state);
         return {failure, done};
       }
+      responses.renew();
       split.accept(system, state, out);
     }
   }

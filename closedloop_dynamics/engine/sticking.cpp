@@ -29,12 +29,6 @@ void clear(const EffectTable & table, Index place, Values joints)
   }
 }
 
-/// Accelerations and multipliers without the friction of any joint at rest.
-Values free_response(const StaticFriction & sticking)
-{
-  return sticking.response[sticking.response.rows - 1];
-}
-
 /// Factor the matrix of the free unknowns, L D L^T, from the first one on that has changed. L^T is
 /// stored above D: what follows a number is beside it in memory.
 void factor_free(const StaticFriction & sticking, Index count, Index first)
@@ -167,6 +161,11 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
   }
 }
 
+Values free_response(const StaticFriction & sticking)
+{
+  return sticking.response[sticking.response.rows - 1];
+}
+
 void keep_frictionless(const EffectTable & table, Values qdd, Values lam)
 {
   const Values base = free_response(table.sticking);
@@ -197,6 +196,35 @@ void keep_response(const EffectTable & table, Index place, Values qdd, Values la
 Values response_to_hold(const EffectTable & table, Index place)
 {
   return table.sticking.response[place];
+}
+
+void keep_responses(const EffectTable & table)
+{
+  const StaticFriction & sticking = table.sticking;
+  if (sticking.kept[0] == 1) {
+    for (Index place = 0; place <= sticking.rows[0]; ++place) {
+      sticking.kept[place + 1] = sticking.rows[place];
+    }
+    for (Index place = 0; place < sticking.rows[0]; ++place) {
+      sticking.kept_limit[place] = table.output(sticking.rows[place + 1], 3);
+    }
+  }
+}
+
+bool are_responses_kept(const EffectTable & table)
+{
+  const StaticFriction & sticking = table.sticking;
+  for (Index place = 0; place <= sticking.rows[0]; ++place) {
+    if (sticking.kept[place + 1] != sticking.rows[place]) {
+      return false;
+    }
+  }
+  for (Index place = 0; place < sticking.rows[0]; ++place) {
+    if (sticking.kept_limit[place] != table.output(sticking.rows[place + 1], 3)) {
+      return false;
+    }
+  }
+  return true;
 }
 
 void balance_friction(const EffectTable & table, Values qdd, Values lam)

@@ -36,6 +36,9 @@ constexpr double RATE_ROUNDING = 1e-12;
 /// Store accelerations and multipliers without the friction of the joints at rest.
 void keep_frictionless(const EffectTable &, Values qdd, Values lam);
 
+/// Where they are stored; shape (nv + nc,), or more.
+Values free_response(const StaticFriction &);
+
 /// Store the response to the limit of one friction, number `place` of the joints at rest, after an
 /// evaluation with that friction in StaticFriction.hold; take it back from there.
 void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
@@ -46,6 +49,37 @@ Values response_to_hold(const EffectTable &, Index place);
 /// Find the friction at rest; write the accelerations and multipliers with it, and complete
 /// EffectTable.applied and the readings.
 void balance_friction(const EffectTable &, Values qdd, Values lam);
+
+/// Keep the responses of the joints at rest for later evaluations; whether those that are kept are of
+/// the joints at rest now. See `ResponsesKept`.
+void keep_responses(const EffectTable &);
+bool are_responses_kept(const EffectTable &);
+
+/// While it lives, the first evaluation keeps the responses to friction at rest, and later ones, of
+/// states nearby, begin with them: the evaluations of one step. What follows from a state does not
+/// depend on earlier steps then.
+class ResponsesKept
+{
+public:
+  explicit ResponsesKept(const EffectTable & effects)
+  : effects_(effects) {keep(1);}
+  ~ResponsesKept() {keep(0);}
+  ResponsesKept(const ResponsesKept &) = delete;
+  ResponsesKept & operator=(const ResponsesKept &) = delete;
+  /// The next evaluation computes and keeps its own.
+  void renew() {keep(1);}
+
+private:
+  void keep(Index whether)
+  {
+    if (effects_.sticking.kept.size > 0) {
+      effects_.sticking.kept[0] = whether;
+      effects_.sticking.kept[1] = 0;
+    }
+  }
+
+  const EffectTable & effects_;
+};
 
 /// Do the same after the routine that writes the response to each friction and its limit, to
 /// StaticFriction.response and, in place of the right-hand side, StaticFriction.right.

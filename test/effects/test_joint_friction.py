@@ -16,7 +16,7 @@ from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import REVOLUTE
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
@@ -384,3 +384,46 @@ def test_friction_of_many_joints_at_rest_by_loops_over_bodies_is_that_of_generat
     np.testing.assert_allclose(by_loops, by_code, rtol=0, atol=1e-9 * np.abs(by_code).max())
     # There an evaluation serves for the response to each friction, too.
     assert evaluations[1] < 4 * len(rubbing)
+
+
+def chain_of_hinges(count):
+    """Return a simulation of rods in a row, with a drive and dry friction in every hinge."""
+    ends = ['ground', *(f'rod{number}' for number in range(count))]
+    bodies = tuple(Body(name, 0.5, (0.1, 0.02), 2e-3) for name in ends[1:])
+    joints = tuple(
+        Joint(f'hinge{number}', 'revolute', before, name, (0.2 * (number > 0), 0.0), 0.0, True)
+        for number, (before, name) in enumerate(zip(ends, ends[1:])))
+    return simulated(
+        Mechanism('chain', bodies, joints, (), ()), {'gravity': Gravity((0.0, -9.81)), **{
+            f'dry{number}': JointFriction(f'hinge{number}', 1.5 * (count - number))
+            for number in range(count)}}, [0.3] * count, step_size=0.02)
+
+
+@pytest.mark.parametrize('operations', [None, 0], ids=['generated', 'loops'])
+def test_a_step_among_joints_at_rest_is_that_of_evaluations_one_by_one(operations, monkeypatch):
+    # More joints than one routine has the responses of; some hold, some break away.
+    count = 10
+    if operations is not None:
+        monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', operations)
+    simulation, twin = (chain_of_hinges(count) for _ in range(2))
+    assert simulation.data.system.is_unrolled == (operations is None)
+    torque = np.where(np.arange(count) < 5, 0.0, 30.0)
+
+    def slope(state):
+        return np.append(state[count:], twin.forward_dynamics(
+            state[:count], state[count:], torque)[0])
+
+    start, size = np.append(simulation.position, simulation.velocity), 0.02
+    first = slope(start)
+    second = slope(start + 0.5 * size * first)
+    third = slope(start + 0.5 * size * second)
+    last = slope(start + size * third)
+    expected = start + size / 6.0 * (first + 2.0 * second + 2.0 * third + last)
+    before = simulation.health.evaluations
+    simulation.step(torque)
+    found = np.append(simulation.position, simulation.velocity)
+    still = np.abs(expected[count:]) == 0.0
+    assert 2 < still.sum() < count and np.abs(expected[:count] - 0.3).max() > 1e-3
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    # The responses of one evaluation of the step serve the three others.
+    assert simulation.health.evaluations - before < 4 * (count + 1)
