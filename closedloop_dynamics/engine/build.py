@@ -93,8 +93,8 @@ def requirements():
     return [] if compiler() or find_spec('ziglang') else [f'ziglang=={ZIG}']
 
 
-def zig(*target):
-    """Return the command of the compiler in the wheel ziglang."""
+def zig(*target, language='c++'):
+    """Return the command of the compiler in the wheel ziglang, of C++ or, ``cc``, of C."""
     found = find_spec('ziglang')
     if not found:
         raise BuildError(
@@ -102,7 +102,7 @@ def zig(*target):
             'and the wheel ziglang, which is a compiler, is not installed. Install one of these.')
     program = shutil.which('zig', path=Path(found.origin).parent)
     # By itself it would compile for this very processor.
-    return [program, 'c++', '-mcpu=baseline', *target]
+    return [program, language, '-mcpu=baseline', *target]
 
 
 def python_library(folder):

@@ -57,8 +57,9 @@ def compiled(files, name, *options):
         size = '-O0' if max(map(len, files.values())) > LONG else '-O2'
         out = Path(folder, 'unit')
         try:
-            build.run([*(build.compiler() or build.zig()), *FLAGS, size, *options, '-shared',
-                       Path(folder, name), '-o', out, '-lm'])
+            # ziglang makes its library of C++ first, which takes a minute, where it compiles that.
+            build.run([*(build.compiler() or build.zig(language='cc')), *FLAGS, size, *options,
+                       '-shared', Path(folder, name), '-o', out, '-lm'])
         except build.BuildError as error:
             raise SimulationError(f'{name} could not be compiled: {error}') from None
         return out.read_bytes()

@@ -26,7 +26,9 @@ def tiny(tmp_path, monkeypatch):
     shutil.copy(ENGINE / 'build.py', folder)
     (folder / 'number.hpp').write_text('inline constexpr int number = 21;\n')
     (folder / 'twice.cpp').write_text(WORKING)
-    (folder / 'build_info.cpp').write_text('extern "C" const char *const d = ENGINE_SOURCES;\n')
+    # Exported: linkers may leave out what nothing refers to.
+    (folder / 'build_info.cpp').write_text(
+        'extern "C" __attribute__((visibility("default"))) const char *d = ENGINE_SOURCES;\n')
     monkeypatch.setattr(build, 'FOLDER', folder)
     return folder
 
