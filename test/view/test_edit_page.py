@@ -149,6 +149,9 @@ def test_a_length_is_changed_while_it_moves(tmp_path):
         now = tab.ask('page.now')
         tab.wait(f'page.now > {now} + 0.5 && page.playing')
         assert tab.ask('page.controls.failure') is None
+        # Its thread computes with the simulation while it plays.
+        tab.click('#play')
+        tab.wait('!page.playing')
         cut, = runner.editor.scene.mechanism.cut_joints
         assert np.hypot(*cut.point_b) == pytest.approx(0.27)
         assert runner.simulation.closure < 1e-9

@@ -80,8 +80,8 @@ def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
              '&& page.now === page.timeline.past')
     past = tab.ask('page.now')
     assert past > 0.1
-    # The run has gone on; what is seen has not.
-    tab.wait('page.history.end > 1.15 && page.frame.time > 1.15')
+    # The run has gone on to its end; what is seen has not.
+    tab.wait('page.history.end > 1.15 && page.frame.time > 1.15 && !page.playing')
     assert tab.ask('page.now') == past
     # A connection that is lost for a while changes nothing.
     count = tab.ask('page.history.count')
