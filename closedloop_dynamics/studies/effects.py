@@ -295,8 +295,10 @@ def _row(simulation):
 
 
 def scene_with(scene, names):
-    names = tuple(names)
-    return replace(scene, effects={name: scene.effects[name] for name in names},
+    names = set(names)
+    # In the scene's order, in which forces are summed up.
+    kept = {name: effect for name, effect in scene.effects.items() if name in names}
+    return replace(scene, effects=kept,
                    switched_off=tuple(name for name in scene.switched_off if name in names))
 
 

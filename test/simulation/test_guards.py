@@ -17,7 +17,7 @@ import pytest
 from ..effects.machines import block, simulated
 
 # A torque that lets the 3-RRR whirl faster than steps of a millisecond can follow.
-WHIRL = {'theta_1': 1000.0}
+WHIRL = {'theta_1': 5000.0}
 
 
 def run(**method):
@@ -108,7 +108,7 @@ def test_a_change_of_method_keeps_what_the_guard_knows_of_effects():
 
 def test_simulate_ends_with_a_verdict(tmp_path, capsys):
     output = tmp_path / 'q.csv'
-    assert main(['simulate', 'three_rrr', '--duration', '1', '--torque', 'theta_1=1000',
+    assert main(['simulate', 'three_rrr', '--duration', '1', '--torque', 'theta_1=5000',
                  '--integrator', 'rk4', '--output', str(output)]) == 1
     told = capsys.readouterr()
     assert 'energy balance is off' in told.err
