@@ -81,7 +81,7 @@ def test_the_slider_shows_the_past_while_the_run_goes_on(open_page, live):
     past = tab.ask('page.now')
     assert past > 0.1
     # The run has gone on to its end; what is seen has not.
-    tab.wait('page.history.end > 1.15 && page.frame.time > 1.15 && !page.playing')
+    tab.wait(f'page.history.end >= {live.end} && page.frame.time >= {live.end}')
     assert tab.ask('page.now') == past
     # A connection that is lost for a while changes nothing.
     count = tab.ask('page.history.count')
