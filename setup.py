@@ -63,9 +63,9 @@ class BuildEngine(build_ext):
 extras = {
     # Recordings of ROS: bags.
     'bags': ['mcap>=1.6', 'rosbags>=0.11'],
-    # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.
-    'bench': ['cmeel-eigen==3.4.1', 'drake==1.51.1', 'exudyn==1.13.6', 'mujoco==4.0.0',
-              'pin==4.1.0'],
+    # What benchmark/peers.py compares with; Eigen's headers for its C++ loop.
+    'bench': ['casadi==3.8.2', 'cmeel-eigen==3.4.1', 'drake==1.51.1', 'exudyn==1.13.6',
+              'mujoco==4.0.0', 'pin==4.1.0'],
     # To complete words of the command line in a shell.
     'completion': ['argcomplete>=3.2'],
     # Linear models as those of python-control.

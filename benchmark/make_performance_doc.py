@@ -52,7 +52,7 @@ def measure(parts, output, quick, peers_python, folder=None):
 
     """
     for part in parts:
-        python = peers_python if part in ('peers', 'models') else sys.executable
+        python = sys.executable if part in ('elements', 'size', 'startup') else peers_python
         print(f'{part} ...', file=sys.stderr, flush=True)
         subprocess.run(
             [python, str(ROOT / 'benchmark' / f'{part}.py'), '--output', str(output),
@@ -65,14 +65,15 @@ def peers_passages(results):
     texts = {}
     for group, result in results.items():
         name = 'peers' if group == 'plane' else f'peers {group}'
-        uncertain = max(case['uncertainty'] for case in result['cases'])
         texts.update({
             f'{name} machine': f'{measured(result, result["date"])}\n{peer_report.busy(result)}',
             f'{name} agreement': peer_report.agreement_table(result),
-            f'{name} evaluation': peer_report.evaluation_table(result),
-            f'{name} motions': peer_report.motion_table(result),
-            f'{name} reference': 'The two methods behind the reference differ by '
-                                 f'{uncertain:.0e} rad or m at most.'})
+            f'{name} evaluation': peer_report.evaluation_table(result)})
+        if result['cases']:
+            uncertain = max(case['uncertainty'] for case in result['cases'])
+            texts[f'{name} motions'] = peer_report.motion_table(result)
+            texts[f'{name} reference'] = ('The two methods behind the reference differ by '
+                                          f'{uncertain:.0e} rad or m at most.')
         for key in ('rollouts', 'short_rollouts'):
             if result[key]:
                 texts[f'{name} {key.replace("_", " ")}'] = peer_report.rollout_table(result[key])
@@ -125,15 +126,11 @@ def copy_pictures(output, pictures, parts):
     """Copy pictures and CSV files to the document's."""
     names = {'size': ['size.png'], 'models': ['models.csv']}
     if 'peers' in parts:
-        names['peers'] = [peer_report.FILES[group] + end for group in groups(output)
-                          for end in peer_report.ENDS]
+        names['peers'] = [name for group, result in json.loads(
+            (output / 'peers.json').read_text()).items()
+            for name in peer_report.file_names(result, group)]
     for name in (name for part in parts for name in names.get(part, ())):
         shutil.copyfile(output / name, pictures / f'performance_{name}')
-
-
-def groups(output):
-    """Return the groups of mechanisms that peers.py has measured."""
-    return list(json.loads((output / 'peers.json').read_text()))
 
 
 def options_of_peers():

@@ -6,9 +6,11 @@ How many floating-point operations an evaluation takes, and how near to its limi
 
 Counted are the operations of the routine that is generated for a mechanism: nothing is computed
 twice, and nothing that the results do not depend on. A multiplication whose product only one
-addition takes is one operation with it, as in the machine code. The longest chain of dependent
-operations bounds the time from below, as do all operations side by side; both by the measured
-times of single operations in generated code.
+addition takes is one operation with it, as in the machine code; among flops it counts as two, as
+it does in those of a KKT system of the same mechanism that CasADi generates (peer_generated.py),
+wherever that can be told the mechanism. The longest chain of dependent
+operations bounds the time from below, as do all operations side by side where none are in vectors;
+both by the measured times of single operations in generated code.
 """
 
 import argparse
@@ -22,6 +24,7 @@ import time
 from evaluations import evaluate_again
 from machine import description, ROOT
 import numpy as np
+import peer_cases
 
 sys.path.insert(0, str(ROOT))
 
@@ -29,7 +32,8 @@ from closedloop_dynamics.core.codegen.expression_graph import (  # noqa: E402,I1
     ADD, COSINE, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, SINE, SUBTRACT)
 from closedloop_dynamics.core.codegen.function_table import (  # noqa: E402
     ACCELERATION, EVALUATION, OUTWARD)
-from closedloop_dynamics.core.codegen.machine_code import machine_code, SCALAR  # noqa: E402
+from closedloop_dynamics.core.codegen.machine_code import (  # noqa: E402
+    machine_code, PACKED, SCALAR)
 from closedloop_dynamics.core.codegen.routines import MechanismTrace  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import load_scene, scene_names  # noqa: E402
@@ -48,15 +52,18 @@ LATENCY = {'add': 3, 'multiply': 3, FUSED: 4, 'divide': 13, 'sine and cosine': 3
 # The longest chain in sine and cosine of one angle (core/codegen/sincos.py).
 SINE_AND_COSINE = {'add': 4, 'multiply': 2, FUSED: 5}
 BOUNDS = """\
-Two lower bounds of the time: the longest chain of operations that wait for one another, and all
-operations side by side, at this core's measured rates. The second leaves out sines and cosines,
-which are computed in vectors.
+Two bounds of the time: the longest chain of operations that wait for one another, and all
+operations side by side, at this core's measured rates. The second is one of code without vectors:
+with equal parts side by side in vectors an evaluation takes less. It leaves out sines and cosines,
+which always are.
 
 """
 LADDER = 10
-MEASURED = ('three_rrr', 'carpet_scraper', 'four_bar')
-# Operations in a chain and such chains side by side, to measure single operations.
+MEASURED = ('three_rrr', 'carpet_scraper', 'four_bar', 'stewart_platform', 'delta_robot',
+            'bricard')
+# Operations in a chain and such chains side by side, to measure single operations; in vectors.
 LENGTH, CHAINS = 500, 8
+LENGTH_OF_VECTORS, CHAINS_OF_VECTORS = 100, 64
 
 
 def tally(routine):
@@ -133,12 +140,31 @@ def models():
     return found
 
 
+def rivals():
+    """Return {mechanism: flops of its KKT system} of those that CasADi is told, if it is there."""
+    found = {}
+    try:
+        from peer_generated import operations
+    except ImportError as error:
+        print(f'no KKT systems: {error}. pip install -e .[bench] installs it.')
+        return found
+    for name in scene_names():
+        try:
+            scene = peer_cases.load_scene(name)
+            if scene.mechanism.name not in found and len(scene.mechanism.joints) <= MOST_JOINTS:
+                found[scene.mechanism.name] = sum(operations(scene).values())
+        except (KeyError, ValueError):
+            # A scene without gravity, or a mechanism with parts that it has no word for.
+            continue
+    return found
+
+
 # One more operation on x, by numbers that keep it between bounds.
 NEXT = {'add': lambda x, a, b: x + a, 'multiply': lambda x, a, b: x * a,
         FUSED: lambda x, a, b: x * a + b, 'divide': lambda x, a, b: a / x}
 
 
-def repeated(kind, chains, length):
+def repeated(kind, chains, length, form=SCALAR):
     """Return a function that calls generated code: operations of a kind, in chains."""
     def routine():
         graph = ExpressionGraph()
@@ -148,7 +174,7 @@ def repeated(kind, chains, length):
             values = [NEXT[kind](x, a, b) for x in values]
         return [Routine('repeated', graph, [(0, *pair) for pair in enumerate(values)])]
 
-    address = machine_code(('repeated', kind, chains, length), routine, SCALAR)('repeated')
+    address = machine_code(('repeated', kind, chains, length), routine, form)('repeated')
     pointer = ctypes.c_void_p
     function = ctypes.CFUNCTYPE(ctypes.c_int64, pointer, pointer, pointer)(address)
     out, x, constants = np.empty(chains), np.full(chains, 0.7), np.array([0.999, 1e-3])
@@ -163,11 +189,14 @@ def repeated(kind, chains, length):
 
 
 def core_speed():
-    """Return what single operations take on this core [s]: in a chain, and side by side."""
-    return {name: {kind: (least(repeated(kind, chains, LENGTH), 500)
-                          - least(repeated(kind, chains, 0), 500)) / (chains * LENGTH)
-                   for kind in NEXT}
-            for name, chains in (('chain', 1), ('side by side', CHAINS))}
+    """Return what operations take on this core [s]: in a chain, side by side, in vectors."""
+    def one(kind, chains, length, form=SCALAR):
+        times = [least(repeated(kind, chains, number, form), 500) for number in (length, 0)]
+        return (times[0] - times[1]) / (chains * length)
+
+    return {**{name: {kind: one(kind, chains, LENGTH) for kind in NEXT}
+               for name, chains in (('chain', 1), ('side by side', CHAINS))},
+            'in vectors': {FUSED: one(FUSED, CHAINS_OF_VECTORS, LENGTH_OF_VECTORS, PACKED)}}
 
 
 def least(function, number):
@@ -185,7 +214,7 @@ def measured_times():
     """Return {mechanism: time of one evaluation inside compiled code} [s]."""
     result = {}
     for name in MEASURED:
-        one = Simulation.from_scene(name)
+        one = Simulation(peer_cases.load_scene(name))
         result[one.mechanism.name] = least(lambda: evaluate_again(
             one.data.system, one.position, one.velocity, 2000), 1) / 2000
     return result
@@ -209,7 +238,7 @@ def measure(quick=False):
     result = {'machine': description(), 'quick': quick,
               'counts': {name: count(model) for name, model in models().items()}}
     if not quick:
-        result.update(core=core_speed(), measured=measured_times())
+        result.update(core=core_speed(), measured=measured_times(), rivals=rivals())
     return result
 
 
@@ -238,16 +267,30 @@ def bounds(result, name):
             sum(core['side by side'][kind] * counts['all'][kind] for kind in NEXT))
 
 
+def flops(counts):
+    """Return the number of additions, multiplications and divisions, an fma as two."""
+    return sum(counts[kind] for kind in NEXT) + counts[FUSED]
+
+
 def table(result, make=markdown_table):
-    """Return the counts as a table, with times where there are any."""
-    header = ('mechanism', 'operations', 'longest chain', 'in two routines, for effects')
-    timed = ('measured', 'chain alone', 'all, side by side') if 'core' in result else ()
+    """Return the counts as a table, with times and shares of the peaks where there are any."""
+    header = ('mechanism', 'operations', 'longest chain', 'in two routines, for effects', 'flops',
+              "a KKT system's")
+    timed = ('measured', 'chain alone', 'all, side by side', 'of the scalar peak',
+             'of the vector peak') if 'core' in result else ()
     rows = []
     for name, counts in result['counts'].items():
-        times = [seconds(value) for value in (result['measured'][name], *bounds(result, name))
-                 ] if name in result.get('measured', {}) else ['-'] * len(timed)
+        times = ['-'] * len(timed)
+        if name in result.get('measured', {}):
+            taken = result['measured'][name]
+            # Of both peaks: an fma is two flops.
+            shares = (0.5 * flops(counts['all']) * result['core'][how][FUSED] / taken
+                      for how in ('side by side', 'in vectors'))
+            times = [*map(seconds, (taken, *bounds(result, name))),
+                     *(f'{100.0 * share:.0f} %' for share in shares)]
         rows.append((name, _counts(counts['all']), _counts(counts['chain']),
-                     str(counts['in parts']), *times))
+                     str(counts['in parts']), str(flops(counts['all'])),
+                     str(result.get('rivals', {}).get(name, '-')), *times))
     return make(header + timed, rows)
 
 
@@ -263,7 +306,8 @@ def core_text(result):
     return BOUNDS + 'On this core, in a chain and side by side: ' + ', '.join(
         f'{name} {1e9 * result["core"]["chain"][kind]:.2f} and '
         f'{1e9 * result["core"]["side by side"][kind]:.2f} ns'
-        for kind, name in names.items()) + '.'
+        for kind, name in names.items()) + '; both fused, in vectors, ' + (
+            f'{1e9 * result["core"]["in vectors"][FUSED]:.3f} ns for each.')
 
 
 def main(arguments=None):

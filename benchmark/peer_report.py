@@ -27,24 +27,30 @@ QUIET = 0.7
 COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
 STYLES = (('o', '-'), ('s', '--'), ('D', ':'), ('^', '-.'))
 # What the files of a group are called, and how their names end.
-FILES = {'plane': 'peers', 'space': 'peers_space'}
+FILES = {'plane': 'peers', 'space': 'peers_space', 'generated': 'peers_generated'}
 ENDS = ('_evaluation.csv', '_motions.csv', '.png')
 BAND = '#e5e5e5'
 DOTS_PER_INCH = 120
 
 
+def file_names(result, group):
+    """Return the names of a group's files: times of evaluations; motions where there are any."""
+    return [f'{FILES[group]}{end}' for end in ENDS[:None if result['motions'] else 1]]
+
+
 def write_files(result, directory, group):
     """Write what was measured of a group as CSV files and as a picture; return their paths."""
-    name = FILES[group]
-    evaluations, runs, drawn = (directory / f'{name}{end}' for end in ENDS)
+    evaluations, *others = (directory / name for name in file_names(result, group))
     keys = ('tree', 'engine', 'what', 'best', 'median')
     write_csv(evaluations, ('scene', *keys), [
         (scene, *(row[key] for key in keys))
         for scene, rows in result['evaluation'].items() for row in rows])
-    keys = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
-    write_csv(runs, keys, [tuple(row[key] for key in keys) for row in result['motions']])
-    picture(result).savefig(drawn)
-    return [evaluations, runs, drawn]
+    if others:
+        runs, drawn = others
+        keys = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
+        write_csv(runs, keys, [tuple(row[key] for key in keys) for row in result['motions']])
+        picture(result).savefig(drawn)
+    return [evaluations, *others]
 
 
 def busy(result):
@@ -86,8 +92,9 @@ def evaluation_table(result, make=markdown_table):
             for rows in result['evaluation'].values()]
     lines = _by_line(result['evaluation'], ('engine', 'what'),
                      lambda *rows: min(rows, key=lambda row: row['best']))
+    digits = 1 if result['motions'] else 2
     rows = [(*line, *(
-        f'{seconds(part["best"])} ({part["best"] / time:.1f}'
+        f'{seconds(part["best"])} ({part["best"] / time:.{digits}f}'
         f'{"" if part["tree"] == SHIPPED else ", " + part["tree"]})'
         for part, time in zip(parts, ours))) for line, parts in lines.items()]
     return make(('simulator', 'what', *result['evaluation']), rows)
@@ -144,9 +151,9 @@ def text(result):
         'Largest relative difference of accelerations at random states:\n'
         + agreement_table(result, text_table),
         'CPU time of one evaluation or step:\n' + evaluation_table(result, text_table),
-        'CPU time per simulated second for an error at the end:\n'
-        + motion_table(result, text_table),
-        f'Two methods differ in the reference by: {uncertain}.',
+        *(('CPU time per simulated second for an error at the end:\n'
+           + motion_table(result, text_table),
+           f'Two methods differ in the reference by: {uncertain}.') if result['cases'] else ()),
         *(f'Steps per second of {what} at once, one thread:\n'
           + rollout_table(result[key], text_table) for key, what in (
               ('rollouts', 'many simulations'), ('short_rollouts', '8 simulations of 10 steps'))

@@ -8,8 +8,9 @@ Builds mechanisms in each of them from the same description, shows that all comp
 accelerations, then measures in one run, in turn, on one thread: the time of an evaluation or a
 step, and error against CPU time of whole motions; in space also how many steps of many simulations
 at once a second has. In the plane the 3-RRR and the carpet scraper, in space a Stewart platform, a
-Delta robot and Bricard's linkage, which the others are given with a second tree, too. Needs the
-packages of the extra ``bench``; a simulator that is not installed is left out.
+Delta robot and Bricard's linkage, which the others are given with a second tree, too. Evaluations
+stand beside code that CasADi generates for the same mechanism, too. Needs the packages of the
+extra ``bench``; a simulator that is not installed is left out.
 """
 
 import argparse
@@ -31,7 +32,7 @@ for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
 from machine import description, ROOT  # noqa: E402,I100
 import numpy as np  # noqa: E402
 import peer_cases  # noqa: E402
-from peer_errors import NotAdapted  # noqa: E402
+from peer_errors import Disagreement, NotAdapted  # noqa: E402
 import peer_report  # noqa: E402
 import throughput  # noqa: E402
 from tqdm import tqdm  # noqa: E402
@@ -40,6 +41,7 @@ from closedloop_dynamics.visual.tables import text_table  # noqa: E402,I100
 
 OURS = 'peer_ours'
 ENGINES = (OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_drake', 'peer_exudyn')
+GENERATED = 'peer_generated'
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
 LEG_FORCES = {f'leg_{k}': 28.5 * share for k, share in enumerate(
     (1.0, 1.1, 0.95, 1.05, 0.9, 1.0), start=1)}
@@ -60,13 +62,16 @@ class Group:
         Name, scene, constant torques and forces [N m, N], duration [s].
     rollout : tuple of (str, dict) or None
         Scene of many simulations at once, and torques and forces around which theirs are.
+    agreed : float
+        What accelerations may differ by at most, relative; without that no time is taken.
 
     """
 
     scenes: tuple
     engines: tuple
-    cases: tuple
+    cases: tuple = ()
     rollout: tuple = None
+    agreed: float = math.inf
 
 
 GROUPS = {
@@ -83,6 +88,9 @@ GROUPS = {
         ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
         ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)),
         ('stewart_platform', LEG_FORCES)),
+    'generated': Group(
+        ('three_rrr', 'carpet_scraper', 'stewart_platform', 'delta_robot', 'bricard'),
+        (OURS, GENERATED), agreed=1e-9),
 }
 # Of which derivatives are compared.
 DIFFERENTIATED = ('three_rrr', 'carpet_scraper', 'delta_robot', 'stewart_platform')
@@ -282,7 +290,7 @@ def _run(run, least=0.0):
     return min(costs), end
 
 
-def measure(group, quick=False, chosen=ENGINES):
+def measure(group, quick=False, chosen=(*ENGINES, GENERATED)):
     """
     Measure a group of mechanisms.
 
@@ -311,6 +319,9 @@ def measure(group, quick=False, chosen=ENGINES):
         result['agreement'][name] = [
             row for pair in trees.values()
             for row in agreement(*pair, QUICK_STATES if quick else STATES)]
+        wrong = [row for row in result['agreement'][name] if not row['error'] <= group.agreed]
+        if wrong:
+            raise Disagreement(f'{name}: accelerations differ from ours: {wrong}')
         result['evaluation'][name] = evaluation_times(
             trees, QUICK_ROUNDS if quick else ROUNDS)
     cases = group.cases[:QUICK_CASES] if quick else group.cases
@@ -356,6 +367,8 @@ def main(arguments=None):
     parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
     parser.add_argument('--only', action='append', choices=GROUPS,
                         help='these mechanisms alone; what the file has of others stays')
+    parser.add_argument('--generated', dest='only', action='append_const', const='generated',
+                        help='as --only generated: beside code that CasADi generates')
     parser.add_argument('--derivatives', action='store_true',
                         help='only compare derivatives of accelerations by positions, rates and '
                              'torques')

@@ -1,0 +1,443 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Code that CasADi generates for one mechanism, for the comparison in peers.py.
+
+What an expert writes for a mechanism without this package: the inertia matrix by composite bodies,
+bias forces by Newton and Euler's equations, loops as rows below them, and a sparse LDL
+factorization of the whole, from the leaves of the tree to its root. Sines and cosines of all
+joints are computed first. Compiled by gcc for this processor, and called in a loop of C. Which
+equations repeat others is decided once; at singular positions of the mechanism it fails.
+"""
+
+from collections import Counter
+import ctypes
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import shlex
+import subprocess
+import tempfile
+
+import casadi as ca
+import numpy as np
+from peer_cases import elements, gravity, random_states
+from peer_errors import NotAdapted
+from scipy.linalg import qr
+
+from closedloop_dynamics.mechanism.mechanism import GROUND  # noqa: I100
+from closedloop_dynamics.mechanism.rotations import in_three, of_quaternion
+
+NAME = 'KKT system by CasADi'
+# What the code is compiled with; so declared, gcc computes sines in vectors.
+VECTORS = '-DVECTOR=__attribute__((simd("notinbranch")))', '-fno-math-errno'
+BUILDS = {f'gcc {level}, sines {kind}': (level, *sines) for level in ('-O3', '-Ofast')
+          for kind, sines in (('of libm', ('-DVECTOR=',)), ('in vectors', VECTORS))}
+LANES = 4
+# Of a Jacobian, relative: pivots below are those of equations that repeat others.
+REPEATED = 1e-9
+OPERATIONS = {ca.OP_ADD: 'add', ca.OP_SUB: 'add', ca.OP_MUL: 'multiply', ca.OP_SQ: 'multiply',
+              ca.OP_TWICE: 'multiply', ca.OP_DIV: 'divide', ca.OP_INV: 'divide'}
+# As the engine's own loop: each evaluation waits for the one before. ``zero`` is 0.
+LOOP = """
+VECTOR double sin(double);
+VECTOR double cos(double);
+static const int place[] = {{{places}}};
+void evaluate_again(double *q, const double *qd, const double *tau, double *qdd, long count,
+                    double zero)
+{{
+  static double angle[{lanes}], cosine[{lanes}], sine[{lanes}];
+  const double *in[] = {{q, qd, tau, cosine, sine}};
+  double *out[] = {{qdd}};
+  for (long n = 0; n < count; ++n) {{
+    for (int k = 0; k < {angles}; ++k) angle[k] = q[place[k]];
+    for (int k = 0; k < {lanes}; ++k) cosine[k] = cos(angle[k]);
+    for (int k = 0; k < {lanes}; ++k) sine[k] = sin(angle[k]);
+    accelerate(in, out, 0, 0, 0);
+    for (int k = 0; k < {freedoms}; ++k) q[k] += zero * qdd[k];
+  }}
+}}
+"""
+
+
+def thin(matrix):
+    """Return a matrix of symbols without entries that are zero."""
+    return ca.sparsify(ca.SX(matrix))
+
+
+def times(*factors):
+    """Return the product of matrices."""
+    result = factors[0]
+    for factor in factors[1:]:
+        result = thin(ca.mtimes(result, factor))
+    return result
+
+
+def hat(vector):
+    """Return the matrix that makes cross products with a vector."""
+    return thin(ca.skew(vector))
+
+
+@dataclass
+class Link:
+    """
+    A body behind a joint, in its own frame; and how it moves.
+
+    Attributes
+    ----------
+    parent : Link or None
+        None on the ground.
+    rates : list of int
+        Of its joint.
+    turn, position : SX, shapes (3, 3) and (3, 1)
+        Of its frame in its parent's.
+    about, along : SX, shape (3, number of rates)
+        Angular and linear velocity by rate.
+    mass, moment, inertia : SX, shapes (1, 1), (3, 1) and (3, 3)
+        Mass, mass times place of its centre, inertia about its origin; in the end those of all
+        that it carries.
+
+    """
+
+    parent: object
+    rates: list
+    turn: ca.SX
+    position: ca.SX
+    about: ca.SX
+    along: ca.SX
+    mass: ca.SX
+    moment: ca.SX
+    inertia: ca.SX
+
+    def move(self, qd, rest):
+        """Compute velocity, acceleration at ``qdd`` = 0 and pose; ``rest``: of the ground."""
+        back, own = thin(self.turn.T), times(self.about, qd[self.rates])
+        self.spin, turning, pulled = own, ca.SX(3, 1), rest
+        self.pose, self.place = self.turn, self.position
+        if self.parent is not None:
+            carried = times(back, self.parent.spin)
+            self.spin = thin(carried + own)
+            turning = thin(times(back, self.parent.turning) + times(hat(carried), own))
+            pulled = self.parent.pulled + times(self.parent.bend, self.position)
+            self.pose = times(self.parent.pose, self.turn)
+            self.place = thin(self.parent.place + times(self.parent.pose, self.position))
+        sliding = times(hat(self.spin), self.along, qd[self.rates])
+        self.turning, self.pulled = turning, thin(times(back, pulled) + 2.0 * sliding)
+        # What a point of the body is accelerated by more than its origin, over its place.
+        self.bend = thin(hat(turning) + times(hat(self.spin), hat(self.spin)))
+        self.force = thin(self.mass * self.pulled + times(self.bend, self.moment))
+        self.torque = thin(times(self.inertia, turning) + times(hat(self.moment), self.pulled)
+                           + times(hat(self.spin), self.inertia, self.spin))
+
+    def joint_force(self, torque, force):
+        """Return what a torque and a force at its origin are for its joint."""
+        return thin(times(self.about.T, torque) + times(self.along.T, force))
+
+    def to_parent(self, torque, force):
+        """Return a torque and a force at its origin, at that of its parent."""
+        force = times(self.turn, force)
+        return thin(times(self.turn, torque) + times(hat(self.position), force)), force
+
+    def add_to_parent(self):
+        """Add forces and inertia to those of the parent."""
+        parent, shift = self.parent, hat(self.position)
+        torque, force = self.to_parent(self.torque, self.force)
+        parent.torque, parent.force = thin(parent.torque + torque), thin(parent.force + force)
+        moment = times(self.turn, self.moment)
+        mixed = times(shift, hat(moment))
+        whole = thin(parent.inertia + times(self.turn, self.inertia, self.turn.T)
+                     - mixed - mixed.T - self.mass * times(shift, shift))
+        # Symmetric: nothing is computed twice.
+        parent.inertia = ca.tril2symm(ca.tril(whole))
+        parent.moment = thin(parent.moment + moment + self.mass * self.position)
+        parent.mass = parent.mass + self.mass
+
+
+class System:
+    """
+    The equations of a mechanism under gravity.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone, and joints that ``peer_cases.Element`` knows.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        Accelerations of coordinates, rates, torques, and cosines and sines of ``angles``.
+    angles : list of int
+        Coordinates that are angles.
+
+    Raises
+    ------
+    ValueError
+        Where the mechanism has parts that are not known here.
+
+    """
+
+    def __init__(self, scene):
+        mechanism, self._links, self.angles = scene.mechanism, [], []
+        if mechanism.couplings:
+            raise ValueError(f'{scene.name}: no couplings here')
+        names = mechanism.coordinates
+        symbols = [ca.SX.sym(*one) for one in (
+            ('q', names.nq), ('qd', names.nv), ('tau', names.nv), ('c', names.nv),
+            ('s', names.nv))]
+        q, qd, tau, self._cosines, self._sines = symbols
+        rest = -ca.SX(in_three(gravity(scene)))
+        last, first = [None], 0
+        for element in elements(mechanism):
+            last.append(self._linked(element, last[element.parent], q, first))
+            first += 4 if element.type == 'spherical' else len(element.axes)
+        for link in self._links:
+            link.move(qd, thin(rest))
+        rows = self._closed(mechanism, last, rest)
+        columns = ca.Function('rows', symbols, [ca.vertcat(*(
+            ca.horzcat(*(row.get(k, 0.0) for k in range(names.nv))) for row, _ in rows))])
+        state, turns = random_states(scene, 1)[0], np.zeros((2, names.nv))
+        angles = state[0][self.angles]
+        turns[:, :len(angles)] = np.cos(angles), np.sin(angles)
+        jacobian = np.array(columns(*state, *turns))
+        _, triangle, order = qr(jacobian.T, mode='economic', pivoting=True)
+        pivots = np.abs(np.diag(triangle))
+        kept = sorted(order[:int(np.sum(pivots > REPEATED * pivots.max()))])
+        self.function = ca.Function('accelerate', symbols, ca.cse([
+            self._accelerated(tau, [rows[k] for k in kept])]))
+
+    def _linked(self, element, parent, q, first):
+        """Return the last link of a joint, made of as many as it has axes."""
+        turn = of_quaternion(element.orientation)
+        turn = thin(np.where(np.abs(turn - np.round(turn)) < 1e-14, np.round(turn), turn))
+        position, nothing = thin(np.array(element.position)), ca.SX(3, 3)
+        center = np.array(element.center_of_mass)
+        inertia = np.diag(element.inertia) + element.mass * (
+            center @ center * np.eye(3) - np.outer(center, center))
+        count = len(element.axes) or 1
+        for number in range(count):
+            begin = sum(len(link.rates) for link in self._links)
+            if element.type == 'spherical':
+                axes, own = ca.SX.eye(3), _turned_by(q[first:first + 4])
+            else:
+                letter = 'xyz'.index(element.axes[number])
+                axes = thin(np.eye(3)[:, letter])
+            about, along = axes, ca.SX(*axes.shape)
+            if element.type == 'prismatic':
+                about, along, own = along, axes, ca.SX.eye(3)
+                position = thin(position + times(turn, axes) * q[first])
+            elif element.type != 'spherical':
+                own = _turned_about(letter, self._cosines[len(self.angles)],
+                                    self._sines[len(self.angles)])
+                self.angles.append(first + number)
+            # Between the axes of a joint there is no mass.
+            here = 1.0 if number == count - 1 else 0.0
+            parent = Link(parent, list(range(begin, begin + axes.shape[1])), times(turn, own),
+                          position, about, along, ca.SX(here * element.mass),
+                          thin(here * element.mass * center), thin(here * inertia))
+            self._links.append(parent)
+            turn, position = ca.SX.eye(3), nothing[:, 0]
+        return parent
+
+    def _closed(self, mechanism, last, rest):
+        """Return the rows of loops: columns of the Jacobian, and the acceleration at qdd = 0."""
+        numbers = {GROUND: 0, **{joint.child: number for number, joint
+                                 in enumerate(mechanism.joints, start=1)}}
+        rows = []
+        for cut in mechanism.cut_joints:
+            if cut.type not in ('revolute', 'spherical'):
+                raise ValueError(f'{cut.name}: no cut joint {cut.type} here')
+            a, b = last[numbers[cut.body_a]], last[numbers[cut.body_b]]
+            rows += _between(*(_point(link, thin(in_three(point)), rest) for link, point in (
+                (a, cut.point_a), (b, cut.point_b))), np.eye(3))
+            if cut.type == 'revolute' and not mechanism.planar:
+                axis = cut.axis_a
+                if a is None:
+                    a, b, axis = b, a, cut.axis_b
+                across = times(a.pose, thin(np.linalg.svd(np.array([axis]))[2][1:].T))
+                found = _between(_turning(a), _turning(b), across)
+                # The two directions turn with body a.
+                slip = times(a.pose, a.spin) - (0.0 if b is None else times(b.pose, b.spin))
+                turning = times(hat(times(a.pose, a.spin)), across)
+                rows += [(row, value + times(turning[:, k].T, slip))
+                         for k, (row, value) in enumerate(found)]
+        return rows
+
+    def _accelerated(self, tau, rows):
+        """Return the solution of the whole system, rates from the leaves to the root first."""
+        matrix, count = {}, tau.numel()
+        right = [None] * count + [-value for _, value in rows]
+        for link in reversed(self._links):
+            own = [count - 1 - k for k in link.rates]
+            force = link.joint_force(link.torque, link.force)
+            for k, at in enumerate(own):
+                right[at] = tau[link.rates[k]] - force[k]
+            momenta = (thin(times(link.inertia, link.about) + times(hat(link.moment), link.along)),
+                       thin(link.mass * link.along - times(hat(link.moment), link.about)))
+            one = link
+            while one is not None:
+                _put(matrix, one.joint_force(*momenta), [count - 1 - k for k in one.rates], own)
+                momenta, one = one.to_parent(*momenta), one.parent
+            if link.parent is not None:
+                link.add_to_parent()
+        for number, (row, _) in enumerate(rows):
+            for k, value in row.items():
+                matrix[count + number, count - 1 - k] = value
+        return ca.vertcat(*_solved(matrix, right)[count - 1::-1])
+
+
+def _turned_about(letter, cosine, sine):
+    result = ca.SX(3, 3)
+    b, c = (letter + 1) % 3, (letter + 2) % 3
+    result[letter, letter] = 1.0
+    result[b, b] = result[c, c] = cosine
+    result[c, b], result[b, c] = sine, -sine
+    return result
+
+
+def _turned_by(quaternion):
+    x, y, z, w = ca.vertsplit(quaternion)
+    vector = ca.vertcat(x, y, z)
+    return ca.SX.eye(3) + 2.0 * times(hat(vector), w * ca.SX.eye(3) + hat(vector))
+
+
+def _point(link, point, rest):
+    """Return the Jacobian of a point of a body by rate, and its acceleration without gravity."""
+    if link is None:
+        return {}, ca.SX(3, 1)
+    where, columns, one = link.place + times(link.pose, point), {}, link
+    while one is not None:
+        axes, slides = times(one.pose, one.about), times(one.pose, one.along)
+        for k, rate in enumerate(one.rates):
+            columns[rate] = thin(ca.cross(axes[:, k], where - one.place) + slides[:, k])
+        one = one.parent
+    return columns, thin(times(link.pose, thin(link.pulled + times(link.bend, point))) - rest)
+
+
+def _turning(link):
+    """Return the Jacobian of a body's turns by rate, and their acceleration."""
+    columns, one = {}, link
+    while one is not None:
+        axes = times(one.pose, one.about)
+        columns.update({rate: axes[:, k] for k, rate in enumerate(one.rates)})
+        one = one.parent
+    return columns, ca.SX(3, 1) if link is None else times(link.pose, link.turning)
+
+
+def _between(a, b, directions):
+    """Return rows that keep two things together along directions, shape (3, n)."""
+    columns = dict(a[0])
+    for rate, column in b[0].items():
+        columns[rate] = columns.get(rate, 0.0) - column
+    rows = []
+    for k in range(directions.shape[1]):
+        across = thin(directions[:, k]).T
+        row = {rate: times(across, thin(column)) for rate, column in columns.items()}
+        row = {rate: value for rate, value in row.items() if value.nnz()}
+        if row:
+            rows.append((row, times(across, thin(a[1] - b[1]))))
+    return rows
+
+
+def _put(matrix, block, rows, columns):
+    """Put a block below the diagonal of a matrix."""
+    for i, row in enumerate(rows):
+        for k, column in enumerate(columns):
+            if row >= column and block[i, k].nnz():
+                matrix[row, column] = block[i, k]
+
+
+def _solved(matrix, right):
+    """Solve a symmetric system, given by {(row, column): lower triangle}; without pivoting."""
+    solution, inverse, below = list(right), [], []
+    for k in range(len(right)):
+        inverse.append(1.0 / matrix[k, k])
+        column = {i: matrix[i, k] for i in range(k + 1, len(right)) if (i, k) in matrix}
+        below.append({i: value * inverse[k] for i, value in column.items()})
+        for i, value in below[k].items():
+            for j in column:
+                if j <= i:
+                    matrix[i, j] = matrix.get((i, j), 0.0) - value * column[j]
+            solution[i] -= value * solution[k]
+    for k in reversed(range(len(right))):
+        solution[k] = solution[k] * inverse[k]
+        for i, value in below[k].items():
+            solution[k] -= value * solution[i]
+    return solution
+
+
+def operations(scene):
+    """Return how many operations of each kind an evaluation takes, an fma as two."""
+    function = System(scene).function
+    counts = Counter(OPERATIONS.get(function.instruction_id(k))
+                     for k in range(function.n_instructions()))
+    del counts[None]
+    return dict(counts)
+
+
+class Engine:
+    """
+    Generated code of one scene.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+
+    Raises
+    ------
+    NotAdapted
+        Without gcc.
+
+    """
+
+    name, version = NAME, ca.__version__
+    softness = None
+
+    def __init__(self, scene):
+        """Generate and compile."""
+        system = System(scene)
+        generator = ca.CodeGenerator('accelerate')
+        generator.add(system.function)
+        width = -(-len(system.angles) // LANES) * LANES
+        text = generator.dump() + LOOP.format(
+            places=', '.join(map(str, system.angles)), lanes=width, angles=len(system.angles),
+            freedoms=scene.mechanism.coordinates.nv)
+        self._built = {name: _compiled(text, options) for name, options in BUILDS.items()}
+        self.others = {name: lambda *state, name=name: self._call(name, state, 1)
+                       for name in list(BUILDS)[1:]}
+
+    def acceleration(self, q, qd, tau):
+        """Return joint accelerations, shape (nv,)."""
+        return self._call(next(iter(BUILDS)), (q, qd, tau), 1)
+
+    def timings(self, q, qd, tau):
+        """Return {what: function of a number of evaluations}."""
+        return {name: lambda count, name=name: self._call(name, (q, qd, tau), count)
+                for name in BUILDS}
+
+    def _call(self, name, state, count):
+        state = [np.array(one, dtype=float) for one in state]
+        result = np.zeros(len(state[1]))
+        self._built[name](*(one.ctypes.data_as(ctypes.c_void_p) for one in (*state, result)),
+                          ctypes.c_long(count), ctypes.c_double(0.0))
+        return result
+
+    def runs(self, case, quick):
+        """Return no runs: it only evaluates."""
+        return []
+
+
+def _compiled(text, options):
+    """Return the loop of a text in C, compiled."""
+    with tempfile.TemporaryDirectory() as directory:
+        source, library = (Path(directory) / name for name in ('code.c', 'code.so'))
+        source.write_text(text)
+        try:
+            subprocess.run(
+                [*shlex.split(os.environ.get('CC', 'gcc')), *options, '-march=native', '-shared',
+                 '-fPIC', str(source), '-o', str(library), '-lmvec', '-lm'],
+                check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise NotAdapted(getattr(error, 'stderr', '') or str(error)) from error
+        return ctypes.CDLL(str(library)).evaluate_again
