@@ -89,12 +89,13 @@ def build(family, size):
                     for joint in mechanism.joints]
     system.tau[:] = np.random.default_rng(1).uniform(-1.0, 1.0, joints)
     evaluate_again(system, *state, 1)
-    work = system.work
+    held = [value for record in (model, system.work) for value in vars(record).values()
+            if isinstance(value, np.ndarray)]
     row = {'family': family, 'size': size, 'joints': joints,
            'equations': mechanism.number_of_equations, 'fill': decomposition.fill,
            'entries': len(model.row), 'setup': setup,
-           'bytes': sum(part.nbytes for part in (*model, *work)),
-           'full rank': bool(work.health[RANK] == mechanism.number_of_equations)}
+           'bytes': sum(part.nbytes for part in held),
+           'full rank': bool(system.work.health[RANK] == mechanism.number_of_equations)}
     return row, (system, *state)
 
 
