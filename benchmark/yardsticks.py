@@ -60,7 +60,7 @@ class SciPyMotion:
 
     @property
     def time(self):
-        """Simulated time [s]."""
+        """Return the simulated time [s]."""
         return self._time
 
     def reset(self):
