@@ -193,18 +193,16 @@ class System:
             first += 4 if element.type == 'spherical' else len(element.axes)
         for link in self._links:
             link.move(qd, thin(rest))
-        rows = self._closed(mechanism, last, rest)
-        columns = ca.Function('rows', symbols, [ca.vertcat(*(
-            ca.horzcat(*(row.get(k, 0.0) for k in range(names.nv))) for row, _ in rows))])
+        rows, biases = (ca.vertcat(*parts) for parts in zip(*self._closed(mechanism, last, rest)))
         state, turns = random_states(scene, 1)[0], np.zeros((2, names.nv))
         angles = state[0][self.angles]
         turns[:, :len(angles)] = np.cos(angles), np.sin(angles)
-        jacobian = np.array(columns(*state, *turns))
+        jacobian = np.array(ca.Function('rows', symbols, [rows])(*state, *turns))
         _, triangle, order = qr(jacobian.T, mode='economic', pivoting=True)
         pivots = np.abs(np.diag(triangle))
-        kept = sorted(order[:int(np.sum(pivots > REPEATED * pivots.max()))])
+        kept = sorted(order[:int(np.sum(pivots > REPEATED * pivots.max()))].tolist())
         self.function = ca.Function('accelerate', symbols, ca.cse([
-            self._accelerated(tau, [rows[k] for k in kept])]))
+            self._accelerated(tau, rows[kept, :], biases[kept])]))
 
     def _linked(self, element, parent, q, first):
         """Return the last link of a joint, made of as many as it has axes."""
@@ -240,50 +238,42 @@ class System:
         return parent
 
     def _closed(self, mechanism, last, rest):
-        """Return the rows of loops: columns of the Jacobian, and the acceleration at qdd = 0."""
+        """Yield the rows of loops: of the Jacobian, and the acceleration at qdd = 0."""
         numbers = {GROUND: 0, **{joint.child: number for number, joint
                                  in enumerate(mechanism.joints, start=1)}}
-        rows = []
         for cut in mechanism.cut_joints:
             if cut.type not in ('revolute', 'spherical'):
                 raise ValueError(f'{cut.name}: no cut joint {cut.type} here')
-            a, b = last[numbers[cut.body_a]], last[numbers[cut.body_b]]
-            rows += _between(*(_point(link, thin(in_three(point)), rest) for link, point in (
-                (a, cut.point_a), (b, cut.point_b))), np.eye(3))
+            a, b = (_motion(last[numbers[body]], thin(in_three(point)), rest, self._sines.numel())
+                    for body, point in ((cut.body_a, cut.point_a), (cut.body_b, cut.point_b)))
+            yield from _between(np.eye(3), ca.SX(3, 3), a, b, 'moves', 'pulled')
             if cut.type == 'revolute' and not mechanism.planar:
                 axis = cut.axis_a
-                if a is None:
+                if cut.body_a == GROUND:
                     a, b, axis = b, a, cut.axis_b
-                across = times(a.pose, thin(np.linalg.svd(np.array([axis]))[2][1:].T))
-                found = _between(_turning(a), _turning(b), across)
-                # The two directions turn with body a.
-                slip = times(a.pose, a.spin) - (0.0 if b is None else times(b.pose, b.spin))
-                turning = times(hat(times(a.pose, a.spin)), across)
-                rows += [(row, value + times(turning[:, k].T, slip))
-                         for k, (row, value) in enumerate(found)]
-        return rows
+                # Two directions that turn with a body.
+                across = times(a['pose'], thin(np.linalg.svd(np.array([axis]))[2][1:].T))
+                turning = times(hat(a['spin']), across)
+                yield from _between(across, turning, a, b, 'turns', 'turning')
 
-    def _accelerated(self, tau, rows):
+    def _accelerated(self, tau, rows, biases):
         """Return the solution of the whole system, rates from the leaves to the root first."""
-        matrix, count = {}, tau.numel()
-        right = [None] * count + [-value for _, value in rows]
+        count = tau.numel()
+        matrix = ca.SX(count + biases.numel(), count + biases.numel())
+        matrix[count:, :count] = rows
+        right = ca.vertcat(tau, -biases)
         for link in reversed(self._links):
-            own = [count - 1 - k for k in link.rates]
-            force = link.joint_force(link.torque, link.force)
-            for k, at in enumerate(own):
-                right[at] = tau[link.rates[k]] - force[k]
+            right[link.rates] -= link.joint_force(link.torque, link.force)
             momenta = (thin(times(link.inertia, link.about) + times(hat(link.moment), link.along)),
                        thin(link.mass * link.along - times(hat(link.moment), link.about)))
             one = link
             while one is not None:
-                _put(matrix, one.joint_force(*momenta), [count - 1 - k for k in one.rates], own)
+                matrix[one.rates, link.rates] = one.joint_force(*momenta)
                 momenta, one = one.to_parent(*momenta), one.parent
             if link.parent is not None:
                 link.add_to_parent()
-        for number, (row, _) in enumerate(rows):
-            for k, value in row.items():
-                matrix[count + number, count - 1 - k] = value
-        return ca.vertcat(*_solved(matrix, right)[count - 1::-1])
+        order = [*reversed(range(count)), *range(count, right.numel())]
+        return ca.vertcat(*_solved(matrix[order, order], right[order]))[order[:count]]
 
 
 def _turned_about(letter, cosine, sine):
@@ -301,66 +291,48 @@ def _turned_by(quaternion):
     return ca.SX.eye(3) + 2.0 * times(hat(vector), w * ca.SX.eye(3) + hat(vector))
 
 
-def _point(link, point, rest):
-    """Return the Jacobian of a point of a body by rate, and its acceleration without gravity."""
-    if link is None:
-        return {}, ca.SX(3, 1)
-    where, columns, one = link.place + times(link.pose, point), {}, link
-    while one is not None:
-        axes, slides = times(one.pose, one.about), times(one.pose, one.along)
-        for k, rate in enumerate(one.rates):
-            columns[rate] = thin(ca.cross(axes[:, k], where - one.place) + slides[:, k])
-        one = one.parent
-    return columns, thin(times(link.pose, thin(link.pulled + times(link.bend, point))) - rest)
+def _motion(link, point, rest, count):
+    """Return how a body and a point of it move: Jacobians, accelerations without gravity, pose."""
+    found = {'turns': ca.SX(3, count), 'moves': ca.SX(3, count), 'spin': ca.SX(3, 1),
+             'turning': ca.SX(3, 1), 'pulled': ca.SX(3, 1)}
+    if link is not None:
+        where = link.place + times(link.pose, point)
+        found.update(pose=link.pose, spin=times(link.pose, link.spin),
+                     turning=times(link.pose, link.turning), pulled=thin(times(
+                         link.pose, thin(link.pulled + times(link.bend, point))) - rest))
+    while link is not None:
+        turns = found['turns'][:, link.rates] = times(link.pose, link.about)
+        found['moves'][:, link.rates] = thin(
+            times(hat(link.place - where), turns) + times(link.pose, link.along))
+        link = link.parent
+    return found
 
 
-def _turning(link):
-    """Return the Jacobian of a body's turns by rate, and their acceleration."""
-    columns, one = {}, link
-    while one is not None:
-        axes = times(one.pose, one.about)
-        columns.update({rate: axes[:, k] for k, rate in enumerate(one.rates)})
-        one = one.parent
-    return columns, ca.SX(3, 1) if link is None else times(link.pose, link.turning)
-
-
-def _between(a, b, directions):
-    """Return rows that keep two things together along directions, shape (3, n)."""
-    columns = dict(a[0])
-    for rate, column in b[0].items():
-        columns[rate] = columns.get(rate, 0.0) - column
-    rows = []
+def _between(directions, turning, a, b, jacobian, acceleration):
+    """Yield rows that keep two motions together along directions and their rates, shape (3, n)."""
+    columns, value, spin = (thin(a[key] - b[key]) for key in (jacobian, acceleration, 'spin'))
     for k in range(directions.shape[1]):
         across = thin(directions[:, k]).T
-        row = {rate: times(across, thin(column)) for rate, column in columns.items()}
-        row = {rate: value for rate, value in row.items() if value.nnz()}
-        if row:
-            rows.append((row, times(across, thin(a[1] - b[1]))))
-    return rows
-
-
-def _put(matrix, block, rows, columns):
-    """Put a block below the diagonal of a matrix."""
-    for i, row in enumerate(rows):
-        for k, column in enumerate(columns):
-            if row >= column and block[i, k].nnz():
-                matrix[row, column] = block[i, k]
+        row = times(across, columns)
+        if row.nnz():
+            yield row, times(across, value) + times(turning[:, k].T, spin)
 
 
 def _solved(matrix, right):
-    """Solve a symmetric system, given by {(row, column): lower triangle}; without pivoting."""
-    solution, inverse, below = list(right), [], []
-    for k in range(len(right)):
-        inverse.append(1.0 / matrix[k, k])
-        column = {i: matrix[i, k] for i in range(k + 1, len(right)) if (i, k) in matrix}
+    """Solve a symmetric system, given by its lower triangle, in its order and without pivoting."""
+    entries = {(i, k): matrix[i, k] for i, k in zip(*matrix.sparsity().get_triplet()) if i >= k}
+    solution, inverse, below = ca.vertsplit(right), [], []
+    for k in range(len(solution)):
+        inverse.append(1.0 / entries[k, k])
+        column = {i: entries[i, k] for i in range(k + 1, len(solution)) if (i, k) in entries}
         below.append({i: value * inverse[k] for i, value in column.items()})
         for i, value in below[k].items():
             for j in column:
                 if j <= i:
-                    matrix[i, j] = matrix.get((i, j), 0.0) - value * column[j]
+                    entries[i, j] = entries.get((i, j), 0.0) - value * column[j]
             solution[i] -= value * solution[k]
-    for k in reversed(range(len(right))):
-        solution[k] = solution[k] * inverse[k]
+    for k in reversed(range(len(solution))):
+        solution[k] *= inverse[k]
         for i, value in below[k].items():
             solution[k] -= value * solution[i]
     return solution
