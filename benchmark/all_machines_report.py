@@ -77,7 +77,7 @@ class Results:
         return ', '.join(sorted(known)) or NOTHING
 
     def reasons(self):
-        """Return (machine, simulator, what it cannot be told) of all."""
+        """Return (machine, simulator, what it cannot express) of all."""
         return [(machine, engine, text) for machine, by_engine in self._reasons.items()
                 for engine, texts in by_engine.items() for text in texts]
 

@@ -21,7 +21,7 @@ from ..visual.tables import write_csv
 
 def _run(arguments):
     # Only here, as in the functions below: SciPy takes long to load.
-    from ..estimation.beginning import Beginning
+    from ..estimation.start_finder import StartFinder
     from ..estimation.record_file import begun, read_events, record_of, without_latency
     from ..estimation.setup_file import read_setup, SetupError
     if arguments.output is not None:
@@ -36,7 +36,7 @@ def _run(arguments):
                 arguments.recording, setup, scene.mechanism, arguments.namespace)
             setup = without_latency(setup)
             model = Model(scene)
-            start, events = begun(events, Beginning(setup, model))
+            start, events = begun(events, StartFinder(setup, model))
             record = record_of(events, setup, scene.mechanism, start.time)
         # Forces, points and their deviations take as long as the filter.
         each = arguments.output is not None or arguments.picture is not None
@@ -150,7 +150,7 @@ smoother); with --filter what was measured up to then, as closedloop_estimator d
     examples=(
         'estimate my_bag --scene three_rrr --sensors sensors.yaml --picture estimates.png',
         'estimate run.csv --scene four_bar --sensors sensors.yaml --output estimates.csv'),
-    failure='the record does not fit the model and its noise, or tells nothing of what is unknown',
+    failure='the record does not fit the model and its noise, or does not show an unknown',
     arguments=(
         Argument('recording', metavar='BAG_OR_CSV',
                  help='a bag, or a CSV file with a column for each number'),

@@ -235,7 +235,7 @@ sources and compiled for this machine. What cannot be written so is refused.
                       'ones of a unit'),
         Argument('--float32', action='store_true',
                  help=f'with an output that ends with {C}: numbers of single precision, for small '
-                      'processors; its error beside double is measured and told'),
+                      'processors; its error beside double is measured and printed'),
         Argument('--fmi', metavar='VERSION', choices=('3.0', '2.0'), default=None,
                  help=f'with an output that ends with {FMU}: 3.0 (the default) or 2.0'),
         *READING_OPTIONS),

@@ -113,7 +113,7 @@ left out; where none remains, the exit code is 2.
         Argument('--starts', metavar='N', type=whole(1), default=150,
                  help='of the search (default: %(default)s)'),
         Argument('--most', metavar='N', type=whole(1), default=5,
-                 help='linkages that are told and written (default: %(default)s)'),
+                 help='linkages that are printed and written (default: %(default)s)'),
         *directory_options(f'linkage_1.yaml, ... and {PICTURE}')),
     run=_run,
     reads_scenes=False)

@@ -399,7 +399,7 @@ class EffectSet:
         Shape (nv + nk,): of the joints, those of cut joints behind.
         """
         for row in np.flatnonzero(self._table.role == INERTIA):
-            self._table.sticking.hold[row] = 0.0 if accelerations is None else (
+            self._table.static_friction.hold[row] = 0.0 if accelerations is None else (
                 -self._table.values[row, 0] * self._along(row, accelerations))
 
     def readings(self, name, states):

@@ -8,4 +8,4 @@ from .force_law import force_law, INERTIA
 
 @force_law(role=INERTIA, engine_only='it acts on accelerations that follow from it')
 def reflected_inertia(_):
-    """Leave it to the engine, which finds it with the accelerations (``engine/sticking.hpp``)."""
+    """Leave it to ``engine/static_friction.hpp``, which finds it with the accelerations."""

@@ -22,8 +22,9 @@ carrier's, in its own description or by a payload. When: geared drives, whose ro
 the link; flywheels.
 
 At a joint that closes a loop its torque -I_r qdd depends on accelerations that follow from it: it
-is found with them, as friction at rest is (``engine/sticking.hpp``), by one evaluation more. In
-space only where the joint's carrier, body B, is the ground, or where its rotation is negligible.
+is found with them, as friction at rest is (``engine/static_friction.hpp``), by one evaluation
+more. In space only where the joint's carrier, body B, is the ground, or where its rotation is
+negligible.
 """
 
 from dataclasses import dataclass

@@ -7,9 +7,9 @@ Inertia along a weighted sum of joint coordinates, as of a mass that a tendon ca
     l = sum_j r_j q_j        tau_j = -r_j m l''    on each joint of ``arms``
 
 The energy m l'^2 / 2 counts as kinetic, and the generalized inertia matrix has m r r^T beside its
-own. It is found with the accelerations, by one evaluation more (``engine/sticking.hpp``). When:
-motors and weights that pull a tendon, a motor whose rotor turns with the sum or difference of two
-joints (as in a differential drive).
+own. It is found with the accelerations, by one evaluation more
+(``engine/static_friction.hpp``). When: motors and weights that pull a tendon, a motor
+whose rotor turns with the sum or difference of two joints (as in a differential drive).
 """
 
 from dataclasses import dataclass

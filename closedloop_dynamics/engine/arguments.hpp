@@ -118,7 +118,7 @@ void read(PyObject * from, Cube<Number> & to, Place place)
 }
 
 /// Read an array of numbers; Python reports anything else.
-inline void read(PyObject * from, Given & to, Place)
+inline void read(PyObject * from, OptionalVector & to, Place)
 {
   to = {};
   to.is_none = from == &_Py_NoneStruct;

@@ -194,7 +194,7 @@ private:
   void arrays(Visitor && visit) {visit(#__VA_ARGS__, __VA_ARGS__);}
 
 /// An optional argument: an array of numbers, absent, or of a wrong type.
-struct Given
+struct OptionalVector
 {
   Vector<const double> numbers;
   bool is_array = false;

@@ -237,7 +237,7 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          LANES * lane.system->effects.states.size == batch.rates.size &&
          LANES * contact::NODE_COLUMNS * lane.system->effects.count() == batch.gaps.size &&
          LANES * contact::TRIAL_COLUMNS * lane.system->effects.count() == batch.trials.size &&
-         LANES * lane.system->effects.sticking.right.size == batch.friction.size &&
+         LANES * lane.system->effects.static_friction.right.size == batch.friction.size &&
          batch.friction.size / LANES * (batch.qdd.size + batch.closure.size) ==
          batch.response.size &&
          same(lane.system->effects.role, first.system->effects.role) &&
@@ -246,7 +246,7 @@ bool fits(const Batch & batch, const Lane & lane, const Lane & first)
          !lists(lane.system->effects, effect::FRICTION)) &&
          lane.system->tau.size == batch.nv() && lane.run->stepper().is_in_lanes() &&
          lane.run->stepper().stabilisation() == first.run->stepper().stabilisation() &&
-         lane.run->watch().step_size == first.run->watch().step_size;
+         lane.run->guard_limits().step_size == first.run->guard_limits().step_size;
 }
 }  // namespace
 
@@ -267,8 +267,8 @@ Status run_batch(
   const Run & like = *lanes[0].run;
   const Tableau tableau = like.stepper().tableau();
   const Stabilisation stabilisation = like.stepper().stabilisation();
-  const Watch & watch = like.watch();
-  const double step_size = watch.step_size;
+  const GuardLimits & limits = like.guard_limits();
+  const double step_size = limits.step_size;
   const Index n = batch.qdd.size, first = LANES * batch.nq();
   const Index ns = lanes[0].system->ns();
   const auto has_rows = [&](Cube<double> rows, Index columns) {
@@ -305,7 +305,7 @@ Status run_batch(
   const auto are_closed = [&] {
       return measures && std::all_of(
         batch.error.begin(), batch.error.end(),
-        [&](double error) {return error <= CLEARLY * watch.closure;});
+        [&](double error) {return error <= CLEARLY * limits.closure;});
     };
   const auto step_together = [&](Values from) {
       const bool good = closedloop::step(
@@ -350,7 +350,7 @@ Status run_batch(
     };
   record(state, position, velocity, 0);
   copy(state, since);
-  Index unchecked = 0, between = watch.first;
+  Index unchecked = 0, between = limits.first;
   for (Index done = 0; done < steps; ) {
     if (done % zero_order_hold == 0) {
       add_work_since();
@@ -360,7 +360,7 @@ Status run_batch(
     const Index at_once = std::min(
       {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
     for (Index left = at_once; left > 0; ) {
-      const Index portion = std::min({left, watch.most, between - unchecked});
+      const Index portion = std::min({left, limits.most, between - unchecked});
       for (Index made = 0; made < portion; ++made) {
         const Status ended = step();
         if (ended != Status::DONE) {
@@ -372,14 +372,14 @@ Status run_batch(
       unchecked += portion;
       const bool at_energy = unchecked >= between;
       if (at_energy) {
-        between = std::max(std::min(2 * between, watch.rarely), watch.first);
+        between = std::max(std::min(2 * between, limits.rarely), limits.first);
         unchecked = 0;
       }
-      if (at_energy || !(std::isinf(watch.closure) || are_closed())) {
+      if (at_energy || !(std::isinf(limits.closure) || are_closed())) {
         check(done, at_energy);
       }
     }
-    if (unchecked > 0 && (at_once >= watch.call || done == steps)) {
+    if (unchecked > 0 && (at_once >= limits.call || done == steps)) {
       unchecked = 0;
       check(done, true);
     }

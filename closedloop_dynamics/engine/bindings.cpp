@@ -34,7 +34,7 @@
 #include "rollout.hpp"
 #include "routines.hpp"
 #include "state_steps.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 #include "stiffness.hpp"
 #include "stop_flag.hpp"
 
@@ -84,7 +84,7 @@ std::pair<double, double> nearest_to_path(
 
 std::unique_ptr<RunObject> run(
   const std::shared_ptr<System> & system, const Kept<Values> & state, std::string_view method,
-  const MethodOptions & options, const Watch & watch, Indices roles, Indices windings)
+  const MethodOptions & options, const GuardLimits & limits, Indices roles, Indices windings)
 {
   if (state.record.size != system->ns()) {
     throw std::invalid_argument("run: expected a state of this system");
@@ -92,7 +92,7 @@ std::unique_ptr<RunObject> run(
   return std::unique_ptr<RunObject>(
     new RunObject{
       system, state.record, state.owner,
-      Run(*system, make_stepper(*system, method, options), watch, roles, windings)});
+      Run(*system, make_stepper(*system, method, options), limits, roles, windings)});
 }
 
 void take_method(RunObject & of, const RunObject & other)
@@ -502,8 +502,8 @@ const Entry entries[] = {
   entry<set_stop>(
     "set_stop(flag, stops): whether the threads that heed a flag are to stop, 1 or 0"),
   entry<heed>("heed(flag): from now on in this thread; returns the flag heeded before"),
-  entry<run>("run(system, state, method, options, watch, roles, windings): a run that is checked"),
-  entry<&On<&Run::set_watch>::call>("set_watch(watch, windings)"),
+  entry<run>("run(system, state, method, options, limits, roles, windings): a run that is checked"),
+  entry<&On<&Run::set_guard_limits>::call>("set_guard_limits(limits, windings)"),
   entry<take_method>("take_method(other): and the limits of that run"),
   entry<&On<&Run::restart>::call>("restart(moved): torques, effects or the state have changed"),
   entry<&On<&Run::rewind>::call>("rewind(): the method, as a new one"),

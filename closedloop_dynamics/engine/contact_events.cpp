@@ -16,7 +16,7 @@ namespace closedloop
 
 namespace
 {
-using contact::BEND;
+using contact::DEVIATION;
 using contact::ERROR;
 using contact::GAP;
 using contact::PLACE;
@@ -39,7 +39,7 @@ constexpr double CHORDS = 2.0;
 // The error of a smaller interval may be this many times the expected one.
 constexpr double SAFER = 2.0;
 // Share of the larger gap by which the path may depart from its chord.
-constexpr double BENT = 0.25;
+constexpr double DEVIATION_SHARE = 0.25;
 // Evaluations on the wrong side, relative to the possible change of the gap, that do not count.
 constexpr double SLIGHT = 0.01;
 // Cuts of one step on suspicion alone, and cuts that refine the end of a step that agrees.
@@ -93,32 +93,32 @@ struct Cubic
 {
   double start;
   double slope;
-  double bend;
-  double twist;
+  double quadratic;
+  double cubic;
 
   /// Through the gaps and rates of two nodes, `size` apart [s].
   Cubic(const double * left, const double * right, double sign, double size)
   : start(sign * left[GAP]), slope(sign * size * left[RATE])
   {
     const double rise = sign * right[GAP] - start, last = sign * size * right[RATE];
-    bend = 3.0 * rise - 2.0 * slope - last;
-    twist = slope + last - 2.0 * rise;
+    quadratic = 3.0 * rise - 2.0 * slope - last;
+    cubic = slope + last - 2.0 * rise;
   }
 
   double operator()(double share) const
   {
-    return start + share * (slope + share * (bend + share * twist));
+    return start + share * (slope + share * (quadratic + share * cubic));
   }
 
-  /// Where slope + 2 bend x + 3 twist x^2 = 0, the lesser first; 1 where nowhere.
+  /// Where slope + 2 quadratic x + 3 cubic x^2 = 0, the lesser first; 1 where nowhere.
   std::pair<double, double> turning_points() const
   {
     double one = 1.0, other = 1.0;
-    const double root = bend * bend - 3.0 * twist * slope;
+    const double root = quadratic * quadratic - 3.0 * cubic * slope;
     if (root >= 0.0) {
-      const double sum = -(bend + std::copysign(std::sqrt(root), bend));
+      const double sum = -(quadratic + std::copysign(std::sqrt(root), quadratic));
       one = sum != 0.0 ? slope / sum : 1.0;
-      other = twist != 0.0 ? sum / (3.0 * twist) : 1.0;
+      other = cubic != 0.0 ? sum / (3.0 * cubic) : 1.0;
     }
     return {std::min(one, other), std::max(one, other)};
   }
@@ -224,7 +224,7 @@ void begin_look(const Contacts & contacts)
       first(row, i) = contacts.start(row, i);
       last(row, i) = contacts.now(row, i);
     }
-    last(row, ERROR) = last(row, BEND) = INFINITE;
+    last(row, ERROR) = last(row, DEVIATION) = INFINITE;
     contacts.trial(row, contact::LARGEST) =
       std::max(std::abs(first(row, GAP)), std::abs(last(row, GAP)));
   }
@@ -339,7 +339,7 @@ Trial push(const EffectTable & effects, double size, double share)
     apart = SAFER * std::sqrt(apart) / (4.0 * shape) * longer * longer;
     for (const Table & node : {rights, middles}) {
       node(row, ERROR) = error;
-      node(row, BEND) = apart;
+      node(row, DEVIATION) = apart;
     }
     contacts.trial(row, contact::LARGEST) =
       std::max(contacts.trial(row, contact::LARGEST), std::abs(now[GAP]));
@@ -382,8 +382,8 @@ ChordDistance nearest_to_body(
   const double along = inward / square;
   double between = 0.0, one = 0.0, other = 0.0;
   for (Index i = PLACE; i < ERROR; ++i) {
-    const double place = left[i] + along * (right[i] - left[i]);
-    between += place * place;
+    const double coordinate = left[i] + along * (right[i] - left[i]);
+    between += coordinate * coordinate;
     one += left[i] * left[i];
     other += right[i] * right[i];
   }
@@ -419,7 +419,7 @@ Suspicion suspect(
   }
   bool resolved = fastest * length <= trial[contact::LARGEST];
   if (finite) {
-    const double bend = right[BEND];
+    const double deviation = right[DEVIATION];
     double chord = 0.0;
     for (Index i = PLACE; i < ERROR; ++i) {
       const double move = right[i] - left[i];
@@ -427,10 +427,10 @@ Suspicion suspect(
     }
     resolved = resolved || fastest * length <= CHORDS * std::sqrt(chord);
     const ChordDistance nearest = nearest_to_body(effects, row, left, right);
-    if (!(resolved && bend <= BENT * std::max(one, other) + CLOSED)) {
+    if (!(resolved && deviation <= DEVIATION_SHARE * std::max(one, other) + CLOSED)) {
       return {0.5, false};
     }
-    return {nearest.distance < bend ? nearest.along : 1.0, true};
+    return {nearest.distance < deviation ? nearest.along : 1.0, true};
   }
   if (contacts.mode[row] == contact::TOUCHING && slight) {
     // Error control follows a body that touches.

@@ -27,7 +27,7 @@ struct CurvePoint
 {
   Vector2 place;
   Vector2 tangent;
-  Vector2 bend;
+  Vector2 second;
 };
 
 /// To a point from the nearest place on a piece, and the piece's tangent there.
@@ -105,18 +105,18 @@ Nearest nearest_on_piece(const double * piece, Vector2 point)
       // Away from the piece.
       break;
     }
-    const double square = dot(at.tangent, at.tangent), bend = square + dot(apart, at.bend);
+    const double square = dot(at.tangent, at.tangent), curvature = square + dot(apart, at.second);
     // Where the distance is no valley, as if the piece were straight.
-    const bool is_valley = bend > 0.25 * square;
+    const bool is_valley = curvature > 0.25 * square;
     double change;
     if (!is_valley) {
       change = slope / square;
     } else {
       const Vector2 twist = {6.0 * piece[3], 6.0 * piece[7]};
-      const double third = 3.0 * dot(at.tangent, at.bend) + dot(apart, twist);
-      const double divisor = bend * bend - 0.5 * slope * third;
+      const double third = 3.0 * dot(at.tangent, at.second) + dot(apart, twist);
+      const double divisor = curvature * curvature - 0.5 * slope * third;
       // Halley's method, Newton's far from the place.
-      change = divisor > 0.5 * bend * bend ? slope * bend / divisor : slope / bend;
+      change = divisor > 0.5 * curvature * curvature ? slope * curvature / divisor : slope / curvature;
     }
     const double better = within_piece(u - change);
     const double move = std::fabs(better - u);

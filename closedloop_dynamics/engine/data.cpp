@@ -261,8 +261,8 @@ void Data::connect()
     {routine::ENTRIES, effects.data.data}, {routine::CUT_VALUES, effects.cuts.values.data},
     {routine::PRESENT, effects.code.present.data}, {routine::SIDES, effects.code.sides.data},
     {routine::GAPS, effects.contacts.now.data}, {routine::TRIALS, effects.contacts.trial.data},
-    {routine::RATES, effects.rates.data}, {routine::RESPONSE, effects.sticking.response.data},
-    {routine::LIMIT, effects.sticking.right.data}};
+    {routine::RATES, effects.rates.data}, {routine::RESPONSE, effects.static_friction.response.data},
+    {routine::LIMIT, effects.static_friction.right.data}};
   for (const auto & each : arrays) {
     table[each.place] = reinterpret_cast<Index>(each.array);
   }

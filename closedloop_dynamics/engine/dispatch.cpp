@@ -59,7 +59,7 @@ void apply_effects(const EffectTable & table, Table body, Values q, Values qd, V
 {
   copy(tau, table.applied);
   table.rates.fill(0.0);
-  table.sticking.rows[0] = 0;
+  table.static_friction.rows[0] = 0;
   store_sides(table);
   take_pieces(table);
   if (table.cuts.index.rows == 0) {

@@ -207,7 +207,7 @@ EffectTable::EffectTable(
     each->is_constant = true;
   }
   values.is_constant = data.is_constant = true;
-  sticking = StaticFriction(
+  static_friction = StaticFriction(
     count, sum_over(elements, [](const EffectElement & each) {return sticks(each.role) ? 1 : 0;}),
     applied.size + all.equations());
   cuts = CutCoordinates(model, cut_index, cut_values, own);
@@ -294,7 +294,7 @@ void EffectTable::put(Index row, const EffectElement & element)
   tried.write(row, element);
   const char * missing = tried.lacks(row);
   if (missing == nullptr &&
-    std::count_if(tried.role.begin(), tried.role.end(), sticks) >= sticking.rows.size)
+    std::count_if(tried.role.begin(), tried.role.end(), sticks) >= static_friction.rows.size)
   {
     missing = "effects: expected no more that may stick than at first";
   }
@@ -333,7 +333,7 @@ bool EffectTable::fits(const Model & model, const Model & all) const
 {
   bool good = applied.size == model.joints() + cuts.index.rows &&
     has_shape(reaction, model.tree.rows, 2 * model.size()) &&
-    sticking.response.columns >= applied.size + all.equations() &&
+    static_friction.response.columns >= applied.size + all.equations() &&
     (motions.rows == 0 || motions.data == model.cut_point.data) &&
     within(cuts.index, cut_coordinate::CUT, 0, 0, model.cut.rows - 1);
   for (Index row = 0; good && row < count(); ++row) {

@@ -30,12 +30,12 @@ enum Equation : Index {CUT_ROW, MULTIPLIER, COLUMN, EQUATION_PLACES};
 }
 namespace contact
 {
-/// Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap tells.
+/// Values of Contacts.mode: whether a contact is there while a step is made; undecided, the gap decides.
 enum : Index {UNDECIDED, FREE, TOUCHING};
 /// Columns of Contacts.now, .start and .nodes: gap [m; rad], its rate, and the place of the roller
 /// as the other body sees it [m], three numbers; of nodes alone the error of a cubic through gaps
 /// and rates, and how far the path departs from its chord [m], both up to the node.
-enum Node : Index {GAP, RATE, PLACE, ERROR = 5, BEND, NODE_COLUMNS};
+enum Node : Index {GAP, RATE, PLACE, ERROR = 5, DEVIATION, NODE_COLUMNS};
 /// Columns of Contacts.trial, over all evaluations of a step: the fastest rate of the gap; the
 /// fastest motion of the roller; the largest gap on the wrong side; the largest gap of any node;
 /// whether the mode has been changed; dissipated energy at the start [J].
@@ -249,7 +249,7 @@ struct EffectTable
   Array<Table> reaction;
   /// Numbers of all effects.
   Array<Values> data;
-  StaticFriction sticking;
+  StaticFriction static_friction;
   Contacts contacts;
   /// Model.cut_point, whose rows the prescribed motions are set in; of no length where there are
   /// none.
@@ -283,7 +283,7 @@ struct EffectTable
   CLOSEDLOOP_ARRAYS(
     role, routine, enabled, first_state, first_place, joints, bodies, summed, feels, first_number,
     entries, gap, places, calls, values, output, states, rates, scale, loaded, applied, reaction,
-    data, sticking, contacts, motions, cuts, code)
+    data, static_friction, contacts, motions, cuts, code)
 
 private:
   void write(Index row, const EffectElement &);

@@ -12,7 +12,7 @@
 #include "manifold.hpp"
 #include "projection.hpp"
 #include "stick_slip.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 #include "time_events.hpp"
 
 namespace closedloop
@@ -83,13 +83,13 @@ double first_step(
       stage[i] = state[i] + guess * slopes(0, i);
     }
     derivative(system, stage, slopes[1]);
-    double bend = 0.0;
+    double second = 0.0;
     for (Index i = 0; i < count; ++i) {
       const double change = (slopes(1, i) - slopes(0, i)) * weight(i);
-      bend += change * change;
+      second += change * change;
     }
     const double steepest =
-      std::max(slope, std::sqrt(bend / number_of(state)) / guess);
+      std::max(slope, std::sqrt(second / number_of(state)) / guess);
     if (steepest <= 1e-15) {
       return std::max(1e-6, guess * 1e-3);
     }

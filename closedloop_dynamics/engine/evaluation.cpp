@@ -26,7 +26,7 @@
 #include "routines.hpp"
 #include "scene_code.hpp"
 #include "scratch.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 namespace closedloop
 {
@@ -206,7 +206,7 @@ bool respond_to_hold(
   effects.applied.fill(0.0);
   exert_along(effects, row, effects.output(row, 3));
   const bool found =
-    respond(system, q, qd, factors, others, free_response(effects.sticking), out);
+    respond(system, q, qd, factors, others, free_response(effects.static_friction), out);
   copy(others, effects.applied);
   return found;
 }
@@ -218,26 +218,26 @@ bool accelerate_with_friction(
   Values out)
 {
   const EffectTable & effects = system.effects;
-  const StaticFriction & sticking = effects.sticking;
+  const StaticFriction & static_friction = effects.static_friction;
   const auto friction = [&](Index a) {
-      return sticking.share[a] * effects.output(sticking.rows[a + 1], 3);
+      return static_friction.share[a] * effects.output(static_friction.rows[a + 1], 3);
     };
   bool found = true;
   if (factors == Factors::NONE) {
-    const Index count = sticking.rows[0];
+    const Index count = static_friction.rows[0];
     for (Index a = 0; a < count; ++a) {
-      sticking.hold[sticking.rows[a + 1]] = friction(a);
+      static_friction.hold[static_friction.rows[a + 1]] = friction(a);
     }
     evaluate_in_parts(system, q, qd);
     for (Index a = 0; a < count; ++a) {
-      sticking.hold[sticking.rows[a + 1]] = 0.0;
+      static_friction.hold[static_friction.rows[a + 1]] = 0.0;
     }
     copy(system.qdd, out);
     copy(system.lam, out.from(system.nv()));
   } else {
     effects.applied.fill(0.0);
-    for (Index a = 0; a < sticking.rows[0]; ++a) {
-      exert_along(effects, sticking.rows[a + 1], friction(a));
+    for (Index a = 0; a < static_friction.rows[0]; ++a) {
+      exert_along(effects, static_friction.rows[a + 1], friction(a));
     }
     found = respond(system, q, qd, factors, others, frictionless, out);
     for (Index i = 0; i < out.size; ++i) {
@@ -254,11 +254,11 @@ bool accelerate_with_friction(
 bool balance_by_kept(const System & system, Values q, Values qd, Factors factors)
 {
   const EffectTable & effects = system.effects;
-  const StaticFriction & sticking = effects.sticking;
+  const StaticFriction & static_friction = effects.static_friction;
   const Index nv = system.nv(), width = nv + system.lam.size;
   Scratch<double, ROOM> scratch(effects.applied.size + 2 * width);
   const Values others = scratch.copy_of(effects.applied), found = scratch.take(width);
-  const Values base = free_response(sticking).part(0, width);
+  const Values base = free_response(static_friction).part(0, width);
   const Values frictionless = scratch.copy_of(base);
   double size = 0.0, before = 0.0;
   for (Index i = 0; i < nv; ++i) {
@@ -284,8 +284,8 @@ bool balance_by_kept(const System & system, Values q, Values qd, Factors factors
     }
     for (Index i = 0; i < width; ++i) {
       base[i] = found[i];
-      for (Index a = 0; a < sticking.rows[0]; ++a) {
-        base[i] -= sticking.share[a] * sticking.response(a, i);
+      for (Index a = 0; a < static_friction.rows[0]; ++a) {
+        base[i] -= static_friction.share[a] * static_friction.response(a, i);
       }
     }
   }
@@ -301,8 +301,8 @@ void hold_joints_at_rest(const System & system, Values q, Values qd, Factors fac
   const EffectTable & effects = system.effects;
   const bool with_cuts = system.has_cut_coordinates();
   const Values qdd = with_cuts ? effects.cuts.qdd : system.qdd;
-  const Indices & stuck = effects.sticking.rows;
-  const Values & hold = effects.sticking.hold;
+  const Indices & stuck = effects.static_friction.rows;
+  const Values & hold = effects.static_friction.hold;
   const Index count = stuck[0];
   if (with_cuts) {
     accelerations_with_cuts(system, q, qd);
@@ -377,7 +377,7 @@ void complete(const System & system, Values q, Values qd, Factors factors)
   if (!system.has_effects()) {
     return;
   }
-  if (system.effects.sticking.rows[0] > 0) {
+  if (system.effects.static_friction.rows[0] > 0) {
     hold_joints_at_rest(system, q, qd, factors);
   }
   if (system.effects.motions.rows > 0) {

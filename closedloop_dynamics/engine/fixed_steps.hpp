@@ -14,7 +14,7 @@
 #include "projection.hpp"
 #include "scratch.hpp"
 #include "stepper.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 // Whole steps of one size, with a stabilisation after each.
 

@@ -110,7 +110,7 @@ void find_need(
       if (table.role[row] == effect::DRIVE) {
         table.enabled[row] = 0;
       } else if (table.role[row] == effect::INERTIA) {
-        table.sticking.hold[row] = -table.values(row, 0) * along(table, row, qdd);
+        table.static_friction.hold[row] = -table.values(row, 0) * along(table, row, qdd);
       }
     }
     Values positions = q;
@@ -120,7 +120,7 @@ void find_need(
     }
     apply_effects(table, system.work.body, positions, qd, no_torques);
     copy(enabled, table.enabled);
-    table.sticking.hold.fill(0.0);
+    table.static_friction.hold.fill(0.0);
     bias_forces(system.work, table.reaction);
   }
   tree_torque(system.model, system.work, qdd, need);
@@ -280,7 +280,8 @@ private:
 
 bool find_torques(
   const System & system, Indices actuated, Indices passive, Index loops, Values own, Values out,
-  const Given & given_q, const Given & given_qd, const Given & given_qdd)
+  const OptionalVector & given_q, const OptionalVector & given_qd,
+  const OptionalVector & given_qdd)
 {
   const Model & model = system.whole.empty() ? system.model : system.whole.model;
   const Workspace & work = system.whole.empty() ? system.work : system.whole.work;

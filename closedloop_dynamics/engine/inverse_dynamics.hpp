@@ -16,7 +16,7 @@ namespace closedloop
 /// effects act in cut joints.
 bool find_torques(
   const System &, Indices actuated, Indices passive, Index loops, Values own, Values out,
-  const Given & q, const Given & qd, const Given & qdd);
+  const OptionalVector & q, const OptionalVector & qd, const OptionalVector & qdd);
 
 }  // namespace closedloop
 

@@ -8,7 +8,7 @@
 
 #include "arms.hpp"
 #include "contact_events.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 namespace closedloop
 {
@@ -88,9 +88,9 @@ void LaneEvents::hold_joints()
     const EffectTable & effects =
       lanes_[std::min(static_cast<std::size_t>(lane), last)].system->effects;
     for (Index k = 0; k < count; ++k) {
-      effects.sticking.right[k] = batch_.friction[LANES * k + lane];
+      effects.static_friction.right[k] = batch_.friction[LANES * k + lane];
       for (Index i = 0; i < nv; ++i) {
-        effects.sticking.response(k, i) = batch_.response[LANES * (k * width + i) + lane];
+        effects.static_friction.response(k, i) = batch_.response[LANES * (k * width + i) + lane];
       }
     }
     for (Index i = 0; i < nv; ++i) {

@@ -43,7 +43,7 @@ const Needs * needs_of(Index address);
 Law apply_generated;
 
 // Whose force may follow from accelerations (resting_laws.cpp).
-/// Friction of a joint or tendon; one at rest is listed in EffectTable.sticking.
+/// Friction of a joint or tendon; one at rest is listed in EffectTable.static_friction.
 Law apply_friction;
 /// List inertia reflected at a cut joint or along a tendon there.
 Law apply_reflected_inertia;

@@ -85,7 +85,7 @@ OfBall of_move(const double * q, const double * turn, double share)
   const double square = u[0] * u[0] + u[1] * u[1] + u[2] * u[2], angle = std::sqrt(square);
   const double cosine = std::cos(angle);
   const double sine = angle > 1e-9 ? std::sin(angle) / angle : 1.0;
-  const double bend = angle > SMALL ? (cosine - sine) / square :
+  const double sinc_slope = angle > SMALL ? (cosine - sine) / square :
     -1.0 / 3.0 + square * (1.0 / 30.0 - square / 840.0);
   const double e[FOUR] = {sine * u[0], sine * u[1], sine * u[2], cosine};
   double by_first[FOUR][FOUR], by_second[FOUR][FOUR];
@@ -100,7 +100,7 @@ OfBall of_move(const double * q, const double * turn, double share)
     for (int n = 0; n < THREE; ++n) {
       double total = by_second[m][n] * sine - by_second[m][3] * sine * u[n];
       for (int k = 0; k < THREE; ++k) {
-        total += by_second[m][k] * bend * u[k] * u[n];
+        total += by_second[m][k] * sinc_slope * u[k] * u[n];
       }
       found.by[m][FOUR + n] = half * total;
     }

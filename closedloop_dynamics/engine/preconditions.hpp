@@ -27,7 +27,7 @@
 #include "rollout.hpp"
 #include "routines.hpp"
 #include "state_steps.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 // Preconditions on the arguments of functions that Python calls, beside the lengths that
 // bindings.cpp names: kernels index blindly. Each returns a message, or nullptr. Those of the first
@@ -256,7 +256,7 @@ template<>
 inline constexpr auto precondition<minimise_in_box> =
   [](const EffectTable & effects, Index count, Values out) {
     return expected::unless(
-      count >= 0 && count < effects.sticking.rows.size && count <= out.size);
+      count >= 0 && count < effects.static_friction.rows.size && count <= out.size);
   };
 
 template<>

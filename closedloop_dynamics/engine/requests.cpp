@@ -115,9 +115,10 @@ bool is_left_to(const System & system, Index which)
 /// Apply static friction at cut joints as in the latest evaluation.
 void hold_as_evaluated(const EffectTable & effects)
 {
-  const StaticFriction & sticking = effects.sticking;
-  for (Index place = 1; place <= sticking.rows[0]; ++place) {
-    sticking.hold[sticking.rows[place]] = effects.output(sticking.rows[place], 1);
+  const StaticFriction & static_friction = effects.static_friction;
+  for (Index index = 1; index <= static_friction.rows[0]; ++index) {
+    const Index row = static_friction.rows[index];
+    static_friction.hold[row] = effects.output(row, 1);
   }
 }
 }  // namespace
@@ -130,7 +131,7 @@ bool closes_loops(const System & system, Values qd)
          largest(work.closure_rate) <= limit * rate_scale(qd);
 }
 
-bool take(const Given & from, Values to)
+bool take(const OptionalVector & from, Values to)
 {
   if (!from.is_array || from.numbers.size != to.size) {
     return false;
@@ -141,7 +142,7 @@ bool take(const Given & from, Values to)
   return true;
 }
 
-bool spread_torques(Indices actuated, Values tau, const Given & torque)
+bool spread_torques(Indices actuated, Values tau, const OptionalVector & torque)
 {
   if (torque.is_none) {
     tau.fill(0.0);
@@ -151,7 +152,7 @@ bool spread_torques(Indices actuated, Values tau, const Given & torque)
          spread(torque.numbers, actuated, tau);
 }
 
-Comparison compare(Values values, double usual, const Given & given)
+Comparison compare(Values values, double usual, const OptionalVector & given)
 {
   if (!given.is_array || given.numbers.size != values.size) {
     return Comparison::OTHER;
@@ -187,8 +188,8 @@ bool is_position(const Manifold & manifold, Values q)
 }
 
 bool evaluate_given(
-  const System & system, const Request & request, const Given & q, const Given & qd,
-  const Given & torque)
+  const System & system, const Request & request, const OptionalVector & q,
+  const OptionalVector & qd, const OptionalVector & torque)
 {
   if (torque.is_none) {
     request.torque.fill(0.0);
@@ -238,7 +239,7 @@ bool find_all_multipliers(const System & system, Values q, Values qd, Values lam
   if (system.has_effects()) {
     hold_as_evaluated(system.effects);
     apply_listed_to(system, work.body, q, qd);
-    system.effects.sticking.hold.fill(0.0);
+    system.effects.static_friction.hold.fill(0.0);
   }
   bias_forces(work, work.force);
   joint_wrenches(model, work, system.qdd, lam, work.force);
@@ -288,14 +289,14 @@ void place_points(Table body, Indices row, Table point, Table out)
 {
   for (Index k = 0; k < row.size; ++k) {
     if (point.columns == 2) {
-      const Vector2 place = position(body, row[k], vector2(point.row(k)));
-      out(k, 0) = place.x;
-      out(k, 1) = place.y;
+      const Vector2 at = position(body, row[k], vector2(point.row(k)));
+      out(k, 0) = at.x;
+      out(k, 1) = at.y;
     } else {
-      const Vector3 place = position(body, row[k], vector3(point.row(k)));
-      out(k, 0) = place.x;
-      out(k, 1) = place.y;
-      out(k, 2) = place.z;
+      const Vector3 at = position(body, row[k], vector3(point.row(k)));
+      out(k, 0) = at.x;
+      out(k, 1) = at.y;
+      out(k, 2) = at.z;
     }
   }
 }
@@ -321,7 +322,7 @@ void find_joint_forces(
       hold_as_evaluated(system.effects);
     }
     apply_listed(system, q, qd);
-    system.effects.sticking.hold.fill(0.0);
+    system.effects.static_friction.hold.fill(0.0);
     bias_forces(work, scratch);
     joint_wrenches(model, work, system.qdd, lam, scratch);
   }

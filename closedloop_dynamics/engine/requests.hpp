@@ -34,16 +34,16 @@ struct Request
 bool closes_loops(const System &, Values qd);
 
 /// Copy a given array, if it has as many numbers.
-bool take(const Given &, Values to);
+bool take(const OptionalVector &, Values to);
 
 /// Copy the torques of actuated joints, zero if absent, to their places in System.tau, -1 for a
 /// joint without torque; false where they are no array of as many finite numbers, or such a joint
 /// has one.
-bool spread_torques(Indices actuated, Values tau, const Given &);
+bool spread_torques(Indices actuated, Values tau, const OptionalVector &);
 
 /// How a given array compares with numbers: the same, others of at most a size, or neither.
 enum class Comparison : Index {EQUAL, USUAL, OTHER};
-Comparison compare(Values, double usual, const Given &);
+Comparison compare(Values, double usual, const OptionalVector &);
 
 /// Sum of absolute values.
 double sum_of_sizes(Values);
@@ -55,7 +55,8 @@ bool is_position(const Manifold &, Values q);
 /// finite numbers of these lengths, quaternions of norm 1, or where the equations that the
 /// elimination works on do not suffice: the results are undefined then.
 bool evaluate_given(
-  const System &, const Request &, const Given & q, const Given & qd, const Given & torque);
+  const System &, const Request &, const OptionalVector & q, const OptionalVector & qd,
+  const OptionalVector & torque);
 
 /// Evaluate the state and the torques of a request; `whole` works on all equations, and is used
 /// where those of `system` do not suffice. False where the numbers are no state.

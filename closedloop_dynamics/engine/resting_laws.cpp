@@ -5,7 +5,7 @@
 
 #include "arms.hpp"
 #include "laws.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 namespace closedloop
 {
@@ -15,11 +15,11 @@ namespace
 /// List an effect among those whose force follows from accelerations, and apply its part of it.
 void hold(const EffectTable & table, Index row)
 {
-  const StaticFriction & sticking = table.sticking;
-  sticking.rows[0] += 1;
-  sticking.rows[sticking.rows[0]] = row;
-  exert_along(table, row, sticking.hold[row]);
-  table.output(row, 1) = sticking.hold[row];
+  const StaticFriction & static_friction = table.static_friction;
+  static_friction.rows[0] += 1;
+  static_friction.rows[static_friction.rows[0]] = row;
+  exert_along(table, row, static_friction.hold[row]);
+  table.output(row, 1) = static_friction.hold[row];
 }
 }  // namespace
 
@@ -34,7 +34,7 @@ void apply_friction(
     table.values(row, 4) == 0.0)
   {
     hold(table, row);
-    table.rates[state + 2] = 0.0 - table.sticking.hold[row] * rate;
+    table.rates[state + 2] = 0.0 - table.static_friction.hold[row] * rate;
   }
 }
 

@@ -77,7 +77,7 @@ Status make(
     }
     const Index at_once = std::min(
       {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
-    Outcome found = run.make(system, state, run.watch().step_size, at_once, at_once);
+    Outcome found = run.make(system, state, run.guard_limits().step_size, at_once, at_once);
     while (found == Outcome::INACCURATE) {
       found = run.resume(system, state);
     }
@@ -129,7 +129,7 @@ void check_starts(
     bool is_fine = all_finite(state) && is_closed(system, tolerance, state);
     if (is_fine) {
       copy(state, trial);
-      const Status ended = run.try_step(system, trial, run.watch().step_size);
+      const Status ended = run.try_step(system, trial, run.guard_limits().step_size);
       if (ended == Status::INTERRUPTED) {
         snapshot.restore();
         return;

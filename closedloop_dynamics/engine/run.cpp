@@ -67,28 +67,28 @@ void EnergyFinding::record(double lost, double energy, double rounding, double t
 }
 
 Run::Run(
-  const System & system, std::unique_ptr<Stepper> stepper, const Watch & watch, Indices roles,
+  const System & system, std::unique_ptr<Stepper> stepper, const GuardLimits & limits, Indices roles,
   Indices windings)
 : stepper_(std::move(stepper)), start_(static_cast<std::size_t>(system.ns())), before_(start_)
 {
   account_.roles.assign(roles.begin(), roles.end());
   account_.since.resize(static_cast<std::size_t>(system.tau.size));
-  set_watch(system, watch, windings);
+  set_guard_limits(system, limits, windings);
   restart_guards();
   if (!fits(system)) {
     throw std::invalid_argument("a run: roles that do not fit the system");
   }
 }
 
-void Run::set_watch(const System & system, const Watch & watch, Indices windings)
+void Run::set_guard_limits(const System & system, const GuardLimits & limits, Indices windings)
 {
   const auto is_place = [&](Index place) {return place > 0 && place < system.effects.data.size;};
-  if (!(watch.first > 0 && watch.most > 0 && watch.step_size > 0.0 &&
+  if (!(limits.first > 0 && limits.most > 0 && limits.step_size > 0.0 &&
     std::all_of(windings.begin(), windings.end(), is_place)))
   {
     throw std::invalid_argument("a run: limits or windings that do not fit the system");
   }
-  watch_ = watch;
+  limits_ = limits;
   if (!std::equal(windings.begin(), windings.end(), windings_.begin(), windings_.end())) {
     windings_.assign(windings.begin(), windings.end());
     angles_.assign(windings_.size(), 0.0);
@@ -102,7 +102,7 @@ void Run::take_method(const System & system, const Run & other)
     throw std::invalid_argument("a run: the method of another system");
   }
   stepper_ = other.stepper_;
-  watch_ = other.watch_;
+  limits_ = other.limits_;
 }
 
 void Run::rewind(const System & system)
@@ -227,7 +227,7 @@ void Run::restart_guards()
 {
   report_.energy = {};
   report_.unchecked = equations_since_ = 0;
-  between_ = watch_.first;
+  between_ = limits_.first;
   equations_between_ = EQUATIONS_FIRST_CHECK;
   begun_ = warned_ = report_.failed = false;
   jump();
@@ -273,12 +273,12 @@ void Run::keep(const System & system, Values state, std::vector<double> & kept)
 /// Of a run in which joints feel so much force, by size.
 double Run::energy_scale(const System & system, double felt) const
 {
-  const double extent = watch_.extent;
+  const double extent = limits_.extent;
   const Values & gravity = system.model.gravity;
   const double weight = gravity.size == 2 ?
     std::hypot(gravity[0], gravity[1]) : std::hypot(gravity[0], gravity[1], gravity[2]);
   // With the energy of a rate: at rest without weight there is no other scale.
-  return watch_.mass * (extent * weight + extent * extent) + std::max(extent, 1.0) * felt;
+  return limits_.mass * (extent * weight + extent * extent) + std::max(extent, 1.0) * felt;
 }
 
 /// How far a cable is wound round a pulley [rad].
@@ -373,7 +373,7 @@ double Run::record_balance(const Energies & present, double scale)
   }
   // A step in which a motion begins may lose all of a tiny energy.
   const double little = ROUNDING * (present.kinetic + std::abs(present.stored)) +
-    (report_.unchecked < watch_.first ? LITTLE : NOTHING) * scale;
+    (report_.unchecked < limits_.first ? LITTLE : NOTHING) * scale;
   const Energies & start = begun_ ? begin_ : present;
   report_.energy.record(
     std::abs(present.residual - start.residual), present.kinetic + present.apart(start), little,
@@ -406,7 +406,7 @@ Outcome Run::compare_balance(const Energies & present, double scale)
 
 Outcome Run::check_loops(const System & system, Values state)
 {
-  if (watch_.regular && system.work.health[health::SINGULAR_COUNT] > 0.0) {
+  if (limits_.regular && system.work.health[health::SINGULAR_COUNT] > 0.0) {
     return Outcome::NOT_REGULAR;
   }
   double closure = 0.0;
@@ -419,7 +419,7 @@ Outcome Run::check_loops(const System & system, Values state)
     update(all.model, all.own, Responses::NONE);
     closure = largest(all.own.closure);
   }
-  return closure <= watch_.closure ? Outcome::DONE : Outcome::LOOPS_OPEN;
+  return closure <= limits_.closure ? Outcome::DONE : Outcome::LOOPS_OPEN;
 }
 
 Outcome Run::check_energy(const System & system, Values state)
@@ -457,7 +457,7 @@ Outcome Run::check_state(
     found = check_energy(system, state);
   }
   return (found == Outcome::DONE || found == Outcome::INACCURATE) &&
-         !std::isinf(watch_.closure) ? check_loops(system, state) : found;
+         !std::isinf(limits_.closure) ? check_loops(system, state) : found;
 }
 
 /// Make the first check that is due.
@@ -486,7 +486,7 @@ void Run::book(const System & system, Index steps)
   report_.simulated += elapsed;
   report_.steps += static_cast<double>(steps);
   left_ -= steps;
-  if (report_.size == watch_.step_size) {
+  if (report_.size == limits_.step_size) {
     steps_ += steps;
   } else {
     time_base_ += elapsed;
@@ -497,10 +497,10 @@ void Run::book(const System & system, Index steps)
   report_.unchecked += steps;
   due_ = windings_.empty() ? 0 : CABLES;
   if (report_.unchecked >= between_) {
-    between_ = std::max(std::min(2 * between_, watch_.rarely), watch_.first);
+    between_ = std::max(std::min(2 * between_, limits_.rarely), limits_.first);
     due_ |= ENERGY;
   }
-  if (watch_.chooses) {
+  if (limits_.chooses) {
     equations_since_ += steps;
     if (equations_since_ >= equations_between_) {
       equations_since_ = 0;
@@ -511,20 +511,20 @@ void Run::book(const System & system, Index steps)
       }
     }
   }
-  due_ |= std::isinf(watch_.closure) ? 0 : LOOPS;
+  due_ |= std::isinf(limits_.closure) ? 0 : LOOPS;
 }
 
 /// Make steps, or go on with those that failed, or find out why not.
 Outcome Run::make_portion(const System & system, Values state, Index steps)
 {
-  const bool whole = report_.size == watch_.step_size;
+  const bool whole = report_.size == limits_.step_size;
   const Grid grid{whole ? time_base_ : time(), whole ? steps_ : 0, report_.size, steps};
-  const double worked = watch_.timed ? thread_time() : 0.0;
+  const double worked = limits_.timed ? thread_time() : 0.0;
   const auto begin = std::chrono::steady_clock::now();
   const auto [status, advanced] = stepper_->advance(system, state, grid);
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - begin;
   report_.elapsed += spent.count();
-  if (watch_.timed) {
+  if (limits_.timed) {
     report_.worked += thread_time() - worked;
   }
   report_.status = status;
@@ -564,7 +564,7 @@ Outcome Run::estimate_error(const System & system, Values state)
     std::vector<double> & end = ends[halves - 1];
     end.assign(state.begin(), state.end());
     statuses[halves - 1] = twin->advance(
-      system, view(end), {0.0, 0, watch_.step_size / static_cast<double>(halves), halves}).status;
+      system, view(end), {0.0, 0, limits_.step_size / static_cast<double>(halves), halves}).status;
   }
   snapshot.restore();
   if (statuses[0] == Status::INTERRUPTED || statuses[1] == Status::INTERRUPTED) {
@@ -579,7 +579,7 @@ Outcome Run::estimate_error(const System & system, Values state)
         apart, std::abs(error_weight(system.manifold, i) * (ends[0][place] - ends[1][place])));
     }
     // Half a step has this share of the error.
-    const double error = apart / (1.0 - std::pow(0.5, static_cast<double>(watch_.order)));
+    const double error = apart / (1.0 - std::pow(0.5, static_cast<double>(limits_.order)));
     report_.local_error = std::isnan(report_.local_error) ? error : std::max(error, report_.local_error);
   }
   return Outcome::DONE;
@@ -597,7 +597,7 @@ Outcome Run::make_until_outcome(const System & system, Values state)
     }
     if (left_ <= 0) {
       // A check after a call, unless that would cost more than its few steps.
-      if (report_.unchecked == 0 || call_ < watch_.call) {
+      if (report_.unchecked == 0 || call_ < limits_.call) {
         return Outcome::DONE;
       }
       due_ = ENERGY;
@@ -610,11 +610,11 @@ Outcome Run::make_until_outcome(const System & system, Values state)
         return found;
       }
     }
-    Index portion = std::min(left_, watch_.most);
-    if (!watch_.whole) {
+    Index portion = std::min(left_, limits_.most);
+    if (!limits_.whole) {
       portion = std::min(portion, between_ - report_.unchecked);
     }
-    if (watch_.chooses) {
+    if (limits_.chooses) {
       portion = std::min(portion, equations_between_ - equations_since_);
     }
     if (to_sample_ > 0) {
@@ -649,10 +649,10 @@ void Run::begin_call(double size, Index steps, Index call)
   report_.size = size;
 }
 
-Outcome Run::advance(const System & system, Values state, const Given & tau, Index steps)
+Outcome Run::advance(const System & system, Values state, const OptionalVector & tau, Index steps)
 {
-  begin_call(watch_.step_size, steps, std::max<Index>(steps, 0));
-  const Comparison found = compare(system.tau, watch_.usual, tau);
+  begin_call(limits_.step_size, steps, std::max<Index>(steps, 0));
+  const Comparison found = compare(system.tau, limits_.usual, tau);
   if (found == Comparison::OTHER) {
     return Outcome::COMMAND;
   }

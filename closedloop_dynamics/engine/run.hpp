@@ -20,7 +20,7 @@ namespace closedloop
 {
 
 /// Times and limits of the checks of a run (simulation/guards.py).
-struct Watch
+struct GuardLimits
 {
   double step_size = 0.0;  ///< [s]
   Index order = 1;  ///< Of the method
@@ -163,12 +163,12 @@ public:
   /// A run by a method; `roles` are those of the effects' states; `windings`: places, among the data of
   /// effects, of the windings of cables round pulleys, each behind its radius.
   Run(
-    const System &, std::unique_ptr<Stepper>, const Watch &, Indices roles, Indices windings);
+    const System &, std::unique_ptr<Stepper>, const GuardLimits &, Indices roles, Indices windings);
 
   /// Go on with other limits, or by the method and with the limits of another run.
-  void set_watch(const System &, const Watch &, Indices windings);
+  void set_guard_limits(const System &, const GuardLimits &, Indices windings);
   void take_method(const System &, const Run & other);
-  const Watch & watch() const {return watch_;}
+  const GuardLimits & guard_limits() const {return limits_;}
   const Stepper & stepper() const {return *stepper_.operator->();}
   /// Whether it is one of this system.
   bool fits(const System &) const;
@@ -193,7 +193,7 @@ public:
   /// Begin at a state as a copy of a run, which has none of the guards' findings.
   void begin_copy(const System &, Values state);
 
-  double time() {return time_base_ + static_cast<double>(steps_) * watch_.step_size;}
+  double time() {return time_base_ + static_cast<double>(steps_) * limits_.step_size;}
   /// The time is so many steps after another one [s].
   std::pair<double, Index> base() {return {time_base_, steps_};}
   void set_time(double base, Index steps);
@@ -203,7 +203,7 @@ public:
   void sample(bool wanted);
 
   /// Apply torques and make steps. Python checks torques that are no finite numbers, or unusual ones.
-  Outcome advance(const System &, Values state, const Given & tau, Index steps);
+  Outcome advance(const System &, Values state, const OptionalVector & tau, Index steps);
   /// Make steps of a size [s]; `call`: the length of the call that they are part of.
   Outcome make(const System &, Values state, double size, Index steps, Index call);
   /// Continue with the rest of a call.
@@ -267,7 +267,7 @@ private:
   Outcome estimate_error(const System &, Values state);
 
   OwnedStepper stepper_;
-  Watch watch_;
+  GuardLimits limits_;
   EnergyAccount account_;
 
   /// The time is that of a base, and whole steps since then [s].

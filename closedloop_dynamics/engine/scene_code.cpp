@@ -71,7 +71,7 @@ Index prepare_code(const EffectTable & table)
   }
   take_pieces(table);
   store_sides(table);
-  table.sticking.rows[0] = 0;
+  table.static_friction.rows[0] = 0;
   return resting > 1 ? routine::RESPONSES : resting == 1 ? routine::AT_REST : routine::EVALUATION;
 }
 

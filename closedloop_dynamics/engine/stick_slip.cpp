@@ -8,7 +8,7 @@
 
 #include "arms.hpp"
 #include "evaluation.hpp"
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 namespace closedloop
 {
@@ -99,7 +99,7 @@ double locate_stick_event(
   if (!system.has_cut_coordinates()) {
     return first_rest(effects, grips, system.qd(before), system.qd(after), size, floor);
   }
-  if (effects.sticking.response.rows <= 1) {
+  if (effects.static_friction.response.rows <= 1) {
     return size;
   }
   rates_with_cuts(system, before, effects.cuts.before);
@@ -111,7 +111,7 @@ void update_friction_modes(const System & system, Values state)
 {
   const EffectTable & effects = system.effects;
   // Without joints that may stick there is no response to their friction.
-  if (!system.has_effects() || effects.sticking.right.size == 0) {
+  if (!system.has_effects() || effects.static_friction.right.size == 0) {
     return;
   }
   const bool with_cuts = system.has_cut_coordinates();

@@ -7,7 +7,7 @@
 #include "data.hpp"
 
 // The instants at which joints under dry friction stick or slip. Within a step each of them slides
-// in one direction, or is held (sticking.hpp), so that all methods keep their order. A step on
+// in one direction, or is held (static_friction.hpp), so that all methods keep their order. A step on
 // which a sliding joint would turn round is cut where it comes to rest; there it sticks, or sets
 // out again.
 

@@ -110,6 +110,6 @@ class Account:
                     'model' if larger else 'sensor', name, math.nan, math.nan, math.nan, time,
                     f'{name}: innovations squared are {one.nis:.3g} of what is expected, between '
                     f'{one.bounds[0]:.3g} and {one.bounds[1]:.3g}: ' + (
-                        'the sensor or the model is wrong, or noise is larger than told' if larger
-                        else 'noise is smaller than told')))
+                        'the sensor or the model is wrong, or noise is larger than specified'
+                        if larger else 'noise is smaller than specified')))
         return tuple(found)

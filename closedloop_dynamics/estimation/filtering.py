@@ -10,8 +10,8 @@ of the unknown numbers. With the Jacobians of a step, F, and of readings, H:
     P' = F P F^T + Q,    K = P H^T (H P H^T + R)^-1,    P = P' - K H P'
 
 The mean makes the steps of the engine, and is moved along the manifold by corrections, the
-dependent coordinates closing the loops. Where readings bend, the update is iterated (Gauss and
-Newton's method; Bell and Cathey 1993).
+dependent coordinates closing the loops. Where readings are nonlinear, the update is iterated
+(Gauss and Newton's method; Bell and Cathey 1993).
 
 Suspects are changes f that are not estimated: a signature s tells how the error of the estimate
 would follow f, s' = F s + D f, and g = H s + H_f what innovations it would leave, s = s' - K g
@@ -71,7 +71,7 @@ class Layout(NamedTuple):
     first: np.ndarray  # Where those of each sensor begin, and their end
     gates: np.ndarray  # Largest squares of each sensor that are used
     places: List[slice]
-    bends: bool  # Whether any of them bend with the state
+    nonlinear: bool  # Whether any of them depend nonlinearly on the state
     scratch: Tuple[np.ndarray, ...]
 
 
@@ -315,7 +315,7 @@ class Filter:
         """
         Return readings of the mean, how far they are from the mean reading, slopes, variances.
 
-        Slopes by what is estimated and by suspects; what readings bend by is added to the noise.
+        Slopes by what is estimated and by suspects; their nonlinearity is added to the noise.
         """
         measuring, (changes, points) = self.measuring, self.points(now)
         expected = self.felt_readings(now, names)
@@ -394,7 +394,7 @@ class Filter:
             # Nowhere near: what was read, or thought, is wrong.
             return now, [one._replace(accepted=False, reason=one.reason or 'out of reach')
                          for one in found], None
-        if layout.bends:
+        if layout.nonlinear:
             scale = CONVERGED * np.sqrt(now.covariance.diagonal())
             used = tuple(accepted)
             layout = self._layout_of(used)
@@ -417,7 +417,7 @@ class Filter:
             size = int(first[-1])
             self._layouts[names] = Layout(
                 first, np.array([self._gates[name] for name in names]), places,
-                any(self.measuring.bends[name] for name in names),
+                any(self.measuring.nonlinear[name] for name in names),
                 (np.empty((size, size)), np.empty(len(names)), np.empty(size)))
         return self._layouts[names]
 

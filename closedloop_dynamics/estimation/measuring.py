@@ -106,10 +106,10 @@ class Measuring:
         self._forces = any(isinstance(one, ForceSensor) for one in sensors)
         self.sizes = {one.name: len(one.components(self.planar)) for one in sensors}
         self.noise = {one.name: np.square(one.deviations(self.planar)) for one in sensors}
-        # Whether readings follow from accelerations; whether they bend with the state, so that
+        # Whether readings follow from accelerations; whether they are nonlinear in the state: then
         # updates are iterated.
         self.felt = {one.name: isinstance(one, (ImuSensor, ForceSensor)) for one in sensors}
-        self.bends = {one.name: not (
+        self.nonlinear = {one.name: not (
             isinstance(one, JointSensor) and one.joint in plant.simulation.joint_names)
             for one in sensors}
         for one in sensors:
@@ -119,7 +119,7 @@ class Measuring:
         self._plain: Dict[str, Tuple[int, int]] = {}
         self._chosen: Dict[Tuple[str, ...], Any] = {}
         for one in sensors:
-            if not self.bends[one.name] and one.quantity != TORQUE:
+            if not self.nonlinear[one.name] and one.quantity != TORQUE:
                 self._plain[one.name] = self._place_of(one)
         self._errors: Dict[str, List[Tuple[int, int, bool]]] = {}
         for place, error in enumerate(errors):

@@ -93,12 +93,12 @@ def without_latency(setup):
     return setup._replace(sensors=tuple(replace(one, latency=0.0) for one in setup.sensors))
 
 
-def begun(events, beginning):
-    """Return the start that a ``Beginning`` finds in events, and the events from it on."""
+def begun(events, start_finder):
+    """Return the start that a ``StartFinder`` finds in events, and the events from it on."""
     readings, before = {}, None
     for time, name, values in events.measurements:
         if time != before and readings:
-            start = beginning.take(before, readings)
+            start = start_finder.take(before, readings)
             if start is not None:
                 return start, events._replace(
                     measurements=[one for one in events.measurements if one[0] >= time],

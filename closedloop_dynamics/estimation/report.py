@@ -49,7 +49,7 @@ def unknowns_table(estimate, unknowns):
         untold += [name] * (not told)
         rows.append((name, f'{value:.6g}', f'{deviation:.2g}',
                      f'{value - 2.0 * deviation:.5g} to {value + 2.0 * deviation:.5g}',
-                     '' if told else 'not told by this record'))
+                     '' if told else 'not observable in this record'))
     return text_table(('unknown', 'value', 'standard deviation', '95 %', ''), rows), untold
 
 

@@ -515,7 +515,8 @@ def _act(joint, key, mechanism, name, effects, omitted):
     if key == 'armature' and joint.type not in COUPLED and places is not mechanism.coordinates:
         unit = UNITS[key][bool(places.lengths[places.rates[name]][0])]
         omitted.append(Omission(key, 'joint', joint.name, 'no effect has it in joints of several '
-                                'freedoms that close loops', float(np.max(np.abs(value))), unit))
+                                'degrees of freedom that close loops',
+                                float(np.max(np.abs(value))), unit))
         return
     if key in ('stiffness', 'armature') and name in places.with_orientation:
         # They act against the whole turn.

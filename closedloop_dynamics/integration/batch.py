@@ -114,8 +114,8 @@ def _arrays_of_effects(tables):
         calls.SIDES: np.zeros(LANES * len(first.role)),
         calls.GAPS: np.zeros(LANES * first.contacts.now.size),
         calls.TRIALS: np.zeros(LANES * first.contacts.trial.size),
-        calls.RESPONSE: np.zeros(LANES * first.sticking.response[:-1].size),
-        calls.LIMIT: np.zeros(LANES * first.sticking.right.size),
+        calls.RESPONSE: np.zeros(LANES * first.static_friction.response[:-1].size),
+        calls.LIMIT: np.zeros(LANES * first.static_friction.right.size),
         calls.RATES: np.zeros(LANES * len(first.rates)),
         calls.ENERGY: np.zeros(LANES * 3)}
 

@@ -28,7 +28,7 @@ class MethodOptions(NamedTuple):
     tolerance: float  # Of a step, of the default method the accuracy [rad or m]
 
 
-class Watch(NamedTuple):
+class GuardLimits(NamedTuple):
     """Times and limits of the checks of a run."""
 
     step_size: float  # [s]
@@ -57,31 +57,31 @@ class Run(SimpleNamespace):
     ----------
     native : object
         The engine's run.
-    watch : Watch
+    guard_limits : GuardLimits
 
     """
 
-    def __init__(self, system, state, method, watch, roles, windings):
+    def __init__(self, system, state, method, guard_limits, roles, windings):
         integrator = INTEGRATORS[method.integrator]
         options = MethodOptions(
             integrator.tableau, DOPRI5, STABILISATIONS[method.stabilisation],
             method.accuracy if method.integrator == AUTO else method.tolerance)
-        self.watch = watch
+        self.guard_limits = guard_limits
         self.native = native.run(
-            system.native, state, integrator.stepper, options, watch, roles, windings)
+            system.native, state, integrator.stepper, options, guard_limits, roles, windings)
         for name in dir(native.Run):
             if not name.startswith('_') and not hasattr(Run, name):
                 setattr(self, name, getattr(self.native, name))
 
-    def set_watch(self, watch, windings):
+    def set_guard_limits(self, guard_limits, windings):
         """Go on with other limits."""
-        self.native.set_watch(watch, windings)
-        self.watch = watch
+        self.native.set_guard_limits(guard_limits, windings)
+        self.guard_limits = guard_limits
 
     def take_method(self, other):
         """Go on by the method and with the limits of another run."""
         self.native.take_method(other.native)
-        self.watch = other.watch
+        self.guard_limits = other.guard_limits
 
     def take(self, other):
         """Become a copy of another run, by the same method."""

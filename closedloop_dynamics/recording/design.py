@@ -160,8 +160,9 @@ def _vertex(values, drive, pick):
     inner = values[:-1]
     k, count = int(pick(inner)), len(inner)
     before, here, after = inner[k - 1], inner[k], inner[(k + 1) % count]
-    bend = before - 2.0 * here + after
-    return drive[k] + (0.5 * (before - after) / bend if bend else 0.0) * (drive[1] - drive[0])
+    curvature = before - 2.0 * here + after
+    share = 0.5 * (before - after) / curvature if curvature else 0.0
+    return drive[k] + share * (drive[1] - drive[0])
 
 
 def shaking(run):

@@ -11,7 +11,7 @@ them is published with the stamp that it is for. Nothing that comes in ends the 
 from collections import Counter
 from functools import partial
 
-from closedloop_dynamics.estimation.beginning import Beginning
+from closedloop_dynamics.estimation.start_finder import StartFinder
 from closedloop_dynamics.estimation.errors import EstimationError
 from closedloop_dynamics.estimation.estimator import Estimator
 from closedloop_dynamics.estimation.setup_file import COMMAND, EFFORT, read_setup, SetupError
@@ -238,7 +238,7 @@ class EstimatorNode(Node):
         self.estimator, self._origin, self._newest, self._gated = (
             None, None, None, Counter())
         self._begun = None
-        self._beginning = Beginning(self._setup, self._model)
+        self._start_finder = StartFinder(self._setup, self._model)
         self._streams.begin(zip(simulation.joint_names, simulation.coordinates.by_freedom(
             np.array(simulation.scene.initial.position))))
         self._torque = dict.fromkeys(self._new.commanded, 0.0)
@@ -336,7 +336,7 @@ class EstimatorNode(Node):
                         'machine, or its clock, stand still? Is the scene, or the noise of the '
                         'sensors, wrong?')
                 return
-            start = self._beginning.take(time, readings)
+            start = self._start_finder.take(time, readings)
             if start is not None:
                 self._new.restart(start)
                 self.estimator = self._new

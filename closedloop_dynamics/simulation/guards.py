@@ -23,7 +23,7 @@ from .errors import ClosureError, NumericalError, SingularityError, StiffnessErr
 from ..core.types import SINGULAR_COUNT
 from ..engine import native
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
-from ..integration.run import NEVER, Watch
+from ..integration.run import NEVER, GuardLimits
 from ..integration.system import parts_of_state
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
@@ -77,7 +77,7 @@ def _direction(system, own):
     return direction
 
 
-def watch(method, among_laws, chooses, has_cables, size, mass):
+def guard_limits(method, among_laws, chooses, has_cables, size, mass):
     """
     Return the times and limits by which the engine watches a run.
 
@@ -88,7 +88,7 @@ def watch(method, among_laws, chooses, has_cables, size, mass):
     integrator = INTEGRATORS[method.integrator]
     first = FIRST_CHECK_ORDER_1 if integrator.order == 1 else FIRST_CHECK
     drifts = method.stabilisation not in CLOSING
-    return Watch(
+    return GuardLimits(
         method.step_size, integrator.order, first,
         CHECK_EVERY_AMONG_LAWS if among_laws else CHECK_EVERY,
         # A contact may throw a body away within a step.

@@ -557,7 +557,7 @@ class Readings(Data):
             f'{name} depends on the force in {joint}, which is not unique: closure equations '
             f'repeat others ({", ".join(parts)} in world axes). The friction is that of the '
             'least forces in all joints together. Replace a joint by one that leaves the loop '
-            'more freedoms, or friction_coefficient by coulomb.'
+            'more degrees of freedom, or friction_coefficient by coulomb.'
             for name, record in loaded.items() for joint, parts in components.items()
             if (record.joint == joint or record.joint.startswith(f'{joint}.'))
             and any(part.startswith('force') for part in parts)]

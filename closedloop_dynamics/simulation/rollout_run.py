@@ -131,7 +131,7 @@ def runs_whole(simulation):
     equations that may be left out but are not, or drift apart.
     """
     effects = simulation.data.effect_set
-    watched = simulation.stepping.run.watch.chooses
+    watched = simulation.stepping.run.guard_limits.chooses
     return not (
         effects.remembers or any(effects.drives.values()) or effects.cuts is not None
         or simulation.data.exchanges or watched != simulation.data.has_redundant_constraints
@@ -169,7 +169,7 @@ def starts_as_given(simulation, positions, velocities):
     states[:, :names.nq], states[:, names.nq:names.nq + names.nv] = positions, velocities
     fine = np.zeros(len(states), dtype=np.int64)
     if runs_whole(simulation) and simulation.data.takes_closed_states:
-        tolerance = 0.5 * TOLERANCE * simulation.stepping.run.watch.extent
+        tolerance = 0.5 * TOLERANCE * simulation.stepping.run.guard_limits.extent
         simulation.stepping.run.check_starts(tolerance, states, fine)
         fine[np.abs(velocities).max(axis=1) * simulation.step_size > LARGEST_MOTION] = 0
     return states, fine == 1
@@ -449,7 +449,7 @@ class SimdRuns:
     def _prepare(self, pack, simulation):
         """Have the energies of all lanes found together where they are asked for often."""
         *calls, _ = self.schedule.in_steps(self.schedule.steps(simulation.step_size))
-        if simulation.stepping.run.watch.call <= min(calls) <= OFTEN:
+        if simulation.stepping.run.guard_limits.call <= min(calls) <= OFTEN:
             find_energies(pack, simulation.data.system)
 
     def _pack_of(self, systems):

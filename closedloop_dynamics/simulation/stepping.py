@@ -23,7 +23,7 @@ from .errors import (
 from .failures import failure
 from .guards import (
     CLOSING, EnergyGuard, EQUATIONS_CHECK_EVERY, LARGEST_MOTION, opened_loops, StiffnessGuard,
-    USUAL_TORQUE, watch)
+    USUAL_TORQUE, guard_limits)
 from .modeling import extent
 from .monitor import Monitor, RunReport
 from .named_array import reals
@@ -38,7 +38,7 @@ from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
-    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, Watch)
+    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, GuardLimits)
 from ..integration.system import (
     AccelerationDerivatives, LENIENT, OPENED, System, with_equations, with_partition)
 from ..mechanism.fields import at, FieldError
@@ -316,7 +316,7 @@ class Stepping:
             self.restore(run.kept(True), report.cable_time, report.cable_residual)
             raise leapt(place, report.winding, self.data.time)
         else:
-            raise opened_loops(self.data, run.watch)
+            raise opened_loops(self.data, run.guard_limits)
 
     def check_energy(self) -> None:
         """
@@ -332,9 +332,9 @@ class Stepping:
         if outcome:
             self._tell(outcome)
 
-    def _watch(self, method: Method, stiffness: StiffnessGuard) -> Watch:
+    def _guard_limits(self, method: Method, stiffness: StiffnessGuard) -> GuardLimits:
         """Return the numbers by which the engine watches a run."""
-        return watch(method, stiffness.among_laws, self.data.loop_model.may_leave_out,
+        return guard_limits(method, stiffness.among_laws, self.data.loop_model.may_leave_out,
                      len(self._windings()) > 0, extent(self.data.mechanism), self.data.mass)
 
     def _windings(self) -> np.ndarray:
@@ -343,7 +343,7 @@ class Stepping:
 
     def new_run(self, system: System, method: Method, stiffness: StiffnessGuard) -> Run:
         """Return a run of the present state by a method."""
-        return Run(system, self._state, method, self._watch(method, stiffness),
+        return Run(system, self._state, method, self._guard_limits(method, stiffness),
                    self._effects.roles, self._windings())
 
     def reset(self) -> None:
@@ -442,7 +442,8 @@ class Stepping:
 
     def _set_limits(self) -> None:
         """Let the engine's run go on with the limits of the present scene."""
-        self.run.set_watch(self._watch(self.method, self.stiffness), self._windings())
+        self.run.set_guard_limits(
+            self._guard_limits(self.method, self.stiffness), self._windings())
 
     def choose_equations(self, status: int) -> bool:
         """

@@ -229,13 +229,13 @@ def _number_of_equations(mechanism):
 
 
 def _idle(mechanism, simulation, found):
-    """Return the line of freedoms that move one body about itself and nothing else."""
+    """Return the line of degrees of freedom that move one body about itself and nothing else."""
     if mechanism.planar or not mechanism.closures or simulation is None and not found.closed:
         return []
     position = found.q if simulation is None else simulation.position
     names = ClosureProblem(mechanism, extent(mechanism)).idle(position)
     turns = 'turns' if len(names) == 1 else 'turn'
-    return [('idle freedoms', f'{len(names)} of these: {", ".join(names)} {turns} about '
+    return [('idle rotations', f'{len(names)} of these: {", ".join(names)} {turns} about '
              'the line through the joints and nothing else moves')] * bool(names)
 
 

@@ -265,9 +265,9 @@ def misses(path, wanted):
     apart = np.linalg.norm(curve(tries) - wanted[:, np.newaxis], axis=2)
     place = tries[apart.argmin(axis=1)]
     for _ in range(CORRECTIONS):
-        gap, way, bend = curve(place) - wanted, curve(place, 1), curve(place, 2)
+        gap, way, second = curve(place) - wanted, curve(place, 1), curve(place, 2)
         steep = np.einsum('mi,mi->m', way, way)
-        down = steep + np.einsum('mi,mi->m', gap, bend)
+        down = steep + np.einsum('mi,mi->m', gap, second)
         # Newton's method where the distance has a minimum nearby, Gauss's elsewhere.
         step = -np.einsum('mi,mi->m', gap, way) / np.where(down > 0.1 * steep, down, np.where(
             steep > 0.0, steep, 1.0))

@@ -200,7 +200,7 @@ def test_friction_at_rest_makes_the_accelerations_least():
         rows = [ForceElement(dry_friction, (0,), states=(
             State(OWN), State(OWN), State(DISSIPATED)))] * count
         table = EffectTable.of(model, model, rows)
-        made = table.sticking
+        made = table.static_friction
         made.matrix[:], made.right[:], made.bound[:] = root.T @ root, root.T @ free, 1.0
         found = np.zeros(count)
         native.minimise_in_box(table, count, found)

@@ -303,9 +303,9 @@ def test_one_routine_holds_a_joint_at_rest(coulomb, breaks_away):
     system, state = at_rest('friction under a load', coulomb=coulomb)
     ours = found(system, state)
     # Nobody has asked what responds to it.
-    assert system.effects.sticking.rows[0] == 0
+    assert system.effects.static_friction.rows[0] == 0
     theirs = in_parts(system, state)
-    assert system.effects.sticking.rows[0] == 1
+    assert system.effects.static_friction.rows[0] == 1
     assert (np.abs(theirs[0]).max() > 1e-3) == breaks_away
     for one, other in zip(ours, theirs):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
@@ -317,7 +317,7 @@ def test_one_routine_holds_several_joints_at_rest(coulomb):
     """Each up to its limit; whether all stay, or one sets out."""
     system, state = at_rest('two frictions at rest', coulomb=coulomb)
     ours = found(system, state)
-    assert system.effects.sticking.rows[0] == 2
+    assert system.effects.static_friction.rows[0] == 2
     readings = system.effects.output.copy()
     theirs = in_parts(system, state)
     assert (np.abs(theirs[0]).max() > 1e-3) == (coulomb < 1.0)

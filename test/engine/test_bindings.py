@@ -16,7 +16,7 @@ from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.run import DONE
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.integration.tableau import RK4
-from closedloop_dynamics.simulation.guards import watch
+from closedloop_dynamics.simulation.guards import guard_limits
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -151,7 +151,7 @@ def description(system):
 @pytest.mark.parametrize('wrong', WRONG_ARRAYS)
 def test_wrong_arrays_of_a_description_are_refused(system, wrong):
     one, none = system[0], np.zeros(0, dtype=np.int64)
-    limits = watch(Method(integrator='rk4'), False, False, False, 1.0, 1.0)
+    limits = guard_limits(Method(integrator='rk4'), False, False, False, 1.0, 1.0)
     for field, array in RK4._asdict().items():
         # What is only read may be read-only.
         if not isinstance(array, np.ndarray) or not array.size or wrong == 'read-only':
@@ -378,12 +378,12 @@ def test_a_run_keeps_its_system_and_state(guarded):
     assert state() is not None and run.advance_run(tau, 3) == DONE
 
 
-def made(run, system, name='fixed', tableau=None, watch=None, roles=None, state=None):
+def made(run, system, name='fixed', tableau=None, guard_limits=None, roles=None, state=None):
     """Return a run of other arguments, through the bindings alone."""
     none = np.zeros(0, dtype=np.int64)
     state = np.zeros(number_of_states(system)) if state is None else state
     return native.run(
-        system.native, state, name, (tableau, tableau, 0, 1e-6), watch or run.watch,
+        system.native, state, name, (tableau, tableau, 0, 1e-6), guard_limits or run.guard_limits,
         none if roles is None else roles, none)
 
 
@@ -392,9 +392,9 @@ def made(run, system, name='fixed', tableau=None, watch=None, roles=None, state=
 def test_limits_that_no_run_can_have_are_refused(guarded, change):
     run, system, windings = guarded.stepping.run, guarded.data.system, np.zeros(0, dtype=np.int64)
     with pytest.raises(ValueError, match='do not fit the system'):
-        run.set_watch(run.watch._replace(**change), windings)
+        run.set_guard_limits(run.guard_limits._replace(**change), windings)
     with pytest.raises(ValueError, match='do not fit the system'):
-        run.set_watch(run.watch, np.array([10 ** 6]))
+        run.set_guard_limits(run.guard_limits, np.array([10 ** 6]))
     with pytest.raises(ValueError, match='roles'):
         made(run, system, 'rodas4', roles=np.zeros(99, dtype=np.int64))
 

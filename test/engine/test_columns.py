@@ -75,7 +75,7 @@ CONSTANTS = {
     'curve.hpp': (curve, ('COLUMNS',)),
     'laws.hpp': (traced_effect, ('MOST_COORDINATES',)),
     'sensitivity.hpp': (stepped_run, ('SCRATCH_ROWS',)),
-    'sticking.hpp': (live_scene, ('REST',)),
+    'static_friction.hpp': (live_scene, ('REST',)),
     'model.cpp': (types, ('TREE_COLUMNS', 'BODY_COLUMNS', 'CUT_COLUMNS', 'BODY_KERNELS')),
     'workspace.cpp': (types, ('WORK_COLUMNS', 'COUPLED_WORK_COLUMNS', 'JOINT_COLUMNS',
                               'HEALTH_COLUMNS')),
@@ -83,7 +83,7 @@ CONSTANTS = {
 RECORDS = {
     'AccelerationDerivatives': system.AccelerationDerivatives,
     'EffectElement': effect_table.EffectElement, 'Tableau': tableau.Tableau,
-    'RunBuffer': recorded_run.RunBuffer, 'Watch': run.Watch,
+    'RunBuffer': recorded_run.RunBuffer, 'GuardLimits': run.GuardLimits,
     'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
     'Batch': batch.Batch, 'Loops': equations.Loops, 'Far': equations.Far,
     'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,

@@ -204,7 +204,8 @@ def use_kernels(simulation, note):
                  'give_up', 'clear_cost', 'jump', 'restart_guards'):
         call(name, run)
     call('write_kept', run, False, simulation.state)
-    call('set_watch', run, simulation.stepping.run.watch, np.zeros(0, dtype=np.int64))
+    call('set_guard_limits', run, simulation.stepping.run.guard_limits,
+         np.zeros(0, dtype=np.int64))
     call('move', system.manifold, q, qd, 0.1)
     every = with_all_equations(model)
     nc, numbers = len(simulation.constraint_jacobian), np.arange(max(nv, 6))
@@ -236,8 +237,8 @@ def use_kernels(simulation, note):
     call('load_joints', handle, model, work, qd, system.qdd, system.lam)
     told, = effect_table.told([effects.elements[0]], effects.is_spatial, True)
     call('put_effect', effects, 0, told)
-    call('minimise_in_box', effects, len(effects.sticking.rows) - 1,
-         np.zeros(len(effects.sticking.rows)))
+    call('minimise_in_box', effects, len(effects.static_friction.rows) - 1,
+         np.zeros(len(effects.static_friction.rows)))
     cuts = effects.cuts
     for k, index in enumerate(cuts.index):
         call('cut_direction', work.body, int(index[2]), bool(index[1]), cuts.values, k, 6)

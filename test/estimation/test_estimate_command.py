@@ -99,7 +99,7 @@ def test_of_a_record_without_motion_it_is_said_what_it_does_not_tell(capsys, tmp
         scene='three_rrr_horizontal', sensors=path)
     assert code == 1 and 'nothing of what is unknown can be estimated' in errors
     assert '(part): does the machine move in it?' in errors
-    assert 'not told by this record' in output
+    assert 'not observable in this record' in output
 
 
 @pytest.mark.parametrize('change, problem', [

@@ -7,7 +7,7 @@ import math
 from test.estimation.recorded import message, SENSORS, states, write_bag, write_csv
 from types import SimpleNamespace
 
-from closedloop_dynamics.estimation.beginning import Beginning
+from closedloop_dynamics.estimation.start_finder import StartFinder
 from closedloop_dynamics.estimation.record_file import (
     begun, read_events, record_of, without_latency)
 from closedloop_dynamics.estimation.setup_file import read_setup
@@ -129,24 +129,24 @@ def test_a_run_begins_where_its_joints_are(setup, scene, tmp_path):
     events = read_events(write_csv(tmp_path / 'run.csv', 60), setup, scene.mechanism)
     events = events._replace(measurements=[one for one in events.measurements if one[0] > 0.295])
     latency, setup = setup.sensors[0].latency, without_latency(setup)
-    start, rest = begun(events, Beginning(setup, Model(scene)))
+    start, rest = begun(events, StartFinder(setup, Model(scene)))
     assert start.time == pytest.approx(0.30 - latency) and rest.measurements[0][0] > start.time
     before, now = (found[k][-1] for k in (29, 30))
     # Between the two states, as old as the sensors are.
     np.testing.assert_allclose(start.state.q, now + latency / 0.01 * (before - now), atol=2e-3)
     np.testing.assert_allclose(start.state.qd, (now - before) / 0.01, atol=0.1)
     without = setup._replace(sensors=setup.sensors[:3])
-    rates = begun(events, Beginning(without, Model(scene)))[0].state.qd
+    rates = begun(events, StartFinder(without, Model(scene)))[0].state.qd
     np.testing.assert_allclose(rates, start.state.qd, atol=0.3)
 
 
 def test_joints_that_cannot_be_there_begin_nothing(setup, scene):
-    beginning = Beginning(setup, Model(scene))
+    start_finder = StartFinder(setup, Model(scene))
     # All proximal links point outwards: the platform does not reach their ends.
     readings = dict(zip(ENCODERS, ((3.67,), (-0.52,), (1.57,))))
     readings.update({f'rate_{name[-1]}': (0.0,) for name in ENCODERS})
     with pytest.raises(PassiveJointError):
-        beginning.take(0.0, readings)
+        start_finder.take(0.0, readings)
 
 
 def write(path, lines):

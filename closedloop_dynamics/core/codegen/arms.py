@@ -454,7 +454,7 @@ def solve(recursion, model, work, tau, baumgarte, qdd, lam):
         smallest = _smaller(smallest, found.eliminate_arm(joints, rows))
     scales = {key: found.matrix[key][key] for keys in plan.unknowns for key in keys}
     for keys in plan.unknowns:
-        # A NaN is not above either.
+        # False for a NaN, too.
         bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
     bool(smallest >= SMALL_SINE)
     for row in plan.rest:

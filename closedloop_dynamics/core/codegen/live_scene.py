@@ -28,7 +28,7 @@ from .vectors import add, dot, IDENTITY, negate, scale, subtract, ZERO
 _addresses = {}
 # Added and subtracted, it rounds to a whole number.
 _ROUNDER = 6755399441055744.0
-# As of ``engine/sticking.hpp`` [rad/s; m/s].
+# As of ``engine/static_friction.hpp`` [rad/s; m/s].
 REST = 1e-6
 
 
@@ -123,7 +123,7 @@ class LiveTrace(MechanismTrace):
 
     def held(self, resting, qdd, lam):
         """
-        Apply static friction, up to its limit, to joints at rest; see ``engine/sticking.hpp``.
+        Apply static friction, up to its limit, to joints at rest (``engine/static_friction.hpp``).
 
         ``resting``: limits of the frictions, all zero but one, and the joints that each acts on
         with its moment arms. Returns accelerations and multipliers, given those without it.

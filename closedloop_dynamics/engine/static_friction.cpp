@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-#include "sticking.hpp"
+#include "static_friction.hpp"
 
 #include <cmath>
 #include <limits>
@@ -21,9 +21,9 @@ constexpr double ROUNDING = 1e-10;
 constexpr Index MOST_CHANGES = 5;
 
 /// Zero the entry of an effect's joint; entries of joints of a tendon remain.
-void clear(const EffectTable & table, Index place, Values joints)
+void clear(const EffectTable & table, Index index, Values joints)
 {
-  const Index row = table.sticking.rows[place + 1];
+  const Index row = table.static_friction.rows[index + 1];
   if (!has_arms(table, row)) {
     joints[joint_of(table, row)] = 0.0;
   }
@@ -31,20 +31,20 @@ void clear(const EffectTable & table, Index place, Values joints)
 
 /// Factor the matrix of the free unknowns, L D L^T, from the first one on that has changed. L^T is
 /// stored above D: what follows a number is beside it in memory.
-void factor_free(const StaticFriction & sticking, Index count, Index first)
+void factor_free(const StaticFriction & static_friction, Index count, Index first)
 {
-  const Table & factor = sticking.factor;
-  const Values & row = sticking.move;
+  const Table & factor = static_friction.factor;
+  const Values & row = static_friction.move;
   for (Index a = first; a < count; ++a) {
     factor(a, a) = 0.0;
     for (Index b = 0; b < a; ++b) {
       factor(b, a) = 0.0;
     }
-    if (sticking.free[a] == 0) {
+    if (static_friction.free[a] == 0) {
       continue;
     }
-    double pivot = sticking.matrix(a, a);
-    copy(sticking.matrix[a].part(0, a), row.part(0, a));
+    double pivot = static_friction.matrix(a, a);
+    copy(static_friction.matrix[a].part(0, a), row.part(0, a));
     for (Index b = 0; b < a; ++b) {
       if (factor(b, b) > 0.0) {
         const double before = row[b], share = before / factor(b, b);
@@ -56,21 +56,21 @@ void factor_free(const StaticFriction & sticking, Index count, Index first)
         factor(b, a) = share;
       }
     }
-    factor(a, a) = pivot > DEPENDENT * sticking.matrix(a, a) ? pivot : 0.0;
+    factor(a, a) = pivot > DEPENDENT * static_friction.matrix(a, a) ? pivot : 0.0;
   }
 }
 
 /// Move to the minimum in the free unknowns, factored before.
-void compute_move(const StaticFriction & sticking, Index count, Values out)
+void compute_move(const StaticFriction & static_friction, Index count, Values out)
 {
-  const Table & matrix = sticking.matrix, & factor = sticking.factor;
-  const Values & move = sticking.move;
+  const Table & matrix = static_friction.matrix, & factor = static_friction.factor;
+  const Values & move = static_friction.move;
   for (Index a = 0; a < count; ++a) {
     move[a] = 0.0;
     for (Index b = 0; b < count && factor(a, a) > 0.0; ++b) {
       move[a] -= matrix(a, b) * out[b];
     }
-    move[a] -= factor(a, a) > 0.0 ? sticking.right[a] : 0.0;
+    move[a] -= factor(a, a) > 0.0 ? static_friction.right[a] : 0.0;
   }
   for (Index a = 0; a < count; ++a) {
     for (Index b = a + 1; b < count; ++b) {
@@ -86,16 +86,16 @@ void compute_move(const StaticFriction & sticking, Index count, Values out)
 }
 
 /// Index of the bounded unknown with the steepest descent into the box; negative if none.
-Index steepest_bound(const StaticFriction & sticking, Index count, Values out)
+Index steepest_bound(const StaticFriction & static_friction, Index count, Values out)
 {
-  const Table & matrix = sticking.matrix;
+  const Table & matrix = static_friction.matrix;
   Index loose = -1;
   double strongest = 0.0;
   for (Index a = 0; a < count; ++a) {
-    if (sticking.free[a] == 1 || out[a] == 0.0) {
+    if (static_friction.free[a] == 1 || out[a] == 0.0) {
       continue;
     }
-    double slope = sticking.right[a], size = std::fabs(sticking.right[a]);
+    double slope = static_friction.right[a], size = std::fabs(static_friction.right[a]);
     for (Index b = 0; b < count; ++b) {
       slope += matrix(a, b) * out[b];
       size += std::fabs(matrix(a, b) * out[b]);
@@ -110,28 +110,28 @@ Index steepest_bound(const StaticFriction & sticking, Index count, Values out)
 }
 
 /// Whether a joint at rest stays there.
-bool stays_at_rest(const EffectTable & table, Index place)
+bool stays_at_rest(const EffectTable & table, Index index)
 {
-  const StaticFriction & sticking = table.sticking;
-  return table.role[sticking.rows[place + 1]] != effect::INERTIA &&
-         std::fabs(sticking.share[place]) < 1.0 && sticking.matrix(place, place) > 0.0;
+  const StaticFriction & static_friction = table.static_friction;
+  return table.role[static_friction.rows[index + 1]] != effect::INERTIA &&
+         std::fabs(static_friction.share[index]) < 1.0 && static_friction.matrix(index, index) > 0.0;
 }
 }  // namespace
 
 void minimise_in_box(const EffectTable & table, Index count, Values out)
 {
-  const StaticFriction & sticking = table.sticking;
-  const Table & matrix = sticking.matrix;
-  const Values & bound = sticking.bound, & move = sticking.move;
-  const Indices & free = sticking.free;
+  const StaticFriction & static_friction = table.static_friction;
+  const Table & matrix = static_friction.matrix;
+  const Values & bound = static_friction.bound, & move = static_friction.move;
+  const Indices & free = static_friction.free;
   for (Index a = 0; a < count; ++a) {
     out[a] = 0.0;
     free[a] = bound[a] > 0.0 && matrix(a, a) > 0.0 ? 1 : 0;
   }
   Index changed = 0;
   for (Index change = 0; change < MOST_CHANGES * (count + 1); ++change) {
-    factor_free(sticking, count, changed);
-    compute_move(sticking, count, out);
+    factor_free(static_friction, count, changed);
+    compute_move(static_friction, count, out);
     double share = 1.0;
     Index blocking = -1;
     for (Index a = 0; a < count; ++a) {
@@ -151,7 +151,7 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
       free[blocking] = 0;
       out[blocking] = std::copysign(bound[blocking], move[blocking]);
     } else {
-      const Index loose = steepest_bound(sticking, count, out);
+      const Index loose = steepest_bound(static_friction, count, out);
       if (loose < 0) {
         return;
       }
@@ -161,14 +161,14 @@ void minimise_in_box(const EffectTable & table, Index count, Values out)
   }
 }
 
-Values free_response(const StaticFriction & sticking)
+Values free_response(const StaticFriction & static_friction)
 {
-  return sticking.response[sticking.response.rows - 1];
+  return static_friction.response[static_friction.response.rows - 1];
 }
 
 void keep_frictionless(const EffectTable & table, Values qdd, Values lam)
 {
-  const Values base = free_response(table.sticking);
+  const Values base = free_response(table.static_friction);
   for (Index i = 0; i < qdd.size; ++i) {
     base[i] = qdd[i];
   }
@@ -177,10 +177,10 @@ void keep_frictionless(const EffectTable & table, Values qdd, Values lam)
   }
 }
 
-void keep_response(const EffectTable & table, Index place, Values qdd, Values lam)
+void keep_response(const EffectTable & table, Index index, Values qdd, Values lam)
 {
-  const StaticFriction & sticking = table.sticking;
-  const Values base = free_response(sticking), response = sticking.response[place];
+  const StaticFriction & static_friction = table.static_friction;
+  const Values base = free_response(static_friction), response = static_friction.response[index];
   const Index nv = qdd.size;
   for (Index i = 0; i < nv; ++i) {
     response[i] = qdd[i] - base[i];
@@ -188,39 +188,39 @@ void keep_response(const EffectTable & table, Index place, Values qdd, Values la
   for (Index i = 0; i < lam.size; ++i) {
     response[nv + i] = lam[i] - base[nv + i];
   }
-  const Index row = sticking.rows[place + 1];
-  exert_along(table, row, -sticking.hold[row]);
-  sticking.hold[row] = 0.0;
+  const Index row = static_friction.rows[index + 1];
+  exert_along(table, row, -static_friction.hold[row]);
+  static_friction.hold[row] = 0.0;
 }
 
-Values response_to_hold(const EffectTable & table, Index place)
+Values response_to_hold(const EffectTable & table, Index index)
 {
-  return table.sticking.response[place];
+  return table.static_friction.response[index];
 }
 
 void keep_responses(const EffectTable & table)
 {
-  const StaticFriction & sticking = table.sticking;
-  if (sticking.kept[0] == 1) {
-    for (Index place = 0; place <= sticking.rows[0]; ++place) {
-      sticking.kept[place + 1] = sticking.rows[place];
+  const StaticFriction & static_friction = table.static_friction;
+  if (static_friction.kept[0] == 1) {
+    for (Index index = 0; index <= static_friction.rows[0]; ++index) {
+      static_friction.kept[index + 1] = static_friction.rows[index];
     }
-    for (Index place = 0; place < sticking.rows[0]; ++place) {
-      sticking.kept_limit[place] = table.output(sticking.rows[place + 1], 3);
+    for (Index index = 0; index < static_friction.rows[0]; ++index) {
+      static_friction.kept_limit[index] = table.output(static_friction.rows[index + 1], 3);
     }
   }
 }
 
 bool are_responses_kept(const EffectTable & table)
 {
-  const StaticFriction & sticking = table.sticking;
-  for (Index place = 0; place <= sticking.rows[0]; ++place) {
-    if (sticking.kept[place + 1] != sticking.rows[place]) {
+  const StaticFriction & static_friction = table.static_friction;
+  for (Index index = 0; index <= static_friction.rows[0]; ++index) {
+    if (static_friction.kept[index + 1] != static_friction.rows[index]) {
       return false;
     }
   }
-  for (Index place = 0; place < sticking.rows[0]; ++place) {
-    if (sticking.kept_limit[place] != table.output(sticking.rows[place + 1], 3)) {
+  for (Index index = 0; index < static_friction.rows[0]; ++index) {
+    if (static_friction.kept_limit[index] != table.output(static_friction.rows[index + 1], 3)) {
       return false;
     }
   }
@@ -229,25 +229,25 @@ bool are_responses_kept(const EffectTable & table)
 
 void balance_friction(const EffectTable & table, Values qdd, Values lam)
 {
-  const StaticFriction & sticking = table.sticking;
-  const Index nv = qdd.size, count = sticking.rows[0];
-  const Table & response = sticking.response;
-  const Values base = free_response(sticking);
+  const StaticFriction & static_friction = table.static_friction;
+  const Index nv = qdd.size, count = static_friction.rows[0];
+  const Table & response = static_friction.response;
+  const Values base = free_response(static_friction);
   for (Index a = 0; a < count; ++a) {
-    const Index row = sticking.rows[a + 1];
+    const Index row = static_friction.rows[a + 1];
     const double limit = table.output(row, 3);
-    sticking.right[a] = limit * along(table, row, base);
-    sticking.bound[a] = 1.0;
+    static_friction.right[a] = limit * along(table, row, base);
+    static_friction.bound[a] = 1.0;
     for (Index b = 0; b < count; ++b) {
-      sticking.matrix(a, b) = limit * along(table, row, response[b]);
+      static_friction.matrix(a, b) = limit * along(table, row, response[b]);
     }
     if (table.role[row] == effect::INERTIA) {
       // Its limit is its inertia: the force of a unit acceleration.
-      sticking.bound[a] = std::numeric_limits<double>::infinity();
-      sticking.matrix(a, a) += limit;
+      static_friction.bound[a] = std::numeric_limits<double>::infinity();
+      static_friction.matrix(a, a) += limit;
     }
   }
-  minimise_in_box(table, count, sticking.share);
+  minimise_in_box(table, count, static_friction.share);
   for (Index i = 0; i < nv; ++i) {
     qdd[i] = base[i];
   }
@@ -255,8 +255,8 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
     lam[i] = base[nv + i];
   }
   for (Index a = 0; a < count; ++a) {
-    const Index row = sticking.rows[a + 1];
-    const double share = sticking.share[a], friction = share * table.output(row, 3);
+    const Index row = static_friction.rows[a + 1];
+    const double share = static_friction.share[a], friction = share * table.output(row, 3);
     exert_along(table, row, friction);
     table.output(row, 1) = friction;
     for (Index i = 0; i < nv; ++i) {
@@ -275,18 +275,18 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
 
 void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
 {
-  const StaticFriction & sticking = table.sticking;
-  Index & count = sticking.rows[0];
+  const StaticFriction & static_friction = table.static_friction;
+  Index & count = static_friction.rows[0];
   Index number = 0;
   count = 0;
   for (Index row = 0; row < table.count(); ++row) {
     if (table.role[row] == effect::FRICTION) {
-      const double limit = sticking.right[number];
+      const double limit = static_friction.right[number];
       if (limit > 0.0) {
         if (count < number) {
-          copy(sticking.response[number], sticking.response[count]);
+          copy(static_friction.response[number], static_friction.response[count]);
         }
-        sticking.rows[++count] = row;
+        static_friction.rows[++count] = row;
         table.output(row, 3) = limit;
       }
       ++number;
@@ -301,22 +301,22 @@ void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
 
 void stop_sticking_joints(const EffectTable & table, Values qd)
 {
-  const StaticFriction & sticking = table.sticking;
-  const Index count = sticking.rows[0];
+  const StaticFriction & static_friction = table.static_friction;
+  const Index count = static_friction.rows[0];
   for (Index a = 0; a < count; ++a) {
-    const Index row = sticking.rows[a + 1];
-    sticking.right[a] = table.output(row, 3) * along(table, row, qd);
-    sticking.bound[a] =
+    const Index row = static_friction.rows[a + 1];
+    static_friction.right[a] = table.output(row, 3) * along(table, row, qd);
+    static_friction.bound[a] =
       stays_at_rest(table, a) ? std::numeric_limits<double>::infinity() : 0.0;
   }
-  minimise_in_box(table, count, sticking.impulse);
+  minimise_in_box(table, count, static_friction.impulse);
   for (Index a = 0; a < count; ++a) {
     for (Index i = 0; i < qd.size; ++i) {
-      qd[i] += sticking.impulse[a] * sticking.response(a, i);
+      qd[i] += static_friction.impulse[a] * static_friction.response(a, i);
     }
   }
   for (Index a = 0; a < count; ++a) {
-    if (sticking.bound[a] > 0.0) {
+    if (static_friction.bound[a] > 0.0) {
       clear(table, a, qd);
     }
   }

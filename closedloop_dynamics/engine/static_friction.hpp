@@ -1,8 +1,8 @@
 // SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 // SPDX-License-Identifier: Apache-2.0
 
-#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_
-#define CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STATIC_FRICTION_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__STATIC_FRICTION_HPP_
 
 #include "effect_table.hpp"
 
@@ -39,12 +39,12 @@ void keep_frictionless(const EffectTable &, Values qdd, Values lam);
 /// Where they are stored; shape (nv + nc,), or more.
 Values free_response(const StaticFriction &);
 
-/// Store the response to the limit of one friction, number `place` of the joints at rest, after an
+/// Store the response to the limit of one friction, number `index` of the joints at rest, after an
 /// evaluation with that friction in StaticFriction.hold; take it back from there.
-void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
+void keep_response(const EffectTable &, Index index, Values qdd, Values lam);
 
 /// Where the response to it is stored; shape (nv + nc,).
-Values response_to_hold(const EffectTable &, Index place);
+Values response_to_hold(const EffectTable &, Index index);
 
 /// Find the friction at rest; write the accelerations and multipliers with it, and complete
 /// EffectTable.applied and the readings.
@@ -72,9 +72,9 @@ public:
 private:
   void keep(Index whether)
   {
-    if (effects_.sticking.kept.size > 0) {
-      effects_.sticking.kept[0] = whether;
-      effects_.sticking.kept[1] = 0;
+    if (effects_.static_friction.kept.size > 0) {
+      effects_.static_friction.kept[0] = whether;
+      effects_.static_friction.kept[1] = 0;
     }
   }
 
@@ -96,4 +96,4 @@ void minimise_in_box(const EffectTable &, Index count, Values out);
 
 }  // namespace closedloop
 
-#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__STATIC_FRICTION_HPP_

@@ -12,7 +12,7 @@ from ..simulation.passive_joint_solver import PassiveJointSolver
 LONGEST = 0.2
 
 
-class Beginning:
+class StartFinder:
     """
     Finds the start of a run in readings as they come.
 
