@@ -338,13 +338,14 @@ class Linearisation:
         manifold = self._data.system.manifold
 
         def rates(_, values):
-            q, qd = values[:nq], values[nq:nq + nv]
+            # Stages of the first long steps leave the loops by more than rounding.
+            q, qd = self._data.closed(values[:nq], values[nq:nq + nv])
             flow = values[nq + nv:].reshape(n, n + m)
             now, found, *_ = self._model(q, qd, torque, (), own)
             change = now.A @ flow
             change[:, n:] += now.B
             moving = np.zeros(nq)
-            native.rates_of_coordinates(manifold, values, nv, moving, 1)
+            native.rates_of_coordinates(manifold, np.concatenate((q, qd)), nv, moving, 1)
             return np.concatenate((moving, found.acceleration, change.ravel()))
 
         start = np.concatenate((q, qd, np.eye(n, n + m).ravel()))

@@ -211,6 +211,19 @@ def test_a_model_is_linearised_in_any_state(scene):
                                    rtol=1e-9, atol=1e-9)
 
 
+def test_the_flow_of_a_fast_motion_in_space_keeps_its_loops_closed():
+    model = Model.from_scene('stewart_platform')
+    simulation = Simulation(model, None, 'rk4')
+    torque = 100.0 * np.random.default_rng(0).normal(size=6)
+    simulation.step(torque, 0.1)
+    found = Linearisation(simulation).discrete_model(0.02, torque=torque)
+    by_steps = model.linearise(simulation.snapshot(), torque, period=0.02)
+    for name in 'AB':
+        exact = getattr(by_steps, name)
+        np.testing.assert_allclose(getattr(found, name), exact, rtol=0,
+                                   atol=1e-9 * np.abs(exact).max())
+
+
 @pytest.mark.parametrize('scene, period', [
     ('three_rrr_vertical', 0.02), ('carpet_scraper', 0.05), ('rssr_four_bar', 1e-3)])
 def test_models_of_a_period_are_of_the_motion_not_of_few_steps(scene, period, monkeypatch):
