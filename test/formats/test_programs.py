@@ -122,6 +122,9 @@ def test_a_detachable_joint_in_a_model_in_a_model(tmp_path):
         imported = read(tmp_path, text, 'model.sdf')
         assert (len(imported.mechanism.bodies) == 2) == joined
         assert bool(imported.omitted) != joined
+    text = (f'<sdf version="1.10"><model name="whole"><model name="cell">'
+            f'{inner.replace("MODEL", "cell::four_bar")}</model></model></sdf>')
+    assert len(read(tmp_path, text, 'model.sdf').mechanism.bodies) == 2
 
 
 @pytest.mark.parametrize('way', [MIMIC, PARAMETERS])

@@ -17,6 +17,7 @@ from closedloop_dynamics.recording.reading import Bag, BagReadError
 from closedloop_dynamics.recording.writer import BagFiles, COMPRESSIONS, RESERVE
 from mcap.reader import make_reader
 import pytest
+import yaml
 
 KINDS = [(storage, compression) for storage, kinds in COMPRESSIONS.items()
          for compression in kinds]
@@ -51,6 +52,10 @@ def test_everything_comes_back(tmp_path, storage, compression):
         check(messages, 2500)
     names = {path.name for path in (tmp_path / 'bag').iterdir()}
     assert names == {'metadata.yaml', 'bag_0' + {'mcap': '.mcap', 'sqlite3': '.db3'}[storage]}
+    said = yaml.safe_load((tmp_path / 'bag' / 'metadata.yaml').read_text())[
+        'rosbag2_bagfile_information']
+    assert said['starting_time'] == {'nanoseconds_since_epoch': 1000}
+    assert said['duration'] == {'nanoseconds': 2499}
 
 
 @pytest.mark.parametrize('compression', ['zstd', 'lz4'])

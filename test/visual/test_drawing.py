@@ -9,7 +9,7 @@ from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.scene import config_directory
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual import pictures, trajectory as motions
-from closedloop_dynamics.visual.appearance import outline
+from closedloop_dynamics.visual.appearance import outline, sliders
 from closedloop_dynamics.visual.drawing import MechanismArtist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -103,6 +103,10 @@ def test_outlines_go_through_what_the_description_places():
     assert outline(mechanism, 'coupler').tolist() == [[-0.1152, 0.0], [0.1152, 0.0]]
     mechanism = read_mechanism(config_directory() / 'mechanisms' / 'slider_crank.yaml')
     assert outline(mechanism, 'slider').tolist() == [[0.0, 0.0]]
+
+
+def test_bodies_on_slides_are_blocks_whichever_way_the_slide_is_described(everything):
+    assert sliders(everything.mechanism) == {'sleeve', 'cart', 'plate'}
 
 
 def drawn(figure):

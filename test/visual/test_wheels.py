@@ -144,6 +144,20 @@ def test_radii_follow_from_ratio_and_distance():
         ('gear', pytest.approx(0.2)), ('ring', pytest.approx(0.6))]
 
 
+def test_odd_numbers_of_teeth_mesh():
+    mechanism = four_bar({'crank_joint': 19.0, 'rocker_joint': 25.0})
+    (one, other), _, _ = transmissions(mechanism)
+    assert one.teeth % 2 == other.teeth % 2 == 1
+    for turn in (0.0, 0.31):
+        poses = body_poses(mechanism, np.array([25.0 * turn, 0.0, -19.0 * turn]))
+        for mine, theirs in ((one, other), (other, one)):
+            outline, = drawn(mechanism, poses, theirs)
+            points = tips(mechanism, poses, mine)[:, :2]
+            assert not Path(outline[:, :2]).contains_points(points).any()
+            center = placed(mechanism, poses, theirs.body, theirs.center)[:2]
+            assert np.linalg.norm(points - center, axis=1).min() < theirs.radius
+
+
 def test_wheels_that_are_too_small_to_touch_have_a_belt():
     wheels, _, (belt,) = transmissions(
         four_bar({'crank_joint': 1.0, 'rocker_joint': -2.0}, radius=0.03))
