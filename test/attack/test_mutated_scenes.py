@@ -12,7 +12,6 @@ import math
 import re
 import shutil
 
-from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.config import config_directory
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
@@ -21,6 +20,7 @@ import numpy as np
 import pytest
 
 from ..mechanism import test_between, test_expressions
+from ..test_cli import call
 
 SCENES = ('four_bar', 'slider_crank_end_stop', 'three_rrr')
 # A mechanism in space and one in the plane with all that a description may use.
@@ -137,15 +137,6 @@ def accepted_state(path):
 def told(counts):
     print(', '.join(f'{name} {counts[name]}' for name in (
         'tried', 'clean errors', 'accepted', 'tracebacks', 'silent')))
-
-
-def call(capsys, *arguments):
-    """Return exit code, output and errors of a command; exceptions come through."""
-    try:
-        code = main(list(arguments))
-    except SystemExit as end:
-        code = end.code
-    return (code, *capsys.readouterr())
 
 
 @pytest.mark.filterwarnings('ignore')

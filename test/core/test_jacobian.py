@@ -8,16 +8,9 @@ import pytest
 
 from .engine import Engine
 from .spatial_engine import loop_equations
-from ..reference import appendix, cases, dense, machines
+from ..reference import appendix, cases, dense
 from ..reference.compare import assert_agree, IDENTITY
-
-PAPER = {
-    'carpet_scraper': (appendix.scraper_blocks, machines.SCRAPER_LENGTHS,
-                       appendix.SCRAPER_SUBSYSTEMS),
-    'hoeken_pantograph_leg': (appendix.scraper_blocks, machines.LEG_LENGTHS,
-                              appendix.SCRAPER_SUBSYSTEMS),
-    'three_rrr': (appendix.three_rrr_blocks, machines.THREE_RRR_LENGTHS,
-                  appendix.THREE_RRR_SUBSYSTEMS)}
+from ..reference.test_appendix import PAPER
 
 
 def test_constraint_jacobian_is_the_derivative_of_the_closure(drawn, engine):

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 
 
 class FakeClock:
-    """A steady clock that moves when told."""
+    """A steady clock that a test sets."""
 
     def __init__(self):
         self.now = 50.0
@@ -38,7 +38,7 @@ class FakeClock:
 
 @pytest.fixture
 def build(make_node, monkeypatch):
-    """Return a function that builds a node whose clock moves when told."""
+    """Return a function that builds a node whose clock the test sets."""
     def make(scene='three_rrr', **parameters):
         node = make_node(SimulatorNode, scene=scene, **parameters)
         node.clock = node.pacer.clock = FakeClock()

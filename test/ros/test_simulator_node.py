@@ -5,6 +5,7 @@
 
 import math
 from pathlib import Path
+from test.ros.test_control import FakeClock
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism import validation
@@ -19,16 +20,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 ACTUATED = ['theta_1', 'theta_6', 'theta_7']
-
-
-class FakeClock:
-    """A steady clock that moves when told."""
-
-    def __init__(self):
-        self.now = 50.0
-
-    def __call__(self):
-        return self.now
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 from test.sweep.files import assert_same, ENVIRONMENT, need, read
+from test.test_cli import call
 import time
 
-from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -189,15 +189,6 @@ def test_workers_change_nothing(netcdf):
     sweep('four_bar', vary, alone, samples=6, duration=0.05, workers=1)
     sweep('four_bar', vary, netcdf, samples=6, duration=0.05, workers=2)
     assert_same(read(netcdf), read(alone))
-
-
-def call(capsys, *arguments):
-    """Return exit code, standard output and standard error of one call."""
-    try:
-        code = main([str(argument) for argument in arguments])
-    except SystemExit as end:
-        code = end.code
-    return (code, *capsys.readouterr())
 
 
 def test_the_command_says_what_it_did(capsys, netcdf, tmp_path):
