@@ -8,6 +8,7 @@
 #include "arguments.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
+#include "callable_dynamics.hpp"
 #include "callable_steps.hpp"
 #include "correction.hpp"
 #include "curve.hpp"
@@ -550,6 +551,10 @@ const Entry entries[] = {
   released<step_states>(
     "step_states(system, run, scratch, tape, routines, beside, chart, steps): status, states "
     "done"),
+  entry<callable_dynamics>(
+    "callable_dynamics(system, state, actuated, table, qdd, lam, columns, found): a handle"),
+  entry<fill_dynamics_addresses>(
+    "fill_dynamics_addresses(dynamics, out): of them, and of three functions of rows"),
   entry<callable_steps>(
     "callable_steps(system, run, scratch, tape, routines, actuated, instants, inputs): a handle"),
   entry<fill_addresses>("fill_addresses(steps, out): of them, and of three functions of rows"),

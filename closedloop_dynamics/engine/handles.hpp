@@ -11,6 +11,7 @@
 #include <string>
 #include <utility>
 
+#include "callable_dynamics.hpp"
 #include "callable_steps.hpp"
 #include "data.hpp"
 #include "python_api.hpp"
@@ -71,6 +72,9 @@ template<>
 inline constexpr const char * handle_name<Workspace> = "closedloop_dynamics.engine.Workspace";
 template<>
 inline constexpr const char * handle_name<EffectTable> = "closedloop_dynamics.engine.EffectTable";
+template<>
+inline constexpr const char * handle_name<CallableDynamics> =
+  "closedloop_dynamics.engine.CallableDynamics";
 template<>
 inline constexpr const char * handle_name<CallableSteps> =
   "closedloop_dynamics.engine.CallableSteps";

@@ -280,6 +280,24 @@ inline constexpr auto precondition<gradient_of_steps> =
   };
 
 template<>
+inline constexpr auto precondition<callable_dynamics> =
+  [](const std::shared_ptr<System> & system, Values state, Indices actuated, Indices table,
+    Values qdd, Values lam, Table columns, Table found) {
+    const Index nv = system->nv(), nc = system->lam.size;
+    return expected::first_of(
+      expected::unless(table.size > 1 && table[0] != 0 && table[1] != 0, expected::places),
+      expected::unless(
+        state.size == system->ns() && qdd.size == nv && lam.size == nc &&
+        are_places(actuated, 0, nv) && columns.rows * LANES >= 3 * nv &&
+        columns.columns == LANES * (nv + nc) &&
+        has_shape(found, columns.rows, columns.columns)));
+  };
+
+template<>
+inline constexpr auto precondition<fill_dynamics_addresses> =
+  [](const CallableDynamics &, Indices out) {return expected::unless(out.size == 4);};
+
+template<>
 inline constexpr auto precondition<callable_steps> =
   [](const std::shared_ptr<System> & system, const SteppedRun & run, Table scratch,
     const Tape & tape, const StepRoutines & routines, Indices actuated, Table instants,

@@ -39,9 +39,20 @@ class CallableSteps:
         self._kept, addresses = stepper.called_by_address()
         self.address, self.step, self.change, self.weight = addresses
 
+    def failure(self, code, q, qd):
+        """Return words for a code other than 0, and the state that it is of."""
+        return f'{failure(code)}{opened(self._stepper.simulation.data, code, q, qd)}'
+
     def __repr__(self):
         """Show the step."""
         return repr(self._stepper)
+
+
+def opened(data, code, q, qd):
+    """Return which loops a state leaves open, if that is what failed, behind a colon."""
+    found = code % STATUSES == OPEN_LOOP and data.assembler.opened(
+        q, qd, data.system.settings.closure_limit)
+    return f': {found}' if found else ''
 
 
 def failure(code):

@@ -3,17 +3,25 @@
 
 """Accelerations and multipliers of a model as a function of JAX, with exact derivatives."""
 
-from threading import Lock
-
 import numpy as np
 
-from .derivatives import Differentiator
+from .callable_steps import opened, Shapes, STATUSES
+from .derivative_code import DerivativeCode
+from .jax_step import native_function, require_64_bits
 from .simulation import Simulation
+from .traced_scene import require_derivatives, TracedScene
+from ..engine import native
+from ..integration.control import NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR
 from ..mechanism.extras import of_an_extra
 
 with of_an_extra():
-    import jax
     import jax.numpy as jnp
+
+_WORDS = {
+    NOT_FINITE: 'expected finite numbers, and quaternions of norm 1',
+    OPEN_LOOP: 'it leaves the loops open',
+    SINGULAR: 'there is no derivative here: closure equations depend on one another, or nearly',
+    POOR_EQUATIONS: 'other closure equations would have to be worked on than at the start'}
 
 
 def jax_dynamics(model):
@@ -32,60 +40,62 @@ def jax_dynamics(model):
         (na,); returns accelerations, shape (nv,), and multipliers, shape (nc,). It has first
         derivatives, forward and reverse: as ``derivatives.Derivatives``, each coordinate is
         changed alone, and quaternions as if they were divided by their norm. What it is called
-        with closes the loops. States of a batch (``jax.vmap``) are evaluated one by one.
+        with closes the loops. With leading axes, the same in all three, or under ``jax.vmap``, the
+        states of a batch are evaluated in one call. XLA calls the engine, as for ``jax_step``.
 
     Raises
     ------
     SimulationError
-        As ``Differentiator`` does. (What is wrong with a state is raised by JAX, with the message
-        of ``SingularityError``.)
+        As ``Differentiator`` does. (What is wrong with a state is raised by JAX, with its number.)
     RuntimeError
-        Where JAX is not set to 64 bits.
+        Where JAX is not set to 64 bits, or there is no C++ compiler.
 
     """
-    if not jax.config.jax_enable_x64:
-        raise RuntimeError("expected JAX with 64 bits: jax.config.update('jax_enable_x64', True)")
-    simulation, lock = Simulation(model), Lock()
-    differentiate = Differentiator(simulation)
-    names, driven = model.coordinates, simulation.data.actuated
-    nq, nv, nc = names.nq, names.nv, len(simulation.data.system.lam)
-
-    def values(*state):
-        with lock:
-            return simulation.forward_dynamics(*map(np.asarray, state))
-
-    def derivatives(*state):
-        q, qd, torque = map(np.asarray, state)
-        with lock:
-            found = differentiate(q, qd, torque)
-        return (found.by_position @ _turns(names, q), found.by_velocity,
-                np.ascontiguousarray(found.by_torque[:, driven]))
-
-    def asked(function, state, *shapes):
-        wanted = [jax.ShapeDtypeStruct(shape, np.float64) for shape in shapes]
-        return jax.pure_callback(function, tuple(wanted), *state, vmap_method='sequential')
-
-    @jax.custom_jvp
-    def dynamics(q, qd, torque):
-        return asked(values, (q, qd, torque), (nv,), (nc,))
-
-    @dynamics.defjvp
-    def _(state, changes):
-        matrices = asked(derivatives, state, *((nv + nc, n) for n in (nq, nv, len(driven))))
-        change = sum(matrix @ one for matrix, one in zip(matrices, changes))
-        return dynamics(*state), (change[:nv], change[nv:])
-
-    return lambda q, qd, torque: dynamics(*(
-        jnp.asarray(one, dtype=np.float64) for one in (q, qd, torque)))
+    require_64_bits()
+    of = _CallableDynamics(model)
+    return native_function(of, of.evaluate, of.results, of.changing, of.turned)
 
 
-def _turns(names, q):
-    """Return the changes of rates' kind, rotations among them, for those of coordinates."""
-    matrix = np.zeros((names.nv, names.nq))
-    single = names.place >= 0
-    matrix[single, names.place[single]] = 1.0
-    for place, rate in names.balls:
-        x, y, z, w = q[place:place + 4]
-        matrix[rate:rate + 3, place:place + 4] = 2.0 * np.array(
-            ((w, z, -y, -x), (-z, w, x, -y), (y, -x, w, -z)))
-    return matrix
+class _CallableDynamics:
+    """
+    Accelerations and multipliers of a model, for programs that call the engine without Python.
+
+    As ``CallableSteps``, whose ``step`` is ``evaluate`` here; ``results`` and ``changing``:
+    lengths of results, and of changes of displacements, rates and torques.
+    """
+
+    def __init__(self, model):
+        self._data = data = Simulation(model).data
+        require_derivatives(data, instant=True)
+        self._names, self._places = data.coordinates, np.array(data.actuated, dtype=np.int64)
+        nv, nc = len(data.system.qdd), len(data.system.lam)
+        qdd, lam = np.zeros(nv), np.zeros(nc)
+        code = DerivativeCode(data, qdd, lam, scene=TracedScene(data, instant=True))
+        self._kept = code, qdd, lam, data.integrated.copy()
+        self.shapes = Shapes(self._names.nq, nv, len(self._places))
+        self.results, self.changing = (nv, nc), (nv, nv, len(self._places))
+        self._handle, _ = native.callable_dynamics(
+            data.system.native, self._kept[-1], self._places, code.table, qdd, lam, code.columns,
+            code.found)
+        addresses = np.zeros(4, dtype=np.int64)
+        native.fill_dynamics_addresses(self._handle, addresses)
+        self.address, self.evaluate, self.change, self.weight = addresses.tolist()
+
+    def failure(self, code, q, qd):
+        """Return words for a code other than 0, and the state that it is of."""
+        return (f'state {code // STATUSES}: {_WORDS.get(code % STATUSES, "it failed")}'
+                f'{opened(self._data, code, q, qd)}')
+
+    def turned(self, q, change):
+        """Return the displacements, rotations among them, of changes of coordinates."""
+        found = change[..., np.maximum(self._names.place, 0)]
+        for place, rate in self._names.balls:
+            axis, w = q[..., place:place + 3], q[..., place + 3:place + 4]
+            by, by_w = change[..., place:place + 3], change[..., place + 3:place + 4]
+            found = found.at[..., rate:rate + 3].set(
+                2.0 * (w * by - by_w * axis - jnp.cross(axis, by)))
+        return found
+
+    def __repr__(self):
+        """Show the mechanism."""
+        return f'<dynamics of {self._data.scene.name}>'

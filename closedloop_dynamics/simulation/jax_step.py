@@ -12,7 +12,7 @@ import tempfile
 
 import numpy as np
 
-from .callable_steps import CallableSteps, WORDS
+from .callable_steps import CallableSteps
 from ..core.cache import directory
 from ..engine import build
 from ..mechanism.extras import of_an_extra
@@ -24,29 +24,26 @@ with of_an_extra():
     import jax.numpy as jnp
 
 # The function that XLA calls: its arguments are the rows of all inputs and outputs.
-TARGET = 'closedloop_dynamics_step'
+TARGET, MOST_LETTERS = 'closedloop_dynamics_step', 1000
+_Words = ctypes.CFUNCTYPE(
+    None, ctypes.c_int64, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double),
+    ctypes.c_void_p)
 SOURCE = """\
 #include "xla/ffi/api/ffi.h"
 
 namespace ffi = xla::ffi;
 using Rows = int64_t (void *, int64_t, const double * const *, double * const *);
 
-static const char * reason(int64_t status)
-{
-  switch (status) {
-@REASONS@
-    default: return "it failed";
-  }
-}
+using Words = void (int64_t, const double *, const double *, char *);
 
 // Inputs are of doubles, with the same leading axes.
 static ffi::Error call_rows(
   ffi::RemainingArgs inputs, ffi::RemainingRets outputs, int64_t function, int64_t address,
-  int64_t)
+  int64_t words, int64_t)
 {
   const double * in[6];
   double * out[6];
-  int64_t rows = 1;
+  int64_t rows = 1, lengths[6];
   for (size_t n = 0; n < inputs.size(); ++n) {
     const auto one = inputs.get<ffi::AnyBuffer>(n);
     if (!one.has_value()) {
@@ -58,6 +55,7 @@ static ffi::Error call_rows(
     for (size_t k = 0; k + 1 < shape.size(); ++k) {
       rows *= shape[k];
     }
+    lengths[n] = shape[shape.size() - 1];
   }
   for (size_t n = 0; n < outputs.size(); ++n) {
     auto one = outputs.get<ffi::AnyBuffer>(n);
@@ -68,14 +66,21 @@ static ffi::Error call_rows(
   }
   const int64_t failed =
     reinterpret_cast<Rows *>(function)(reinterpret_cast<void *>(address), rows, in, out);
-  return failed == 0 ? ffi::Error::Success() : ffi::Error::InvalidArgument(
-    "state " + std::to_string(failed / 16) + ": " + reason(failed % 16));
+  if (failed == 0) {
+    return ffi::Error::Success();
+  }
+  // Python writes what failed.
+  const int64_t row = failed / 16;
+  std::string text(@LENGTH@, '\\0');
+  reinterpret_cast<Words *>(words)(
+    failed, in[0] + row * lengths[0], in[1] + row * lengths[1], text.data());
+  return ffi::Error::InvalidArgument(text.c_str());
 }
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
   closedloop_dynamics_step, call_rows,
   ffi::Ffi::Bind().RemainingArgs().RemainingRets().Attr<int64_t>("function").Attr<int64_t>(
-    "address").Attr<int64_t>("token"));
+    "address").Attr<int64_t>("words").Attr<int64_t>("token"));
 """
 
 
@@ -111,13 +116,36 @@ def jax_step(model, period, method='rk4', steps=None):
         is raised by JAX, with its number.)
 
     """
+    require_64_bits()
+    of = CallableSteps(model, period, method, steps)
+    nq, nv, _ = of.shapes
+    return native_function(of, of.step, (nq, nv), of.shapes)
+
+
+def require_64_bits():
+    """Refuse JAX with numbers of single precision."""
     if not jax.config.jax_enable_x64:
         raise RuntimeError("expected JAX with 64 bits: jax.config.update('jax_enable_x64', True)")
+
+
+def native_function(of, value, lengths, changing, turned=lambda q, change: change):
+    """
+    Return a function of coordinates, rates and torques that the engine computes.
+
+    ``of``: a ``CallableSteps``, or one like it; ``value``: the address of its function;
+    ``lengths``: of the results; ``changing``: of the changes that ``of.change`` takes, which
+    ``turned`` makes of those of coordinates.
+    """
     _register()
-    of = CallableSteps(model, period, method, steps)
     # Programs that JAX keeps on disk must not be taken for those of another process.
     token = secrets.randbits(62)
-    nq, nv, na = of.shapes
+
+    @_Words
+    def words(code, q, qd, out):
+        text = of.failure(code, *(
+            np.ctypeslib.as_array(one, (length,)).copy()
+            for one, length in zip((q, qd), of.shapes))).encode()
+        ctypes.memmove(out, text, min(len(text), MOST_LETTERS - 1))
 
     def call(function, lengths, *arrays):
         lead = arrays[0].shape[:-1]
@@ -125,25 +153,27 @@ def jax_step(model, period, method='rk4', steps=None):
             TARGET, [jax.ShapeDtypeStruct((*lead, length), np.float64) for length in lengths],
             vmap_method='broadcast_all')(
                 *arrays, function=np.int64(function), address=np.int64(of.address),
+                words=np.int64(ctypes.cast(words, ctypes.c_void_p).value),
                 token=np.int64(token))
 
     @jax.custom_jvp
     def weigh(*given):
-        return tuple(call(of.weight, (nq, nv, na), *given))
+        return tuple(call(of.weight, changing, *given))
 
     @weigh.defjvp
     def _(given, changes):
         raise NotImplementedError(f'{of!r} has first derivatives alone')
 
-    change = _Linear(repr(of), lambda *given: call(of.change, (nq, nv), *given), weigh, (nq, nv))
+    change = _Linear(repr(of), lambda *given: call(of.change, lengths, *given), weigh, lengths)
 
     @jax.custom_jvp
-    def step(q, qd, torque):
-        return tuple(call(of.step, (nq, nv), q, qd, torque))
+    def function(*state):
+        return tuple(call(value, lengths, *state))
 
-    @step.defjvp
+    @function.defjvp
     def _(state, changes):
-        return step(*state), tuple(change(*state, *changes))
+        return function(*state), tuple(
+            change(*state, turned(state[0], changes[0]), *changes[1:]))
 
     def whole(q, qd, torque):
         given = [jnp.asarray(one, dtype=np.float64) for one in (q, qd, torque)]
@@ -151,10 +181,10 @@ def jax_step(model, period, method='rk4', steps=None):
             if one.shape != (*given[0].shape[:-1], length):
                 raise ValueError(f'{name}: expected shape '
                                  f'{(*given[0].shape[:-1], length)}, got {one.shape}')
-        return step(*given)
+        return function(*given)
 
-    # Addresses are of use as long as it is there.
-    whole.steps = of
+    # Addresses are of use as long as these are there.
+    whole.kept = of, words
     return whole
 
 
@@ -206,8 +236,7 @@ class _Linear:
 @cache
 def _register():
     """Have XLA know the function, compiled when a version of JAX is first met."""
-    words = '\n'.join(f'    case {status}: return "{text}";' for status, text in WORDS.items())
-    source = SOURCE.replace('@REASONS@', words)
+    source = SOURCE.replace('@LENGTH@', str(MOST_LETTERS))
     key = hashlib.sha256(f'{source}{jax.__version__}'.encode()).hexdigest()[:16]
     with tempfile.TemporaryDirectory() as folder:
         kept = directory()

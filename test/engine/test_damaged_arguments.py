@@ -302,7 +302,8 @@ def calls(tmp_path_factory):
     # The first ones take no arrays, the others addresses of code and what it was generated for.
     without_arrays = {'stop_flag', 'set_stop', 'heed', 'call', 'call_for_columns', 'keep_law',
                       'copy_system', 'model_of', 'effects_of', 'snapshot', 'restore',
-                      'callable_steps', 'fill_addresses'}
+                      'callable_steps', 'fill_addresses', 'callable_dynamics',
+                      'fill_dynamics_addresses'}
     assert set(names) - set(recorder.calls) <= {'bind', *without_arrays}
     for name in without_arrays:
         recorder.calls.pop(name, None)

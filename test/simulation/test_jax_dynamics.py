@@ -65,8 +65,14 @@ def test_reverse_is_forward_compiled_and_batched():
             assert abs(found - expected) <= 1e-12 * np.abs(one).max()
     torques = np.random.default_rng(2).normal(size=(5, 3))
     many, _ = jax.vmap(dynamics, in_axes=(None, None, 0))(*state[:2], torques)
+    by_axes, _ = dynamics(*(np.tile(one, (5, 1)) for one in state[:2]), torques)
+    np.testing.assert_array_equal(by_axes, many)
     for row, torque in zip(many, torques):
         np.testing.assert_array_equal(row, dynamics(*state[:2], torque)[0])
+    gradients = jax.vmap(jax.grad(cost, argnums=2), in_axes=(None, None, 0))(*state[:2], torques)
+    for row, torque in zip(gradients, torques):
+        np.testing.assert_allclose(
+            row, jax.grad(cost, argnums=2)(*state[:2], torque), rtol=1e-12)
 
 
 def test_what_has_no_derivatives_is_refused():
@@ -76,5 +82,11 @@ def test_what_has_no_derivatives_is_refused():
     with jax.enable_x64(False), pytest.raises(RuntimeError, match='64 bits'):
         jax_dynamics(Model.from_scene('three_rrr'))
     _, dynamics, state = moving('four_bar')
-    with pytest.raises(ValueError, match='JVP'):
-        jax.hessian(lambda q: dynamics(q, *state[1:])[0].sum())(state[0])
+    for again in (jax.jacfwd, jax.jacrev):
+        with pytest.raises((NotImplementedError, ValueError),
+                           match='first derivatives alone|closedloop_dynamics_step'):
+            again(jax.grad(lambda q: dynamics(q, *state[1:])[0].sum()))(state[0])
+    with pytest.raises(ValueError, match='torque: expected shape'):
+        dynamics(*state[:2], np.zeros(2))
+    with pytest.raises((ValueError, RuntimeError), match='state 1: expected finite numbers'):
+        dynamics(*(np.stack([one, one * bad]) for one, bad in zip(state, (1.0, np.nan, 1.0))))
