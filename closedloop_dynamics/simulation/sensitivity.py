@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 from threading import RLock
-from typing import Any, Dict, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -220,28 +220,91 @@ class Sensitivity:
 
         """
         with self._lock:
-            simulation = self._simulation
-            given = RolloutArguments(simulation, torques, None, None, None)
-            if given.torques.ndim > 2:
+            state, given, schedule = self._begun(state, torques, duration, steps, every)
+            if given.ndim > 2:
                 raise ValueError('torques: expected those of one trajectory, shape (rows, '
-                                 f'{given.torques.shape[-1]}), got {given.torques.shape}')
-            schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
-            if state is not None:
-                simulation.data.require_state(state)
-                if state.is_batch:
-                    raise ValueError(
-                        f'state: expected a single one, got a batch of {len(state)}')
-                if not begins(self.model, state):
-                    raise ValueError('state: expected one in which the effects begin again, as '
-                                     'Model.assemble returns it, got one in which they have gone '
-                                     'on')
-            simulation.stepping.begin_at(self.model.assemble() if state is None else state)
-            if simulation.data.system is not self._system:
-                self._rebind()
-            return self._made(schedule, all_torques(simulation, given.torques))
+                                 f'{given.shape[-1]}), got {given.shape}; `trajectories` '
+                                 'takes those of many')
+            if state.is_batch:
+                raise ValueError(f'state: expected a single one, got a batch of {len(state)}; '
+                                 '`trajectories` takes it')
+            return self._made(state, schedule, all_torques(self._simulation, given))
 
-    def _made(self, schedule: TimeGrid, torque: np.ndarray) -> 'Trajectory':
-        simulation, system = self._simulation, self._system
+    def trajectories(self, state: Optional[State] = None, torques: Optional[ArrayLike] = None, *,
+                     duration: Optional[float] = None, steps: Optional[int] = None,
+                     every: int = 1) -> 'Trajectories':
+        """
+        Make many trajectories, each as ``trajectory`` does.
+
+        Parameters
+        ----------
+        state : State, optional
+            A batch of where they begin, or one for all; the scene's start when not given.
+        torques : array_like, shape (n, rows, number of actuated joints), or without n
+            [N m or N]; of each trajectory, or those of all. None when not given.
+        duration, steps, every
+            As for ``Simulation.rollout``.
+
+        Returns
+        -------
+        Trajectories
+            As many as there are states, or rows of torques. Where no ``independent`` coordinates
+            were asked for, they are those of the first one for all.
+
+        Raises
+        ------
+        AssemblyError, NumericalError, ClosureError, SingularityError
+            As of ``trajectory``, for the first that cannot be made, with its number.
+        ValueError
+            For arguments that make no sense, such as neither states nor torques of many.
+
+        """
+        with self._lock:
+            state, given, schedule = self._begun(state, torques, duration, steps, every)
+            counts = {*([len(state)] if state.is_batch else []), *given.shape[:-2]}
+            if len(counts) != 1:
+                raise ValueError(
+                    'expected a batch of states, or torques with a leading axis, of one length, '
+                    f'got {len(state) if state.is_batch else "a single"} state(s), and torques of '
+                    f'shape {given.shape}')
+            count = counts.pop()
+            made: List[Trajectory] = []
+            torque = np.broadcast_to(
+                all_torques(self._simulation, given),
+                (count, given.shape[-2], len(self._simulation.torque_names)))
+            for number in range(count):
+                try:
+                    made.append(self._made(state[number] if state.is_batch else state, schedule,
+                                           torque[number].copy(), made[0] if made else None))
+                except SimulationError as error:
+                    raise type(error)(f'trajectory {number}: {error}') from None
+            return Trajectories(made)
+
+    def _begun(self, state: Optional[State], torques: Optional[ArrayLike],
+               duration: Optional[float], steps: Optional[int],
+               every: int) -> Tuple[State, np.ndarray, TimeGrid]:
+        """Return a start, torques and instants, checked but for numbers of trajectories."""
+        simulation = self._simulation
+        given = RolloutArguments(simulation, torques, None, None, None)
+        schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
+        if state is None:
+            return self.model.assemble(), given.torques, schedule
+        simulation.data.require_state(state)
+        if not begins(self.model, state):
+            raise ValueError('state: expected one in which the effects begin again, as '
+                             'Model.assemble returns it, got one in which they have gone on')
+        return state, given.torques, schedule
+
+    def _made(self, state: State, schedule: TimeGrid, torque: np.ndarray,
+              like: 'Optional[Trajectory]' = None) -> 'Trajectory':
+        """Make a trajectory; ``like``: one whose independent coordinates are those of this."""
+        simulation = self._simulation
+        # A start is tried by a step, which the torques of the last trajectory have no part in.
+        simulation.data.system.tau[:] = 0.0
+        simulation.stepping.begin_at(state)
+        if simulation.data.system is not self._system:
+            self._rebind()
+        system = self._system
         stabilisation = STABILISATIONS[simulation.scene.method.stabilisation]
         run = SteppedRun(self._tableau, stabilisation, simulation.step_size,
                          schedule.zero_order_hold, schedule.decimation, torque)
@@ -254,7 +317,7 @@ class Sensitivity:
         time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
         return Trajectory(
             sealed(time), frozen(states[:, :nq]), frozen(states[:, nq:nq + nv]),
-            _Record(self, system, self._derivatives, run, tape))
+            _Record(self, system, self._derivatives, run, tape, like._record if like else None))
 
     def _start_map(self, record: '_Record') -> Tuple[Tuple[str, ...], np.ndarray]:
         """
@@ -271,7 +334,10 @@ class Sensitivity:
         nq, nv = self._simulation.coordinates.nq, self._simulation.coordinates.nv
         q, qd = (part.copy() for part in np.split(record.tape.state[0, :nq + nv], [nq]))
         jac, bending, by_parameter, rate_by_parameter = record.derivatives.closures(q, qd)
-        own = choose_independent(jac, self._inputs) if self._asked is None else self._asked
+        own = self._asked
+        if own is None:
+            own = choose_independent(jac, self._inputs) if record.like is None else places_of(
+                self._names, record.like.start_map[0])
         try:
             rest = dependent_on(jac, own, self._names)
         except ValueError:
@@ -327,9 +393,9 @@ class _Record:
     """Data of a trajectory for its derivatives."""
 
     def __init__(self, owner: Sensitivity, system: Any, derivatives: StepDerivatives,
-                 run: SteppedRun, tape: Any) -> None:
+                 run: SteppedRun, tape: Any, like: 'Optional[_Record]') -> None:
         self.owner, self.system, self.derivatives = owner, system, derivatives
-        self.run, self.tape = run, tape
+        self.run, self.tape, self.like = run, tape, like
         self._start_map: Optional[Tuple[Tuple[str, ...], np.ndarray]] = None
 
     @property
@@ -445,6 +511,80 @@ class Trajectory:
                        np.hstack((rows['position'], rows['velocity'])), rows['parameters'], out)
         whole = out if batch else out[0]
         return Changes(frozen(whole[..., :nq]), frozen(whole[..., nq:]))
+
+
+class Trajectories(Sequence[Trajectory]):
+    """
+    Motions from many starts, or under many torques, with their derivatives; they never change.
+
+    A sequence of them, each a ``Trajectory``.
+
+    Attributes
+    ----------
+    time : ndarray, shape (instants,)
+    position, velocity : ndarray, shape (n, instants, nq), (n, instants, nv)
+        As of ``Trajectory``.
+    independent : tuple of str
+        Joints whose coordinates and rates are those of the starts, in their order.
+
+    """
+
+    def __init__(self, each: Sequence[Trajectory]) -> None:
+        self._each = tuple(each)
+        self.time = each[0].time
+        self.position, self.velocity = (
+            frozen(np.stack([getattr(one, name) for one in each]))
+            for name in ('position', 'velocity'))
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._each)
+
+    def __getitem__(self, number: Any) -> Any:
+        """Return one of them, or a tuple for a slice."""
+        return self._each[number]
+
+    def __repr__(self) -> str:
+        """Show the shapes."""
+        return by_shapes(self, 'time', 'position', 'velocity')
+
+    @property
+    def independent(self) -> Tuple[str, ...]:
+        """Joints whose coordinates and rates are those of the starts, in their order."""
+        return self._each[0].independent
+
+    def gradient(self, by_position: Optional[ArrayLike] = None,
+                 by_velocity: Optional[ArrayLike] = None) -> Gradient:
+        """
+        Return the derivatives of a cost of each trajectory, as ``Trajectory.gradient`` does.
+
+        All arguments and results have a leading axis of n.
+        """
+        return Gradient(*self._of_each(
+            'gradient', {'by_position': by_position, 'by_velocity': by_velocity}))
+
+    def changes(self, torques: Optional[ArrayLike] = None, position: Optional[ArrayLike] = None,
+                velocity: Optional[ArrayLike] = None,
+                parameters: Optional[ArrayLike] = None) -> Changes:
+        """
+        Return the first-order changes of each trajectory, as ``Trajectory.changes`` does.
+
+        All arguments and results have a leading axis of n, before that of directions.
+        """
+        return Changes(*self._of_each('changes', {
+            'torques': torques, 'position': position, 'velocity': velocity,
+            'parameters': parameters}))
+
+    def _of_each(self, name: str, given: Dict[str, Optional[ArrayLike]]) -> Any:
+        """Return the results of a method of each, stacked."""
+        arrays = {key: reals(key, value) for key, value in given.items() if value is not None}
+        for key, array in arrays.items():
+            if array.shape[:1] != (len(self),):
+                raise ValueError(f'{key}: expected a leading axis of {len(self)} trajectories, '
+                                 f'got shape {array.shape}')
+        found = [getattr(one, name)(**{key: array[number] for key, array in arrays.items()})
+                 for number, one in enumerate(self._each)]
+        return (frozen(np.stack(parts)) for parts in zip(*found))
 
 
 def _shaped(name: str, given: Optional[ArrayLike], shape: Tuple[int, ...]) -> np.ndarray:

@@ -64,6 +64,9 @@ class Case:
     def run(self, torques, start):
         return self.sensitivity.trajectory(start, torques, steps=STEPS, every=EVERY)
 
+    def run_many(self, torques, start):
+        return self.sensitivity.trajectories(start, torques, steps=STEPS, every=EVERY)
+
     def cost(self, position, velocity):
         return np.sum(self.of_position * position) + np.sum(self.of_velocity * velocity)
 
@@ -336,6 +339,63 @@ def test_changes_in_one_direction_are_without_an_axis(three_rrr):
     np.testing.assert_array_equal(both.velocity[1], one.velocity)
     nothing = three_rrr.trajectory.changes()
     assert not nothing.position.any() and nothing.velocity.shape == one.velocity.shape
+
+
+@pytest.mark.parametrize('many', ['starts', 'torques', 'both'])
+def test_many_trajectories_are_single_ones(three_rrr, many):
+    case, n = three_rrr, len(three_rrr.own)
+    shift = 0.02 * case.rng.normal(size=(2, 3, n))
+    starts = [case.moved(*one) for one in zip(*shift)]
+    torques = case.torques * np.array([1.0, -0.5, 2.0])[:, np.newaxis, np.newaxis]
+    batch = case.model.state(*(np.stack([getattr(one, name) for one in starts])
+                               for name in ('q', 'qd')))
+    if many == 'torques':
+        batch, starts = case.start, [case.start] * 3
+    if many == 'starts':
+        torques = case.torques
+    found = case.run_many(torques, batch)
+    assert len(found) == 3 and found.independent == case.own
+    weights = case.rng.normal(size=found.position.shape), case.rng.normal(
+        size=found.velocity.shape)
+    gradient = found.gradient(*weights)
+    directions = {'torques': case.rng.normal(size=(3, *case.torques.shape)),
+                  'position': case.rng.normal(size=(3, n)),
+                  'velocity': case.rng.normal(size=(3, n)),
+                  'parameters': case.rng.normal(size=(3, *case.gradient.parameters.shape))}
+    changes = found.changes(**directions)
+    for k, start in enumerate(starts):
+        one = case.run(np.broadcast_to(torques, (3, *case.torques.shape))[k], start)
+        np.testing.assert_array_equal(found.position[k], one.position)
+        np.testing.assert_array_equal(found.velocity[k], one.velocity)
+        for all_of, single in (
+                (gradient, one.gradient(*(each[k] for each in weights))),
+                (changes, one.changes(**{name: each[k] for name, each in directions.items()}))):
+            for several, value in zip(all_of, single):
+                np.testing.assert_allclose(
+                    several[k], value, rtol=0, atol=1e-13 * np.abs(value).max(initial=1.0))
+        # Of rollouts, by one torque of each.
+        step, others = 1e-3, np.broadcast_to(torques, (3, *case.torques.shape))[k]
+
+        def cost(amount):
+            done = cld.rollout(case.model, start, others + amount * directions['torques'][k],
+                               method=case.method, steps=STEPS, every=EVERY)
+            return np.sum(weights[0][k] * done.position[0]) + np.sum(
+                weights[1][k] * done.velocity[0])
+
+        expected = differences(cost, step)
+        assert np.sum(gradient.torques[k] * directions['torques'][k]) == pytest.approx(
+            expected, rel=1e-7)
+
+
+def test_many_trajectories_of_no_number_are_refused(three_rrr):
+    case = three_rrr
+    with pytest.raises(ValueError, match='got a single state'):
+        case.run_many(case.torques, case.start)
+    found = case.run_many(np.stack([case.torques] * 2), case.start)
+    with pytest.raises(ValueError, match='by_position: expected a leading axis of 2'):
+        found.gradient(found.position[0])
+    with pytest.raises(NumericalError, match='trajectory 1: '):
+        case.run_many(np.stack([case.torques, 1e300 * case.torques]), case.start)
 
 
 def test_results_never_change(three_rrr):
