@@ -137,9 +137,13 @@ def compared(motion, aim):
             lines.append(_circle(motion, settled, *aim.circle))
         if aim.places:
             lines.append(_reached(motion, *aim.places))
-    if not _closure(motion) < OPEN:
-        lines.append(('', f'the loops were open by {_closure(motion):.1e} m or rad'))
     return lines
+
+
+def open_loops(motion):
+    """Return what is to be said of loops that did not stay closed: a list, empty if they did."""
+    off = _closure(motion)
+    return [] if off < OPEN else [f'the loops were open by {off:.1e} m or rad']
 
 
 def _speed(motion, settled, joint, wanted):

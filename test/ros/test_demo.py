@@ -20,7 +20,7 @@ from closedloop_dynamics.visual.trajectory import Trajectory
 import demo
 from demo_drive import Aim, aim_of, drive_for, shipped_drives
 from demo_report import (
-    compared, draw, not_representative, read_run, Run, summary, wanted_motion)
+    compared, draw, not_representative, open_loops, read_run, Run, summary, wanted_motion)
 import numpy as np
 import pytest
 
@@ -303,10 +303,11 @@ def test_speed_and_ripple_are_compared_with_what_was_wanted(mean, ripple, failed
 
 
 def test_loops_that_are_open_are_told():
-    motion, aim = turning(SPEED, 0.0)
-    *_, (_, failure) = compared(motion, aim)
+    motion, _ = turning(SPEED, 0.0)
     # Only the crank was turned.
+    failure, = open_loops(motion)
     assert 'the loops were open' in failure
+    assert not open_loops(motion.part(slice(1)))
 
 
 def run_of(moment, simulated=None, commands=None):
@@ -334,15 +335,32 @@ def test_a_run_on_a_busy_machine_is_called_not_representative(run, reason):
     assert not reasons if reason is None else any(reason in each for each in reasons), reasons
 
 
-@pytest.mark.parametrize('failures, reasons, wanted, lines', [
-    ([], [], True, ['as wanted']), ([], [], False, ['it ran in real time']),
-    (['backwards'], ['late'], True, ['NOT as wanted: backwards', 'NOT representative']),
-    (['backwards'], [], True, ['NOT as wanted: backwards', 'the machine had the time']),
-    ([], ['late'], True, ['as wanted', 'NOT representative'])])
-def test_verdict_names_what_and_why(failures, reasons, wanted, lines):
-    said = demo.verdict(failures, reasons, wanted)
+@pytest.mark.parametrize('faults, failures, reasons, wanted, lines', [
+    ([], [], [], True, ['as wanted']), ([], [], [], False, ['it ran in real time']),
+    ([], ['backwards'], ['late'], True, ['NOT representative', 'not judged therefore: backwards']),
+    (['open'], ['backwards'], ['late'], True,
+     ['NOT as wanted: open', 'NOT representative', 'not judged therefore: backwards']),
+    (['open'], ['backwards'], [], True,
+     ['NOT as wanted: open; backwards', 'the machine had the time']),
+    ([], ['backwards'], [], True, ['NOT as wanted: backwards', 'the machine had the time']),
+    ([], [], ['late'], True, ['as wanted', 'NOT representative'])])
+def test_verdict_names_what_and_why(faults, failures, reasons, wanted, lines):
+    said = demo.verdict(faults, failures, reasons, wanted)
     assert len(said) == len(lines)
     assert all(line.startswith(start) for line, start in zip(said, lines))
+
+
+@pytest.mark.parametrize('simulated, done', [(7.9, False), (7.0, True)])
+def test_a_path_that_is_no_circle_fails_only_where_there_was_time(
+        monkeypatch, tmp_path, capsys, simulated, done):
+    motion, aim = platform_on_a_circle(0.8)
+    run = Run(motion, simulated, {'joint_states': motion.time})
+    monkeypatch.setattr(demo, '_run_nodes', lambda *of: 'ended')
+    monkeypatch.setattr(demo, 'read_run', lambda *of: run)
+    assert demo.demonstrate(load_scene('three_rrr'), 8.0, tmp_path / 'out') is done
+    said = capsys.readouterr().out
+    assert ('NOT as wanted' in said) is not done
+    assert ('NOT representative' in said) is ('not judged therefore' in said) is done
 
 
 def test_a_machine_that_fails_makes_the_exit_code(monkeypatch, tmp_path, capsys):
