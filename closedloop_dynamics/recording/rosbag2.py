@@ -52,8 +52,15 @@ class RosBag:
         """Yield topic, time of reception [ns] and message, decoded, where ``wanted(topic)``."""
         from rclpy.serialization import deserialize_message
         types = {topic.name: topic.type for topic in self._reader.get_all_topics_and_types()}
-        while self._reader.has_next():
-            name, data, time = self._reader.read_next()[:3]
+        while True:
+            try:
+                if not self._reader.has_next():
+                    return
+                name, data, time = self._reader.read_next()[:3]
+            except RuntimeError as error:
+                # It cannot go on behind that.
+                self.damages.append(f'rosbag2_py reads no further: {" ".join(str(error).split())}')
+                return
             if wanted is not None and not wanted(name):
                 continue
             package, _, kind = types[name].split('/')

@@ -71,3 +71,21 @@ def test_ros_reads_the_same_messages(only_ros, tmp_path, storage):
 def test_bag_that_ros_does_not_open_is_told_with_a_remedy(only_ros, tmp_path):
     with pytest.raises(OSError, match='rosbag2_py cannot open it.*pip install rosbags mcap'):
         rosbag2.open_bag(tmp_path / 'nowhere')
+
+
+def test_messages_before_a_damage_are_used_and_the_damage_is_told(only_ros, tmp_path, monkeypatch):
+    files = BagFiles(tmp_path / 'bag', 'mcap')
+    write(files, 20)
+    files.close()
+    read_next = Reader.read_next
+
+    def damaged(reader):
+        if len(reader._messages) == 10:
+            raise RuntimeError('chunk is\ndamaged')
+        return read_next(reader)
+
+    monkeypatch.setattr(Reader, 'read_next', damaged)
+    bag = rosbag2.open_bag(tmp_path / 'bag')
+    assert len(list(bag.messages())) == 30
+    with pytest.warns(UserWarning, match='rosbag2_py reads no further: chunk is damaged'):
+        bag.warn()
