@@ -24,7 +24,20 @@ def test_manifest_is_valid_without_warnings():
 
 def test_versions_agree():
     setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())[1]
-    assert {manifest().version, setup} == {closedloop_dynamics.__version__}
+    recipe = re.search(r'version: ([\d.]+)$', (ROOT / 'packaging' / 'conda' / 'recipe.yaml')
+                       .read_text(), flags=re.M)[1]
+    assert {manifest().version, setup, recipe} == {closedloop_dynamics.__version__}
+
+
+def test_check_list_of_a_release_names_all_files_with_placeholders():
+    step = re.search(r'A release:\n\n1\. (.*?)\n2\. ', (ROOT / 'CONTRIBUTING.md').read_text(),
+                     flags=re.DOTALL)[1]
+    for path in ('setup.py', 'package.xml', 'closedloop_hardware/package.xml'):
+        assert ('example.org' in (ROOT / path).read_text()) and f'`{path}`' in step, path
+    others = [path for path in (*ROOT.glob('*.md'), *ROOT.glob('packaging/**/*.*'), *ROOT.glob(
+        'doc/*.md'), ROOT / 'pyproject.toml', ROOT / 'mkdocs.yml') if 'example.org' in
+        path.read_text() and path.name != 'CONTRIBUTING.md']
+    assert not others
 
 
 def test_change_log_is_read_once_it_has_a_version():
