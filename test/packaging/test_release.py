@@ -24,7 +24,7 @@ def test_manifest_is_valid_without_warnings():
 
 def test_versions_agree():
     setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())[1]
-    recipe = re.search(r'version: ([\d.]+)$', (ROOT / 'packaging' / 'conda' / 'recipe.yaml')
+    recipe = re.search(r'^  version: ([\d.]+)$', (ROOT / 'packaging' / 'conda' / 'recipe.yaml')
                        .read_text(), flags=re.M)[1]
     assert {manifest().version, setup, recipe} == {closedloop_dynamics.__version__}
 

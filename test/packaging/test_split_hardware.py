@@ -23,8 +23,8 @@ def git(*arguments, cwd):
 @pytest.fixture
 def split(tmp_path):
     """Return the folder into which the plugin of the last commit was split off."""
-    if not (ROOT / '.git').exists():
-        pytest.skip('needs the repository')
+    if not (ROOT / '.git').exists() or shutil.which('git') is None:
+        pytest.skip('needs the repository, and git')
     run(SCRIPT, tmp_path / 'split', cwd=tmp_path)
     return tmp_path / 'split'
 
