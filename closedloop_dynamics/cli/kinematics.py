@@ -88,12 +88,12 @@ def drives_given(arguments, scene):
 
 def drive_and_count(text):
     """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, its drive and the count."""
-    name, drive, count = course(text)
+    name, drive, count = motion_of(text)
     ends = text.partition('=')[2].split(':')[:2]
     return name, (drive, count, [unit for _, unit in map(_value, ends) if unit])
 
 
-def course(text):
+def motion_of(text):
     """
     Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name, a ``Drive`` and the count.
 

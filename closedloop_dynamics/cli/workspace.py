@@ -11,7 +11,7 @@ import numpy as np
 from .command import (
     Argument, assignment, Command, Group, interrupted, mapping, picture_option, positive,
     READING_OPTIONS, require_free, SCENE, scene_to_change, SET, UsageError, whole)
-from .kinematics import course, interval, value_of
+from .kinematics import interval, motion_of, value_of
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
 from ..simulation.driven import BranchEndError
@@ -28,7 +28,7 @@ OPTIONS = 'point', 'grid', 'orientation', 'turn', 'limit', 'clearance', 'torque-
 
 def _axis(text):
     """Convert ``NAME=FROM:TO:COUNT`` or ``NAME=VALUE`` to a name and its range."""
-    name, drive, count = course(text)
+    name, drive, count = motion_of(text)
     return name, (drive.start, drive.end, count or 1)
 
 

@@ -36,7 +36,7 @@ class Cost:
     probed: float  # Simulated time that the probe covered [s]
     failure: str = ''  # Why the probe failed, whose costs are those up to there
     # Simulated time and CPU time of it along the probe [s].
-    course: tuple = field(default=(), repr=False, compare=False)
+    history: tuple = field(default=(), repr=False, compare=False)
 
     @property
     def setting(self):
@@ -113,8 +113,8 @@ def probe(simulation, duration, rate, torque=None, estimated=False, longest=None
 
 def _like(cost, longer):
     """Return a cost extrapolated like that of a run probed for longer, times a factor."""
-    reached, spent = cost.course[-1]
-    times, taken = zip(*longer.course)
+    reached, spent = cost.history[-1]
+    times, taken = zip(*longer.history)
     place = bisect_right(times, reached)
     # At the same time in the longer probe.
     share = (reached - times[place - 1]) / (times[place] - times[place - 1])

@@ -316,11 +316,11 @@ def _driven_scene(scene, drives, duration):
     points = [point.name for point in mechanism.points]
     for name, drive in drives.items():
         point, _, axis = name.rpartition('.')
-        course = {'offset': drive.start, 'speed': (drive.end - drive.start) / duration}
+        motion = {'offset': drive.start, 'speed': (drive.end - drive.start) / duration}
         if _is_freedom(scene, name):
-            course['joint'] = name
+            motion['joint'] = name
         elif point in points and axis in AXES[:size]:
-            course.update(point=point, direction=tuple(
+            motion.update(point=point, direction=tuple(
                 float(axis == other) for other in AXES[:size]))
         else:
             example = f', {points[0]}.x' if points else ''
@@ -332,7 +332,7 @@ def _driven_scene(scene, drives, duration):
             key += '_'
         try:
             with at('effects', key):
-                effects[key] = PrescribedMotion('constant_speed', **course)
+                effects[key] = PrescribedMotion('constant_speed', **motion)
                 effects[key].fit(mechanism)
         except FieldError as error:
             raise ValueError(str(error)) from None

@@ -484,8 +484,8 @@ def feedforward(model: 'Model', drives: Dict[str, ArrayLike], time: ArrayLike,
     if not (np.isfinite(instants).all() and (np.diff(instants) > 0.0).all()):
         raise ValueError('time: expected finite numbers that rise')
     at_rest = model.solve(values, branch=start)
-    course = CubicSpline(instants, np.array(list(values.values())).T)
-    rates, accelerations = course(instants, 1), course(instants, 2)
+    path = CubicSpline(instants, np.array(list(values.values())).T)
+    rates, accelerations = path(instants, 1), path(instants, 2)
     states, torques = [], []
     for k, one in enumerate(at_rest):
         basis = model.reduce(one, tuple(values)).basis
