@@ -11,6 +11,7 @@
 
 #include "batch.hpp"
 #include "bounds.hpp"
+#include "library.hpp"
 
 namespace closedloop
 {
@@ -228,6 +229,10 @@ void Data::link(Indices code)
   require(
     code.size == 0 || code.size == routine::TABLE_COLUMNS,
     "expected addresses of routines by place in the function table");
+  // Code of a scene alone has addresses of functions of the engine.
+  require(
+    has_effects() || code.size == 0 || code[library::PIECE] == 0,
+    "effects: expected those that the code was generated for, got none");
   table = Array<Indices>(routine::TABLE_COLUMNS);
   closedloop::copy(code, table.part(0, code.size));
   corrections = Array<Table>(2, code.size == 0 ? 0 : nv());
