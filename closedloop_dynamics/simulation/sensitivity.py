@@ -317,7 +317,7 @@ class Sensitivity:
         time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
         return Trajectory(
             sealed(time), frozen(states[:, :nq]), frozen(states[:, nq:nq + nv]),
-            _Record(self, system, self._derivatives, run, tape, like._record if like else None))
+            _Record(self, system, self._derivatives, run, tape, like))
 
     def _start_map(self, record: '_Record') -> Tuple[Tuple[str, ...], np.ndarray]:
         """
@@ -337,7 +337,7 @@ class Sensitivity:
         own = self._asked
         if own is None:
             own = choose_independent(jac, self._inputs) if record.like is None else places_of(
-                self._names, record.like.start_map[0])
+                self._names, record.like.independent)
         try:
             rest = dependent_on(jac, own, self._names)
         except ValueError:
@@ -393,7 +393,7 @@ class _Record:
     """Data of a trajectory for its derivatives."""
 
     def __init__(self, owner: Sensitivity, system: Any, derivatives: StepDerivatives,
-                 run: SteppedRun, tape: Any, like: 'Optional[_Record]') -> None:
+                 run: SteppedRun, tape: Any, like: 'Optional[Trajectory]') -> None:
         self.owner, self.system, self.derivatives = owner, system, derivatives
         self.run, self.tape, self.like = run, tape, like
         self._start_map: Optional[Tuple[Tuple[str, ...], np.ndarray]] = None
