@@ -244,6 +244,11 @@ def test_transmission_angles_of_a_textbook(tmp_path, capsys):
     assert 'http' not in page and 'src="data:' in page and '<script' not in page
 
 
+def test_lengths_of_a_slider_crank_are_those_of_crank_and_rod():
+    assert design.length_keys(load_scene('slider_crank')) == (
+        'mechanism.joints.rod_joint.position.0', 'mechanism.cut_joints.cut_1.point_a.0')
+
+
 def test_transmission_angles_do_not_depend_on_where_the_loop_is_cut(tmp_path):
     scene = four_bar(tmp_path, 2.0, 7.0, 9.0, 6.0)
     expected = transmission_angle(
