@@ -77,10 +77,8 @@ def test_no_redundant_loop_loses_energy_in_silence(count, monkeypatch):
     assert counts['refused'] <= 0.01 * count
 
 
-# What became singular, or lost energy, before equations were looked at after every step. The last
-# one comes so near to a singular position that an accuracy of 1e-8 is not promised.
-@pytest.mark.parametrize('number, outcome', [
-    (25, 'accepted'), (28, 'accepted'), (36, 'accepted'), (208, 'warned')])
-def test_equations_that_become_dependent_are_exchanged_in_time(number, outcome, monkeypatch):
+# What became singular, or lost energy, before equations were looked at after every step.
+@pytest.mark.parametrize('number', [25, 28, 36, 208])
+def test_equations_that_become_dependent_are_exchanged_in_time(number, monkeypatch):
     monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
-    assert attack(np.random.default_rng([7, number])) == outcome
+    assert attack(np.random.default_rng([7, number])) == 'accepted'

@@ -313,6 +313,7 @@ class _Cut:
         law = coupling_law.structure(model.replaced(
             cut=model.cut[[row]], cut_point=model.cut_point[[row]]))
         return (*model.cut[row, [CUT_TYPE, POSSIBLE]].tolist(), *width,
+                space.is_spatial(model) and space.is_carried(model.cut[row]),
                 *(int(model.cut[row, PATH_END] - model.cut[row, PATH_A]) for _ in law),
                 *(each.tobytes() for each in law))
 

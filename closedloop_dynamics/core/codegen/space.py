@@ -140,7 +140,9 @@ _TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning
 
 def equation_names(kind, held):
     """
-    Name the equations of a cut type; x, y and z are the world's, or its own where it slides.
+    Name the equations of a cut type.
+
+    x, y and z are the world's; its own where it slides or ``is_carried``.
 
     ``held``: components that cut joints hold, by type: ``HELD``, here or of ``plane``.
     """
@@ -318,8 +320,20 @@ def cuts(model, symbols):
             if cut[CUT_TYPE] >= COUPLED_PLACE else None,
             law=coupling_law.law_of(cut, values, row),
             motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
-            turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN)))
+            turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN), carried=is_carried(cut)))
     return found
+
+
+def is_carried(cut):
+    """
+    Return whether a cut joint, a row of ``Model.cut``, holds places along axes of body B.
+
+    Joints with an axis do, in loops that a moving body carries: what holds there anyway, such as
+    the places across a planar loop, or repeats another loop does so along axes that move with it.
+    """
+    _, along, perpendicular = HELD[cut[CUT_TYPE]]
+    return bool(
+        len(along) == 3 and len(perpendicular) > 1 and cut[PATH_COMMON] < cut[PATH_END])
 
 
 def kept(cut):

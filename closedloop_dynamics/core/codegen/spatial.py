@@ -58,8 +58,8 @@ class Body(NamedTuple):
 class Cut(NamedTuple):
     """Constants of a cut joint; numbers or symbols."""
 
-    #: Axes of its frame on body B along which nothing moves; the world's where they are three
-    #: (tuple of int).
+    #: Axes of its frame on body B along which nothing moves; the world's where they are three and
+    #: not ``carried`` (tuple of int).
     along: tuple
     #: Axes of its frames on body A and on body B that stay perpendicular (tuple of pairs of int).
     perpendicular: tuple
@@ -92,6 +92,8 @@ class Cut(NamedTuple):
     between: bool = False
     #: Whether the angle about Z of frames that are turned is held, in the place of anything else.
     turns: bool = False
+    #: Whether it is as ``space.is_carried`` says.
+    carried: bool = False
 
     def left(self, equations):
         """Return which of all equations the elimination works on."""
@@ -685,14 +687,17 @@ def _gap(first, second, at_a, at_b):
 def _translations(cut, first, second, at_a, at_b):
     """Yield the equations that keep two points together, in the world's axes or in body B's."""
     apart, rate, bias = gap = _gap(first, second, at_a, at_b)
-    if len(cut.along) == 3:
-        for n, axis in enumerate(IDENTITY):
-            yield Closure(apart[n], rate[n], bias[n], cross(at_a, axis) + axis,
-                          cross(axis, at_b) + negate(axis))
-    elif cut.along:
-        axes = transpose(_joint_frame(second, cut.turned_b, cut.angle))
+    if not cut.along:
+        return
+    axes = transpose(_joint_frame(second, cut.turned_b, cut.angle))
+    if len(cut.along) < 3:
         for n in cut.along:
             yield _along(axes[n], gap, second, at_a, at_b)
+        return
+    # All three hold along any axes, whether these turn or not.
+    for axis in axes if cut.carried else IDENTITY:
+        yield Closure(dot(axis, apart), dot(axis, rate), dot(axis, bias),
+                      cross(at_a, axis) + axis, cross(axis, at_b) + negate(axis))
 
 
 def _along(axis, gap, second, at_a, at_b):
