@@ -54,8 +54,9 @@ class Rotor(Effect):
     Attributes
     ----------
     joint : str
-        Of one freedom; with a ``gear_ratio`` beyond 1e9, at which the carrier's rotation is
-        negligible, any freedom of the tree, or a spherical or free joint as a whole: all axes.
+        Of one degree of freedom; with a ``gear_ratio`` beyond 1e9, at which the carrier's rotation
+        is negligible, any degree of freedom of the tree, or a spherical or free joint as a whole:
+        all axes.
     inertia : float
         J of the rotor about its own axis, zero or more [kg m^2].
     gear_ratio : float
@@ -83,7 +84,7 @@ class Rotor(Effect):
 
     def joints(self, mechanism):
         """
-        Return the names that ``joint`` may be: of joints of one freedom.
+        Return the names that ``joint`` may be: of joints of one degree of freedom.
 
         Where the rotation of the carrier is negligible, of any freedom with a number in the tree,
         and of balls: about all three axes.

@@ -206,7 +206,7 @@ class JointTorque(Unknown):
         mechanism = scene.mechanism
         freedoms = mechanism.coordinates.names
         with at(self.name, 'joint'):
-            one_of(freedoms, 'a freedom of the tree among')(self.joint)
+            one_of(freedoms, 'a degree of freedom of the tree among')(self.joint)
         joint = mechanism.coordinates.joint_of(self.joint)
         return replace(scene, mechanism=replace(mechanism, joints=tuple(
             replace(one, actuated=True) if one.name == joint else one

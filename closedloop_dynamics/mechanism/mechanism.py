@@ -225,9 +225,9 @@ class CutJoint:
     lead : float or None
         Of a helical joint [m/rad].
     actuated : bool
-        Whether a torque (force, for a prismatic joint) command drives each of its freedoms:
-        of one that is revolute, prismatic, helical, cylindrical, universal, planar or spherical,
-        in the plane also of a pin in a slot.
+        Whether a torque (force, for a prismatic joint) command drives each of its degrees of
+        freedom: of one that is revolute, prismatic, helical, cylindrical, universal, planar or
+        spherical, in the plane also of a pin in a slot.
 
     """
 
@@ -254,7 +254,8 @@ class CouplingLaw:
     Attributes
     ----------
     joint : str
-        Whose coordinate x is [rad or m]; a joint of the tree of one freedom, without a factor.
+        Whose coordinate x is [rad or m]; a joint of the tree of one degree of freedom, without a
+        factor.
     polynomial : tuple of floats or None
         c0, c1, c2, ... of c0 + c1 x + c2 x^2 + ..., two or more.
     x : tuple of floats or None
@@ -290,9 +291,9 @@ class Coupling:
     ----------
     name : str
     joints : dict of str to float
-        Factors by joint [rad or m]; joints of one freedom. The sum of the coordinates times their
-        factors stays ``offset``. In the plane revolute cut joints, too, whose coordinate is
-        alpha_a - alpha_b - ``angle``.
+        Factors by joint [rad or m]; joints of one degree of freedom. The sum of the coordinates
+        times their factors stays ``offset``. In the plane revolute cut joints, too, whose
+        coordinate is alpha_a - alpha_b - ``angle``.
     offset : float
         That sum.
     radius : float or None

@@ -73,7 +73,7 @@ class Request:
 
 
 @dataclass
-class Workspace:
+class WorkspaceMap:
     """A map."""
 
     request: Request
@@ -113,7 +113,7 @@ class Workspace:
 def compute(scene, request: Request, workers: Optional[int] = None,
             file: Optional[Path] = None, resume: bool = False,
             show: Callable[[int, int], None] = lambda done, total: None,
-            keep_going: Callable[[], bool] = lambda: True) -> Workspace:
+            keep_going: Callable[[], bool] = lambda: True) -> WorkspaceMap:
     """
     Map the workspace of a platform from a scene's start.
 
@@ -511,7 +511,7 @@ def _result(scene, platform, state, request, finished):
     shape = state.shape
     if len(state.angles) > 1:
         notes.append('condition, force, stiffness and singular curves belong to one orientation')
-        return Workspace(
+        return WorkspaceMap(
             request, state.axes, state.angles, state.any_status.reshape(shape),
             state.count.reshape(shape), missed, notes=tuple(notes), finished=finished)
     status = state.any_status if state.done.all() else _status(
@@ -531,7 +531,7 @@ def _result(scene, platform, state, request, finished):
             'condition, force, stiffness and singular curves: expected as many actuated joints '
             f'of the tree as there are degrees of freedom ({len(platform.twist)}), got '
             f'{", ".join(scene.mechanism.actuated_joints) or "none"}')
-    return Workspace(
+    return WorkspaceMap(
         request, state.axes, state.angles, status.reshape(shape),
         (status == REACHED).astype(int).reshape(shape), missed, quantities, curves,
         state.position.reshape(*shape, -1), tuple(notes), finished,

@@ -253,7 +253,7 @@ class Assembler:
         if lost:
             return (f'{self.mechanism.name} stands at a change point (a singular position), to '
                     f'the digits that its position has: {self._dependence(lost)}, and which way '
-                    f'the loops move on is not decided. {self._beside(hold)}')
+                    f'the loops move on is not determined. {self._beside(hold)}')
         what = (f'The velocities held at {", ".join(held)} contradict the loops' if held else
                 'No velocities near those given keep the loops closed')
         return (f'{what}: the cut joints would separate at {left:.3g} m/s. Hold fewer joints, or '
@@ -265,7 +265,7 @@ class Assembler:
 
         There rounding of the position, divided by the distance from the change point twice, shows
         in rates: they are interpolated between places farther away. None where the equations are
-        as dependent as they are around, or the branch is not decided.
+        as dependent as they are around, or the branch is not determined.
         """
         if self.nc > MOST_EQUATIONS or self.prescribed_rates.size:
             return None

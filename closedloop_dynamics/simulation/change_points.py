@@ -8,7 +8,7 @@ At a change point two branches of positions cross, and a motion goes straight on
 differ a little from those with which it is one, the loops do not close there: each branch turns
 off before, within a distance of about the root of the difference, into the direction of the
 other. Nearer than the places from which an evaluation there is interpolated that cannot be
-followed, and which branch a run is on behind it is not decided.
+followed, and which branch a run is on behind it is not determined.
 """
 
 import numpy as np

@@ -31,7 +31,7 @@ def places_of(names, independent):
 
 def choose_independent(jac, first):
     """
-    Choose coordinates by which the others are best decided, places in rising order.
+    Choose coordinates by which the others are best determined, places in rising order.
 
     ``jac``, shape (nc, nv), has full rank; ``first`` are taken before others: the actuated ones.
     """

@@ -31,8 +31,8 @@ from ..engine import native
 PIECE, SURE, HALVINGS, MOST_PIECES = 0.1, 0.5, 12, 200
 # The sine is that of a position no further away than this.
 NEAR = 0.02
-# Weight of the others beside measured joints: which way they move is decided where nothing else
-# does, and what is measured is met nevertheless.
+# Weight of the others beside measured joints: it determines which way they move where nothing
+# else does, and what is measured is met nevertheless.
 LITTLE = 1e-18
 # Branches meet where the sine is zero: on a way longer than this share of it, it is looked whether
 # the other one was come to. Below TOUCHED it may be either.

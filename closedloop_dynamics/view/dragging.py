@@ -388,7 +388,7 @@ class Words:
         loose = [key for key, size in zip(leaves, np.abs(free).max(axis=0, initial=0.0))
                  if size > math.sqrt(SMALLEST)]
         if loose:
-            raise FieldError('a place that is decided by one value of each parameter', (
+            raise FieldError('a place that is determined by one value of each parameter', (
                 f'one that several values of {_named(loose)} give'),
                 'change one of these by its slider')
 
