@@ -26,6 +26,7 @@ from .element import ForceElement, OWN, State, WORK
 from .force_law import force_law, MOTION
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
+from ..mechanism.coordinates import EITHER
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import DrivingConstraint, GROUND, Vector
 
@@ -397,7 +398,8 @@ def _require_smooth(pieces, period):
            for one, other, end in zip(pieces, following, ends)]
     inside = [_at(piece, share * (end - piece[0]))
               for piece, end in zip(pieces, ends) for share in (0.25, 0.5, 1.0)]
-    for n, (what, unit) in enumerate((('position', 'rad or m'), ('speed', 'rad/s or m/s'))):
+    for n, (what, unit) in enumerate((
+            ('position', EITHER['position']), ('speed', EITHER['velocity']))):
         most = max((abs(each[n]) for each in inside), default=0.0)
         for row in met:
             if abs(row[n + 2] - row[n]) > NO_JUMP * most:

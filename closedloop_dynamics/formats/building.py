@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .model import Connection, free_name, NO_LIMIT, Omission
+from .model import Connection, free_name, NO_LIMIT, Omission, UNITS
 from .pose import IDENTITY, Pose, unturned
 from .visuals import placed
 from ..mechanism.fields import FieldError
@@ -44,9 +44,6 @@ JOINT_EFFECTS = {'damping': ('joint_damping', 'coefficient'),
                  'friction': ('joint_friction', 'coulomb'),
                  'armature': ('rotor', 'inertia'),
                  'stiffness': ('joint_spring', 'stiffness')}
-# Units of the numbers, of turns and of slides.
-UNITS = {'damping': ('N m s/rad', 'N s/m'), 'friction': ('N m', 'N'),
-         'armature': ('kg m^2', 'kg'), 'stiffness': ('N m/rad', 'N/m')}
 # So many elements that something is left out of are named.
 MOST_NAMED = 4
 # Reasons why elements have no influence on the motion.

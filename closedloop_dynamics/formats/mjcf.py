@@ -23,7 +23,7 @@ from .mjcf_omissions import disabled, omissions, sides
 from .mjcf_pictures import read_pictures
 from .model import (
     Belt, Connection, Drag, free_name, Link, Model, NO_CONTACTS, Omission, ReadOptions, Relation,
-    Rope, Spring)
+    Rope, Spring, UNITS)
 from .pose import IDENTITY, Pose, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.coupling_law import shifted
@@ -432,8 +432,8 @@ class _Reader:
                 self.mujoco.mjtBias.mjBIAS_AFFINE):
             return
         slides = joint.type == PRISMATIC
-        for place, key, unit in ((1, 'position gain', 'N/m' if slides else 'N m/rad'),
-                                 (2, 'velocity gain', 'N s/m' if slides else 'N m s/rad')):
+        for place, key, unit in ((1, 'position gain', UNITS['stiffness'][slides]),
+                                 (2, 'velocity gain', UNITS['damping'][slides])):
             size = abs(gear ** 2 * float(compiled.actuator_biasprm[drive, place]))
             if size:
                 self._omit(key, self.objects.mjOBJ_ACTUATOR, drive,

@@ -5,32 +5,33 @@
 
 import numpy as np
 
-from .model import Omission
+from .model import Omission, UNITS
+from ..mechanism.coordinates import QUANTITIES
 
 _ALONG = 'no effect acts along such tendons'
 _LINEAR = 'springs and dampers are linear'
-_STIFF, _DAMP = ('N/m', 'N m/rad'), ('N s/m', 'N m s/rad')
-# By field of the compiled model: quantity, kind of element, reason, units for sliding and turning
+# By field of the compiled model: quantity, kind of element, reason, units for turning and sliding
 # joints, and the flag that disables it.
 FIELDS = {
-    'tendon_stiffness': ('stiffness', 'TENDON', _ALONG, _STIFF, 'SPRING'),
-    'tendon_damping': ('damping', 'TENDON', _ALONG, _DAMP, 'DAMPER'),
-    'tendon_armature': ('armature', 'TENDON', _ALONG, ('kg', 'kg m^2'), None),
-    'tendon_frictionloss': ('friction', 'TENDON', _ALONG, ('N', 'N m'), 'FRICTIONLOSS'),
+    'tendon_stiffness': ('stiffness', 'TENDON', _ALONG, UNITS['stiffness'], 'SPRING'),
+    'tendon_damping': ('damping', 'TENDON', _ALONG, UNITS['damping'], 'DAMPER'),
+    'tendon_armature': ('armature', 'TENDON', _ALONG, UNITS['armature'], None),
+    'tendon_frictionloss': ('friction', 'TENDON', _ALONG, UNITS['friction'], 'FRICTIONLOSS'),
     'tendon_stiffnesspoly': (
-        'higher terms of the stiffness', 'TENDON', _ALONG, ('N/m^2', 'N m/rad^2'), 'SPRING'),
+        'higher terms of the stiffness', 'TENDON', _ALONG, ('N m/rad^2', 'N/m^2'), 'SPRING'),
     'tendon_dampingpoly': (
-        'higher terms of the damping', 'TENDON', _ALONG, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'higher terms of the damping', 'TENDON', _ALONG, ('N m s^2/rad^2', 'N s^2/m^2'),
         'DAMPER'),
-    'tendon_springyield': ('yield of the spring', 'TENDON', _ALONG, ('m', 'rad'), 'SPRING'),
+    'tendon_springyield': (
+        'yield of the spring', 'TENDON', _ALONG, QUANTITIES['position'], 'SPRING'),
     'jnt_stiffnesspoly': (
-        'higher terms of the stiffness', 'JOINT', _LINEAR, ('N/m^2', 'N m/rad^2'), 'SPRING'),
-    'jnt_springyield': ('yield of the spring', 'JOINT', _LINEAR, ('m', 'rad'), 'SPRING'),
+        'higher terms of the stiffness', 'JOINT', _LINEAR, ('N m/rad^2', 'N/m^2'), 'SPRING'),
+    'jnt_springyield': ('yield of the spring', 'JOINT', _LINEAR, QUANTITIES['position'], 'SPRING'),
     'dof_dampingpoly': (
-        'higher terms of the damping', 'JOINT', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'higher terms of the damping', 'JOINT', _LINEAR, ('N m s^2/rad^2', 'N s^2/m^2'),
         'DAMPER'),
     'actuator_dampingpoly': (
-        'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N m s^2/rad^2', 'N s^2/m^2'),
         'DAMPER')}
 # Acceleration that weights are compared by [m/s^2].
 STANDARD = 9.81
@@ -71,7 +72,7 @@ def omissions(mujoco, compiled, name, carried, no_drag):
                     compiled, getattr(mujoco.mjtObj, f'mjOBJ_{kind}'), number)
                 found[field, number] = Omission(
                     quantity, kind.lower(), element or f'number {number + 1}', reason, size,
-                    units[_turns(mujoco, compiled, kind, number)])
+                    units[not _turns(mujoco, compiled, kind, number)])
     drag = 0.0 if no_drag else _drag(compiled)
     if drag:
         weight = STANDARD * float(compiled.body_mass.sum())

@@ -15,6 +15,8 @@ from typing import Optional
 
 import numpy as np
 
+from ..mechanism.coordinates import QUANTITIES
+
 from .pose import IDENTITY, Pose
 from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, MechanismError
@@ -27,6 +29,9 @@ GRAVITY = (0.0, 0.0, -9.81)
 NO_LIMIT = 1e9
 # Why geometry for contacts is left out.
 NO_CONTACTS = 'bodies pass through each other'
+# Units of what acts against joints, and along tendons: of turns and of slides.
+UNITS = {'damping': ('N m s/rad', 'N s/m'), 'friction': QUANTITIES['effort'],
+         'armature': ('kg m^2', 'kg'), 'stiffness': ('N m/rad', 'N/m')}
 # By unit of a moment about an axis: the power of the lever by which it becomes a force.
 LEVERS = {'N m': 1, 'N m/rad': 2, 'N m s/rad': 2, 'kg m^2': 2, 'N m/rad^2': 3,
           'N m s^2/rad^2': 3}

@@ -43,7 +43,12 @@ _NUMBERS = {
     FREE: (('.x', True), ('.y', True), ('.z', True))}
 # Freedoms of a rotation, behind the name of its joint.
 _TURNS = ('.rx', '.ry', '.rz')
-# The quantities of a state, and their names for a rotation.
+# Units of a state's quantities, of turns and of slides.
+QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
+              'acceleration': ('rad/s^2', 'm/s^2'), 'effort': ('N m', 'N')}
+# Where it may be one or the other: ``rad or m``.
+EITHER = {quantity: ' or '.join(units) for quantity, units in QUANTITIES.items()}
+# Their names for a rotation.
 OF_ROTATIONS = {'position': 'orientation', 'velocity': 'angular_velocity',
                 'acceleration': 'angular_acceleration', 'effort': 'torque'}
 # The part of a quantity of a free joint that is no rotation has the quantity's own name.
@@ -160,6 +165,10 @@ class Coordinates:
     def numbers_and_turns(self):
         """Return the names of freedoms with a number of their own, and of joints that turn."""
         return tuple(self.names[place] for place in self._numbered) + self.with_orientation
+
+    def units(self, quantity):
+        """Return the units of one of ``QUANTITIES``, as they are for each rate."""
+        return [QUANTITIES[quantity][length] for length in self.lengths.tolist()]
 
     def joint_of(self, name):
         """Return the name of the joint that a freedom belongs to."""
@@ -365,3 +374,11 @@ class Coordinates:
                 each = 'one for each joint' if self.nq == self.nv == len(self._joints) else (
                     'for ' + ', '.join(self.columns(key)))
                 raise FieldError(f'{count} numbers, {each}', f'{len(values)}', path=(key,))
+
+
+def unit_of(mechanism, quantity, name):
+    """Return the unit of one of ``QUANTITIES``, of a coordinate by its name, or of a point."""
+    for coordinates in (mechanism.coordinates, mechanism.cut_coordinates):
+        if name in coordinates.index:
+            return coordinates.units(quantity)[coordinates.index[name]]
+    return QUANTITIES[quantity][True]

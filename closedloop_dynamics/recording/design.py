@@ -11,6 +11,7 @@ import numpy as np
 from .kinematics import by_name, Drive, DrivenRun, SECOND
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
+from ..mechanism.coordinates import unit_of
 from ..mechanism.inertia import second_moments
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
@@ -219,13 +220,13 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
     name, _ = drive_values(run)
     found = {}
     for what, one in outputs(run, table).items():
-        unit = 'm' if what.startswith('point.') or _is_length(run, what) else 'rad'
+        unit = unit_of(run.mechanism, 'position', what)
         found[f'stroke {what} [{unit}]'] = one.most.value - one.least.value
     angle = transmission_angle(run.mechanism, run.position, name)
     if angle is not None:
         found['least transmission angle [deg]'] = math.degrees(angle.min())
     for what, torque in torques.items():
-        unit = effort_unit(run, what)
+        unit = unit_of(run.mechanism, 'effort', what)
         found[f'largest torque or force {what} [{unit}]'] = float(np.abs(torque).max())
         found[f'rms {what} [{unit}]'] = float(np.sqrt(np.mean(torque ** 2)))
     for what, force in forces.items():
@@ -234,19 +235,6 @@ def key_numbers(run, table, torques, forces) -> Dict[str, float]:
     found['largest shaking force [N]'] = float(np.linalg.norm(force, axis=1).max())
     found['largest shaking moment [N m]'] = float(np.abs(signed_or_size(moment)).max())
     return found
-
-
-def effort_unit(run, drive):
-    """Return the unit of a drive's effort: N m where it is the angle of a joint, else N."""
-    names = *run.mechanism.coordinates.names, *run.mechanism.cut_coordinates.names
-    return 'N' if drive not in names or _is_length(run, drive) else 'N m'
-
-
-def _is_length(run, name):
-    """Return whether the coordinate of a joint or cut joint is a length."""
-    return any(bool(coordinates.lengths[coordinates.names.index(name)])
-               for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates)
-               if name in coordinates.names)
 
 
 class Sensitivity(NamedTuple):
@@ -292,11 +280,8 @@ def _kind(scene, key):
               for name, before in vars(one).items() if before != getattr(new, name)}
     kind = next((kind for kind, names in KINDS.items() if fields & set(names)), None)
     # Of a screw or a rack, which couple turns with slides.
-    mechanism = scene.mechanism
-    slides = any(len({bool(coordinates.lengths[coordinates.index[name]]) for name in one.joints
-                      for coordinates in (mechanism.coordinates, mechanism.cut_coordinates)
-                      if name in coordinates.index}) > 1
-                 for one, new in zip(mechanism.couplings, other.couplings) if one != new)
+    slides = any(len({unit_of(other, 'position', name) for name in new.joints}) > 1
+                 for one, new in zip(scene.mechanism.couplings, other.couplings) if one != new)
     return 'lead' if kind == 'ratio' and slides else kind
 
 

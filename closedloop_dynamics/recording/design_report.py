@@ -16,6 +16,7 @@ from . import design
 from .cycle import advantages, load_spectrum, opened, transmission_extremes
 from .kinematics import by_name, curves, drive_axis, forces, torques
 from .transmission import transmission_angle
+from ..mechanism.coordinates import unit_of
 from ..mechanism.extras import remedy
 from ..mechanism.fields import among
 from ..mechanism.four_bar import four_bar
@@ -204,7 +205,8 @@ def _transmission(run, at):
 
 def _per(run, output):
     """Return the unit of the advantage of an output."""
-    units = [design.effort_unit(run, name) for name in (output, design.drive_values(run)[0])]
+    units = [unit_of(run.mechanism, 'effort', name)
+             for name in (output, design.drive_values(run)[0])]
     return '' if units[0] == units[1] else f' {units[0]} per {units[1]}'
 
 
@@ -219,7 +221,7 @@ def _loads(run, column, values, at):
         power = power + torque * rate
         largest = design.extreme(torque, values, lambda one: np.argmax(np.abs(one)))
         fastest = design.extreme(torque * rate, values, lambda one: np.argmax(np.abs(one)))
-        unit = design.effort_unit(run, what)
+        unit = unit_of(run.mechanism, 'effort', what)
         rows.append((what, f'{largest.value:z.6g} {unit}', at(largest.drive),
                      f'{_rms(torque, run.time):.6g} {unit}', f'{fastest.value:z.6g}',
                      at(fastest.drive)))
@@ -302,7 +304,7 @@ def _rms(values, times):
 
 def _shown(run, what):
     """Return the function that writes a value of a joint or point, in degrees where it turns."""
-    if what.startswith('point.') or design.effort_unit(run, what) == 'N':
+    if unit_of(run.mechanism, 'position', what) == 'm':
         return lambda value: f'{value:.6g} m'
     return lambda value: f'{math.degrees(value):.6g} deg'
 

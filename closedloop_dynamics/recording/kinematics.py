@@ -10,6 +10,7 @@ import numpy as np
 
 from .run import headings, row
 from ..effects.prescribed_motion import PrescribedMotion
+from ..mechanism.coordinates import QUANTITIES, unit_of
 from ..mechanism.fields import at, FieldError
 from ..mechanism.kinematics import named_paths
 from ..simulation.assemblies import find_assemblies
@@ -24,9 +25,6 @@ from ..visual.trajectory import without_marks
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
-# Units of quantities, of angles and of lengths.
-QUANTITIES = {'position': ('rad', 'm'), 'velocity': ('rad/s', 'm/s'),
-              'acceleration': ('rad/s^2', 'm/s^2')}
 # Displacement in a step of the differences by which points and masses accelerate [rad, m], and
 # the differences' weights.
 STEP = 1e-2
@@ -268,13 +266,13 @@ def forces(column):
 def curves(run, table):
     """Return the curves over the drive, by quantity and name, each shape (n,)."""
     column, coordinates = by_name(table), run.mechanism.coordinates
-    names = coordinates.names
     found = {}
-    for quantity, units in QUANTITIES.items():
-        for unit, length in zip(units, (False, True)):
-            shown = {name: column[f'{quantity}.{name}'] for k, name in enumerate(names)
-                     if bool(coordinates.lengths[k]) is length and f'{quantity}.{name}' in column}
-            if shown and not length:
+    for quantity in ('position', 'velocity', 'acceleration'):
+        for unit in QUANTITIES[quantity]:
+            shown = {name: column[f'{quantity}.{name}'] for name, own in zip(
+                coordinates.names, coordinates.units(quantity))
+                if own == unit and f'{quantity}.{name}' in column}
+            if shown and 'rad' in unit:
                 # As a designer reads them.
                 unit = unit.replace('rad', 'deg')
                 shown = {name: np.degrees(each) for name, each in shown.items()}
@@ -289,10 +287,9 @@ def drive_axis(run):
     """Return the values of the first drive that moves, in degrees or metres, and their label."""
     name, values = next((name, values) for name, values in run.driven.items()
                         if len(values) < 2 or np.ptp(values) > 0.0)
-    for coordinates in (run.mechanism.coordinates, run.mechanism.cut_coordinates):
-        if name in coordinates.names and not coordinates.lengths[coordinates.names.index(name)]:
-            return np.degrees(values), f'{name} [deg]'
-    return values, f'{name} [m]'
+    if unit_of(run.mechanism, 'position', name) == 'm':
+        return values, f'{name} [m]'
+    return np.degrees(values), f'{name} [deg]'
 
 
 def _is_freedom(scene, name):

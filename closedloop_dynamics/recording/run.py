@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core.types import EVALUATIONS
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.budget import FINEST
 from ..simulation.errors import SimulationError
@@ -20,8 +21,6 @@ from ..simulation.redundancy import wrench_names
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.trajectory import LEAST, wrench_parts
 
-# What is reported of joints, and of cut joints.
-QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
 # What accuracy costs: the error of the row [rad or m], NaN without a second run; the accuracy that
 # is kept [rad or m], NaN where none is; evaluations [1/s] and CPU time since the row before, per
 # simulated time, NaN in the first row.

@@ -4,6 +4,7 @@
 """The action ``FollowJointTrajectory``: a trajectory with tolerances, feedback and an outcome."""
 
 from closedloop_dynamics.control.references import TrajectoryError, Waypoints
+from closedloop_dynamics.mechanism.coordinates import EITHER
 from closedloop_dynamics.ros.joint_trajectory import points_of, seconds_of
 from control_msgs.action import FollowJointTrajectory
 import numpy as np
@@ -132,9 +133,9 @@ class TrajectoryAction:
         row, joint = np.unravel_index(np.argmax(np.abs(error) / limits), error.shape)
         if abs(error[row, joint]) <= limits[row, joint]:
             return ''
-        what, unit = (('position', 'rad or m'), ('velocity', 'rad/s or m/s'))[row]
+        what = ('position', 'velocity')[row]
         return (f'{self._joints[joint]}: expected an error of {what} of at most '
-                f'{limits[row, joint]:g} {unit}, got {error[row, joint]:g}')
+                f'{limits[row, joint]:g} {EITHER[what]}, got {error[row, joint]:g}')
 
     def _brake(self, time, position, velocity):
         """Come to rest, then end the goal."""

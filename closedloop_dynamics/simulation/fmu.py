@@ -28,6 +28,7 @@ from .key_paths import changed, numbers, resolve
 from .parameters import finite
 from ..core.codegen import space
 from ..core.codegen.function_table import VALUE_COLUMNS
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 
@@ -230,17 +231,20 @@ class _Unit:
         """Return the variables by their value references."""
         simulation, size = self.simulation, 2 if self.simulation.mechanism.planar else 3
         names, slides = simulation.joint_names, self.coordinates.lengths
+        # As the standard spells them.
+        units = {what: [unit.replace('^', '').replace(' ', '.')
+                        for unit in self.coordinates.units(what)] for what in QUANTITIES}
         place, balls = self.coordinates.place, self.coordinates.balls
         found = [Variable('time', 'independent', 'continuous', unit='s')]
         for number in self.inputs:
             found.append(Variable(
                 f'{_structured(names[number])}.tau', 'input', 'continuous', start=0.0,
-                unit='N' if slides[number] else 'N.m', description='torque or force of the drive'))
+                unit=units['effort'][number], description='torque or force of the drive'))
         position, rate, acceleration = {}, [None] * len(names), [None] * len(names)
         for number, name in enumerate(names):
             if place[number] >= 0:
                 own = f'{_structured(name)}.q'
-                position[place[number]] = own, 'm' if slides[number] else 'rad'
+                position[place[number]] = own, units['position'][number]
                 rate[number], acceleration[number] = f'der({own})', f'der({own},2)'
         for first, turn in balls.tolist():
             joint = names[turn].rpartition('.')[0]
@@ -250,10 +254,9 @@ class _Unit:
                 own = f'{_structured(joint)}.angular_velocity[{k + 1}]'
                 rate[turn + k], acceleration[turn + k] = own, f'der({own})'
         found += [_output(*position[k], 'coordinate') for k in range(len(position))]
-        found += [_output(name, 'm/s' if slide else 'rad/s', 'rate')
-                  for name, slide in zip(rate, slides)]
-        found += [_output(name, 'm/s2' if slide else 'rad/s2', 'acceleration')
-                  for name, slide in zip(acceleration, slides)]
+        found += [_output(name, unit, 'rate') for name, unit in zip(rate, units['velocity'])]
+        found += [_output(name, unit, 'acceleration')
+                  for name, unit in zip(acceleration, units['acceleration'])]
         found += [_output(f'multiplier[{k + 1}]', None, 'of a closure equation, in the order of '
                           f'{self.name}.h [N; N m]')
                   for k in range(len(simulation.data.system.lam))]
@@ -263,12 +266,12 @@ class _Unit:
                   for what in ('kinetic', 'gravity', 'springs')]
         first = len(found)
         q, qd, free = simulation.position, simulation.velocity, self.choice
-        for what, values, unit in (('q', q[place[free]], ('rad', 'm')),
-                                   ('qd', qd[free], ('rad/s', 'm/s'))):
+        for what, values, unit in (('q', q[place[free]], units['position']),
+                                   ('qd', qd[free], units['velocity'])):
             found += [Variable(
                 f'independent.{what}[{k + 1}]', 'local', 'continuous', 'exact', float(value),
                 # Of whatever joint it is now.
-                unit[int(slides[free[k]])] if len(set(slides[place >= 0])) == 1 else None,
+                unit[free[k]] if len(set(slides[place >= 0])) == 1 else None,
                 f'at the start of {names[free[k]]}')
                 for k, value in enumerate(values)]
         for k in range(2 * len(free)):

@@ -16,9 +16,11 @@ from .independent import changes_along, choose_independent, dependent_on, places
 from .named_array import reals
 from .readings import readings_of
 from ..engine import native
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.extras import of_an_extra
 
-QUANTITIES = ('position', 'velocity', 'acceleration')
+# What outputs may be.
+OUTPUTS = tuple(QUANTITIES)[:3]
 # Newton's method for equilibria: steps at most, the longest step [rad, m], and the acceleration
 # that is rest, beside what a unit of torque would cause.
 MOST_STEPS, LONGEST_STEP, AT_REST = 100, 0.3, 1e-10
@@ -173,11 +175,7 @@ class Linearisation:
         self._asked = places_of(self._names, independent)
         self._differentiate = Differentiator(data)
         self._inputs = [self._names.index(name) for name in data.actuated_joints]
-        slides = data.coordinates.lengths
-        self._units = {
-            'position': np.where(slides, 'm', 'rad'), 'velocity': np.where(slides, 'm/s', 'rad/s'),
-            'acceleration': np.where(slides, 'm/s^2', 'rad/s^2'),
-            'effort': np.where(slides, 'N', 'N m')}
+        self._units = {what: np.array(data.coordinates.units(what)) for what in QUANTITIES}
 
     def __repr__(self):
         """Show the mechanism and the independent coordinates."""
@@ -221,9 +219,9 @@ class Linearisation:
     def _model(self, q, qd, torque, outputs, chosen):
         """Return a linear model, the derivatives and the tangents; coordinates may be chosen."""
         for name in outputs:
-            if name not in QUANTITIES:
+            if name not in OUTPUTS:
                 raise ValueError(
-                    f'outputs: expected some of {", ".join(QUANTITIES)}, got {name!r}')
+                    f'outputs: expected some of {", ".join(OUTPUTS)}, got {name!r}')
         found = self._differentiate(q, qd, torque)
         nv = len(qd)
         own, along, bent = self._tangents(found, chosen)
@@ -243,10 +241,10 @@ class Linearisation:
         names, units = np.array(self._names), self._units
         model = LinearModel(
             a, b, c, d, *(tuple(some) for some in (
-                [f'{what}.{name}' for what in QUANTITIES[:2] for name in names[own]],
+                [f'{what}.{name}' for what in OUTPUTS[:2] for name in names[own]],
                 names[self._inputs].tolist(),
                 [f'{what}.{name}' for what in outputs for name in names],
-                [unit for what in QUANTITIES[:2] for unit in units[what][own].tolist()],
+                [unit for what in OUTPUTS[:2] for unit in units[what][own].tolist()],
                 units['effort'][self._inputs].tolist(),
                 [unit for what in outputs for unit in units[what].tolist()])))
         return model, found, own, along, bent

@@ -416,12 +416,11 @@ def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
 
 def _evaluated(section: Mapping[str, Any], coordinates: Any, names: Parameters) -> Dict[str, Any]:
     """Return numbers of joints in the place of expressions, of lengths where they slide."""
-    found = {}
+    found, units = {}, coordinates.units('position')
     for key, value in section.items():
         place = coordinates.index.get(key)
         with at(key):
-            found[key] = names.evaluated(value, None if place is None else (
-                'm' if coordinates.lengths[place] else 'rad'))
+            found[key] = names.evaluated(value, None if place is None else units[place])
     return found
 
 

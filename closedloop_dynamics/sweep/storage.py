@@ -22,6 +22,7 @@ import numpy as np
 from .batch import SAMPLE_DONE, SAMPLE_FAILED
 from .plan import Plan
 from .. import __version__
+from ..mechanism.coordinates import EITHER
 from ..mechanism.extras import remedy
 from ..mechanism.fields import among, FieldError, shown
 
@@ -33,31 +34,31 @@ COORDINATE = 'coordinate'
 TREE_JOINT = 'tree_joint'
 # The longest reason in bytes.
 STATUS, REASON, LONGEST_REASON = 'status', 'reason', 400
-JOINTWISE = 'rad or m'
 
 # Variable -> dimensions after the sample, unit, description.
 MOTION = {
-    'position': ((TIME, JOINT), JOINTWISE, 'joint coordinates'),
-    'velocity': ((TIME, JOINT), 'rad/s or m/s', 'joint rates'),
-    'acceleration': ((TIME, JOINT), 'rad/s^2 or m/s^2', 'joint accelerations'),
-    'effort': ((TIME, JOINT), 'N m or N', 'joint torques, behind the drives'),
+    'position': ((TIME, JOINT), EITHER['position'], 'joint coordinates'),
+    'velocity': ((TIME, JOINT), EITHER['velocity'], 'joint rates'),
+    'acceleration': ((TIME, JOINT), EITHER['acceleration'], 'joint accelerations'),
+    'effort': ((TIME, JOINT), EITHER['effort'], 'joint torques, behind the drives'),
     'constraint_forces': ((TIME, CUT, COMPONENT), 'N m, N, N',
                           'what body B exerts on body A at the cut joints, world axes'),
     'joint_forces': ((TIME, JOINT, COMPONENT), 'N m, N, N',
                      'what the parent exerts on the child in the joints, world axes'),
     'points': ((TIME, POINT, AXIS), 'm', 'places of the named points'),
-    'closure': ((TIME,), JOINTWISE, 'largest closure error of the loops'),
+    'closure': ((TIME,), EITHER['position'], 'largest closure error of the loops'),
     'energy': ((TIME,), 'J', 'kinetic and stored energy'),
 }
 SUMMARY = {
-    'final_position': ((JOINT,), JOINTWISE, 'joint coordinates at the end'),
-    'final_velocity': ((JOINT,), 'rad/s or m/s', 'joint rates at the end'),
+    'final_position': ((JOINT,), EITHER['position'], 'joint coordinates at the end'),
+    'final_velocity': ((JOINT,), EITHER['velocity'], 'joint rates at the end'),
     'initial_energy': ((), 'J', 'kinetic and stored energy at the start'),
     'final_energy': ((), 'J', 'kinetic and stored energy at the end'),
     'peak_force': ((CUT,), 'N', 'largest force at the cut joints, over the instants'),
     'peak_moment': ((CUT,), 'N m', 'largest moment at the cut joints, over the instants'),
-    'peak_effort': ((JOINT,), 'N m or N', 'largest joint torques, over the instants'),
-    'peak_closure': ((), JOINTWISE, 'largest closure error of the loops, over the instants'),
+    'peak_effort': ((JOINT,), EITHER['effort'], 'largest joint torques, over the instants'),
+    'peak_closure': (
+        (), EITHER['position'], 'largest closure error of the loops, over the instants'),
 }
 
 

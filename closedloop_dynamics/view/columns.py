@@ -21,6 +21,7 @@ from ..effects.external_force import BODY, ExternalForce
 from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.kinematics import (
     body_poses, body_velocities, named_paths, POSE, poses_in_space)
 from ..mechanism.mechanism import GROUND, Mechanism
@@ -128,9 +129,9 @@ def joint_plots(mechanism):
     freedoms = [(name, bool(length), place in names.actuated) for place, (name, length) in (
         enumerate(zip(names.names, names.lengths)))]
     # Orientations are no numbers one by one.
-    plots = [Plot('joint position', name, ('rad', 'm')[length], driven, position[place])
+    plots = [Plot('joint position', name, QUANTITIES['position'][length], driven, position[place])
              for (name, length, driven), place in zip(freedoms, names.place) if place >= 0]
-    plots += [Plot('drive torque or force', name, ('N m', 'N')[length], column=column)
+    plots += [Plot('drive torque or force', name, QUANTITIES['effort'][length], column=column)
               for (name, length, driven), column in zip(freedoms, effort) if driven]
     plots += [Plot('drive power', name, 'W', column=f'power.{name}')
               for name, _, driven in freedoms if driven]
@@ -138,7 +139,7 @@ def joint_plots(mechanism):
               for cut in mechanism.cut_joints]
     plots += [Plot('points', f'{point.name} {axis}', 'm', column=f'point.{point.name}.{axis}')
               for point in mechanism.points for axis in 'xyz'[:len(point.position)]]
-    return plots + [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven, column)
+    return plots + [Plot('joint velocity', name, QUANTITIES['velocity'][length], driven, column)
                     for (name, length, driven), column in zip(freedoms, velocity)]
 
 
@@ -162,7 +163,7 @@ def _other_columns(names):
     """Return the columns of orientations, and of efforts of joints that are not driven."""
     position, effort = _is_other(names)
     return [names.columns('position')[place] for place in np.flatnonzero(position)] + [
-        f'{names.columns("effort")[place]} [{("N m", "N")[bool(names.lengths[place])]}]'
+        f'{names.columns("effort")[place]} [{names.units("effort")[place]}]'
         for place in np.flatnonzero(effort)]
 
 

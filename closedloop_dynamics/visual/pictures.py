@@ -9,6 +9,7 @@ from .appearance import COLORS, DASHES, DOTS_PER_INCH
 from .drawing import all_places, MechanismArtist
 from .trajectory import magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.extras import of_an_extra
 from ..mechanism.kinematics import body_poses
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
@@ -38,16 +39,16 @@ def joint_motion(motion, title, wanted=None):
     """
     groups = motion.mechanism.coordinates.groups
     wanted_position, wanted_velocity = wanted or (None, None)
-    columns = [('position', motion.position, wanted_position, ('rad', 'm')),
-               ('velocity', motion.velocity, wanted_velocity, ('rad/s', 'm/s'))]
+    columns = [('position', motion.position, wanted_position),
+               ('velocity', motion.velocity, wanted_velocity)]
     if any(group.joint.actuated for group in groups):
-        columns.append(('effort', motion.effort, None, ('N m', 'N')))
+        columns.append(('effort', motion.effort, None))
     figure = matplotlib.figure.Figure(
         figsize=(10.0, 1.4 + 1.15 * len(groups)), layout='constrained', dpi=DOTS_PER_INCH)
     panels = figure.subplots(len(groups), len(columns), sharex=True, squeeze=False)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
     for group, row in zip(groups, panels):
-        for axes, (quantity, values, goals, units) in zip(row, columns):
+        for axes, (quantity, values, goals) in zip(row, columns):
             if quantity == 'effort' and not group.joint.actuated:
                 axes.axis('off')
                 continue
@@ -61,9 +62,9 @@ def joint_motion(motion, title, wanted=None):
             for rate in group.rates if goals is not None and not group.turned else ():
                 if np.isfinite(goals[:, rate]).any():
                     axes.plot(motion.time, shown(goals[:, rate]), label='wanted', **WANTED)
-            unit = units[int(group.length)]
             name = f'{group.name}\n' if quantity == 'position' else ''
-            unit = 'x, y, z, w' if group.turned and quantity == 'position' else unit
+            unit = ('x, y, z, w' if group.turned and quantity == 'position'
+                    else QUANTITIES[quantity][int(group.length)])
             axes.set_ylabel(f'{name}[{unit}]', fontsize=9)
             if turning:
                 axes.set_title('within a turn', fontsize=8, color='0.35', loc='right', pad=2)
