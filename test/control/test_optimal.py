@@ -116,6 +116,21 @@ def test_without_active_limits_small_motions_get_the_torques_of_the_regulator(sc
 
 
 @needs_solver
+def test_the_end_of_a_path_weighs_as_all_of_it():
+    model = Model.from_scene('three_rrr_vertical')
+    pose, costs, stepper = model.assemble(), costs_of(model), model.stepper(PERIOD)
+    predictive = PredictiveController(model, pose, PERIOD, 1, *costs, 1e4)
+    state, hold = aside(model, pose, 1e-5), predictive.torques[0].copy()
+    found = predictive.torque(state.q, state.qd, (pose.q[None], pose.qd[None]))
+    stepper.q[:], stepper.qd[:], stepper.tau[:] = state.q, state.qd, hold
+    stepper()
+    away = stepper.minus(stepper.next_q, stepper.next_qd, pose.q, pose.qd)
+    weighed = stepper.B.T * costs[0]
+    expected = -np.linalg.solve(np.diag(costs[1]) + weighed @ stepper.B, weighed @ away)
+    np.testing.assert_allclose(found - hold, expected, rtol=1e-6)
+
+
+@needs_solver
 def test_limits_are_kept_at_less_cost_than_by_clipping():
     model = Model.from_scene('stewart_platform')
     pose = model.assemble()

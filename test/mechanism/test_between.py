@@ -143,6 +143,40 @@ def test_points_stay_where_they_are(tmp_path):
                  (1.0, -1.0, 1.0), 1e-12)
 
 
+def loaded_arm(directory, above, **load):
+    """Return a scene of an arm on a hinge away from its origin, with a mass on it."""
+    body = {'mass': 1.0, 'center_of_mass': [0.3, 0.1, *above],
+            'inertia': [0.05, 0.05, 0.05] if above else 0.05}
+    hinge = {'type': 'revolute', 'between': ['ground', 'arm'],
+             'points': [[0.0, 0.0, *above], [0.3, 0.1, *above]]}
+    if above:
+        hinge['axis'] = [0.0, 0.0, 1.0]
+    (directory / 'arm.yaml').write_text(yaml.safe_dump({
+        'name': 'arm', 'bodies': {'arm': body}, 'joints': {'hinge': hinge}}))
+    path = directory / 'scene.yaml'
+    path.write_text(yaml.safe_dump({
+        'mechanism': './arm.yaml', 'initial': {'position': {'hinge': 0.0}}, 'effects': {
+            'gravity': {'type': 'gravity', 'acceleration': [0.0, -9.81, *above]},
+            'load': {'type': 'payload', 'body': 'arm', 'mass': 2.0, **load}}}))
+    return path
+
+
+# Their lever about the hinge, where it is given and where it is left to be the body's origin.
+@pytest.mark.parametrize('place, lever, square', [
+    ([0.8, 0.2], 0.5, 0.26), (None, -0.3, 0.1)], ids=['given', 'origin'])
+@pytest.mark.parametrize('above', [[], [0.0]], ids=['plane', 'space'])
+def test_what_acts_on_a_body_stands_where_its_frame_was_described(
+        tmp_path, above, place, lever, square):
+    load = {} if place is None else {'position': [*place, *above]}
+    found = Simulation.from_scene(loaded_arm(tmp_path, above, **load)).acceleration
+    assert_agree(found, [-2.0 * 9.81 * lever / (0.05 + 2.0 * square)], 1e-12)
+
+
+def test_a_place_in_space_is_none_in_the_plane(tmp_path):
+    with pytest.raises(SceneError, match='effects.load.position: expected'):
+        load_scene(loaded_arm(tmp_path, [], position=[0.8, 0.2, 0.0]))
+
+
 def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
     (tmp_path / 'machine.yaml').write_text(FOUR_BAR)
     (tmp_path / 'scene.yaml').write_text(

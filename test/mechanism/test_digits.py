@@ -102,8 +102,32 @@ def cut_slide(rng, digits):
     return sliding_loop(rng, digits, cut=True)
 
 
+def thread_loop(rng, digits):
+    """Return a nut that turns and slides along an axis anywhere, on a thread that is cut."""
+    def rounded(values):
+        return np.round(values, digits).tolist()
+
+    def turned(rotation):
+        return {'quaternion': rounded(quaternion_of(rotation))}
+
+    (carrier, nut, world), place = (turn(rng) for _ in range(3)), rng.uniform(-0.3, 0.3, 3)
+    axis = world[:, 2]
+    joints = {
+        'first': {'type': 'revolute', 'parent': 'ground', 'child': 'carrier',
+                  'position': rounded(place), 'orientation': turned(carrier),
+                  'axis': rounded(carrier.T @ axis)},
+        'second': {'type': 'prismatic', 'parent': 'carrier', 'child': 'nut',
+                   'position': [0.0, 0.0, 0.0], 'orientation': turned(carrier.T @ nut),
+                   'axis': rounded(nut.T @ axis)}}
+    cut = {'type': 'helical', 'body_a': 'nut', 'body_b': 'ground', 'point_a': [0.0, 0.0, 0.0],
+           'point_b': rounded(place), 'axis_b': rounded(axis), 'orientation': turned(nut),
+           'lead': 0.05}
+    return {'name': 'loop', 'bodies': dict.fromkeys(('carrier', 'nut'), BODY),
+            'joints': joints, 'cut_joints': {'third': cut}}
+
+
 LOOPS = {'planar': planar_loop, 'spherical': spherical_loop, 'sliding': sliding_loop,
-         'sliding and cut': cut_slide}
+         'sliding and cut': cut_slide, 'thread': thread_loop}
 
 
 def most_open(mechanism, joint='first'):
@@ -267,6 +291,25 @@ def test_slides_and_pins_of_the_plane_agree_too():
         'cut_joints': {'two': {'type': 'revolute', 'body_a': 'arm', 'body_b': 'ground',
                                'point_a': [1e-10, -2e-10], 'point_b': [0.3, 0.4]}}}
     assert read_mechanism(pin).cut_joints[0].point_a == pytest.approx((0.0, 0.0), abs=1e-16)
+
+
+def test_a_thread_agrees_whose_axis_is_rounded_on_one_body_alone():
+    off, place, across = 3e-10, [0.1, 0.2, 0.3], about(Y, -0.5 * np.pi)
+    data = {'name': 'thread', 'bodies': dict.fromkeys(('carrier', 'nut'), BODY), 'joints': {
+        'first': {'type': 'revolute', 'parent': 'ground', 'child': 'carrier', 'position': place,
+                  'axis': [0.0, 0.0, 1.0]},
+        'second': {'type': 'prismatic', 'parent': 'carrier', 'child': 'nut',
+                   'position': [0.0, 0.0, 0.0], 'axis': [1.0, 0.0, 0.0],
+                   'orientation': {'quaternion': list(quaternion_of(across))}}},
+        'cut_joints': {'third': {
+            'type': 'helical', 'body_a': 'nut', 'body_b': 'ground', 'point_a': [0.0, 0.0, 0.0],
+            'point_b': place, 'axis_b': [np.sin(off), 0.0, np.cos(off)], 'lead': 0.05,
+            'orientation': {'quaternion': list(quaternion_of(about(Y, off) @ across))}}}}
+    as_is, mechanism = read_mechanism({**data, 'tolerance': 0.0}), read_mechanism(data)
+    assert most_open(as_is) > 0.9 * off and most_open(mechanism) < 3e-12
+    for key in ('axis_b', 'orientation'):
+        before, after = (getattr(one.cut_joints[0], key) for one in (as_is, mechanism))
+        np.testing.assert_allclose(after, before, atol=2.0 * off)
 
 
 FOUR_BAR = """\

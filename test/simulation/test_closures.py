@@ -6,6 +6,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
@@ -180,6 +181,41 @@ def test_a_thread_is_the_same_as_a_joint_a_coupling_and_a_cut():
     assert abs(found[0][0]) > 10.0 * np.pi
     assert_agree(found[1], found[0], 1e-9)
     assert_agree(found[2], found[0], 1e-9)
+
+
+def wheel_on(machine, cut):
+    """Return a machine with a wheel that the coordinate of a cut joint turns."""
+    nowhere = (0.0, 0.0) if machine.planar else NOWHERE
+    return replace(
+        machine, bodies=(*machine.bodies, Body('wheel', 1.0, nowhere, (
+            0.01 if machine.planar else MATTER['inertia']))),
+        joints=(*machine.joints, Joint('wheel', 'revolute', 'ground', 'wheel', nowhere,
+                                       axis=None if machine.planar else X)),
+        couplings=(Coupling('gear', {cut: 3.0, 'wheel': 0.5}, 0.2),))
+
+
+def slider_crank():
+    """Return a slider-crank whose block is cut off an oblique guide."""
+    names = 'crank', 'rod', 'block'
+    return Mechanism(
+        'slider_crank', tuple(Body(name, 1.0, (0.05, 0.0), 0.01) for name in names),
+        tuple(Joint(name, 'revolute', parent, name, (place, 0.0)) for name, parent, place in zip(
+            names, ('ground', *names), (0.0, 0.1, 0.3))),
+        (CutJoint('guide', 'prismatic', 'block', 'ground', (0.0, 0.0), (0.05, 0.02), angle=0.4),))
+
+
+@pytest.mark.parametrize('machine, cut, start', [
+    (screw('cut'), 'thread', [0.3, 0.006, -1.4]),
+    (slider_crank(), 'guide', [0.9, -0.7, 0.2, -1.5])], ids=['thread', 'slide'])
+def test_files_are_closed_where_the_engine_closes_a_coupled_cut_joint(machine, cut, start):
+    machine, down = wheel_on(machine, cut), (0.0, -9.81)
+    effects = {'gravity': Gravity(down)} if machine.planar else GRAVITY
+    one = Simulation(scene(machine, start, effects=effects))
+    one.step(None, 0.5)
+    assert abs(one.velocity[-1]) > 0.05
+    apart = one.position + [[0.0] * len(start), [0.0] * (len(start) - 1) + [0.1]]
+    # The wheel's share of the sum alone.
+    assert_agree(closure(machine, apart), [0.0, 0.05], 1e-10)
 
 
 def gears(offset=0.0, factor=-2.0):

@@ -77,6 +77,25 @@ def test_rates_and_accelerations_are_differences_of_positions(scene, drives, poi
         motion.acceleration[2:count], (4.0 * change[0] - change[1]) / 3.0, atol=1e-7)
 
 
+# With slides, gears and an equation that repeats others.
+@pytest.mark.parametrize('scene', ['slider_crank', 'geared_five_bar', 'bennett'])
+def test_linearised_equations_are_differences_of_closures_and_driven_values(scene):
+    kinematics, _ = driven(scene, dict.fromkeys(load_scene(scene).mechanism.actuated_joints, 0.0))
+    # Where loops are open, too.
+    here = kinematics.coordinates.moved(
+        kinematics.position, kinematics.unit * np.linspace(0.01, 0.02, len(kinematics.unit)))
+    closures, loops_jac, values, values_jac = kinematics.linearised(here)
+    assert np.abs(closures).max() > 1e-4 and len(values) == len(values_jac)
+    assert len(closures) == len(kinematics.unit) - len(values)
+    step = 1e-6
+    for k, one in enumerate(step * np.diag(kinematics.unit)):
+        (ahead, _, there, _), (behind, _, back, _) = (
+            kinematics.linearised(kinematics.coordinates.moved(here, way))
+            for way in (one, -one))
+        np.testing.assert_allclose((ahead - behind) / (2.0 * step), loops_jac[:, k], atol=1e-8)
+        np.testing.assert_allclose((there - back) / (2.0 * step), values_jac[:, k], atol=1e-8)
+
+
 def test_the_limit_of_a_rocker_is_where_crank_and_coupler_fold(tmp_path):
     model = Model.from_scene('four_bar')
     with pytest.raises(BranchEndError) as found:

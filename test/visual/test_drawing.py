@@ -214,6 +214,17 @@ def test_turning_joints_are_shown_within_a_turn():
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ['wanted']
 
 
+def test_bands_of_estimates_are_seen_whole_once_they_are_known():
+    time = np.linspace(0.0, 1.0, 101)
+    deviation = np.where(time < 0.04, 1e3, 0.5)
+    figure = pictures.bands({'length [m]': {'low': (time, np.full(101, -3.0), deviation),
+                                            'high': (time, np.full(101, 4.0), deviation)}},
+                            'time [s]', 'estimates')
+    low, high = figure.axes[0].get_ylim()
+    # Values and two deviations, with a little room, without what was not known at first.
+    assert -5.0 < low < -4.0 and 5.0 < high < 6.0
+
+
 def test_forces_of_the_whole_run_are_told_beside_those_of_the_moment():
     motion, _ = simulated('four_bar')
     motion.forces[3, 0] = 0.0, 300.0, 400.0
